@@ -1,0 +1,39 @@
+"""Build plate_core as an ament_python package."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "plate_core"
+WORKSPACE = Path("..", "..")  # setuptools wants relative paths; colcon runs this file from its folder
+
+
+def shared_files(folder):
+    """List the workspace's files under `folder`, to be installed as share/plate_core/<folder>."""
+    root = WORKSPACE / folder
+    by_target = {}
+    for path in sorted(root.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            target = Path("share", NAME, folder, path.parent.relative_to(root))
+            by_target.setdefault(str(target), []).append(str(path))
+    return list(by_target.items())
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ] + shared_files("config")
+    + shared_files("launch"),
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The plate developers",
+    maintainer_email="plate@example.org",
+    description="Rig facts, frames, plate cycles and message conversion shared by all stages.",
+    license="Apache-2.0",
+)

@@ -1,0 +1,1 @@
+"""Turns a task and the parts' positions into the force wanted on each part."""

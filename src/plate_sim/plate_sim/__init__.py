@@ -1,0 +1,1 @@
+"""Simulates parts on the vibrating plate, its camera and its motor controller."""

@@ -1,0 +1,1 @@
+"""Finds the plate motion whose friction gives each part the force wanted."""

@@ -1,0 +1,1 @@
+"""Finds parts in camera images and measures their positions and drift."""
