@@ -1,0 +1,203 @@
+"""PlateCycle: one closed period of the plate's motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from .errors import CycleError
+
+REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
+"""Pose [m, m, rad], twist and acceleration below this (times 1, 1/s, 1/s2 and 100) are rest."""
+
+
+@dataclass(frozen=True)
+class PlateCycle:
+    """One closed motion of the plate in plate_home: knots, and quintic splines between them.
+
+    The spline takes on pose, twist and acceleration at every knot, so it has a continuous
+    acceleration; it is closed by construction: the last knot is the first.
+
+    Attributes
+    ----------
+    times : (k + 1,)
+        Knot times [s], from 0 to the period.
+    knot_pose, knot_twist, knot_accel : (k + 1, 3)
+        x, y, theta: [m, m, rad] and their first and second derivatives in time.
+    """
+
+    times: np.ndarray
+    knot_pose: np.ndarray
+    knot_twist: np.ndarray
+    knot_accel: np.ndarray
+    _coefficients: np.ndarray  # (k, 6, 3), powers of the time since the knot
+
+    @property
+    def period(self) -> float:
+        """Length of one cycle [s]."""
+        return float(self.times[-1])
+
+    @property
+    def starts_at_rest(self) -> bool:
+        """Whether the plate is at home and at rest where the cycle begins and ends."""
+        return bool(
+            np.all(np.abs(self.knot_pose[0]) <= REST_TOLERANCE)
+            and np.all(np.abs(self.knot_twist[0]) <= 100 * REST_TOLERANCE)
+            and np.all(np.abs(self.knot_accel[0]) <= 1e4 * REST_TOLERANCE)
+        )
+
+    def pose(self, t: np.ndarray | float) -> np.ndarray:
+        """Pose (n, 3) [m, m, rad] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 0)
+
+    def twist(self, t: np.ndarray | float) -> np.ndarray:
+        """Twist (n, 3) [m/s, m/s, rad/s] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 1)
+
+    def accel(self, t: np.ndarray | float) -> np.ndarray:
+        """Acceleration (n, 3) [m/s2, m/s2, rad/s2] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 2)
+
+    def _evaluate(self, t: np.ndarray | float, order: int) -> np.ndarray:
+        t = np.atleast_1d(np.asarray(t, dtype=float))
+        slack = 1e-9 * self.period
+        if t.size and not (np.min(t) >= -slack and np.max(t) <= self.period + slack):
+            raise CycleError(
+                f"time {t[(t < -slack) | (t > self.period + slack) | ~np.isfinite(t)][0]:g} s, "
+                f"allowed: 0 to the period, {self.period:g} s"
+            )
+        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        s = (t - self.times[i])[..., None]
+        c = self._coefficients[i]
+        powers = np.arange(6)
+        for _ in range(order):
+            c = c[..., 1:, :] * powers[1 : c.shape[-2], None]
+        value = c[..., -1, :]
+        for k in range(c.shape[-2] - 2, -1, -1):
+            value = value * s + c[..., k, :]
+        return value
+
+    @classmethod
+    def from_knots(
+        cls, times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
+    ) -> PlateCycle:
+        """Build a cycle from knots; the last must equal the first.
+
+        Parameters
+        ----------
+        times : (k + 1,)
+            Knot times [s], rising, the first 0.
+        pose, twist, accel : (k + 1, 3)
+            State of the plate at the knots.
+
+        Raises
+        ------
+        CycleError
+            If times do not rise from 0, a value is not finite, or the motion does not close.
+        """
+        times = np.array(times, dtype=float)
+        states = [np.array(a, dtype=float) for a in (pose, twist, accel)]
+        if times.ndim != 1 or len(times) < 2:
+            raise CycleError(f"cycle has {times.size} knots, allowed: at least 2")
+        for name, state in zip(("pose", "twist", "accel"), states, strict=True):
+            if state.shape != (len(times), 3):
+                raise CycleError(f"{name} has shape {state.shape}, allowed: ({len(times)}, 3)")
+            if not np.all(np.isfinite(state)):
+                raise CycleError(f"{name} has values that are not finite")
+        if not np.all(np.isfinite(times)) or times[0] != 0 or np.any(np.diff(times) <= 0):
+            raise CycleError("knot times must be finite, start at 0 and rise")
+        gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
+        size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
+        if gap[0] > size[0] or gap[1] > 1e2 * size[1] or gap[2] > 1e4 * size[2]:
+            raise CycleError(
+                f"motion does not close: end and start differ by {gap[0]:.3g} m or rad in pose, "
+                f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
+            )
+        for state in states:
+            state[-1] = state[0]
+        for array in (times, *states):
+            array.setflags(write=False)
+        return cls(times, *states, _coefficients=_quintic(times, *states))
+
+    @classmethod
+    def from_samples(
+        cls,
+        period: float,
+        pose: np.ndarray,
+        twist: np.ndarray | None = None,
+        accel: np.ndarray | None = None,
+    ) -> PlateCycle:
+        """Build a cycle from equally spaced periodic samples.
+
+        Parameters
+        ----------
+        period : float
+            Length of the cycle [s].
+        pose : (n, 3)
+            Poses [m, m, rad] at t = 0, period/n, 2 period/n, ...
+        twist, accel : (n, 3), optional
+            Derivatives at the same times; where missing, those of the periodic quintic
+            interpolating spline.
+
+        Raises
+        ------
+        CycleError
+            If the period is not positive, a shape is wrong, or a value is not finite.
+        """
+        pose = np.asarray(pose, dtype=float)
+        if not (np.isfinite(period) and period > 0):
+            raise CycleError(f"period is {period!r} s, allowed: a positive number")
+        if pose.ndim != 2 or pose.shape[1] != 3 or not len(pose):
+            raise CycleError(f"pose has shape {pose.shape}, allowed: (n, 3) with n at least 1")
+        if not np.all(np.isfinite(pose)):
+            raise CycleError("pose has values that are not finite")
+        times = np.linspace(0, period, len(pose) + 1)
+
+        def close(samples: np.ndarray) -> np.ndarray:
+            samples = np.asarray(samples, dtype=float)
+            return np.vstack([samples, samples[:1]])
+
+        if twist is None or accel is None:
+            derivatives = _periodic_derivatives(times, close(pose))
+            twist = derivatives[0][:-1] if twist is None else twist
+            accel = derivatives[1][:-1] if accel is None else accel
+        return cls.from_knots(times, close(pose), close(twist), close(accel))
+
+    @classmethod
+    def rest(cls, period: float) -> PlateCycle:
+        """Return the cycle of a plate that stays at home."""
+        return cls.from_samples(period, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+
+    def scaled(self, factor: float) -> PlateCycle:
+        """Return the same motion with all amplitudes times `factor`, in the same time."""
+        return PlateCycle.from_knots(
+            self.times, factor * self.knot_pose, factor * self.knot_twist, factor * self.knot_accel
+        )
+
+
+def _quintic(
+    times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
+) -> np.ndarray:
+    """Coefficients (k, 6, 3) of the quintic that takes on both ends' value and derivatives."""
+    h = np.diff(times)[:, None]
+    p, v, a = pose[:-1], twist[:-1], accel[:-1]
+    # What the left end's Taylor polynomial misses at the right end, in units of position.
+    dp = pose[1:] - p - h * v - 0.5 * h**2 * a
+    dv = (twist[1:] - v - h * a) * h
+    da = (accel[1:] - a) * h**2
+    c3 = (10 * dp - 4 * dv + 0.5 * da) / h**3
+    c4 = (-15 * dp + 7 * dv - da) / h**4
+    c5 = (6 * dp - 3 * dv + 0.5 * da) / h**5
+    return np.stack([p, v, 0.5 * a, c3, c4, c5], axis=1)
+
+
+def _periodic_derivatives(times: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivative (k + 1, 3) of the periodic spline through the samples."""
+    if len(times) <= 6:
+        raise CycleError(
+            f"{len(times) - 1} samples without twist and accel, allowed: at least 6, or give both"
+        )
+    spline = make_interp_spline(times, pose, k=5, bc_type="periodic")
+    return spline(times, 1), spline(times, 2)

@@ -1,0 +1,119 @@
+"""Four motors and the plate: both ways.
+
+Motor i pushes the plate at point a_i along d_i. Its shaft slides freely across d_i (a flexure
+takes that up), so its travel is q_i = d_i . (o + (R(theta) - 1) a_i): exact, not linearised.
+Three coordinates, four motors: the fourth is redundant, and must agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import CycleError
+from .rig import Rig
+
+CONSISTENCY_TOLERANCE = 5e-6
+"""Greatest disagreement of four motors [m]: more would bend the plate's suspension."""
+
+
+def motor_state(
+    rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Travel, speed and acceleration of the motors for a motion of the plate.
+
+    Parameters
+    ----------
+    pose, twist, accel : (n, 3)
+        Plate in plate_home: [m, m, rad] and derivatives.
+
+    Returns
+    -------
+    q, qd, qdd : (n, 4)
+        Motors: [m], [m/s], [m/s2].
+    """
+    point, direction = _geometry(rig)
+    theta, spin, spin_rate = pose[:, 2], twist[:, 2], accel[:, 2]
+    along, across = _projections(point, direction, theta)
+    q = pose[:, :2] @ direction.T + along - np.sum(direction * point, axis=1)
+    qd = twist[:, :2] @ direction.T + spin[:, None] * across
+    qdd = accel[:, :2] @ direction.T + spin_rate[:, None] * across - spin[:, None] ** 2 * along
+    return q, qd, qdd
+
+
+def plate_state(
+    rig: Rig, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Motion of the plate for a motion of the motors: the inverse of `motor_state`.
+
+    Parameters
+    ----------
+    q, qd, qdd : (n, 4)
+        Motors: [m], [m/s], [m/s2].
+
+    Returns
+    -------
+    pose, twist, accel : (n, 3)
+        Plate in plate_home.
+
+    Raises
+    ------
+    CycleError
+        If no pose of a rigid plate fits all four motors within `CONSISTENCY_TOLERANCE`.
+    """
+    point, direction = _geometry(rig)
+    home = np.sum(direction * point, axis=1)
+    pose = np.zeros((len(q), 3))
+    for _ in range(4):  # Newton: theta is small, so three steps reach rounding
+        along, across = _projections(point, direction, pose[:, 2])
+        error = q - (pose[:, :2] @ direction.T + along - home)
+        jacobian = _jacobian(direction, across)
+        pose = pose + np.linalg.solve(_normal(jacobian), _project(jacobian, error)[..., None])[
+            ..., 0
+        ]
+    along, across = _projections(point, direction, pose[:, 2])
+    error = q - (pose[:, :2] @ direction.T + along - home)
+    if error.size and np.max(np.abs(error)) > CONSISTENCY_TOLERANCE:
+        sample, motor = np.unravel_index(np.argmax(np.abs(error)), error.shape)
+        raise CycleError(
+            f"{rig.motors[motor].name} disagrees with the other motors by "
+            f"{abs(error[sample, motor]) * 1e3:.4g} mm at sample {sample}, "
+            f"allowed: {CONSISTENCY_TOLERANCE * 1e3:g} mm"
+        )
+    jacobian = _jacobian(direction, across)
+    normal = _normal(jacobian)
+    twist = np.linalg.solve(normal, _project(jacobian, qd)[..., None])[..., 0]
+    central = twist[:, 2:] ** 2 * along
+    accel = np.linalg.solve(normal, _project(jacobian, qdd + central)[..., None])[..., 0]
+    return pose, twist, accel
+
+
+def _geometry(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    point = np.array([motor.point for motor in rig.motors])
+    direction = np.array([motor.direction for motor in rig.motors])
+    return point, direction
+
+
+def _projections(
+    point: np.ndarray, direction: np.ndarray, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """d_i . R a_i and d_i . R a_i turned by 90 degrees, both (n, 4) [m]."""
+    cos, sin = np.cos(theta)[:, None], np.sin(theta)[:, None]
+    x = cos * point[:, 0] - sin * point[:, 1]
+    y = sin * point[:, 0] + cos * point[:, 1]
+    along = direction[:, 0] * x + direction[:, 1] * y
+    across = -direction[:, 0] * y + direction[:, 1] * x
+    return along, across
+
+
+def _jacobian(direction: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """dq/dpose (n, 4, 3)."""
+    translation = np.broadcast_to(direction, (len(across), 4, 2))
+    return np.concatenate([translation, across[..., None]], axis=2)
+
+
+def _normal(jacobian: np.ndarray) -> np.ndarray:
+    return np.einsum("nij,nik->njk", jacobian, jacobian)
+
+
+def _project(jacobian: np.ndarray, value: np.ndarray) -> np.ndarray:
+    return np.einsum("nij,ni->nj", jacobian, value)

@@ -1,0 +1,55 @@
+"""How much of the rig's limits a cycle uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .cycle import PlateCycle
+from .kinematics import motor_state
+from .rig import Rig
+
+SAMPLES_PER_KNOT = 8
+"""Samples between knots when looking for peaks: a quintic hardly turns within an eighth."""
+
+
+@dataclass(frozen=True)
+class CycleUsage:
+    """Peaks of a cycle: motor travel [m], motor speed [m/s], plate acceleration [m/s2], and
+    `worst`, the greatest of the three as a share of its limit."""
+
+    stroke_m: float
+    speed: float
+    accel: float
+    worst: float
+
+
+def usage(rig: Rig, cycle: PlateCycle) -> CycleUsage:
+    """Return the peaks of a cycle against the rig's limits.
+
+    The acceleration is that of the plate's corners: it is convex in the point, so no point of the
+    plate has more.
+    """
+    fractions = np.arange(SAMPLES_PER_KNOT) / SAMPLES_PER_KNOT
+    t = (cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * fractions).ravel()
+    pose, twist, accel = cycle.pose(t), cycle.twist(t), cycle.accel(t)
+    q, qd, _ = motor_state(rig, pose, twist, accel)
+    stroke = float(np.max(np.abs(q)))
+    speed = float(np.max(np.abs(qd)))
+    peak = float(np.max(corner_accel(rig, pose, twist, accel)))
+    worst = max(
+        stroke / rig.limits.stroke_m, speed / rig.limits.speed, peak / rig.limits.accel
+    )
+    return CycleUsage(stroke, speed, peak, worst)
+
+
+def corner_accel(rig: Rig, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> np.ndarray:
+    """Magnitude (n, 4) [m/s2] of the acceleration of the plate's corners."""
+    cos, sin = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
+    x, y = rig.plate.corners.T
+    arm_x, arm_y = cos * x - sin * y, sin * x + cos * y
+    spin2, spin_rate = twist[:, 2:] ** 2, accel[:, 2:]
+    ax = accel[:, :1] - spin_rate * arm_y - spin2 * arm_x
+    ay = accel[:, 1:2] + spin_rate * arm_x - spin2 * arm_y
+    return np.hypot(ax, ay)

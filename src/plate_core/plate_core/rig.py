@@ -1,0 +1,250 @@
+"""Measured facts of one rig, read from a YAML file and checked."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .errors import RigError
+from .yaml_fields import Fields, read_yaml
+
+
+@dataclass(frozen=True)
+class Plate:
+    """The plate: its sides along x and y at rest [m] and its mass [kg]."""
+
+    length_m: float
+    width_m: float
+    mass_kg: float
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half sides (2,) [m]."""
+        return np.array([self.length_m / 2, self.width_m / 2])
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Corners at rest (4, 2) [m, plate_home]: (-x,-y), (+x,-y), (+x,+y), (-x,+y)."""
+        return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.half
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
+
+    mu: float
+    gravity: float
+
+    @property
+    def accel(self) -> float:
+        """Greatest acceleration that friction gives a part, mu g [m/s2]."""
+        return self.mu * self.gravity
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts: round, all alike; mass [kg] and radius [m]."""
+
+    mass_kg: float
+    radius_m: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the rig can do: stroke [m] to either side and speed [m/s] of each motor,
+    acceleration [m/s2] of any point of the plate."""
+
+    stroke_m: float
+    speed: float
+    accel: float
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A linear motor: name, point where its shaft meets the plate at rest (x, y) [m, plate_home],
+    unit direction in which it pushes."""
+
+    name: str
+    point: tuple[float, float]
+    direction: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The camera: image size [px], exposure [s], image points of the plate's corners at rest
+    (4 pairs, order of `Plate.corners`) [px]."""
+
+    width_px: int
+    height_px: int
+    exposure_s: float
+    corners_px: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """All facts of one rig."""
+
+    plate: Plate
+    friction: Friction
+    parts: Parts
+    limits: Limits
+    motors: tuple[Motor, ...]
+    camera: Camera
+
+    @property
+    def gamma(self) -> float:
+        """Shaking ratio a_max/(mu g) [-]: the number that rules the problem."""
+        return self.limits.accel / self.friction.accel
+
+    @property
+    def force_unit(self) -> float:
+        """Sliding friction of one part, mu m g [N]: the unit of the solvers' forces."""
+        return self.parts.mass_kg * self.friction.accel
+
+
+def default_rig_path() -> Path:
+    """Return the rig file to use when none is named.
+
+    That is, in order: the file named by the environment variable PLATE_RIG, the one installed
+    with plate_core, the one of the source tree.
+    """
+    if "PLATE_RIG" in os.environ:
+        return Path(os.environ["PLATE_RIG"])
+    return config_path("rig.yaml")
+
+
+def config_path(name: str) -> Path:
+    """Return the path of a file of config/, installed or in the source tree.
+
+    Raises
+    ------
+    RigError
+        If it is in neither.
+    """
+    here = Path(__file__).resolve()
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    places = [p / "share" / "plate_core" / "config" for p in prefixes]
+    places += [parent / "config" for parent in here.parents]
+    for place in places:
+        if (place / name).exists():
+            return place / name
+    raise RigError(f"config file {name}: not found in {places[0]} nor in the source tree")
+
+
+def load_rig(path: str | Path | None = None) -> Rig:
+    """Read a rig file.
+
+    Parameters
+    ----------
+    path : path, optional
+        YAML file; `default_rig_path()` if None or empty.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    RigError
+        If a key is missing, unknown, or its value is out of range: the message names the key, the
+        value and what is allowed.
+    """
+    fields = read_yaml(path or default_rig_path(), RigError)
+    rig = Rig(
+        plate=_plate(fields.child("plate")),
+        friction=_friction(fields.child("friction")),
+        parts=_parts(fields.child("parts")),
+        limits=_limits(fields.child("limits")),
+        motors=_motors(fields.child("motors")),
+        camera=_camera(fields.child("camera")),
+    )
+    fields.finish()
+    if rig.gamma <= 1:
+        raise RigError(
+            f"limits: accel_mps2 is {rig.limits.accel:g}, allowed: more than mu g = "
+            f"{rig.friction.accel:g} m/s2 (below that parts never slide)"
+        )
+    return rig
+
+
+def _plate(fields: Fields) -> Plate:
+    plate = Plate(
+        length_m=fields.number("length_m", 0.01, 10),
+        width_m=fields.number("width_m", 0.01, 10),
+        mass_kg=fields.number("mass_kg", 1e-3, 1e3),
+    )
+    fields.finish()
+    return plate
+
+
+def _friction(fields: Fields) -> Friction:
+    friction = Friction(
+        mu=fields.number("mu", 0.01, 2), gravity=fields.number("gravity_mps2", 0.1, 30)
+    )
+    fields.finish()
+    return friction
+
+
+def _parts(fields: Fields) -> Parts:
+    parts = Parts(
+        mass_kg=fields.number("mass_kg", 1e-6, 10), radius_m=fields.number("radius_m", 1e-4, 1)
+    )
+    fields.finish()
+    return parts
+
+
+def _limits(fields: Fields) -> Limits:
+    limits = Limits(
+        stroke_m=fields.number("stroke_m", 1e-5, 1),
+        speed=fields.number("speed_mps", 1e-3, 100),
+        accel=fields.number("accel_mps2", 0.1, 1e4),
+    )
+    fields.finish()
+    return limits
+
+
+def _motors(fields: Fields) -> tuple[Motor, ...]:
+    names = fields.keys()
+    expected = ("motor_1", "motor_2", "motor_3", "motor_4")
+    if names != expected:
+        raise RigError(f"motors: got {', '.join(names)}, allowed: {', '.join(expected)}")
+    motors = []
+    for name in names:
+        child = fields.child(name)
+        point = child.array("point_m", (2,), -10, 10)
+        direction = child.array("direction", (2,), -1, 1)
+        length = float(np.hypot(*direction))
+        if length < 1e-6:
+            raise child.fail("direction", "a vector that is not zero")
+        child.finish()
+        motors.append(
+            Motor(name, (point[0], point[1]), (direction[0] / length, direction[1] / length))
+        )
+    rows = [
+        (m.direction[0], m.direction[1], m.point[0] * m.direction[1] - m.point[1] * m.direction[0])
+        for m in motors
+    ]
+    if np.linalg.matrix_rank(np.array(rows), tol=1e-3) < 3:
+        raise RigError("motors: their directions and points cannot move the plate in x, y and theta")
+    return tuple(motors)
+
+
+def _camera(fields: Fields) -> Camera:
+    width = fields.integer("width_px", 16, 16384)
+    height = fields.integer("height_px", 16, 16384)
+    corners = fields.array("corners_px", (4, 2), -16384, 32768)
+    x, y = corners.T
+    area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
+    if abs(area) < 100:
+        raise fields.fail("corners_px", "four corners that span at least 100 square pixels")
+    camera = Camera(
+        width_px=width,
+        height_px=height,
+        exposure_s=fields.number("exposure_s", 0, 0.1),
+        corners_px=tuple((float(a), float(b)) for a, b in corners),
+    )
+    fields.finish()
+    return camera

@@ -1,0 +1,1 @@
+"""The only place outside the nodes that imports ROS."""

@@ -1,0 +1,208 @@
+"""Messages to our types and back. Every value is coerced and checked here, nowhere else."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Transform, Twist, Wrench
+from sensor_msgs.msg import Image, MultiDOFJointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from ..cycle import PlateCycle
+from ..errors import CycleError, PlateError
+from ..kinematics import motor_state, plate_state
+from ..parts import PartSet
+from ..rig import Rig
+
+FRAME = "plate_home"
+PLATE_JOINTS = ["x", "y", "theta"]
+CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
+
+
+def seconds(stamp: Time) -> float:
+    """Return a stamp in seconds; exact to better than a microsecond until the year 2100."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def nanoseconds(stamp: Time) -> int:
+    """Return a stamp as a whole number of nanoseconds."""
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def to_time(nanosec: int) -> Time:
+    """Return the stamp of a whole number of nanoseconds."""
+    return Time(sec=int(nanosec // 1_000_000_000), nanosec=int(nanosec % 1_000_000_000))
+
+
+def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
+    """Return parts as a message.
+
+    wrench.force.x and .y are the wanted mean force [N], torque.z the wanted spin [N m]. A planar
+    part feels no torque about x or y: torque.x and torque.y carry the tolerance of force.x and
+    force.y [N].
+    """
+    msg = MultiDOFJointState(header=Header(stamp=stamp, frame_id=FRAME))
+    msg.joint_names = list(parts.ids)
+    for i in range(len(parts)):
+        transform, twist, wrench = Transform(), Twist(), Wrench()
+        transform.translation.x = float(parts.position[i, 0])
+        transform.translation.y = float(parts.position[i, 1])
+        transform.rotation.z = float(np.sin(parts.angle[i] / 2))
+        transform.rotation.w = float(np.cos(parts.angle[i] / 2))
+        twist.linear.x = float(parts.velocity[i, 0])
+        twist.linear.y = float(parts.velocity[i, 1])
+        wrench.force.x = float(parts.force[i, 0])
+        wrench.force.y = float(parts.force[i, 1])
+        wrench.torque.x = float(parts.tolerance[i, 0])
+        wrench.torque.y = float(parts.tolerance[i, 1])
+        wrench.torque.z = float(parts.torque[i])
+        msg.transforms.append(transform)
+        msg.twist.append(twist)
+        msg.wrench.append(wrench)
+    return msg
+
+
+def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
+    """Return the parts of a message; twist and wrench may be left out.
+
+    Raises
+    ------
+    PlateError
+        If lengths disagree, a name is given twice, or a value is not finite.
+    """
+    count = len(msg.joint_names)
+    for name, items in (("transforms", msg.transforms), ("twist", msg.twist), ("wrench", msg.wrench)):
+        if len(items) != count and (items or name == "transforms"):
+            raise PlateError(f"parts: {len(items)} {name} for {count} names, allowed: as many")
+    if len(set(msg.joint_names)) != count:
+        raise PlateError(f"parts: a name is given twice in {list(msg.joint_names)}")
+    parts = PartSet.make(
+        tuple(msg.joint_names),
+        position=np.array([(t.translation.x, t.translation.y) for t in msg.transforms]),
+        angle=np.array([2 * np.arctan2(t.rotation.z, t.rotation.w) for t in msg.transforms]),
+        velocity=np.array([(t.linear.x, t.linear.y) for t in msg.twist]) if msg.twist else None,
+        force=np.array([(w.force.x, w.force.y) for w in msg.wrench]) if msg.wrench else None,
+        tolerance=np.array([(w.torque.x, w.torque.y) for w in msg.wrench]) if msg.wrench else None,
+        torque=np.array([w.torque.z for w in msg.wrench]) if msg.wrench else None,
+    )
+    columns = np.column_stack([parts.position, parts.velocity, parts.force, parts.tolerance])
+    if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(parts.torque))):
+        bad = int(np.argmin(np.all(np.isfinite(columns), axis=1)))
+        raise PlateError(f"parts: {parts.ids[bad]} has a value that is not finite")
+    return parts
+
+
+def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
+    """Return a plate cycle as a message: its knots, the last of which is the first again."""
+    return _trajectory(
+        PLATE_JOINTS, cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel, stamp
+    )
+
+
+def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
+    """Return the plate cycle of a message.
+
+    Raises
+    ------
+    CycleError
+        If joints, lengths or times are wrong, a value is not finite, or it does not close.
+    """
+    return PlateCycle.from_knots(*_knots(msg, PLATE_JOINTS))
+
+
+def motors_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> JointTrajectory:
+    """Return the motors' motion that gives a plate cycle."""
+    q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
+    return _trajectory([motor.name for motor in rig.motors], cycle.times, q, qd, qdd, stamp)
+
+
+def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
+    """Return the plate cycle that the motors' motion gives.
+
+    Raises
+    ------
+    CycleError
+        As `msg_to_cycle`, or if the motors disagree with each other.
+    """
+    times, *motors = _knots(msg, [motor.name for motor in rig.motors])
+    return PlateCycle.from_knots(times, *plate_state(rig, *motors))
+
+
+def _trajectory(
+    joints: list[str],
+    times: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    accel: np.ndarray,
+    stamp: Time,
+) -> JointTrajectory:
+    msg = JointTrajectory(header=Header(stamp=stamp, frame_id=FRAME), joint_names=joints)
+    rows = zip(times.tolist(), position.tolist(), velocity.tolist(), accel.tolist(), strict=True)
+    for t, q, qd, qdd in rows:
+        point = JointTrajectoryPoint(positions=q, velocities=qd, accelerations=qdd)
+        nanosec = round(t * 1e9)
+        point.time_from_start = Duration(
+            sec=nanosec // 1_000_000_000, nanosec=nanosec % 1_000_000_000
+        )
+        msg.points.append(point)
+    return msg
+
+
+def _knots(
+    msg: JointTrajectory, joints: list[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    if list(msg.joint_names) != joints:
+        raise CycleError(f"trajectory: joints are {list(msg.joint_names)}, allowed: {joints}")
+    if len(msg.points) < 2:
+        raise CycleError(f"trajectory: {len(msg.points)} points, allowed: at least 2")
+    for i, point in enumerate(msg.points):
+        sizes = {len(point.positions), len(point.velocities), len(point.accelerations)}
+        if sizes != {len(joints)}:
+            raise CycleError(
+                f"trajectory: point {i} has {sorted(sizes)} values, allowed: {len(joints)} "
+                "positions, velocities and accelerations"
+            )
+    times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+    return (
+        times,
+        np.array([p.positions for p in msg.points]),
+        np.array([p.velocities for p in msg.points]),
+        np.array([p.accelerations for p in msg.points]),
+    )
+
+
+def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
+    """Return a uint8 image (H, W) or (H, W, 3) as a message."""
+    msg = Image(header=Header(stamp=stamp, frame_id="camera"))
+    msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
+    msg.encoding = encoding
+    msg.step = msg.width * CHANNELS[encoding]
+    data = array.array("B")
+    data.frombytes(np.ascontiguousarray(image).tobytes())
+    msg.data = data
+    return msg
+
+
+def image_to_array(msg: Image) -> np.ndarray:
+    """Return an image message as uint8 (H, W) or (H, W, 3), sharing its memory.
+
+    Raises
+    ------
+    PlateError
+        If the encoding is not mono8, bgr8 or rgb8, or step and data length do not fit.
+    """
+    channels = CHANNELS.get(msg.encoding)
+    if channels is None:
+        raise PlateError(f"image: encoding is {msg.encoding!r}, allowed: {', '.join(CHANNELS)}")
+    row = msg.width * channels
+    if msg.width == 0 or msg.height == 0:
+        raise PlateError(f"image: size is {msg.width} x {msg.height}, allowed: at least 1 x 1")
+    if msg.step < row:
+        raise PlateError(f"image: step is {msg.step} bytes, allowed: at least {row}")
+    if len(msg.data) != msg.step * msg.height:
+        raise PlateError(f"image: {len(msg.data)} bytes of data, allowed: {msg.step * msg.height}")
+    pixels = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, :row]
+    return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, 3)
