@@ -5,17 +5,14 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "plate_core"
-WORKSPACE = Path("..", "..")  # setuptools wants relative paths; colcon runs this file from its folder
 
 
 def shared_files(folder):
-    """List the workspace's files under `folder`, to be installed as share/plate_core/<folder>."""
-    root = WORKSPACE / folder
+    """List the files under `folder`, a link to the workspace's, for share/plate_core/<folder>."""
     by_target = {}
-    for path in sorted(root.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            target = Path("share", NAME, folder, path.parent.relative_to(root))
-            by_target.setdefault(str(target), []).append(str(path))
+    for path in sorted(Path(folder).glob("**/*.*")):
+        if path.suffix in (".yaml", ".xml", ".py"):
+            by_target.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
     return list(by_target.items())
 
 
@@ -27,7 +24,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-    ] + shared_files("config")
+    ]
+    + shared_files("config")
     + shared_files("launch"),
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -1,0 +1,41 @@
+# One command each. All but `help` and `clean` set the workspace up first when that is needed.
+SHELL := /bin/bash
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench charts clean workspace
+
+ENTER := . ./env.sh &&
+# Everything that is type-checked; folders that do not exist are left out.
+TYPED := $(wildcard src/*/plate_* bench tools launch)
+
+help: ## List these commands
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+
+setup: ## Install everything into .venv and build the packages
+	@tools/setup.sh
+
+workspace:
+	@tools/setup.sh --quiet
+
+demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [METHOD=...] [TRANSPORT=sim|serial]
+	@$(ENTER) exec python tools/demo.py --out out/demo $(if $(SCENARIO),--scenario '$(SCENARIO)') \
+	    $(if $(METHOD),--method '$(METHOD)') $(if $(TRANSPORT),--transport '$(TRANSPORT)') $(ARGS)
+
+# A domain of its own for every run, so that runs side by side do not hear each other.
+test: workspace ## Run all tests: [ARGS='-k name']
+	@$(ENTER) export ROS_PYTHON_CHECK_FIELDS=1 ROS_DOMAIN_ID=$$(( 1 + $$$$ % 99 )) && exec python -m pytest $(ARGS)
+
+lint: workspace ## Check style and types
+	@$(ENTER) ruff check . && ruff format --check . && exec mypy $(TYPED)
+
+format: workspace ## Put the code into the project's format
+	@$(ENTER) ruff check --fix . && exec ruff format .
+
+bench: workspace ## Measure: out/bench/NAME.json [ARGS=...]
+	@$(ENTER) exec python bench/run.py $(ARGS)
+
+charts: workspace ## Draw the measurements: out/charts, out/report/index.html
+	@$(ENTER) exec python bench/charts.py $(ARGS)
+
+clean: ## Remove everything that set-up made; results in out/ stay
+	rm -rf .venv build install log .numba_cache .mypy_cache .pytest_cache .ruff_cache

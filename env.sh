@@ -1,0 +1,25 @@
+# Enter the workspace: `source env.sh` (bash or zsh) activates its Python and makes its packages known.
+# Every setting below can be set beforehand to something else.
+
+_plate_root="$(cd -- "$(dirname -- "${BASH_SOURCE[0]:-${(%):-%x}}")" && pwd)"
+_plate_shell=bash
+[ -n "${ZSH_VERSION:-}" ] && _plate_shell=zsh
+
+if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.$_plate_shell" ]; then
+    . "$_plate_root/.venv/bin/activate"
+    . "$_plate_root/install/setup.$_plate_shell"
+
+    # ROS: stay on this machine (ROS_STATIC_PEERS opens the graph to others), find nodes quickly
+    export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+    export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_plate_root/config/fastdds.xml}"
+
+    # Numerics: keep what numba compiled; the matrices are small, so threads would only get in each other's way
+    export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-$_plate_root/.numba_cache}"
+    export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
+    export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
+    unset _plate_root _plate_shell
+else
+    echo "The workspace is not set up yet. Run: make -C '$_plate_root' setup" >&2
+    unset _plate_root _plate_shell
+    return 1 2>/dev/null || exit 1
+fi

