@@ -24,9 +24,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-    ]
-    + shared_files("config")
-    + shared_files("launch"),
+        *shared_files("config"),
+        *shared_files("launch"),
+    ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
