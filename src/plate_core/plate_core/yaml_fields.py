@@ -34,6 +34,11 @@ class Fields:
         self._error = error
         self._used: set[str] = set()
 
+    @property
+    def where(self) -> str:
+        """File and key path of this mapping."""
+        return self._where
+
     def fail(self, key: str, allowed: str) -> PlateError:
         """Return the error for the value at `key`: the caller raises it."""
         return self._error(f"{self._where}: {key} is {self._data.get(key)!r}, allowed: {allowed}")
@@ -73,6 +78,13 @@ class Fields:
         value = self._get(key, allowed)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise self.fail(key, allowed)
+        return value
+
+    def flag(self, key: str) -> bool:
+        """Return true or false."""
+        value = self._get(key, "true or false")
+        if not isinstance(value, bool):
+            raise self.fail(key, "true or false")
         return value
 
     def text(self, key: str, choices: Sequence[str] | None = None) -> str:

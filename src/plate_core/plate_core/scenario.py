@@ -1,0 +1,328 @@
+"""Scenarios: which parts are on the plate, where they start, and what is to be done with them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from .errors import PlateError, ScenarioError
+from .rig import Rig, config_path
+from .yaml_fields import Fields, read_yaml
+
+MIN_SEPARATION_M = 0.04
+"""Least distance of scattered centres [m]: five radii of the default parts."""
+
+SCATTER_SHARE = (0.85, 0.80)
+"""Share of the half sides (x, y) within which parts are scattered: clear of the edges."""
+
+SIDES: Mapping[str, int] = MappingProxyType({"left": -1, "right": 1})
+"""Sides of the plate, and the sign of x there."""
+
+SCATTER_TRIES = 80
+"""Tries to place one part, and to place all of them, before a scenario counts as too crowded."""
+
+
+@dataclass(frozen=True)
+class PartGroup:
+    """Parts of one class: given positions, or a count to be scattered.
+
+    Attributes
+    ----------
+    label : str
+        Class, such as `black`.
+    count : int
+        Number of parts.
+    position : tuple of (x, y), or None
+        Start positions [m, plate_home], one for each part; None: at random.
+    """
+
+    label: str
+    count: int
+    position: tuple[tuple[float, float], ...] | None = None
+
+
+@dataclass(frozen=True)
+class SortTask:
+    """Bring every class to its side of the plate.
+
+    Attributes
+    ----------
+    sides : mapping of str to int
+        Class -> -1 (left, -x) or +1 (right, +x).
+    goal_fraction : float
+        A part is sorted beyond this share of the half length, on its own side.
+    hold_s : float
+        The task is done when all parts have been sorted for this time [s].
+    """
+
+    sides: Mapping[str, int]
+    goal_fraction: float
+    hold_s: float
+
+
+@dataclass(frozen=True)
+class PathTask:
+    """A polygon that one part is to follow at constant speed.
+
+    Attributes
+    ----------
+    label : str
+        Class of the part.
+    waypoint : tuple of (x, y)
+        Corners [m, plate_home]; the first is the start.
+    speed : float
+        Speed along the path [m/s].
+    closed : bool
+        Whether the last corner leads back to the first.
+    laps : float
+        How many times round, for closed paths; 1 otherwise.
+    """
+
+    label: str
+    waypoint: tuple[tuple[float, float], ...]
+    speed: float
+    closed: bool
+    laps: float
+
+
+@dataclass(frozen=True)
+class FollowTask:
+    """Every part follows its own path; a part further off than `max_error_m` fails the task."""
+
+    paths: tuple[PathTask, ...]
+    max_error_m: float
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One task: its parts, what is to be done, and the time it may take [s]."""
+
+    name: str
+    description: str
+    parts: tuple[PartGroup, ...]
+    task: SortTask | FollowTask
+    time_limit_s: float
+
+    @property
+    def count(self) -> int:
+        """Number of parts."""
+        return sum(group.count for group in self.parts)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Class of every part, in the order of `parts`."""
+        return tuple(group.label for group in self.parts for _ in range(group.count))
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Return the names of the scenarios in config/scenarios."""
+    try:
+        folder = config_path("scenarios")
+    except PlateError as problem:
+        raise ScenarioError(str(problem)) from None
+    return tuple(sorted(path.stem for path in folder.glob("*.yaml")))
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Read a scenario.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        Name of a file in config/scenarios, without `.yaml`; or the path of any YAML file.
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario (the message lists those there are), a key is missing or
+        unknown, or its value is not allowed: the message names key, value and what is allowed.
+    """
+    text = str(name_or_path)
+    if text.endswith((".yaml", ".yml")):
+        path = Path(text)
+    else:
+        names = scenario_names()
+        if text not in names:
+            raise ScenarioError(
+                f"scenario is {text!r}, allowed: {', '.join(names)}, or the path of a .yaml file"
+            )
+        path = config_path("scenarios") / f"{text}.yaml"
+    fields = read_yaml(path, ScenarioError)
+    parts = tuple(_group(child) for child in fields.children("parts"))
+    if not parts:
+        raise fields.fail("parts", "at least one group of parts")
+    labels = [group.label for group in parts]
+    if len(set(labels)) < len(labels):
+        raise fields.fail("parts", "each class once")
+    scenario = Scenario(
+        name=path.stem,
+        description=fields.text("description"),
+        parts=parts,
+        task=_task(fields.child("task"), parts),
+        time_limit_s=fields.number("time_limit_s", 0.1, 1e5),
+    )
+    fields.finish()
+    return scenario
+
+
+def check_scenario(scenario: Scenario, rig: Rig) -> None:
+    """Refuse a scenario whose positions or paths are not on this rig's plate.
+
+    Raises
+    ------
+    ScenarioError
+        Names the class, the point and the greatest |x| and |y| allowed for a part's centre.
+    """
+    room = rig.plate.half - rig.parts.radius_m
+    points = [(g.label, "position", p) for g in scenario.parts for p in g.position or ()]
+    if isinstance(scenario.task, FollowTask):
+        points += [(p.label, "waypoint", w) for p in scenario.task.paths for w in p.waypoint]
+    for label, kind, point in points:
+        if np.any(np.abs(point) > room):
+            raise ScenarioError(
+                f"scenario {scenario.name}: {kind} of {label} is ({point[0]:g}, {point[1]:g}) m, "
+                f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
+            )
+
+
+def start_positions(
+    scenario: Scenario, rig: Rig, rng: np.random.Generator
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Place the parts: the given ones where given, the others at random.
+
+    Scattered parts keep `MIN_SEPARATION_M` from all others and stay within `SCATTER_SHARE` of the
+    plate's half sides.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    rig : Rig
+    rng : numpy.random.Generator
+        Source of the scattered positions.
+
+    Returns
+    -------
+    labels : tuple of str, length M
+        Class of every part.
+    position : (M, 2)
+        Centres [m, plate_home].
+
+    Raises
+    ------
+    ScenarioError
+        If a given position is off the plate, or there is no room for all parts.
+    """
+    check_scenario(scenario, rig)
+    given = [p for group in scenario.parts for p in group.position or ()]
+    limit = np.array(SCATTER_SHARE) * rig.plate.half
+    count = sum(group.count for group in scenario.parts if group.position is None)
+    for _ in range(SCATTER_TRIES):
+        scattered = _scatter(count, np.array(given).reshape(-1, 2), limit, rng)
+        if scattered is not None:
+            break
+    else:
+        raise ScenarioError(
+            f"scenario {scenario.name}: {count} parts to scatter, allowed: as many as fit "
+            f"{MIN_SEPARATION_M:g} m apart on {2 * limit[0]:g} x {2 * limit[1]:g} m"
+        )
+    rest = iter(scattered)
+    rows = [
+        group.position[i] if group.position is not None else next(rest)
+        for group in scenario.parts
+        for i in range(group.count)
+    ]
+    return scenario.labels, np.array(rows, dtype=float).reshape(-1, 2)
+
+
+def _scatter(
+    count: int, taken: np.ndarray, limit: np.ndarray, rng: np.random.Generator
+) -> np.ndarray | None:
+    """Throw `count` points (count, 2), each clear of all before it; None if one finds no room."""
+    start = len(taken)
+    points = np.vstack([taken, np.zeros((count, 2))])
+    for i in range(start, start + count):
+        for _ in range(SCATTER_TRIES):
+            points[i] = rng.uniform(-limit, limit)
+            if np.all(np.hypot(*(points[:i] - points[i]).T) >= MIN_SEPARATION_M):
+                break
+        else:
+            return None
+    return points[start:]
+
+
+def _group(fields: Fields) -> PartGroup:
+    label = fields.text("class")
+    if not label.isidentifier() or label.rsplit("_", 1)[-1].isdigit():
+        raise fields.fail("class", "a plain word such as black, without a number")
+    if fields.has("positions_m") == fields.has("count"):
+        raise fields.fail("positions_m", "a list of [x, y] in m, or count in its place, not both")
+    if fields.has("count"):
+        group = PartGroup(label, fields.integer("count", 1, 100))
+    else:
+        position = fields.array("positions_m", (None, 2), -10, 10)
+        group = PartGroup(label, len(position), _pairs(position))
+    fields.finish()
+    return group
+
+
+def _task(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask | FollowTask:
+    kind = fields.text("kind", ("sort", "follow"))
+    task = _sort(fields, parts) if kind == "sort" else _follow(fields, parts)
+    fields.finish()
+    return task
+
+
+def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
+    child = fields.child("sides")
+    sides = {group.label: SIDES[child.text(group.label, tuple(SIDES))] for group in parts}
+    child.finish()
+    return SortTask(
+        sides=MappingProxyType(sides),
+        goal_fraction=fields.number("goal_fraction", 0, 0.8),
+        hold_s=fields.number("hold_s", 0, 60),
+    )
+
+
+def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
+    labels = tuple(group.label for group in parts)
+    paths = tuple(_path(child, labels) for child in fields.children("paths"))
+    have = Counter(path.label for path in paths)
+    for group in parts:
+        if have[group.label] != group.count:
+            raise ScenarioError(
+                f"{fields.where}: paths has {have[group.label]} paths for class {group.label}, "
+                f"allowed: {group.count}, one for each part"
+            )
+    return FollowTask(paths=paths, max_error_m=fields.number("max_error_m", 1e-4, 10))
+
+
+def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
+    waypoint = fields.array("waypoints_m", (None, 2), -10, 10)
+    step = np.hypot(*np.diff(waypoint, axis=0).T)
+    if len(waypoint) < 2 or np.min(step) < 1e-6:
+        raise fields.fail("waypoints_m", "at least two points, each apart from the next")
+    closed = fields.flag("closed")
+    if closed and np.hypot(*(waypoint[-1] - waypoint[0])) < 1e-6:
+        raise fields.fail("waypoints_m", "for a closed path, a last point that is not the first")
+    path = PathTask(
+        label=fields.text("class", labels),
+        waypoint=_pairs(waypoint),
+        speed=fields.number("speed_mps", 1e-5, 10),
+        closed=closed,
+        laps=fields.number("laps", 0.01, 1000) if closed else 1.0,
+    )
+    fields.finish()
+    return path
+
+
+def _pairs(array: np.ndarray) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in array)

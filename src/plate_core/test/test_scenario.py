@@ -1,0 +1,165 @@
+"""Scenarios: what is shipped, what is refused, where parts start."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plate_core import ScenarioError, load_rig
+from plate_core.scenario import (
+    MIN_SEPARATION_M,
+    FollowTask,
+    PartGroup,
+    SortTask,
+    load_scenario,
+    scenario_names,
+    start_positions,
+)
+
+SORT = """
+description: test
+parts:
+  - {class: black, count: 2}
+  - {class: grey, positions_m: [[0.1, 0.0]]}
+task: {kind: sort, sides: {black: left, grey: right}, goal_fraction: 0.6, hold_s: 0.5}
+time_limit_s: 10
+"""
+
+FOLLOW = """
+description: test
+parts:
+  - {class: black, positions_m: [[0.0, 0.0]]}
+task:
+  kind: follow
+  max_error_m: 0.03
+  paths:
+    - {class: black, waypoints_m: [[0, 0], [0.1, 0], [0.1, 0.1]], speed_mps: 0.02, closed: true,
+       laps: 2}
+time_limit_s: 60
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "trial.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig()
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_shipped_scenarios_load_and_fit_the_default_rig(name, rig):
+    scenario = load_scenario(name)
+    labels, position = start_positions(scenario, rig, np.random.default_rng(0))
+    assert scenario.name == name
+    assert labels == scenario.labels
+    assert position.shape == (scenario.count, 2)
+    assert np.all(np.abs(position) < rig.plate.half - rig.parts.radius_m)
+
+
+def test_the_papers_tasks_are_shipped():
+    sort, follow = load_scenario("sort_10"), load_scenario("follow_2")
+    assert sort.parts == (PartGroup("black", 5), PartGroup("grey", 5))
+    assert isinstance(sort.task, SortTask)
+    assert dict(sort.task.sides) == {"black": -1, "grey": 1}
+    assert isinstance(follow.task, FollowTask)
+    assert [path.speed for path in follow.task.paths] == [0.02, 0.02]
+    starts = [path.waypoint[0] for path in follow.task.paths]
+    assert list(follow.parts[0].position or ()) == starts
+
+
+def test_an_unknown_name_lists_the_available_ones():
+    with pytest.raises(ScenarioError, match=r"'sort_11'.*follow_2, .*sort_10") as info:
+        load_scenario("sort_11")
+    assert "\n" not in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "old", "new", "message"),
+    [
+        (SORT, "count: 2", "count: 0", r"count is 0, allowed: a whole number from 1"),
+        (SORT, "count: 2", "count: two", r"count is 'two'"),
+        (SORT, "class: black", "class: black_1", r"class is 'black_1', allowed: a plain word"),
+        (SORT, "class: grey", "class: black", r"parts is .*allowed: each class once"),
+        (SORT, "black: left", "black: up", r"black is 'up', allowed: one of left, right"),
+        (SORT, ", grey: right", "", r"grey is missing"),
+        (SORT, "grey: right", "grey: right, red: left", r"unknown key red, allowed: black, grey"),
+        (SORT, "kind: sort", "kind: juggle", r"kind is 'juggle', allowed: one of sort, follow"),
+        (SORT, "goal_fraction: 0.6", "goal_fraction: 0.9", r"goal_fraction is 0.9, allowed"),
+        (SORT, "time_limit_s: 10", "time_limit_s: .nan", r"time_limit_s is nan, allowed"),
+        (SORT, "time_limit_s: 10", "", r"time_limit_s is missing"),
+        (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing"),
+        (SORT, "[[0.1, 0.0]]", "[[0.1, 0.0]], count: 1", r"positions_m is .*not both"),
+        (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
+        (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),
+        (FOLLOW, "speed_mps: 0.02", "speed_mps: 0", r"speed_mps is 0, allowed"),
+        (FOLLOW, "[0.1, 0.1]]", "[0.1, 0.0]]", r"waypoints_m is .*apart from the next"),
+        (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*not the first"),
+        (FOLLOW, "- {class: black, w", "- {class: grey, w", r"class is 'grey', allowed: one of bl"),
+        (
+            FOLLOW,
+            "[[0.0, 0.0]]",
+            "[[0.0, 0.0], [0.1, 0.0]]",
+            r"1 paths for class black, allowed: 2",
+        ),
+    ],
+)
+def test_wrong_files_are_refused_with_key_value_and_allowed(tmp_path, text, old, new, message):
+    assert old in text
+    with pytest.raises(ScenarioError, match=message) as info:
+        load_scenario(write(tmp_path, text.replace(old, new, 1)))
+    assert str(info.value).startswith("trial.yaml")
+
+
+def test_a_missing_or_broken_file_is_one_line(tmp_path):
+    with pytest.raises(ScenarioError, match="no such file"):
+        load_scenario(tmp_path / "nowhere.yaml")
+    with pytest.raises(ScenarioError, match="broken YAML at line"):
+        load_scenario(write(tmp_path, "parts: [1, 2"))
+
+
+def test_laps_count_for_closed_paths_only(tmp_path):
+    closed = load_scenario(write(tmp_path, FOLLOW)).task.paths[0]
+    path = load_scenario(write(tmp_path, FOLLOW.replace("true,\n       laps: 2", "false"))).task
+    assert closed.laps == 2
+    assert path.paths[0].laps == 1
+
+
+def test_scattered_parts_keep_apart_and_clear_of_the_edges(rig):
+    scenario = load_scenario("sort_10")
+    for seed in range(20):
+        _, position = start_positions(scenario, rig, np.random.default_rng(seed))
+        gap = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
+        assert np.min(gap + np.eye(len(position))) >= MIN_SEPARATION_M
+        assert np.all(np.abs(position) <= [0.85 * 0.30, 0.80 * 0.15])
+
+
+def test_the_same_seed_gives_the_same_start(rig):
+    scenario = load_scenario("sort_6")
+    first = start_positions(scenario, rig, np.random.default_rng(7))[1]
+    again = start_positions(scenario, rig, np.random.default_rng(7))[1]
+    other = start_positions(scenario, rig, np.random.default_rng(8))[1]
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
+    scenario = load_scenario(write(tmp_path, SORT))
+    labels, position = start_positions(scenario, rig, np.random.default_rng(3))
+    assert labels == ("black", "black", "grey")
+    assert tuple(position[2]) == (0.1, 0.0)
+
+
+def test_too_many_parts_are_refused(tmp_path, rig):
+    scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 100")))
+    with pytest.raises(ScenarioError, match=r"100 parts to scatter, allowed: as many as fit"):
+        start_positions(scenario, rig, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("text", [SORT, FOLLOW])
+def test_points_off_the_plate_are_refused(tmp_path, rig, text):
+    scenario = load_scenario(write(tmp_path, text.replace("[0.1, 0", "[0.295, 0", 1)))
+    with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, allowed: \|x\| up to 0.292"):
+        start_positions(scenario, rig, np.random.default_rng(0))
