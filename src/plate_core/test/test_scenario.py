@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from plate_core import ScenarioError, load_rig
 from plate_core.scenario import (
     MIN_SEPARATION_M,

@@ -1,0 +1,109 @@
+"""One PD step per cycle, for parts that follow a path.
+
+The answer to image k acts during cycle k+1. So the controller looks at the error where the part
+will be when its answer begins to act, and asks for the mean drift over that cycle:
+
+    x_pred = x(t) + T v_now             v_now: drift during cycle k
+    v_des  = v_ref + kp (x_ref(t + T) - x_pred)/T
+    F      = kd m (v_des - v)/T         v: drift as measured, during cycle k-1
+
+with v_ref = (x_ref(t + 2T) - x_ref(t + T))/T. Both gains are plain numbers: kp = 1 corrects the
+whole predicted error in one cycle, kd = 1 the whole drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class FollowOptions:
+    """Gains and bounds of the path controller.
+
+    Attributes
+    ----------
+    kp : float
+        Share of the predicted position error to correct in one cycle [-].
+    kd : float
+        Share of the drift error to correct in one cycle [-].
+    trust : float
+        What the drift during the present cycle is taken to be [-]: 1, what was asked of it one
+        message ago; 0, what was measured over the cycle before.
+    speed_ratio_max : float
+        Greatest drift to ask for, in multiples of the path's speed [-].
+    force_share_max : float
+        Greatest component of the force to ask for [mu m g].
+    settle_s : float
+        A part may be further off than the scenario allows for this long after the start [s].
+    """
+
+    kp: float = 0.6
+    kd: float = 1.0
+    trust: float = 1.0
+    speed_ratio_max: float = 3.0
+    force_share_max: float = 1.0
+    settle_s: float = 3.0
+
+
+def predict(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    asked: np.ndarray,
+    period: float,
+    trust: float,
+) -> np.ndarray:
+    """Predict positions one cycle ahead.
+
+    Parameters
+    ----------
+    position, velocity : (M, 2)
+        As measured [m], and drift over the cycle before [m/s], plate_home.
+    asked : (M, 2)
+        Drift that was asked of the present cycle [m/s]; NaN where nothing was.
+    period : float
+        Length of a cycle [s].
+    trust : float
+        Weight of `asked` against `velocity`, 0 to 1.
+
+    Returns
+    -------
+    (M, 2)
+        Positions [m, plate_home].
+    """
+    expected = np.where(np.isnan(asked), velocity, asked)
+    return position + period * (trust * expected + (1 - trust) * velocity)
+
+
+def pd_drift(
+    predicted: np.ndarray,
+    reference: np.ndarray,
+    reference_after: np.ndarray,
+    period: float,
+    kp: float,
+    speed_max: np.ndarray,
+) -> np.ndarray:
+    """Drift wanted over the cycle in which the answer acts.
+
+    Parameters
+    ----------
+    predicted : (M, 2)
+        Positions when the cycle begins [m, plate_home].
+    reference, reference_after : (M, 2)
+        Where the parts should be when it begins, and when it ends [m, plate_home].
+    period : float
+        Length of a cycle [s].
+    kp : float
+        Share of the error to correct [-].
+    speed_max : (M,)
+        Bound of the result's magnitude [m/s].
+
+    Returns
+    -------
+    (M, 2)
+        Drift [m/s, plate_home].
+    """
+    wanted = (reference_after - reference + kp * (reference - predicted)) / period
+    magnitude = np.hypot(*wanted.T)
+    return wanted * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]
