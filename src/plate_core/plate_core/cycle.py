@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -79,6 +81,30 @@ class PlateCycle:
             value = value * s + c[..., k, :]
         return value
 
+    def control_points(self, order: int, pieces: int = 4) -> np.ndarray:
+        """Bezier control points of the motion: a curve never leaves their hull.
+
+        Parameters
+        ----------
+        order : int
+            0: pose, 1: twist, 2: acceleration.
+        pieces : int
+            Equal pieces into which every knot interval is cut first; the points come closer to
+            the curve as 1/pieces**2.
+
+        Returns
+        -------
+        (k * pieces * 5, 3)
+            In order of time, for all orders at the same times. A piece's last point is the next
+            one's first, and is left out.
+        """
+        c = self._coefficients
+        for _ in range(order):
+            c = c[:, 1:] * np.arange(1, c.shape[1])[:, None]
+        degree = c.shape[1]
+        scaled = c * np.diff(self.times)[:, None, None] ** np.arange(degree)[:, None]
+        return np.asarray((_bezier(pieces)[:, :degree] @ scaled).reshape(-1, 3))
+
     @classmethod
     def from_knots(
         cls, times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
@@ -119,7 +145,8 @@ class PlateCycle:
             state[-1] = state[0]
         for array in (times, *states):
             array.setflags(write=False)
-        return cls(times, *states, _coefficients=_quintic(times, *states))
+        pose, twist, accel = states
+        return cls(times, pose, twist, accel, _quintic(times, pose, twist, accel))
 
     @classmethod
     def from_samples(
@@ -175,6 +202,26 @@ class PlateCycle:
         return PlateCycle.from_knots(
             self.times, factor * self.knot_pose, factor * self.knot_twist, factor * self.knot_accel
         )
+
+
+@lru_cache
+def _bezier(pieces: int) -> np.ndarray:
+    """Quintic Bezier points (5 pieces, 6) of the powers of u in [0, 1], piece by piece.
+
+    In piece j, u = (j + v)/pieces; the points of v**m are binom(i, m)/binom(5, m), i = 0..5.
+    """
+    rows = [
+        [
+            sum(
+                comb(n, m) * (j / pieces) ** (n - m) / pieces**m * comb(i, m) / comb(5, m)
+                for m in range(n + 1)
+            )
+            for n in range(6)
+        ]
+        for j in range(pieces)
+        for i in range(5)
+    ]
+    return np.array(rows)
 
 
 def _quintic(

@@ -10,8 +10,9 @@ from .cycle import PlateCycle
 from .kinematics import motor_state
 from .rig import Rig
 
-SAMPLES_PER_KNOT = 8
-"""Samples between knots when looking for peaks: a quintic hardly turns within an eighth."""
+PIECES = 4
+"""Pieces of a knot interval when bounding its peaks: with 6 knots to a sine wave they come out
+0.2 % too high, with 3 knots 1 %."""
 
 
 @dataclass(frozen=True)
@@ -28,19 +29,17 @@ class CycleUsage:
 def usage(rig: Rig, cycle: PlateCycle) -> CycleUsage:
     """Return the peaks of a cycle against the rig's limits.
 
-    The acceleration is that of the plate's corners: it is convex in the point, so no point of the
-    plate has more.
+    They are peaks over the Bezier control points of the motion, which enclose it, so no peak
+    between samples is missed (turning enters with its square, which may miss by 3e-4 in a wild
+    cycle). The acceleration is that of the plate's corners: it is convex in the point, so no
+    point of the plate has more.
     """
-    fractions = np.arange(SAMPLES_PER_KNOT) / SAMPLES_PER_KNOT
-    t = (cycle.times[:-1, None] + np.diff(cycle.times)[:, None] * fractions).ravel()
-    pose, twist, accel = cycle.pose(t), cycle.twist(t), cycle.accel(t)
+    pose, twist, accel = (cycle.control_points(order, PIECES) for order in range(3))
     q, qd, _ = motor_state(rig, pose, twist, accel)
     stroke = float(np.max(np.abs(q)))
     speed = float(np.max(np.abs(qd)))
     peak = float(np.max(corner_accel(rig, pose, twist, accel)))
-    worst = max(
-        stroke / rig.limits.stroke_m, speed / rig.limits.speed, peak / rig.limits.accel
-    )
+    worst = max(stroke / rig.limits.stroke_m, speed / rig.limits.speed, peak / rig.limits.accel)
     return CycleUsage(stroke, speed, peak, worst)
 
 

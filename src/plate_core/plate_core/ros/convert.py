@@ -74,7 +74,11 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
         If lengths disagree, a name is given twice, or a value is not finite.
     """
     count = len(msg.joint_names)
-    for name, items in (("transforms", msg.transforms), ("twist", msg.twist), ("wrench", msg.wrench)):
+    for name, items in (
+        ("transforms", msg.transforms),
+        ("twist", msg.twist),
+        ("wrench", msg.wrench),
+    ):
         if len(items) != count and (items or name == "transforms"):
             raise PlateError(f"parts: {len(items)} {name} for {count} names, allowed: as many")
     if len(set(msg.joint_names)) != count:
@@ -97,7 +101,7 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
     """Return a plate cycle as a message: its knots, the last of which is the first again."""
-    return _trajectory(
+    return trajectory_to_msg(
         PLATE_JOINTS, cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel, stamp
     )
 
@@ -116,7 +120,7 @@ def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
 def motors_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> JointTrajectory:
     """Return the motors' motion that gives a plate cycle."""
     q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
-    return _trajectory([motor.name for motor in rig.motors], cycle.times, q, qd, qdd, stamp)
+    return trajectory_to_msg([motor.name for motor in rig.motors], cycle.times, q, qd, qdd, stamp)
 
 
 def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
@@ -131,7 +135,7 @@ def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
     return PlateCycle.from_knots(times, *plate_state(rig, *motors))
 
 
-def _trajectory(
+def trajectory_to_msg(
     joints: list[str],
     times: np.ndarray,
     position: np.ndarray,
@@ -139,6 +143,7 @@ def _trajectory(
     accel: np.ndarray,
     stamp: Time,
 ) -> JointTrajectory:
+    """Return knots as a message: times (k + 1,) [s], the others (k + 1, len(joints))."""
     msg = JointTrajectory(header=Header(stamp=stamp, frame_id=FRAME), joint_names=joints)
     rows = zip(times.tolist(), position.tolist(), velocity.tolist(), accel.tolist(), strict=True)
     for t, q, qd, qdd in rows:

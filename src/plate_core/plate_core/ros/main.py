@@ -5,39 +5,60 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from types import FrameType
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
+
+POLL_S = 0.1
+"""A signal waits at most this long: Python sees it only when the executor returns."""
 
 
 def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
     """Make a node, spin it until it is told to stop, and leave nothing behind.
 
+    The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
+    rclpy's own handlers would have shut the context down at the signal.
+
     Exit code 0 after SIGINT, SIGTERM or a shutdown; 2, with one line, if `make` refuses its
     parameters or files; 1, with a traceback, after a defect.
     """
-    rclpy.init(args=list(args) if args is not None else None)
-    # Stock rclpy turns SIGINT into KeyboardInterrupt only inside spin(); SIGTERM ends the context.
+    stopped = False
     node = None
     code = 0
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True  # a second signal must not break the teardown
+        if node is None:
+            raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    rclpy.init(
+        args=list(args) if args is not None else None,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     try:
         node = make()
         # EventsExecutor.spin() hangs in some builds; spin_once on it works and is the fastest.
         executor = EventsExecutor()
         executor.add_node(node)
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=0.5)
+        while rclpy.ok() and not stopped:
+            executor.spin_once(timeout_sec=POLL_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not break the teardown
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -33,10 +33,9 @@ class Spec:
         if self.choices is not None and value not in self.choices:
             return f"parameter {name} is {value!r}, allowed: one of {', '.join(self.choices)}"
         numeric = isinstance(value, int | float) and not isinstance(value, bool)
-        if numeric and self.low is not None and self.high is not None:
-            if not self.low <= value <= self.high:
-                return f"parameter {name} is {value}, allowed: {self.low} to {self.high}"
-        return None
+        if not numeric or self.low is None or self.high is None or self.low <= value <= self.high:
+            return None
+        return f"parameter {name} is {value}, allowed: {self.low} to {self.high}"
 
 
 def parameter(

@@ -1,0 +1,156 @@
+"""Keep a motion within what the rig can do: scale it down as a whole, or refuse it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import CycleError, PlateCycle, Rig
+from plate_core.limits import CycleUsage, usage
+
+TARGET = 0.999
+"""Share of the worst limit that a scaled cycle uses: the rest is for rounding, and for the 2e-4 by
+which `usage` may miss the peak of a wild cycle."""
+
+CLOSE_ENOUGH = 0.99
+"""A scaled cycle that uses this share or more of the worst limit is not scaled up again."""
+
+ROUNDS = 60
+"""Trials of a factor: most cycles need one or two, absurd ones (poses of 1e100 m) some ten."""
+
+ROUNDING = 1e-9
+"""Relative rounding error that is no excess."""
+
+HOME_TOLERANCE = 2e-5
+"""How far a motor may be from home where a table begins and ends [m], for each metre from the
+plate's centre to the farthest motor, at least one; the speed may be off by 100 times as much.
+That is what `PlateCycle.starts_at_rest` allows, at the motors."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A cycle that the rig can follow, and how it came to be.
+
+    Attributes
+    ----------
+    cycle : PlateCycle
+        The motion asked for, all amplitudes times `factor`, in the same time.
+    factor : float
+        1 if the cycle was within the limits as it came.
+    asked, usage : CycleUsage
+        Peaks of the cycle as it came, and of the one returned.
+    """
+
+    cycle: PlateCycle
+    factor: float
+    asked: CycleUsage
+    usage: CycleUsage
+
+
+def fit(rig: Rig, cycle: PlateCycle) -> Fit:
+    """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
+
+    Scaling keeps the directions of the surface's motion, and those alone decide friction;
+    clipping the peaks would make another motion with other forces.
+
+    Raises
+    ------
+    CycleError
+        If the cycle's peaks are too large to compute, or no factor makes it fit.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        asked = usage(rig, cycle)
+        if not np.isfinite(asked.worst):
+            raise CycleError(
+                "plate_cycle: its speed or acceleration is too large to compute, "
+                f"allowed: {limits_text(rig)}"
+            )
+        if asked.worst <= 1 + ROUNDING:
+            return Fit(cycle, 1.0, asked, asked)
+        return _scaled(rig, cycle, asked)
+
+
+def _scaled(rig: Rig, cycle: PlateCycle, asked: CycleUsage) -> Fit:
+    """Search the largest factor that fits.
+
+    Peaks are not quite proportional to the factor (turning adds its square), so this is a search
+    for the root of log(worst/TARGET) over log(factor), between a factor too large and one that
+    fits: secant steps, halvings where those do not help.
+    """
+    large, large_worst = 1.0, asked.worst
+    small: Fit | None = None
+    factor = TARGET / asked.worst
+    for trial in range(ROUNDS):
+        scaled = cycle.scaled(factor)
+        used = usage(rig, scaled)
+        if used.worst <= TARGET * (1 + ROUNDING):
+            small = Fit(scaled, factor, asked, used)
+            if used.worst >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
+                return small
+        else:
+            large, large_worst = factor, used.worst
+        factor = _next_factor(large, large_worst, small, secant=trial % 3 != 2)
+    if small is None:
+        raise CycleError(
+            f"plate_cycle: uses {asked.worst:.3g} times the rig's limits and cannot be scaled, "
+            f"allowed: {limits_text(rig)}"
+        )
+    return small
+
+
+def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bool) -> float:
+    if small is None or small.usage.worst <= 0:
+        return large * TARGET / large_worst * 0.999
+    low, high = np.log(small.factor), np.log(large)
+    if not secant:
+        return float(np.exp((low + high) / 2))
+    below, above = np.log(small.usage.worst / TARGET), np.log(large_worst / TARGET)
+    # A little below the root: the next trial then most likely fits, and ends the search.
+    share = -below / (above - below)
+    return float(np.exp(low + share * (high - low)) * 0.998)
+
+
+def check_setpoints(rig: Rig, times: np.ndarray, q: np.ndarray, qd: np.ndarray) -> None:
+    """Refuse motor setpoints beyond the rig's limits, or that do not begin and end at home.
+
+    The last look before the motors: it knows nothing of how the setpoints were made.
+
+    Parameters
+    ----------
+    times : (k + 1,)
+        [s], rising from 0.
+    q, qd : (k + 1, 4)
+        Travel [m] and speed [m/s] of the motors.
+
+    Raises
+    ------
+    CycleError
+        Naming the motor, its value and what is allowed.
+    """
+    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(qd)) and np.all(np.isfinite(times))):
+        raise CycleError("motor setpoints: a value is not finite")
+    if times[0] != 0 or np.any(np.diff(times) <= 0):
+        raise CycleError("motor setpoints: times must start at 0 and rise")
+    home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
+    for what, unit, values, limit in (
+        ("travel", "m", q, rig.limits.stroke_m),
+        ("speed", "m/s", qd, rig.limits.speed),
+        ("travel at rest", "m", q[[0, -1]], home),
+        ("speed at rest", "m/s", qd[[0, -1]], 100 * home),
+    ):
+        worst = np.max(np.abs(values), axis=0)
+        motor = int(np.argmax(worst))
+        if worst[motor] > limit * (1 + ROUNDING):
+            raise CycleError(
+                f"{rig.motors[motor].name}: {what} is {worst[motor]:.6g} {unit}, "
+                f"allowed: {limit:g} {unit}"
+            )
+
+
+def limits_text(rig: Rig) -> str:
+    """Return the rig's limits for a message."""
+    return (
+        f"{rig.limits.stroke_m * 1e3:g} mm of stroke, {rig.limits.speed:g} m/s, "
+        f"{rig.limits.accel:g} m/s2"
+    )

@@ -1,0 +1,92 @@
+"""From a plate cycle to the motor table that is sent: the whole work of the driver, without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import CycleError, PlateCycle, Rig
+from plate_core.kinematics import motor_state
+
+from . import transition
+from .limits import Fit, check_setpoints, fit
+
+PERIOD_S = (0.005, 60.0)
+"""Periods that are a plate's: 200 Hz, beyond which no voice coil follows, to a minute."""
+
+MAX_KNOTS = 2000
+"""Knots of one cycle: more would take longer to work through than the cycle lasts."""
+
+RESTART_NS = 1_000_000_000
+"""A stamp this much older than the last means that the simulator or camera began anew [ns]."""
+
+
+@dataclass(frozen=True)
+class MotorTable:
+    """What the motors do, from rest at home to rest at home.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Stamp of the image it descends from.
+    cycle : PlateCycle
+        The plate's motion.
+    q, qd, qdd : (k + 1, 4)
+        Travel [m], speed and acceleration of the motors at `cycle.times`; quintic splines between.
+    """
+
+    stamp_ns: int
+    cycle: PlateCycle
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+
+    @classmethod
+    def of(cls, rig: Rig, cycle: PlateCycle, stamp_ns: int) -> MotorTable:
+        """Return the table of a plate cycle."""
+        motors = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
+        return cls(stamp_ns, cycle, *motors)
+
+    @classmethod
+    def rest(cls, rig: Rig, period: float, stamp_ns: int) -> MotorTable:
+        """Return the table that keeps the plate at home."""
+        return cls.of(rig, PlateCycle.rest(period), stamp_ns)
+
+
+def prepare(rig: Rig, cycle: PlateCycle, stamp_ns: int, repeats: int = 1) -> tuple[MotorTable, Fit]:
+    """Make the table that does what a plate cycle asks for, within the rig's limits.
+
+    Raises
+    ------
+    CycleError
+        If the cycle is none that this plate could do.
+    """
+    if not PERIOD_S[0] <= cycle.period <= PERIOD_S[1]:
+        raise CycleError(
+            f"plate_cycle: period is {cycle.period:g} s, allowed: {PERIOD_S[0]} to {PERIOD_S[1]} s"
+        )
+    if len(cycle.times) > MAX_KNOTS:
+        raise CycleError(f"plate_cycle: {len(cycle.times)} knots, allowed: at most {MAX_KNOTS}")
+    fitted = fit(rig, transition.table(cycle, repeats))
+    made = MotorTable.of(rig, fitted.cycle, stamp_ns)
+    check_setpoints(rig, fitted.cycle.times, made.q, made.qd)
+    return made, fitted
+
+
+def check_order(last_ns: int | None, stamp_ns: int) -> None:
+    """Refuse a cycle made from an older image than the last one accepted.
+
+    The same stamp again is answered again: who asks twice has missed the answer. A step back by
+    more than a second is a new beginning, not a late message.
+
+    Raises
+    ------
+    CycleError
+        Naming both stamps.
+    """
+    if last_ns is not None and last_ns - RESTART_NS <= stamp_ns < last_ns:
+        raise CycleError(
+            f"plate_cycle: stamp {stamp_ns / 1e9:.6f} s is older than the last, "
+            f"{last_ns / 1e9:.6f} s, allowed: the same or newer"
+        )

@@ -1,0 +1,55 @@
+"""Where motor tables go: one interface, so that the node does not know what moves the plate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from plate_core import PlateError
+
+from .motor_table import MotorTable
+
+ARRIVES_LATER = {"serial": "serial arrives with the hardware release"}
+
+
+class Transport(Protocol):
+    """The way to the motors."""
+
+    def open(self) -> None:
+        """Make it ready to send; a PlateError says what is missing."""
+
+    def send(self, table: MotorTable) -> None:
+        """Hand over a table: the motors take it at their next cycle boundary."""
+
+    def close(self) -> None:
+        """Release it. Sending nothing more: the rest table was sent before."""
+
+
+class SimTransport:
+    """To the simulator, which listens to the published setpoints.
+
+    Parameters
+    ----------
+    publish : callable
+        Publishes a table; the node gives it, so that no ROS is needed here.
+    """
+
+    def __init__(self, publish: Callable[[MotorTable], None]) -> None:
+        self._publish = publish
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def send(self, table: MotorTable) -> None:
+        """Publish the table."""
+        self._publish(table)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def check_transport(name: str) -> None:
+    """Refuse a transport that does not exist, or not yet."""
+    if name != "sim":
+        notes = "".join(f" ({note})" for note in ARRIVES_LATER.values())
+        raise PlateError(f"transport is {name!r}, allowed: sim{notes}")
