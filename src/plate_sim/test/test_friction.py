@@ -1,0 +1,153 @@
+"""Point parts against exact results, a stiff solver of scipy, and invariants."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from plate_core import PlateCycle, PlateError
+from plate_core.frames import surface_velocity, to_plate
+from plate_sim import simulate
+
+MU, G = 0.25, 9.81
+
+
+def waves(period, sine, cosine, count=256):
+    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
+    t = np.arange(count) * period / count
+    pose, twist, accel = np.zeros((3, count, 3))
+    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
+        w = 2 * np.pi * (j + 1) / period
+        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
+        pose += (-cos * a + sin * b) / w
+        twist += sin * a + cos * b
+        accel += (cos * a - sin * b) * w
+    return PlateCycle.from_samples(period, pose, twist, accel)
+
+
+def two_harmonics(gamma, frequency=30.0):
+    """Velocity V (sin wt + 0.5 cos 2wt) along x with peak acceleration gamma mu g."""
+    w = 2 * np.pi * frequency
+    phase = np.linspace(0, 2 * np.pi, 20001)
+    speed = gamma * MU * G / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
+    sine = [[speed, 0, 0], [0, 0, 0]]
+    cosine = [[0, 0, 0], [0.5 * speed, 0, 0]]
+    return waves(1 / frequency, sine, cosine)
+
+
+def travel(gamma, samples):
+    run = simulate(two_harmonics(gamma), [[0, 0.1]], [[0, 0]], MU, G, 30, samples)
+    return run.position[-1, 0, 0]
+
+
+# Event-driven integration, equal to solve_ivp at rtol 1e-12 within 1e-10 mm.
+EXACT = pytest.mark.parametrize(("gamma", "exact"), [(4, 4.997416048e-3), (20, 65.3462e-3)])
+
+
+@EXACT
+def test_travel_of_the_exact_scene(gamma, exact):
+    assert travel(gamma, None) == pytest.approx(exact, rel=1e-3)
+    assert travel(gamma, 20000) == pytest.approx(exact, rel=2e-5)
+
+
+@EXACT
+def test_converges_in_first_order_where_parts_stick_and_reverse(gamma, exact):
+    def error(start):
+        # A mean, as the error of one step size depends on where the steps fall.
+        return np.mean([abs(travel(gamma, n) / exact - 1) for n in range(start, start + 24)])
+
+    assert error(6400) < error(800) / 7
+
+
+def test_mean_force_on_a_held_part():
+    # Friction so small that the part hardly moves: the impulse is that on a held part.
+    mu, cycle = 1e-7, two_harmonics(4)
+    run = simulate(cycle, [[0, 0]], [[0, 0]], mu, G, samples=4000)
+    assert run.velocity[-1, 0, 0] / (mu * G * cycle.period) == pytest.approx(0.2386, abs=1e-4)
+
+
+def test_agrees_with_a_stiff_solver_in_the_plane():
+    rng = np.random.default_rng(3)
+    period, eps = 0.05, 1e-6
+    cycle = waves(period, *(rng.normal(size=(2, 2, 3)) * [0.1, 0.1, 0.7]))
+    start = np.array([0.2, -0.1, 0.02, -0.03])
+
+    def slope(t, state):
+        # Coulomb's law, rounded off below a slip of eps [m/s].
+        surface = surface_velocity(cycle.pose(t)[0], cycle.twist(t)[0], state[:2])
+        slip = surface - state[2:]
+        return np.concatenate([state[2:], MU * G * slip / np.sqrt(slip @ slip + eps**2)])
+
+    truth = solve_ivp(slope, (0, period), start, "LSODA", rtol=1e-9, atol=1e-11, max_step=2e-4)
+    moved = np.linalg.norm(truth.y[:2, -1] - start[:2])
+
+    def error(samples):
+        run = simulate(cycle, start[None, :2], start[None, 2:], MU, G, samples=samples)
+        assert run.velocity[-1, 0] == pytest.approx(truth.y[2:, -1], abs=1e-5)
+        return np.linalg.norm(run.position[-1, 0] - truth.y[:2, -1]) / moved
+
+    assert truth.success
+    assert error(1000) < 3e-5
+    assert error(4000) < error(1000) / 8  # second order: this part never sticks
+
+
+def test_below_the_friction_limit_parts_ride_along():
+    cycle = waves(0.2, [[0.02, 0.01, 0.1]], [[0, 0, 0]])
+    peak = np.max(np.abs(cycle.accel(np.linspace(0, 0.2, 500)))[:, 0])
+    assert peak < 0.5 * MU * G
+    position = np.array([[0.25, 0.1], [-0.1, 0.05], [0, 0]])
+    run = simulate(cycle, position, np.zeros((3, 2)), MU, G, cycles=3)
+    home = to_plate(cycle.pose(0)[0], position)
+    for t in (0.05, 0.1, 0.3, 0.6):
+        k = round(t / 5e-5)
+        assert to_plate(cycle.pose(t % 0.2)[0], run.position[k]) == pytest.approx(home, abs=1e-7)
+
+
+def test_one_harmonic_gives_no_drift():
+    cycle = waves(1 / 30, [[0.1, 0.05, 0.0]], [[0.02, -0.1, 0.0]])
+    run = simulate(cycle, [[0.1, 0.0]], [[0.05, 0.0]], MU, G, cycles=60)
+    per_cycle = run.position[-1] - run.position[-1 - (len(run.time) - 1) // 60]
+    assert np.abs(per_cycle).max() < 1e-8
+
+
+def test_resting_plate_brakes_parts_in_a_straight_line():
+    velocity, mu = np.array([[0.3, 0.4], [0.5, 0.0]]), np.array([0.25, 0.5])
+    run = simulate(PlateCycle.rest(0.3), np.zeros((2, 2)), velocity, mu, G)
+    speed = np.linalg.norm(velocity, axis=1)
+    way = velocity * (speed / (2 * mu * G))[:, None]  # v^2/(2 mu g)
+    assert run.position[-1] == pytest.approx(way, rel=1e-6)
+    assert np.all(run.velocity[-1] == 0)
+    energy = np.sum(run.velocity**2, axis=2)
+    assert np.all(np.diff(energy, axis=0) <= 0)
+
+
+def test_friction_never_exceeds_its_limit():
+    cycle = two_harmonics(20)
+    run = simulate(cycle, [[0.1, 0.1]], [[0, 0]], MU, G, samples=500)
+    change = np.linalg.norm(np.diff(run.velocity, axis=0), axis=2)
+    assert np.max(change) <= MU * G * cycle.period / 500 * (1 + 1e-9)
+
+
+def test_result_holds_the_start_and_every_step():
+    run = simulate(two_harmonics(4), np.zeros((3, 2)), np.zeros((3, 2)), MU, cycles=2, samples=50)
+    assert run.time.shape == (101,)
+    assert run.time[-1] == pytest.approx(2 / 30)
+    assert run.position.shape == run.velocity.shape == (101, 3, 2)
+    assert np.all(run.position[0] == 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": np.zeros((2, 3))}, "position has shape"),
+        ({"velocity": np.zeros((1, 2))}, "velocity has shape"),
+        ({"position": np.full((2, 2), np.nan)}, "position has values that are not finite"),
+        ({"friction": [0.1, 0.2, 0.3]}, "friction has shape"),
+        ({"friction": -0.1}, "friction is -0.1"),
+        ({"cycles": 0}, "cycles is 0"),
+        ({"samples": 0}, "samples is 0"),
+    ],
+)
+def test_misuse_is_refused(change, message):
+    arguments = {"position": np.zeros((2, 2)), "velocity": np.zeros((2, 2)), "friction": MU}
+    with pytest.raises(PlateError, match=message):
+        simulate(PlateCycle.rest(0.1), **(arguments | change))
