@@ -1,1 +1,15 @@
 """Simulates parts on the vibrating plate, its camera and its motor controller."""
+
+from .camera import Camera, part_greys
+from .friction import Trajectory, simulate
+from .world import WorldState, record_cycle, run_cycle
+
+__all__ = [
+    "Camera",
+    "Trajectory",
+    "WorldState",
+    "part_greys",
+    "record_cycle",
+    "run_cycle",
+    "simulate",
+]
