@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,7 +11,22 @@ import numpy as np
 
 from .errors import PlateError, ScenarioError
 from .rig import Rig, config_path
+from .tasks import FollowTask, PartGroup, PathTask, Scenario, SortTask
 from .yaml_fields import Fields, read_yaml
+
+__all__ = [
+    "MIN_SEPARATION_M",
+    "SCATTER_SHARE",
+    "FollowTask",
+    "PartGroup",
+    "PathTask",
+    "Scenario",
+    "SortTask",
+    "check_scenario",
+    "load_scenario",
+    "scenario_names",
+    "start_positions",
+]
 
 MIN_SEPARATION_M = 0.04
 """Least distance of scattered centres [m]: five radii of the default parts."""
@@ -25,98 +39,6 @@ SIDES: Mapping[str, int] = MappingProxyType({"left": -1, "right": 1})
 
 SCATTER_TRIES = 80
 """Tries to place one part, and to place all of them, before a scenario counts as too crowded."""
-
-
-@dataclass(frozen=True)
-class PartGroup:
-    """Parts of one class: given positions, or a count to be scattered.
-
-    Attributes
-    ----------
-    label : str
-        Class, such as `black`.
-    count : int
-        Number of parts.
-    position : tuple of (x, y), or None
-        Start positions [m, plate_home], one for each part; None: at random.
-    """
-
-    label: str
-    count: int
-    position: tuple[tuple[float, float], ...] | None = None
-
-
-@dataclass(frozen=True)
-class SortTask:
-    """Bring every class to its side of the plate.
-
-    Attributes
-    ----------
-    sides : mapping of str to int
-        Class -> -1 (left, -x) or +1 (right, +x).
-    goal_fraction : float
-        A part is sorted beyond this share of the half length, on its own side.
-    hold_s : float
-        The task is done when all parts have been sorted for this time [s].
-    """
-
-    sides: Mapping[str, int]
-    goal_fraction: float
-    hold_s: float
-
-
-@dataclass(frozen=True)
-class PathTask:
-    """A polygon that one part is to follow at constant speed.
-
-    Attributes
-    ----------
-    label : str
-        Class of the part.
-    waypoint : tuple of (x, y)
-        Corners [m, plate_home]; the first is the start.
-    speed : float
-        Speed along the path [m/s].
-    closed : bool
-        Whether the last corner leads back to the first.
-    laps : float
-        How many times round, for closed paths; 1 otherwise.
-    """
-
-    label: str
-    waypoint: tuple[tuple[float, float], ...]
-    speed: float
-    closed: bool
-    laps: float
-
-
-@dataclass(frozen=True)
-class FollowTask:
-    """Every part follows its own path; a part further off than `max_error_m` fails the task."""
-
-    paths: tuple[PathTask, ...]
-    max_error_m: float
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """One task: its parts, what is to be done, and the time it may take [s]."""
-
-    name: str
-    description: str
-    parts: tuple[PartGroup, ...]
-    task: SortTask | FollowTask
-    time_limit_s: float
-
-    @property
-    def count(self) -> int:
-        """Number of parts."""
-        return sum(group.count for group in self.parts)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Class of every part, in the order of `parts`."""
-        return tuple(group.label for group in self.parts for _ in range(group.count))
 
 
 def scenario_names() -> tuple[str, ...]:

@@ -1,0 +1,177 @@
+"""The node over real topics and services, in one process."""
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from plate_core import PartSet, PlateError  # noqa: E402
+from plate_core.ros.convert import msg_to_parts, parts_to_msg, to_time  # noqa: E402
+from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_planner.node import PlannerNode  # noqa: E402
+
+IDS = ("black_1", "black_2", "grey_1", "grey_2")
+APART = np.array([[-0.05, -0.05], [-0.05, 0.05], [0.05, -0.05], [0.05, 0.05]])
+SORTED = APART * [4.5, 1.0]
+
+
+class Graph:
+    """The planner and a probe that speaks to it."""
+
+    def __init__(self, **parameters):
+        args = ["--ros-args", "-r", "__ns:=/planner_test"]
+        for name, value in ({"scenario": "sort_4"} | parameters).items():
+            args += ["-p", f"{name}:={value}"]
+        rclpy.init(args=args)
+        try:
+            self.planner = PlannerNode()
+        except BaseException:
+            rclpy.try_shutdown()
+            raise
+        self.probe = rclpy.create_node("probe")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.planner)
+        self.executor.add_node(self.probe)
+        self.forces, self.states, self.diagnostics = [], [], []
+        self.parts = self.probe.create_publisher(MultiDOFJointState, "parts", DATA)
+        listen = self.probe.create_subscription
+        listen(MultiDOFJointState, "part_forces", self.forces.append, DATA)
+        listen(String, "task_state", lambda msg: self.states.append(msg.data), LATCHED)
+        listen(DiagnosticArray, "diagnostics", self.diagnostics.append, DATA)
+        self.clients = {name: self.probe.create_client(Trigger, name) for name in ("start", "stop")}
+        # The latched state arrives on its own, which shows that the two have found each other.
+        self.until(lambda: self.states and self.parts.get_subscription_count())
+        self.until(lambda: self.planner.count_subscribers("part_forces"))
+
+    def until(self, true):
+        for _ in range(2000):
+            if true():
+                return
+            self.executor.spin_once(timeout_sec=0.01)
+        raise AssertionError("it did not come")
+
+    def call(self, name):
+        self.until(self.clients[name].service_is_ready)
+        future = self.clients[name].call_async(Trigger.Request())
+        self.until(future.done)
+        return future.result()
+
+    def image(self, stamp_s, position, ids=IDS):
+        """Publish parts and return the planner's answer."""
+        count = len(self.forces)
+        stamp = to_time(round(stamp_s * 1e9))
+        self.parts.publish(parts_to_msg(PartSet.make(ids, position), stamp))
+        self.until(lambda: len(self.forces) > count)
+        assert self.forces[-1].header.stamp == stamp
+        return msg_to_parts(self.forces[-1])
+
+    def close(self):
+        self.executor.shutdown()
+        self.probe.destroy_node()
+        self.planner.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def graph():
+    made = []
+
+    def make(**parameters):
+        made.append(Graph(**parameters))
+        return made[-1]
+
+    yield make
+    for item in made:
+        item.close()
+
+
+def test_a_task_from_start_to_done(graph):
+    graph = graph()
+    assert graph.image(100.0, APART).ids == ()  # idle images are answered too
+    answer = graph.call("start")
+    assert (answer.success, answer.message) == (
+        True,
+        "sort_4 starts as soon as all 4 parts are seen",
+    )
+    refused = graph.call("start")
+    assert (refused.success, refused.message) == (False, "sort_4 is running; call stop first")
+    asked = graph.image(100.1, APART)
+    assert asked.ids == IDS
+    assert np.all(asked.force[:2, 0] < 0)
+    assert np.all(asked.force[2:, 0] > 0)
+    assert np.all(asked.tolerance > 0)
+    for k in range(2, 8):
+        asked = graph.image(100.0 + 0.1 * k, SORTED)
+    assert asked.ids == ()
+    graph.until(lambda: graph.states[-1] == "done")
+    assert graph.states == ["idle", "running", "done"]
+    graph.until(lambda: graph.diagnostics and graph.diagnostics[-1].status[0].message == "done")
+    status = graph.diagnostics[-1].status[0]
+    values = {item.key: item.value for item in status.values}
+    assert status.hardware_id == "sort_4"
+    assert (values["parts_sorted"], values["parts_total"]) == ("4", "4")
+    assert float(values["time_s"]) == pytest.approx(0.6)
+    assert "rms_error_m" in values
+
+
+def test_stop_says_what_was_stopped(graph):
+    graph = graph(autostart=True)
+    graph.until(lambda: graph.states[-1] == "running")
+    assert graph.image(0.1, APART).ids == IDS
+    answer = graph.call("stop")
+    assert (answer.success, answer.message) == (True, "sort_4 stopped, was running")
+    assert graph.image(0.2, APART).ids == ()
+    assert graph.call("stop").message == "sort_4 stopped, was idle"
+
+
+def test_a_failure_tells_its_reason(graph):
+    graph = graph(autostart=True, patience_s=0.1)
+    graph.image(0.0, APART)
+    for t in (0.1, 0.2, 0.3):
+        graph.image(t, APART[:3], IDS[:3])
+    graph.until(lambda: graph.states[-1] == "failed: lost grey_2")
+
+
+def test_a_wrong_message_is_answered_with_rest(graph):
+    graph = graph(autostart=True)
+    graph.image(0.0, APART)
+    assert graph.image(0.1, APART * [np.nan, 1]).ids == ()
+    assert graph.image(0.2, APART, ("black_1", "black_1", "grey_1", "grey_2")).ids == ()
+    assert graph.image(0.3, APART).ids == IDS
+
+
+def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
+    graph = graph(autostart=True, drift_max=0.01)
+    slow = graph.image(0.0, APART)
+    ok, bad, fixed = graph.planner.set_parameters(
+        [Parameter("drift_max", value=v) for v in (0.02, 5.0)]
+        + [Parameter("scenario", value="sort_6")]
+    )
+    assert ok.successful
+    assert (bad.successful, bad.reason) == (
+        False,
+        "parameter drift_max is 5.0, allowed: 0.0005 to 0.2",
+    )
+    assert not fixed.successful
+    fast = graph.image(0.1, APART)
+    assert fast.force[:, 0] == pytest.approx(2 * slow.force[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"scenario": "sort_11"}, r"scenario is 'sort_11', allowed: follow_2, "),
+        ({"drift_max": 1.0}, r"parameter drift_max is 1.0, allowed: 0.0005 to 0.2"),
+        ({"rig_file": "nowhere.yaml"}, r"nowhere.yaml: no such file"),
+    ],
+)
+def test_wrong_parameters_are_refused_at_start(parameters, message):
+    with pytest.raises(PlateError, match=message):
+        Graph(**parameters)

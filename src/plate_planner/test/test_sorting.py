@@ -1,0 +1,160 @@
+"""What sorting asks for: intervals, edges, dodging, and when a part counts as sorted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_core import PartSet, load_rig
+from plate_core.scenario import SortTask
+from plate_planner.sorting import SortOptions, is_sorted, sort_request
+
+RIG = load_rig()
+HALF = RIG.plate.half
+TASK = SortTask(sides={"black": -1, "grey": 1}, goal_fraction=0.6, hold_s=0.5)
+OPTIONS = SortOptions(drift_max=0.01)
+TINY = 1e-9
+
+
+def interval(part_id: str, x: float, y: float = 0.0, options: SortOptions = OPTIONS):
+    """Return low, high (2,) in multiples of drift_max for one part at shares of the half sides."""
+    parts = PartSet.make((part_id,), np.array([[x, y]]) * HALF)
+    request = sort_request(parts, TASK, RIG, 0.1, options)
+    return request.low[0] / options.drift_max, request.high[0] / options.drift_max
+
+
+@pytest.mark.parametrize("x", [-0.85, -0.3, 0.0, 0.5])
+def test_a_part_on_its_way_may_be_up_to_twice_as_fast_as_asked(x):
+    low, high = interval("grey_1", x)
+    assert (low[0], high[0]) == pytest.approx((1, 2))
+    low, high = interval("black_1", -x)
+    assert (low[0], high[0]) == pytest.approx((-2, -1))
+
+
+def test_a_part_in_its_band_may_stay_or_wander_but_not_lead_out():
+    low, high = interval("grey_1", 0.75)
+    assert low[0] == pytest.approx(-0.6)
+    assert high[0] > 0
+    at_the_line_low, _ = interval("grey_1", 0.66)
+    assert at_the_line_low[0] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_part_just_over_the_goal_line_is_still_asked_on():
+    low, _ = interval("grey_1", 0.61)
+    assert low[0] > 0
+
+
+@pytest.mark.parametrize("x", [0.9, 0.95, 1.0])
+def test_a_part_near_its_own_end_is_asked_back(x):
+    low, high = interval("grey_1", x)
+    assert low[0] <= high[0] < 0
+    low, high = interval("black_1", -x)
+    assert 0 < low[0] <= high[0]
+
+
+def test_y_is_free_in_the_middle_and_exact_at_the_edge():
+    low, high = interval("grey_1", 0, 0.69)
+    assert (low[1], high[1]) == pytest.approx((-0.6, 0.6))
+    low, high = interval("grey_1", 0, 0.775)
+    assert (low[1], high[1]) == pytest.approx((-0.8, -0.2))
+    for y in (0.85, 0.99):
+        low, high = interval("grey_1", 0, y)
+        assert (low[1], high[1]) == pytest.approx((-1, -1))
+        low, high = interval("grey_1", 0, -y)
+        assert (low[1], high[1]) == pytest.approx((1, 1))
+
+
+def test_requests_do_not_jump():
+    """A small step of a part changes its request little: no threshold makes it twitch."""
+    x = np.linspace(-1, 1, 2001)
+    for part_id in ("grey_1", "black_1", "red_1"):
+        rows = np.array([np.concatenate(interval(part_id, a, b)) for a in x for b in (0.0, a)])
+        for along in (rows[0::2], rows[1::2]):
+            assert np.max(np.abs(np.diff(along, axis=0))) < 0.1
+
+
+def test_intervals_are_never_empty_and_never_lead_off_the_plate():
+    rng = np.random.default_rng(0)
+    ids = (*(f"{'black' if i % 2 else 'grey'}_{i}" for i in range(12)), "red_1")
+    for _ in range(200):
+        position = rng.uniform(-HALF, HALF, (13, 2))
+        parts = PartSet.make(ids, position, 0.01 * rng.normal(size=(13, 2)))
+        request = sort_request(parts, TASK, RIG, 0.1, OPTIONS)
+        assert np.all(request.low <= request.high + TINY)
+        ahead = position + 0.1 * parts.velocity
+        outside = np.abs(ahead) >= 0.9 * HALF
+        outward = np.where(ahead > 0, request.high, -request.low)
+        assert np.all(outward[outside] <= 0.0 + TINY)
+
+
+def test_the_mirror_image_asks_for_the_mirror_image():
+    rng = np.random.default_rng(1)
+    position = rng.uniform(-HALF, HALF, (8, 2))
+    ids = ("black_1", "grey_1", "black_2", "grey_2", "black_3", "grey_3", "black_4", "grey_4")
+    swapped = tuple(
+        i.replace("black", "x").replace("grey", "black").replace("x", "grey") for i in ids
+    )
+    request = sort_request(PartSet.make(ids, position), TASK, RIG, 0.1, OPTIONS)
+    mirror = sort_request(PartSet.make(swapped, position * [-1, 1]), TASK, RIG, 0.1, OPTIONS)
+    assert mirror.low[:, 0] == pytest.approx(-request.high[:, 0])
+    assert mirror.low[:, 1] == pytest.approx(request.low[:, 1])
+
+
+def test_a_class_without_a_goal_is_only_kept_on_the_plate():
+    low, high = interval("red_1", 0.3, 0.3)
+    assert low == pytest.approx([-0.6, -0.6])
+    assert high == pytest.approx([0.6, 0.6])
+    low, high = interval("red_1", -0.9, 0.9)
+    assert low == pytest.approx([1, -1])
+    assert high == pytest.approx([1, -1])
+    assert not is_sorted(PartSet.make(("red_1",), np.array([[0.29, 0]])), TASK, RIG)[0]
+
+
+def pair(gap_x: float, gap_y: float, left="grey_1", right="black_1", options=OPTIONS):
+    """Request for two parts this far apart, in radii."""
+    r = RIG.parts.radius_m
+    position = np.array([[-gap_x / 2 * r, -gap_y / 2 * r], [gap_x / 2 * r, gap_y / 2 * r]])
+    return sort_request(PartSet.make((left, right), position), TASK, RIG, 0.1, options)
+
+
+def test_parts_that_would_meet_dodge_along_y():
+    request = pair(4, 1)
+    assert request.high[0, 1] == pytest.approx(-0.4 * 0.01)  # the lower one goes down
+    assert request.low[1, 1] == pytest.approx(0.4 * 0.01)
+    level = pair(4, 0)
+    assert level.high[0, 1] * level.low[1, 1] < 0
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        pair(6, 1),  # far along x
+        pair(4, 3.1),  # clear along y
+        pair(4, 1, "black_1", "grey_1"),  # going apart
+        pair(4, 1, "grey_1", "grey_2"),  # going the same way
+        pair(4, 1, options=replace(OPTIONS, dodge=0.0)),  # switched off
+    ],
+)
+def test_others_are_left_alone(request_):
+    assert request_.low[:, 1] == pytest.approx(-0.006)
+    assert request_.high[:, 1] == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(
+    ("part_id", "share", "expected"),
+    [
+        ("grey_1", 0.6 + TINY, True),
+        ("grey_1", 0.6 - TINY, False),
+        ("grey_1", -0.9, False),
+        ("black_1", -0.6 - TINY, True),
+        ("black_1", -0.6 + TINY, False),
+    ],
+)
+def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, share, expected):
+    parts = PartSet.make((part_id,), np.array([[share * HALF[0], 0.0]]))
+    assert is_sorted(parts, TASK, RIG)[0] == expected
+
+
+def test_no_parts_no_request():
+    request = sort_request(PartSet.make((), np.zeros((0, 2))), TASK, RIG, 0.1, OPTIONS)
+    assert request.low.shape == request.high.shape == (0, 2)
