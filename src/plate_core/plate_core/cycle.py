@@ -7,7 +7,6 @@ from functools import lru_cache
 from math import comb
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from .errors import CycleError
 
@@ -187,9 +186,9 @@ class PlateCycle:
             return np.vstack([samples, samples[:1]])
 
         if twist is None or accel is None:
-            derivatives = _periodic_derivatives(times, close(pose))
-            twist = derivatives[0][:-1] if twist is None else twist
-            accel = derivatives[1][:-1] if accel is None else accel
+            derivatives = _periodic_derivatives(period, pose)
+            twist = derivatives[0] if twist is None else twist
+            accel = derivatives[1] if accel is None else accel
         return cls.from_knots(times, close(pose), close(twist), close(accel))
 
     @classmethod
@@ -240,11 +239,20 @@ def _quintic(
     return np.stack([p, v, 0.5 * a, c3, c4, c5], axis=1)
 
 
-def _periodic_derivatives(times: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and second derivative (k + 1, 3) of the periodic spline through the samples."""
-    if len(times) <= 6:
-        raise CycleError(
-            f"{len(times) - 1} samples without twist and accel, allowed: at least 6, or give both"
-        )
-    spline = make_interp_spline(times, pose, k=5, bc_type="periodic")
-    return spline(times, 1), spline(times, 2)
+def _periodic_derivatives(period: float, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivative (n, 3) of the periodic quintic spline through n samples.
+
+    At equally spaced knots the quintic B-spline has the values (1, 26, 66, 26, 1)/120, the slopes
+    (1, 10, 0, -10, -1)/24 and the curvatures (1, 2, -6, 2, 1)/6 (de Boor, A Practical Guide to
+    Splines, chapter IX), so sampled spline and derivatives are cyclic convolutions of one set of
+    coefficients: a quotient in frequency.
+    """
+    step = period / len(pose)
+    w = 2 * np.pi * np.fft.rfftfreq(len(pose))[:, None]
+    spectrum = np.fft.rfft(pose, axis=0) / ((66 + 52 * np.cos(w) + 2 * np.cos(2 * w)) / 120)
+    slope = 1j * (20 * np.sin(w) + 2 * np.sin(2 * w)) / (24 * step)
+    bend = (-6 + 4 * np.cos(w) + 2 * np.cos(2 * w)) / (6 * step**2)
+    return (
+        np.fft.irfft(slope * spectrum, len(pose), axis=0),
+        np.fft.irfft(bend * spectrum, len(pose), axis=0),
+    )

@@ -92,10 +92,13 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
         tolerance=np.array([(w.torque.x, w.torque.y) for w in msg.wrench]) if msg.wrench else None,
         torque=np.array([w.torque.z for w in msg.wrench]) if msg.wrench else None,
     )
-    columns = np.column_stack([parts.position, parts.velocity, parts.force, parts.tolerance])
-    if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(parts.torque))):
-        bad = int(np.argmin(np.all(np.isfinite(columns), axis=1)))
-        raise PlateError(f"parts: {parts.ids[bad]} has a value that is not finite")
+    columns = np.column_stack(
+        [parts.position, parts.angle, parts.velocity, parts.force, parts.tolerance, parts.torque]
+    )
+    finite = np.all(np.isfinite(columns), axis=1)
+    if not np.all(finite):
+        name = parts.ids[int(np.argmin(finite))]
+        raise PlateError(f"parts: {name} has a value that is not finite")
     return parts
 
 

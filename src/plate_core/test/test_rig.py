@@ -1,0 +1,117 @@
+"""The rig file: what is read, and what a wrong one is told."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from plate_core import RigError, load_rig
+from plate_core.rig import config_path, default_rig_path
+
+
+@pytest.fixture(name="data")
+def _data():
+    """The default rig, as plain YAML data to spoil."""
+    return yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(name="load")
+def _load(tmp_path):
+    def load(data):
+        path = tmp_path / "rig.yaml"
+        path.write_text(data if isinstance(data, str) else yaml.safe_dump(data, sort_keys=False))
+        return load_rig(path)
+
+    return load
+
+
+def test_default_rig():
+    rig = load_rig()
+    assert rig.plate.length_m == 0.6
+    assert [motor.name for motor in rig.motors] == ["motor_1", "motor_2", "motor_3", "motor_4"]
+    assert rig.gamma == pytest.approx(100 / (0.25 * 9.81))
+    assert rig.force_unit == pytest.approx(0.25 * 9.81 * 0.02)
+    np.testing.assert_allclose(rig.plate.corners[0], [-0.3, -0.15])
+
+
+def test_directions_become_unit_vectors(data, load):
+    data["motors"]["motor_1"]["direction"] = [0.3, 0.4]
+    np.testing.assert_allclose(load(data).motors[0].direction, [0.6, 0.8])
+
+
+def test_rig_of_the_environment(data, tmp_path, monkeypatch):
+    data["plate"]["mass_kg"] = 3.5
+    path = tmp_path / "other.yaml"
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    monkeypatch.setenv("PLATE_RIG", str(path))
+    assert default_rig_path() == path
+    assert load_rig().plate.mass_kg == 3.5
+    assert load_rig("").plate.mass_kg == 3.5
+
+
+def test_missing_config_file_is_named():
+    with pytest.raises(RigError, match=r"config file nothing\.yaml: not found in "):
+        config_path("nothing.yaml")
+
+
+SPOILT = [
+    (("plate", "length_m"), -1, r"plate: length_m is -1, allowed: a number from 0\.01 to 10"),
+    (("plate", "width_m"), "wide", "plate: width_m is 'wide', allowed: a number"),
+    (("plate", "mass_kg"), True, "plate: mass_kg is True, allowed: a number"),
+    (("plate", "mass_kg"), float("nan"), "plate: mass_kg is nan, allowed: a number"),
+    (("plate", "lenght_m"), 1, "plate: unknown key lenght_m, allowed: length_m, mass_kg, width_m"),
+    (("friction", "mu"), 0, r"friction: mu is 0, allowed: a number from 0\.01 to 2"),
+    (("limits", "accel_mps2"), 2, "accel_mps2 is 2, allowed: more than mu g"),
+    (("limits",), 5, "limits: got 5, expected a mapping"),
+    (("motors", "motor_1", "direction"), [0, 0], "direction is .*, allowed: a vector that is not"),
+    (("motors", "motor_1", "direction"), [1], "allowed: 2 numbers from -1 to 1"),
+    (("motors", "motor_1", "point_m"), [1, "a"], "allowed: 2 numbers from -10 to 10"),
+    (("motors", "motor_5"), {}, "motors: got .*motor_5, allowed: motor_1, motor_2, motor_3"),
+    (("camera", "width_px"), 640.5, "width_px is 640.5, allowed: a whole number from 16 to 16384"),
+    (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
+    (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
+    (("extra",), 1, r"rig\.yaml: unknown key extra"),
+]
+
+
+@pytest.mark.parametrize(("keys", "value", "message"), SPOILT)
+def test_wrong_values_are_refused(data, load, keys, value, message):
+    place = data
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] = value
+    with pytest.raises(RigError, match=message):
+        load(data)
+
+
+def test_missing_key_is_named(data, load):
+    del data["limits"]["speed_mps"]
+    with pytest.raises(RigError, match=r"limits: speed_mps is missing, expected a number from 0\."):
+        load(data)
+
+
+def test_motors_that_cannot_turn_the_plate_are_refused(data, load):
+    for i, motor in enumerate(data["motors"].values()):
+        motor["direction"] = [1, 0] if i < 2 else [0, 1]
+        motor["point_m"] = [0, 0]
+    with pytest.raises(RigError, match="cannot move the plate in x, y and theta"):
+        load(data)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "- 1\n- 2\n", "plate: [1, 2\n", "plate: {a: 1}\nplate: b: c\n"]
+)
+def test_broken_files_are_refused(load, text):
+    with pytest.raises(RigError, match=r"rig\.yaml: (got|broken YAML)"):
+        load(text)
+
+
+def test_missing_file_is_named():
+    with pytest.raises(RigError, match=r"nowhere/rig\.yaml: no such file"):
+        load_rig("nowhere/rig.yaml")
+
+
+def test_rig_is_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        load_rig().plate.mass_kg = 1.0

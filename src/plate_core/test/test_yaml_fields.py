@@ -1,0 +1,105 @@
+"""Fields: every kind of value, and the message for every kind of mistake."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateError
+from plate_core.yaml_fields import Fields, read_yaml
+
+
+class FileError(PlateError):
+    """Stands for RigError and its like."""
+
+
+def fields(**data) -> Fields:
+    return Fields(data, "file.yaml", FileError)
+
+
+def test_good_values():
+    f = fields(a=1, b=2.5, c=3, d="x", e=[[1, 2], [3, 4]], f={"g": 1}, h=[{"i": 1}])
+    assert f.number("a", 0, 2) == 1.0
+    assert isinstance(f.number("a", 0, 2), float)
+    assert f.number("b", 2.5, 2.5) == 2.5
+    assert f.integer("c", 3, 3) == 3
+    assert f.text("d", ["x", "y"]) == "x"
+    np.testing.assert_array_equal(f.array("e", (None, 2), 1, 4), [[1, 2], [3, 4]])
+    assert f.child("f").number("g", 0, 1) == 1
+    assert f.children("h")[0].integer("i", 0, 1) == 1
+    f.finish()
+
+
+def test_defaults_are_for_missing_keys_only():
+    f = fields(a="no")
+    assert f.number("b", 0, 1, default=0.5) == 0.5
+    assert f.integer("c", 0, 9, default=7) == 7
+    assert not f.has("b")
+    with pytest.raises(FileError):
+        f.number("a", 0, 1, default=0.5)
+
+
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        (lambda f: f.number("x", 0, 1), "x is 2, allowed: a number from 0 to 1"),
+        (lambda f: f.number("y", 0, 1), "y is 'two', allowed: a number from 0 to 1"),
+        (lambda f: f.number("inf", 0, 1e9), "inf is inf, allowed: a number"),
+        (lambda f: f.number("none", 0, 1), "none is None, allowed: a number"),
+        (lambda f: f.number("gone", 0, 1), "gone is missing, expected a number from 0 to 1"),
+        (lambda f: f.integer("half", 0, 9), "half is 0.5, allowed: a whole number from 0 to 9"),
+        (lambda f: f.integer("yes", 0, 9), "yes is True, allowed: a whole number from 0 to 9"),
+        (lambda f: f.integer("x", 3, 9), "x is 2, allowed: a whole number from 3 to 9"),
+        (lambda f: f.text("x"), "x is 2, allowed: a text"),
+        (lambda f: f.text("y", ["a", "b"]), "y is 'two', allowed: one of a, b"),
+        (lambda f: f.array("list", (3,), 0, 9), "allowed: 3 numbers from 0 to 9"),
+        (lambda f: f.array("list", (None, 2), 0, 9), "allowed: n x 2 numbers from 0 to 9"),
+        (lambda f: f.array("list", (2,), 0, 1), "allowed: 2 numbers from 0 to 1"),
+        (lambda f: f.array("ragged", (2, 2), 0, 9), "allowed: 2 x 2 numbers from 0 to 9"),
+        (lambda f: f.array("holes", (2,), 0, 9), "allowed: 2 numbers from 0 to 9"),
+        (lambda f: f.child("x"), "file.yaml: x: got 2, expected a mapping"),
+        (lambda f: f.children("x"), "x is 2, allowed: a list of mappings"),
+        (lambda f: f.children("list"), r"list\[0\]: got 1, expected a mapping"),
+    ],
+)
+def test_mistakes(read, message):
+    f = fields(
+        x=2,
+        y="two",
+        inf=float("inf"),
+        none=None,
+        half=0.5,
+        yes=True,
+        list=[1, 2],
+        ragged=[[1, 2], [3]],
+        holes=[1, None],
+    )
+    with pytest.raises(FileError, match=message):
+        read(f)
+
+
+def test_unknown_keys_are_refused():
+    f = fields(a=1, typo=2)
+    f.number("a", 0, 1)
+    with pytest.raises(FileError, match=r"file\.yaml: unknown key typo, allowed: a$"):
+        f.finish()
+
+
+def test_keys_are_in_order_and_known():
+    f = fields(b=1, a=2)
+    assert f.keys() == ("b", "a")
+    f.finish()
+
+
+def test_files(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text("a: 1\n")
+    assert read_yaml(path, FileError).number("a", 0, 1) == 1
+    path.write_text("a: 1\nb: [1\n")
+    with pytest.raises(FileError, match=r"some\.yaml: broken YAML at line \d"):
+        read_yaml(path, FileError)
+    path.write_bytes(b"\xff\xfe\xfa")
+    with pytest.raises(FileError, match=r"some\.yaml: (cannot be read|broken YAML)"):
+        read_yaml(path, FileError)
+    with pytest.raises(FileError, match="cannot be read"):
+        read_yaml(tmp_path, FileError)
+    with pytest.raises(FileError, match="no such file"):
+        read_yaml(tmp_path / "none.yaml", FileError)
