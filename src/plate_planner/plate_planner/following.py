@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,9 +17,6 @@ from .trajectory import PolygonPath
 
 EDGE = (0.70, 0.85)
 """Where parts without a path are held back from the edges [share of the half side]."""
-
-FRESH = 1.5
-"""A request is what the present cycle does if it is at most this many periods old."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,6 @@ class FollowState:
         Sum of squared distances from the references [m2], and their number.
     max_error_m : float
         The greatest of these distances [m].
-    asked_ids, asked_drift, asked_at : tuple of str, (M, 2), float or None
-        What drift [m/s, plate_home] was asked of which part, and when [s].
     """
 
     match: tuple[str, ...] = ()
@@ -45,9 +40,6 @@ class FollowState:
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
-    asked_ids: tuple[str, ...] = ()
-    asked_drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    asked_at: float | None = None
 
     @property
     def rms_error_m(self) -> float:
@@ -113,14 +105,22 @@ class Follower:
         )
 
     def request(
-        self, state: FollowState, parts: PartSet, t: float, period: float, options: FollowOptions
+        self,
+        state: FollowState,
+        parts: PartSet,
+        asked: np.ndarray,
+        t: float,
+        period: float,
+        options: FollowOptions,
     ) -> DriftRequest:
-        """Return the drift wanted of each part; parts without a path are only kept on the plate."""
+        """Return the drift wanted of each part; parts without a path are only kept on the plate.
+
+        `asked` (M, 2) [m/s] is what was asked of the present cycle, NaN where nothing was.
+        """
         low, high = self._keep_on_plate(parts)
         path, part = self._rows(state, parts)
         velocity = parts.velocity[part]
-        asked = self._asked(state, parts, t, period)[part]
-        predicted = predict(parts.position[part], velocity, asked, period, options.trust)
+        predicted = predict(parts.position[part], velocity, asked[part], period, options.trust)
         wanted = pd_drift(
             predicted,
             self.reference(state, t + period)[path],
@@ -142,17 +142,6 @@ class Follower:
         pairs = [(k, row[i]) for k, i in enumerate(state.match) if i in row]
         rows = np.array(pairs, dtype=int).reshape(-1, 2)
         return rows[:, 0], rows[:, 1]
-
-    def _asked(self, state: FollowState, parts: PartSet, t: float, period: float) -> np.ndarray:
-        """Drift asked of the present cycle for each part (M, 2) [m/s]; NaN where unknown."""
-        asked = np.full((len(parts), 2), np.nan)
-        if state.asked_at is None or t - state.asked_at > FRESH * period:
-            return asked
-        row = {part_id: i for i, part_id in enumerate(state.asked_ids)}
-        for i, part_id in enumerate(parts.ids):
-            if part_id in row:
-                asked[i] = state.asked_drift[row[part_id]]
-        return asked
 
     def _keep_on_plate(self, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
         """Intervals (M, 2) [m/s] that leave a part free in the middle of the plate."""

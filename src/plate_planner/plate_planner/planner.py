@@ -15,7 +15,7 @@ from .clock import CycleClock
 from .following import Follower, FollowState
 from .pd import FollowOptions
 from .progress import Progress
-from .requests import DriftRequest
+from .requests import Asked, DriftRequest
 from .sorting import SortOptions, is_sorted, part_sides, sort_request
 from .task import Phase, TaskLimits, TaskState, begin, judge, started
 
@@ -55,6 +55,8 @@ class PlannerState:
     task : TaskState
     clock : CycleClock
     follow : FollowState
+    asked : Asked
+        The last request.
     known : tuple of str
         Ids in the last image with all parts: tells which one is missing.
     answer : (PartSet, Progress) or None
@@ -63,7 +65,8 @@ class PlannerState:
 
     task: TaskState
     clock: CycleClock
-    follow: FollowState
+    follow: FollowState = field(default_factory=FollowState)
+    asked: Asked = field(default_factory=Asked)
     known: tuple[str, ...] = ()
     answer: tuple[PartSet, Progress] | None = None
 
@@ -97,11 +100,11 @@ class Planner:
     def initial(self) -> PlannerState:
         """Return the state of a planner that has seen nothing and does nothing."""
         clock = CycleClock.starting(self.options.default_period)
-        return PlannerState(TaskState(), clock, FollowState())
+        return PlannerState(TaskState(), clock)
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen."""
-        return replace(state, task=started(), follow=FollowState(), known=())
+        return replace(state, task=started(), follow=FollowState(), asked=Asked(), known=())
 
     def stop(self, state: PlannerState) -> PlannerState:
         """Stop: nothing is asked from the next image on."""
@@ -183,7 +186,8 @@ class Planner:
         state = replace(state, task=task, follow=follow, known=known)
         if not task.active or not len(parts):
             return state, None, 0
-        return state, follower.request(follow, parts, t, period, options), 0
+        asked = state.asked.of(parts.ids, t, period)
+        return state, follower.request(follow, parts, asked, t, period, options), 0
 
     def _ask(
         self, state: PlannerState, parts: PartSet, request: DriftRequest, t: float
@@ -193,8 +197,8 @@ class Planner:
         options = self.options.sort if isinstance(task, SortTask) else self.options.follow
         force, tolerance = request.force(parts.velocity, self.rig, period, options.force_share_max)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
-        follow = replace(state.follow, asked_ids=parts.ids, asked_drift=drift, asked_at=t)
-        return replace(parts, force=force, tolerance=tolerance), replace(state, follow=follow)
+        state = replace(state, asked=Asked(parts.ids, drift, t))
+        return replace(parts, force=force, tolerance=tolerance), state
 
     def _on_plate(self, parts: PartSet) -> PartSet:
         """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from plate_core import Rig
+
+FRESH = 1.5
+"""A request is what the present cycle does if it is at most this many periods old."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,25 @@ class DriftRequest:
             np.clip(gain * (self.centre - velocity), -bound, bound),
             gain * (self.high - self.low) / 2,
         )
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The last request: what drift (M, 2) [m/s, plate_home] was asked of which part, and when."""
+
+    ids: tuple[str, ...] = ()
+    drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    stamp: float = -np.inf
+
+    def of(self, ids: tuple[str, ...], t: float, period: float) -> np.ndarray:
+        """Return what was asked of the cycle that begins at t (M, 2) [m/s]; NaN where unknown."""
+        drift = np.full((len(ids), 2), np.nan)
+        if t - self.stamp <= FRESH * period:
+            row = {part_id: i for i, part_id in enumerate(self.ids)}
+            for i, part_id in enumerate(ids):
+                if part_id in row:
+                    drift[i] = self.drift[row[part_id]]
+        return drift
 
 
 def stay_within(

@@ -103,14 +103,8 @@ def sort_request(
     low_y, high_y = stay_within(
         position[:, 1], half[1], options.edge_inner, options.edge_outer, options.drift_max, wander
     )
-    push = _dodge(position, (low_x + high_x) / 2, rig, options)
-    push *= 1 - nearness(position[:, 1], half[1], options.edge_inner, options.edge_outer)
-    low_y = np.where(push > 0, np.maximum(low_y, push), low_y)
-    high_y = np.where(push < 0, np.minimum(high_y, push), high_y)
-    return DriftRequest(
-        np.column_stack([low_x, np.minimum(low_y, high_y)]),
-        np.column_stack([high_x, np.maximum(low_y, high_y)]),
-    )
+    low_y, high_y = _dodge(position, (low_x + high_x) / 2, low_y, high_y, rig, options)
+    return DriftRequest(np.column_stack([low_x, low_y]), np.column_stack([high_x, high_y]))
 
 
 def _along(
@@ -137,20 +131,36 @@ def _along(
     )
 
 
-def _dodge(position: np.ndarray, drift_x: np.ndarray, rig: Rig, options: SortOptions) -> np.ndarray:
-    """Drift (M,) along y that makes room for parts about to run into each other along x.
+def _dodge(
+    position: np.ndarray,
+    drift_x: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    rig: Rig,
+    options: SortOptions,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Narrow the interval of drift along y of parts about to run into each other along x.
 
     Of two parts that are asked towards each other, and nearly level in y, the upper one is sent
-    up, the lower one down (of two exactly level, the first in the list goes down).
+    up, the lower one down (of two exactly level, the first in the list goes down). The nearer the
+    edge, the less they are: the edge comes first.
     """
-    radius = rig.parts.radius_m
-    reach, clear = options.dodge_reach * radius, options.dodge_clear * radius
+    radius, half = rig.parts.radius_m, rig.plate.half[1]
     gap = position[None] - position[:, None]  # [i, j]: from i to j
     closing = (drift_x[None] - drift_x[:, None]) * gap[..., 0] < 0
-    level = np.abs(gap[..., 1]) < clear
-    near = np.abs(gap[..., 0]) < reach
-    count = len(position)
-    order = np.sign(np.arange(count)[None] - np.arange(count)[:, None])
-    away = np.where(gap[..., 1] != 0, -np.sign(gap[..., 1]), -order)
-    push = np.sum(away * (closing & level & near & (order != 0)), axis=1)
-    return options.dodge * options.drift_max * np.clip(push, -1, 1)
+    # Over one radius from "far" to "near", so that a request does not jump.
+    near = np.clip(options.dodge_reach - np.abs(gap[..., 0]) / radius, 0, 1)
+    level = np.clip(options.dodge_clear - np.abs(gap[..., 1]) / radius, 0, 1)
+    index = np.arange(len(position))
+    level_order = np.sign(index[:, None] - index[None])
+    away = np.where(gap[..., 1] != 0, -np.sign(gap[..., 1]), level_order)
+    push = np.clip(np.sum(away * closing * near * level, axis=1), -1, 1)
+    push *= 1 - nearness(position[:, 1], half, options.edge_inner, options.edge_outer)
+    speed = options.dodge * options.drift_max
+    if speed == 0:
+        return low, high
+    up = low + np.maximum(push, 0) * np.maximum(speed - low, 0)
+    down = high - np.maximum(-push, 0) * np.maximum(high + speed, 0)
+    return np.where(push > 0, np.minimum(up, high), low), np.where(
+        push < 0, np.maximum(down, low), high
+    )

@@ -125,6 +125,21 @@ def test_parts_that_would_meet_dodge_along_y():
     assert level.high[0, 1] * level.low[1, 1] < 0
 
 
+def test_dodging_begins_and_ends_gradually():
+    for along in (
+        [pair(x, 1) for x in np.arange(7, 0.5, -0.01)],
+        [pair(3, y) for y in np.arange(4, 0.5, -0.01)],
+    ):
+        rows = np.array([np.concatenate([r.low[:, 1], r.high[:, 1]]) for r in along])
+        assert np.max(np.abs(np.diff(rows, axis=0))) < 0.02 * 0.01
+
+
+def test_the_edge_comes_before_dodging():
+    position = np.array([[-0.01, 0.9 * HALF[1]], [0.01, 0.9 * HALF[1] - 0.01]])
+    request = sort_request(PartSet.make(("grey_1", "black_1"), position), TASK, RIG, 0.1, OPTIONS)
+    assert request.high[0, 1] == pytest.approx(-0.01)  # back from the edge, though upper
+
+
 @pytest.mark.parametrize(
     "request_",
     [
