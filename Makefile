@@ -5,8 +5,8 @@ MAKEFLAGS += --no-print-directory
 .PHONY: help setup demo test lint format bench charts clean workspace
 
 ENTER := . ./env.sh &&
-# Everything that is type-checked; folders that do not exist are left out.
-TYPED := $(wildcard src/*/plate_* bench tools launch)
+# Everything that is type-checked
+TYPED := $(wildcard src/*/plate_* bench/*.py tools/*.py launch/*.py)
 
 help: ## List these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
