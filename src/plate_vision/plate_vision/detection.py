@@ -1,0 +1,181 @@
+"""Find round parts in an image of the plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .brightness import fit_brightness
+from .errors import ImageError, OptionError
+from .measure import RIM_PX, Discs, cut_windows, fit_discs, measure_alone, neighbour_pairs
+from .region import SEAM_PX, Region, check_quadrilateral, make_region
+from .seeds import find_seeds
+
+CLASSES = ("black", "grey")
+"""The labels, darkest first."""
+
+DETECTION = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("angle_rad", "f8"),
+        ("label", "U8"),
+    ]
+)
+"""One part: centre and radius [px]; angle [rad], 0 since round parts show none; class."""
+
+MAX_MISFIT = 0.2
+"""Largest deviation of a part from an evenly dark disc."""
+
+CLEAN_MISFIT = 0.05
+"""Deviation above which a part is measured by fitting, in case something dark is beside it."""
+
+BLUR_PX = 1.5
+"""Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window."""
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """What a part looks like.
+
+    Attributes
+    ----------
+    radius_px : float
+        Radius of a part [px], 3 to 200.
+    radius_tolerance : float
+        Greatest deviation from it, as a share of it, 0.05 to 0.6.
+    threshold : float
+        Share of the bare plate's brightness below which a pixel belongs to a part, 0.1 to 0.95.
+    class_threshold : float
+        Share of the bare plate's brightness below which a part is black, above which grey; below
+        `threshold`.
+    min_plate_grey : float
+        Darkest plate that is believed [grey levels], 1 to 255: below that the light is off.
+    margin_px : float
+        How far outside the plate a part's centre may be [px], 0 to 100: for a small displacement
+        of the plate or error of the calibration. A plate that is elsewhere needs another region.
+    """
+
+    radius_px: float = 8.0
+    radius_tolerance: float = 0.2
+    threshold: float = 0.8
+    class_threshold: float = 0.4
+    min_plate_grey: float = 60.0
+    margin_px: float = 2.0
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "radius_px": (3.0, 200.0),
+            "radius_tolerance": (0.05, 0.6),
+            "threshold": (0.1, 0.95),
+            "class_threshold": (0.05, self.threshold),
+            "min_plate_grey": (1.0, 255.0),
+            "margin_px": (0.0, 100.0),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise OptionError(f"{name} is {value}, allowed: {low:g} to {high:g}")
+
+
+def detect(
+    image: np.ndarray,
+    options: DetectorOptions | None = None,
+    region_px: np.ndarray | None = None,
+) -> np.ndarray:
+    """Find round parts, darker than the plate, in one image.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels. Of a colour image the middle channel is used: green, in either order.
+    options : DetectorOptions, optional
+        What a part looks like.
+    region_px : (4, 2), optional
+        Corners of the plate in the image [px], in order around it; the whole image if None. The
+        centre of the first pixel is (0, 0), x to the right, y down.
+
+    Returns
+    -------
+    (n,) structured array
+        Fields of `DETECTION`; n = 0 if nothing is found.
+
+    Raises
+    ------
+    ImageError
+        If the image is not uint8, has another shape, or the region is no quadrilateral in it.
+    """
+    options = options or DetectorOptions()
+    grey = _grey(image)
+    corners = None
+    if region_px is not None:
+        array = check_quadrilateral(np.asarray(region_px, dtype=float), "region_px")
+        corners = tuple((x, y) for x, y in array.tolist())
+    region = make_region(grey.shape[0], grey.shape[1], corners)
+    discs = _find_discs(grey, region, options)
+    found = np.zeros(len(discs.radius), DETECTION)
+    found["x_px"], found["y_px"] = discs.centre.T
+    found["radius_px"] = discs.radius
+    found["label"] = np.where(1 - discs.darkness < options.class_threshold, *CLASSES)
+    return found
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """Return the grey levels (H, W) of an image; refuse what is no image."""
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
+    if image.ndim == 3 and image.shape[2] == 3:
+        image = image[:, :, 1]
+    if image.ndim != 2 or image.size == 0:
+        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+    return image
+
+
+def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> Discs:
+    """Seeds, then measurement, then a check of what was measured."""
+    radius = options.radius_px
+    brightness = fit_brightness(grey, region, options.min_plate_grey)
+    seeds = np.empty((0, 2))
+    if brightness is not None:
+        seeds = find_seeds(grey, region, brightness, options.threshold, radius)
+    if brightness is None or not len(seeds):
+        return Discs(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
+    windows = cut_windows(grey, brightness, seeds, radius)
+    discs = measure_alone(windows, radius)
+    x, y = seeds.T
+    height, width = grey.shape
+    room = np.min([region.depth(x, y) - SEAM_PX, x, y, width - 1 - x, height - 1 - y], axis=0)
+    shared = room < radius + RIM_PX + 1
+    shared[neighbour_pairs(seeds, 2 * radius + RIM_PX + BLUR_PX)[:, 0]] = True
+    # What is no disc by itself may be a part and something beside it.
+    shared |= ~_is_part(discs, region, options) | (discs.misfit > CLEAN_MISFIT)
+    if np.any(shared):
+        rest = np.flatnonzero(shared)
+        beside = cut_windows(grey, brightness, seeds[rest], radius)
+        fitted = fit_discs(beside, seeds[rest], radius, region, (height, width))
+        discs = discs.select(np.flatnonzero(~shared)).join(fitted)
+        discs = discs.select(np.flatnonzero(_is_part(discs, region, options)))
+        discs = discs.select(_distinct(discs, radius))
+    return discs
+
+
+def _is_part(discs: Discs, region: Region, options: DetectorOptions) -> np.ndarray:
+    """Tell which discs (n,) look like a part on the plate."""
+    return (
+        (np.abs(discs.radius / options.radius_px - 1) <= options.radius_tolerance)
+        & (discs.darkness > 1 - options.threshold)
+        & (discs.misfit < MAX_MISFIT)
+        & (region.depth(*discs.centre.T) >= -options.margin_px)
+    )
+
+
+def _distinct(discs: Discs, radius_px: float) -> np.ndarray:
+    """Return the indices of the discs, of those in the same place only the best."""
+    drop = {
+        int(a if (discs.misfit[a], a) > (discs.misfit[b], b) else b)
+        for a, b in neighbour_pairs(discs.centre, radius_px)
+    }
+    return np.array([i for i in range(len(discs.radius)) if i not in drop], dtype=int)

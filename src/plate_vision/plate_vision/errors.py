@@ -1,0 +1,15 @@
+"""Errors of this package that a user can act on."""
+
+from plate_core import PlateError
+
+
+class ImageError(PlateError):
+    """An image, or where the plate is said to be in it, cannot be used."""
+
+
+class CalibrationError(PlateError):
+    """Image points and plate points do not give a mapping between image and plate."""
+
+
+class OptionError(PlateError):
+    """An option is out of range."""
