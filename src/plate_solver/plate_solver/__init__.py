@@ -1,1 +1,18 @@
-"""Finds the plate motion whose friction gives each part the force wanted."""
+"""Plate motions that put wanted forces, or displacements, under many parts at once."""
+
+from .controller import Answer, Controller
+from .force_map import average_force
+from .rotations import RotationSolver
+from .sinusoids import SinusoidSolver
+from .solution import Solution
+from .steering import Goal
+
+__all__ = [
+    "Answer",
+    "Controller",
+    "Goal",
+    "RotationSolver",
+    "SinusoidSolver",
+    "Solution",
+    "average_force",
+]

@@ -1,0 +1,150 @@
+"""From what is asked of the parts to the next plate cycle: predict, steer, check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from plate_core import PartSet, PlateCycle, Rig
+
+from .cycle_map import end_state
+from .rotations import RotationSolver
+from .sinusoids import SinusoidSolver
+from .solution import Solution
+from .steering import Goal
+
+METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
+"""Names of the methods: the paper's letters and ours."""
+
+IDLE_PERIOD = 0.1
+"""Length of a cycle at rest [s]."""
+
+STEP = 0.8e-3
+"""Step for predicting the running cycle [s]: as fine as the solvers' own."""
+
+DRIFT_TOLERANCE = 2e-4
+"""Error of the drift over a cycle at which a search stops [m/s]."""
+
+GOOD_SHARE = 0.15
+"""Share of the wanted displacement that may be missed (root mean square) before a solver looks
+for other motions than the last one's relatives."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The next cycle and how it came about.
+
+    Attributes
+    ----------
+    cycle : PlateCycle
+        Starts and ends at rest at home.
+    solution : Solution or None
+        None where nothing was asked.
+    message : str
+        For the log.
+    error_m, asked_m : float
+        Root mean square over parts and axes of the missed and of the wanted displacement [m].
+    """
+
+    cycle: PlateCycle
+    solution: Solution | None
+    message: str
+    error_m: float
+    asked_m: float
+
+
+class Controller:
+    """Answers images one by one; remembers the parts' velocities from cycle to cycle.
+
+    A camera that fires once per cycle sees where parts are, not how fast they swing at that
+    instant. So the velocity at the start of a cycle is predicted from the last one's motion.
+
+    Parameters
+    ----------
+    rig : Rig
+        Plate, friction and limits.
+    method : str
+        A key of `METHODS`.
+    seed : int
+        Seed of the solvers' restarts.
+    """
+
+    def __init__(self, rig: Rig, method: str = "sinusoids", seed: int = 0) -> None:
+        self._rig = rig
+        self._solvers = {
+            "rotations": RotationSolver(rig, iterations=12, restarts=1, seed=seed),
+            "sinusoids": SinusoidSolver(rig, iterations=16, restarts=2, seed=seed),
+        }
+        self._velocity: dict[str, np.ndarray] = {}
+        self.method = METHODS[method]
+
+    def reset(self) -> None:
+        """Forget all parts and solutions."""
+        self._velocity.clear()
+        for solver in self._solvers.values():
+            solver.reset()
+
+    def answer(self, parts: PartSet, running: PlateCycle | None) -> Answer:
+        """Return the cycle to run after the one that is running now.
+
+        Parameters
+        ----------
+        parts : PartSet
+            Parts as the camera saw them at the start of the running cycle, and the forces wanted.
+        running : PlateCycle, optional
+            The cycle that runs now; None if the plate is at rest.
+        """
+        if not len(parts):
+            self._velocity.clear()
+            return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
+        solver = self._solvers[self.method]
+        goal = self._goal(parts, running, solver.steering_period(len(parts)))
+        asked = float(np.sqrt(np.mean(goal.displacement**2)))
+        period = solver.steering_period(len(parts))
+        good = max(GOOD_SHARE * asked, DRIFT_TOLERANCE * period)
+        solution = solver.steer(goal, DRIFT_TOLERANCE * period, good)
+        unit = self._rig.friction.accel * period**2
+        error = float(np.sqrt(np.mean(solution.residual**2))) * unit
+        if self._leaves_plate(goal, solution.cycle):
+            return Answer(
+                PlateCycle.rest(period),
+                solution,
+                "a part would leave the plate: one cycle at rest",
+                asked,
+                asked,
+            )
+        return Answer(solution.cycle, solution, solution.message, error, asked)
+
+    def _goal(self, parts: PartSet, running: PlateCycle | None, period: float) -> Goal:
+        """Predict the state in which the answer starts, and say what it is to do."""
+        start = np.array([self._velocity.get(name, np.zeros(2)) for name in parts.ids])
+        position, velocity = parts.position, np.zeros_like(start)
+        if running is not None:
+            position, velocity = self._after(running, parts.position, start)
+        self._velocity = dict(zip(parts.ids, velocity, strict=True))
+        gain = period / self._rig.parts.mass_kg
+        drift = parts.velocity + gain * parts.force
+        return Goal(
+            position=position,
+            velocity=velocity,
+            displacement=drift * period,
+            tolerance=gain * parts.tolerance * period,
+            friction_accel=self._rig.friction.accel,
+        )
+
+    def _after(
+        self, cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        steps = max(1, round(cycle.period / STEP))
+        dt = cycle.period / steps
+        t = (np.arange(steps) + 0.5) * dt
+        return end_state(
+            position, velocity, cycle.pose(t), cycle.twist(t), dt, self._rig.friction.accel
+        )
+
+    def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
+        """Whether a part that is well on the plate would be off it after the cycle."""
+        end, _ = self._after(cycle, goal.position, goal.velocity)
+        edge = self._rig.plate.half - 0.5 * self._rig.parts.radius_m
+        out = np.abs(end) > edge
+        return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))

@@ -1,0 +1,113 @@
+"""Sinusoidal plate motions, equation (13) of the paper, as a linear family.
+
+    u_i(t) = sum_j a_ij sin(j w t) + b_ij cos(j w t),   w = 2 pi / T
+
+A free family has 2 N parameters for each degree of freedom. A family that starts at rest meets
+u(0) = 0 and u'(0) = 0 for each, which leaves 2 N - 2, and its poses are measured from where it
+starts: so the plate is at home, at rest and free of acceleration at the edge of each cycle, and any
+cycle may follow any other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from plate_core import PlateCycle
+
+from .solution import Bounds
+
+STEPS_PER_HARMONIC = 26
+"""Steps of the sampled motion per period of the highest harmonic."""
+
+KNOTS_PER_HARMONIC = 8
+"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """A linear family of closed motions: samples are matrices times coefficients.
+
+    Attributes
+    ----------
+    period : float
+        [s].
+    steps : int
+        Number n of equal steps; samples are at their middles.
+    twist, pose, accel : (n, h)
+        Basis of one degree of freedom. Coefficients are (h, 3), columns x, y, theta [m/s, rad/s].
+    knots : tuple of (k, h)
+        The same basis (pose, twist, accel) at the knots of a finished cycle.
+    """
+
+    period: float
+    steps: int
+    twist: np.ndarray
+    pose: np.ndarray
+    accel: np.ndarray
+    knots: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @property
+    def dt(self) -> float:
+        """Length of a step [s]."""
+        return self.period / self.steps
+
+    @property
+    def size(self) -> int:
+        """Parameters for each degree of freedom."""
+        return self.twist.shape[1]
+
+    def cycle(self, coefficients: np.ndarray) -> PlateCycle:
+        """Return the motion of coefficients (h, 3) as a plate cycle."""
+        pose, twist, accel = (basis @ coefficients for basis in self.knots)
+        return PlateCycle.from_samples(self.period, pose, twist, accel)
+
+    def random(self, rng: np.random.Generator, bounds: Bounds) -> np.ndarray:
+        """Return random coefficients (h, 3) that use the limits in full."""
+        coefficients = rng.normal(size=(self.size, 3))
+        coefficients[:, 2] /= bounds.arm_m
+        return self.saturated(coefficients, bounds)
+
+    def saturated(self, coefficients: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """Scale coefficients (h, 3) so that they just reach the first of the limits.
+
+        Averaged forces do not depend on the scale, and the faster the plate the less the parts'
+        own velocity matters: so the full amplitude is the best.
+        """
+        share = bounds.share(
+            self.pose @ coefficients, self.twist @ coefficients, self.accel @ coefficients
+        )
+        return coefficients / share if share > 0 else coefficients
+
+
+@lru_cache(maxsize=32)
+def harmonics(number: int, period: float, at_rest: bool, steps: int = 0) -> Harmonics:
+    """Return the family with `number` harmonics; at_rest tells whether it starts at rest.
+
+    `steps` is the number of samples; 0 takes enough to find a solution.
+    """
+    steps = steps or STEPS_PER_HARMONIC * max(number, 4)
+    knots = KNOTS_PER_HARMONIC * max(number, 4)
+    omega = 2 * np.pi / period
+    j = np.arange(1, number + 1)
+    span = np.eye(2 * number)
+    if at_rest:
+        rows = np.zeros((2, 2 * number))
+        rows[0, number:] = 1  # u(0) = sum b_j
+        rows[1, :number] = j / number  # u'(0) = w sum j a_j
+        span = np.linalg.svd(rows)[2][2:].T
+
+    def basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        sin, cos = np.sin(omega * np.outer(t, j)), np.cos(omega * np.outer(t, j))
+        offset = 1.0 if at_rest else 0.0
+        pose = np.hstack([(offset - cos) / j, sin / j]) / omega
+        twist = np.hstack([sin, cos])
+        accel = np.hstack([cos * j, -sin * j]) * omega
+        pose, twist, accel = (np.ascontiguousarray(matrix @ span) for matrix in (pose, twist, accel))
+        return pose, twist, accel
+
+    pose, twist, accel = basis((np.arange(steps) + 0.5) / steps * period)
+    return Harmonics(
+        period, steps, twist, pose, accel, basis(np.arange(knots) / knots * period)
+    )

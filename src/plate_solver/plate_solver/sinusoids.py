@@ -1,0 +1,322 @@
+"""Method B: sinusoidal motions (section 3.2 of the paper), on the averaged and on the cycle map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from plate_core import PlateError, Rig
+
+from .force_map import SAMPLES, mean_force_gradient
+from .guesses import GuessTable
+from .harmonics import Harmonics, harmonics
+from .least_squares import Fit, fit
+from .solution import CURL_LENGTH_M, Bounds, Request, Solution, within_limits
+from .steering import Goal, steer
+
+@dataclass(frozen=True)
+class SinusoidOptions:
+    """Options of `SinusoidSolver`.
+
+    Attributes
+    ----------
+    harmonics : int
+        N of equation (13); 0 takes the fewest that the number of parts allows.
+    period : float
+        Length of the cycle [s]; 0 takes one that suits the number of harmonics.
+    at_rest : bool
+        Whether cycles start and end with the plate at home and at rest. Costs two parameters for
+        each degree of freedom; cycles of `steer` always do.
+    tolerance : float
+        Greatest force error that counts as success [mu m g].
+    iterations : int
+        Most steps from one start.
+    restarts : int
+        Most further starts when the first fails.
+    seed : int
+        Seed of the further starts.
+    """
+
+    harmonics: int = 0
+    period: float = 0.0
+    at_rest: bool = False
+    tolerance: float = 1e-4
+    iterations: int = 40
+    restarts: int = 20
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("harmonics", 0, 64),
+            ("period", 0, 10),
+            ("tolerance", 0, 1),
+            ("iterations", 1, 10_000),
+            ("restarts", 0, 10_000),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise PlateError(f"{name} is {value!r}, allowed: {low} to {high}")
+        if self.at_rest and self.harmonics == 1:
+            raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
+
+
+class SinusoidFamily:
+    """`Harmonics` with limits, as a family for `steer`: theta is scaled by a length."""
+
+    def __init__(self, basis: Harmonics, bounds: Bounds) -> None:
+        self.basis = basis
+        self._bounds = bounds
+        self._scale = np.array([1.0, 1.0, 1 / bounds.arm_m])
+
+    @property
+    def dt(self) -> float:
+        """Length of a step [s]."""
+        return self.basis.dt
+
+    def coefficients(self, parameters: np.ndarray) -> np.ndarray:
+        """Return coefficients (h, 3) of parameters (3 h,)."""
+        return parameters.reshape(-1, 3) * self._scale
+
+    def parameters(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return parameters (3 h,) of coefficients (h, 3)."""
+        return (coefficients / self._scale).ravel()
+
+    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose and twist (n, 3)."""
+        coefficients = self.coefficients(parameters)
+        return self.basis.pose @ coefficients, self.basis.twist @ coefficients
+
+    def pull_back(
+        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray | None
+    ) -> np.ndarray:
+        """Return derivatives (R, 3 h) by the parameters."""
+        rows = len(by_twist)
+        jacobian = np.empty((rows, self.basis.size, 3))
+        for axis in range(3):
+            jacobian[:, :, axis] = by_twist[:, :, axis] @ self.basis.twist
+            if by_pose is not None and axis < 2:
+                jacobian[:, :, axis] += by_pose[:, :, axis] @ self.basis.pose
+        return (jacobian * self._scale).reshape(rows, -1)
+
+    def admissible(self, parameters: np.ndarray) -> np.ndarray:
+        """Scale to the full amplitude that the limits allow."""
+        return self.parameters(self.basis.saturated(self.coefficients(parameters), self._bounds))
+
+    def penalty(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return no errors: limits are kept by scaling."""
+        return np.zeros(0), np.zeros((0, len(parameters)))
+
+    def random(self, rng: np.random.Generator) -> np.ndarray:
+        """Return random admissible parameters."""
+        return self.parameters(self.basis.random(rng, self._bounds))
+
+
+class SinusoidSolver:
+    """Plate motions made of sinusoids.
+
+    Parameters
+    ----------
+    rig : Rig
+        Plate, friction and limits.
+    **options
+        Fields of `SinusoidOptions`.
+    """
+
+    def __init__(self, rig: Rig, **options: float) -> None:
+        try:
+            self.options = SinusoidOptions(**options)  # type: ignore[arg-type]
+        except TypeError:
+            known = ", ".join(SinusoidOptions.__dataclass_fields__)
+            raise PlateError(f"options are {', '.join(options)}, allowed: {known}") from None
+        self._rig = rig
+        self._bounds = Bounds.of(rig)
+        self._rng = np.random.default_rng(self.options.seed)
+        self._tables: dict[tuple[int, float, bool], GuessTable] = {}
+        self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
+
+    def reset(self) -> None:
+        """Forget the last solution and start the random numbers anew."""
+        self._rng = np.random.default_rng(self.options.seed)
+        self._warm.clear()
+
+    def solve(
+        self,
+        position: np.ndarray,
+        force: np.ndarray,
+        velocity: np.ndarray | None = None,
+        curl: np.ndarray | None = None,
+    ) -> Solution:
+        """Find a closed motion with the wanted average forces, equation (5).
+
+        Parameters
+        ----------
+        position : (M, 2)
+            Parts [m], plate_home.
+        force : (M, 2)
+            Wanted average forces [mu m g].
+        velocity : (M, 2), optional
+            Parts' velocities [m/s]; zero if left out.
+        curl : (M,), optional
+            Wanted curl of the averaged field [mu m g / m]; NaN where it is free.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        PlateError
+            If shapes are wrong or values are not finite.
+        """
+        request = Request.check(position, force, velocity, curl)
+        constraints = 2 * len(request.position) + int(np.sum(np.isfinite(request.curl)))
+        family, key = self._family(constraints, self.options.at_rest)
+        rows = request.rows
+        scale = np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))[rows]
+        wanted = np.column_stack([request.force, request.curl]).ravel()[rows]
+
+        def attempt(family: SinusoidFamily, start: np.ndarray) -> Fit:
+            def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                _, twist = family.samples(theta)
+                mean, field_curl, gradient = mean_force_gradient(
+                    request.position, request.velocity, twist
+                )
+                got = np.column_stack([mean, field_curl]).ravel()[rows]
+                jacobian = family.pull_back(theta, gradient[rows], None)
+                return (wanted - got) * scale, jacobian * scale[:, None]
+
+            stop, most = self.options.tolerance / 10, self.options.iterations
+            return fit(evaluate, start, family.admissible, stop, most)
+
+        best, iterations = self._search(family, key, request.position, request.force, attempt)
+        family = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
+        best = attempt(family, best.parameters)  # a few steps on samples that resolve dips
+        iterations += best.iterations
+        error = np.zeros(len(rows))
+        error[rows] = best.error / scale
+        residual = error.reshape(-1, 3)[:, :2]
+        worst = float(np.max(np.abs(best.error)))
+        success = worst <= self.options.tolerance
+        self._warm[key] = best.parameters
+        return Solution(
+            success=success,
+            message=(
+                f"force error {worst:.2g} mu m g after {iterations} iterations"
+                + ("" if success else f", allowed: {self.options.tolerance:g}")
+            ),
+            cycle=within_limits(
+                self._rig, family.basis.cycle(family.coefficients(best.parameters))
+            ),
+            residual=residual,
+            iterations=iterations,
+            condition=best.condition,
+        )
+
+    def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
+        """Find a motion from rest to rest that moves parts as asked, on the cycle map.
+
+        Parameters
+        ----------
+        goal : Goal
+            Start state and wanted displacements.
+        tolerance : float
+            Greatest error at which to stop [m].
+        good_enough : float
+            Root mean square error [m] above which other starts are tried.
+
+        Returns
+        -------
+        Solution
+            `residual` is the displacement error in mu m g: error / (mu g T^2).
+        """
+        family, key = self._family(2 * len(goal.position), True)
+        period = family.basis.period
+
+        def attempt(family: SinusoidFamily, start: np.ndarray) -> Fit:
+            return steer(goal, family, start, tolerance, self.options.iterations)
+
+        wanted = goal.displacement / (goal.friction_accel * period**2)
+        best, iterations = self._search(
+            family, key, goal.position, wanted, attempt, good_enough**2 * 2 * len(goal.position)
+        )
+        self._warm[key] = best.parameters
+        error = best.error.reshape(-1, 2)
+        worst = float(np.max(np.abs(error)))
+        return Solution(
+            success=worst <= max(tolerance, good_enough),
+            message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
+            cycle=within_limits(
+                self._rig, family.basis.cycle(family.coefficients(best.parameters))
+            ),
+            residual=error / (goal.friction_accel * period**2),
+            iterations=iterations,
+            condition=best.condition,
+        )
+
+    def steering_period(self, count: int) -> float:
+        """Period [s] of the cycles that `steer` makes for `count` parts."""
+        return self._family(2 * count, True)[0].basis.period
+
+    def _search(
+        self,
+        family: SinusoidFamily,
+        key: tuple[int, float, bool],
+        position: np.ndarray,
+        force: np.ndarray,
+        attempt: Callable[[SinusoidFamily, np.ndarray], Fit],
+        good_cost: float | None = None,
+    ) -> tuple[Fit, int]:
+        """Try the last solution, then the table's guess, then random starts; keep the best."""
+
+        def good(result: Fit) -> bool:
+            if good_cost is not None:
+                return result.cost <= good_cost
+            return bool(np.max(np.abs(result.error)) <= self.options.tolerance)
+
+        warm = self._warm.get(key)
+        if warm is None:
+            table = self._tables.get(key)
+            if table is None:
+                table = self._tables[key] = GuessTable(self._rig, family.basis)
+            guess = table.nearest(position, force)[0]
+            start = family.admissible(family.parameters(guess))
+        else:
+            start = warm
+        best = attempt(family, start)
+        iterations = best.iterations
+        for number in range(self.options.restarts):
+            if good(best):
+                break
+            start = family.random(self._rng)
+            if number % 2 == 0:  # stay near what is known, then look far away
+                start = family.admissible(best.parameters + 0.7 * start)
+            other = attempt(family, start)
+            iterations += other.iterations
+            if other.cost < best.cost:
+                best = other
+        return best, iterations
+
+    def _family(
+        self, constraints: int, at_rest: bool
+    ) -> tuple[SinusoidFamily, tuple[int, float, bool]]:
+        number = self.options.harmonics or _harmonics_for(constraints, at_rest)
+        if at_rest:
+            number = max(number, 2)
+        period = self.options.period or _period_for(number, at_rest)
+        key = (number, period, at_rest)
+        return SinusoidFamily(harmonics(*key), self._bounds), key
+
+
+def _harmonics_for(constraints: int, at_rest: bool) -> int:
+    """Fewest harmonics with some parameters to spare (DESIGN: measured, not derived)."""
+    if at_rest:  # rank 6 N - 7
+        return 3 if constraints <= 4 else 6 if constraints <= 8 else 8
+    return max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
+
+
+def _period_for(number: int, at_rest: bool) -> float:
+    """Period [s]: long enough for the stroke to be used, short enough for quick answers."""
+    if at_rest:
+        return 0.1 if number <= 4 else 0.15 if number <= 6 else 0.2
+    return 0.025 * number

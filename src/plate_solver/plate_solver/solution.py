@@ -1,0 +1,181 @@
+"""What a solver returns, and how much of the rig a sampled motion uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numba import njit
+from plate_core import PlateCycle, PlateError, Rig
+from plate_core.limits import usage
+
+MARGIN = 0.98
+"""Share of the limits that a solver uses: its samples may miss a peak by a little."""
+
+CERTAIN = 0.999
+"""Share of the limits that a finished cycle uses at most, by the exact check."""
+
+CURL_LENGTH_M = 0.05
+"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A solver's answer.
+
+    Attributes
+    ----------
+    success : bool
+        Whether the request is met within the solver's tolerance.
+    message : str
+        What was reached, or why not.
+    cycle : PlateCycle
+        The motion found: closed, within the rig's limits, also when `success` is false.
+    residual : (M, 2)
+        Request minus prediction, in mu m g.
+    iterations : int
+        Steps of the iterative part, all starts together.
+    condition : float
+        Condition number of the last linear system: large where parts are hard to tell apart.
+    """
+
+    success: bool
+    message: str
+    cycle: PlateCycle
+    residual: np.ndarray
+    iterations: int
+    condition: float
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The rig's limits in the form that the solvers use.
+
+    Attributes
+    ----------
+    motor_rows : (4, 3)
+        Motor travel per pose, linearised at home.
+    half : (2,)
+        Half sides of the plate [m].
+    stroke_m, speed, accel : float
+        Limits times `MARGIN`.
+    arm_m : float
+        Length that turns theta into a travel of its usual effect: scales the parameters.
+    """
+
+    motor_rows: np.ndarray
+    half: np.ndarray
+    stroke_m: float
+    speed: float
+    accel: float
+    arm_m: float
+
+    @classmethod
+    def of(cls, rig: Rig) -> Bounds:
+        """Take the bounds of a rig."""
+        rows = [
+            (*m.direction, m.point[0] * m.direction[1] - m.point[1] * m.direction[0])
+            for m in rig.motors
+        ]
+        return cls(
+            motor_rows=np.array(rows),
+            half=rig.plate.half,
+            stroke_m=MARGIN * rig.limits.stroke_m,
+            speed=MARGIN * rig.limits.speed,
+            accel=MARGIN * rig.limits.accel,
+            arm_m=float(np.hypot(*rig.plate.half)) * 0.6,
+        )
+
+    def share(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
+        """Return the greatest share of a limit that samples (n, 3) of a motion use."""
+        stroke, speed, peak = peaks(pose, twist, accel, self.motor_rows, self.half)
+        return max(stroke / self.stroke_m, speed / self.speed, peak / self.accel)
+
+
+@njit(cache=True, fastmath=True)
+def peaks(
+    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, rows: np.ndarray, half: np.ndarray
+) -> tuple[float, float, float]:
+    """Return the peaks of motor travel [m], motor speed [m/s] and corner acceleration [m/s2]."""
+    stroke = speed = peak = 0.0
+    for k in range(len(twist)):
+        for i in range(len(rows)):
+            q = rows[i, 0] * pose[k, 0] + rows[i, 1] * pose[k, 1] + rows[i, 2] * pose[k, 2]
+            qd = rows[i, 0] * twist[k, 0] + rows[i, 1] * twist[k, 1] + rows[i, 2] * twist[k, 2]
+            stroke = max(stroke, abs(q))
+            speed = max(speed, abs(qd))
+        spin, spin_rate = twist[k, 2] ** 2, accel[k, 2]
+        for sx in (-half[0], half[0]):
+            for sy in (-half[1], half[1]):
+                ax = accel[k, 0] - spin_rate * sy - spin * sx
+                ay = accel[k, 1] + spin_rate * sx - spin * sy
+                peak = max(peak, ax * ax + ay * ay)
+    return stroke, speed, sqrt(peak)
+
+
+def within_limits(rig: Rig, cycle: PlateCycle) -> PlateCycle:
+    """Return the cycle, scaled down as a whole if the exact check finds it above the limits."""
+    for _ in range(4):
+        worst = usage(rig, cycle).worst
+        if worst <= CERTAIN:
+            break
+        cycle = cycle.scaled(0.9995 * CERTAIN / worst)
+    return cycle
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked at M parts, checked.
+
+    Attributes
+    ----------
+    position, force, velocity : (M, 2)
+        [m] in plate_home, [mu m g], [m/s].
+    curl : (M,)
+        [mu m g / m]; NaN where the curl is free.
+    """
+
+    position: np.ndarray
+    force: np.ndarray
+    velocity: np.ndarray
+    curl: np.ndarray
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Which of force x, force y, curl, part by part, are asked for: (3 M,) bool."""
+        asked = np.ones((len(self.position), 3), bool)
+        asked[:, 2] = np.isfinite(self.curl)
+        return asked.ravel()
+
+    @classmethod
+    def check(
+        cls,
+        position: np.ndarray,
+        force: np.ndarray,
+        velocity: np.ndarray | None,
+        curl: np.ndarray | None,
+    ) -> Request:
+        """Check shapes and values.
+
+        Raises
+        ------
+        PlateError
+            If a shape is not (M, 2), or (M,) for curl, or a value is not finite.
+        """
+        position = np.array(position, dtype=float)
+        if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+            raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
+        count = len(position)
+        force = np.array(force, dtype=float)
+        velocity = np.zeros((count, 2)) if velocity is None else np.array(velocity, dtype=float)
+        curl = np.full(count, np.nan) if curl is None else np.array(curl, dtype=float)
+        for name, array in (("force", force), ("velocity", velocity)):
+            if array.shape != (count, 2):
+                raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
+        if curl.shape != (count,):
+            raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
+        for name, array in (("position", position), ("force", force), ("velocity", velocity)):
+            if not np.all(np.isfinite(array)):
+                raise PlateError(f"{name} has values that are not finite")
+        return cls(position, force, velocity, curl)

@@ -1,0 +1,95 @@
+"""Steering: the plate motion whose true stick-slip cycle moves each part by what is asked.
+
+Averages hold only where parts hardly move within a cycle, and many parts need long cycles. So we
+ask for the displacement over the cycle itself, from the state in which it starts, and correct any
+family of motions with exact derivatives of the cycle map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from .cycle_map import end_position_gradient
+from .least_squares import Fit, fit
+
+INSIDE_WEIGHT = 0.02
+"""Weight of an error within its tolerance: enough to prefer the middle, too little to cost."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What one cycle is to do with M parts.
+
+    Attributes
+    ----------
+    position, velocity : (M, 2)
+        Parts at the start of the cycle [m], [m/s], plate_home.
+    displacement : (M, 2)
+        Wanted displacement over the cycle [m].
+    tolerance : (M, 2)
+        Any displacement within +-tolerance [m] is as good.
+    friction_accel : float
+        mu g [m/s2].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    displacement: np.ndarray
+    tolerance: np.ndarray
+    friction_accel: float
+
+
+class Family(Protocol):
+    """A family of closed motions with parameters (P,)."""
+
+    @property
+    def dt(self) -> float:
+        """Length of a step [s]."""
+
+    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose and twist (n, 3) at the middles of the steps."""
+
+    def pull_back(
+        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray
+    ) -> np.ndarray:
+        """Turn derivatives by the samples, (R, n, 3) and (R, n, 2), into ones (R, P)."""
+
+    def admissible(self, parameters: np.ndarray) -> np.ndarray:
+        """Return the nearest parameters that the rig can run."""
+
+    def penalty(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return further errors (K,) [m] and the derivative (K, P) of minus them."""
+
+
+def residual(goal: Goal, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the error (M, 2) [m] of end positions beyond the tolerance, and its weights."""
+    miss = goal.displacement - (end - goal.position)
+    outside = np.abs(miss) > goal.tolerance
+    error = np.where(
+        outside, miss - np.sign(miss) * goal.tolerance * (1 - INSIDE_WEIGHT), INSIDE_WEIGHT * miss
+    )
+    return error, np.where(outside, 1.0, INSIDE_WEIGHT)
+
+
+def steer(
+    goal: Goal, family: Family, parameters: np.ndarray, tolerance: float, iterations: int
+) -> Fit:
+    """Correct a motion until the parts' displacements are as asked.
+
+    Errors are in metres; `tolerance` is the greatest at which to stop [m].
+    """
+
+    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pose, twist = family.samples(theta)
+        end, _, by_twist, by_pose = end_position_gradient(
+            goal.position, goal.velocity, pose, twist, family.dt, goal.friction_accel
+        )
+        error, weight = residual(goal, end)
+        jacobian = weight.reshape(-1, 1) * family.pull_back(theta, by_twist, by_pose)
+        more, more_jacobian = family.penalty(theta)
+        return np.concatenate([error.ravel(), more]), np.vstack([jacobian, more_jacobian])
+
+    return fit(evaluate, parameters, family.admissible, tolerance, iterations)
