@@ -1,0 +1,60 @@
+"""Which motor table the device plays next, and which tables it refuses to play."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from plate_core import CycleError, PlateCycle, Rig
+from plate_core.limits import CycleUsage, usage
+
+SLACK = 1.02
+"""Share of a limit at which a table is refused: its peaks are bounds, up to 1 % too high."""
+
+PERIOD = (0.01, 10.0)
+"""Allowed length of a table [s]: one image is taken in each."""
+
+
+@dataclass(frozen=True)
+class Playback:
+    """The table being played, how often it has been repeated, and whether it only fills time."""
+
+    cycle: PlateCycle
+    repeats: int = 0
+    resting: bool = False
+
+
+def next_playback(
+    current: Playback, newest: PlateCycle | None, hold_cycles: int, idle_period: float
+) -> Playback:
+    """Return what is played after `current`.
+
+    The newest table if one has come; else the same again, at most `hold_cycles` times; then rest,
+    in cycles of `idle_period` [s], until one comes.
+    """
+    if newest is not None:
+        return Playback(newest)
+    if current.resting or current.repeats >= hold_cycles:
+        return Playback(PlateCycle.rest(idle_period), resting=True)
+    return replace(current, repeats=current.repeats + 1)
+
+
+def check_table(rig: Rig, cycle: PlateCycle) -> CycleUsage:
+    """Return a table's use of the rig's limits.
+
+    Raises
+    ------
+    CycleError
+        If it does not start at rest at home, exceeds a limit, or is too short or too long.
+    """
+    if not PERIOD[0] <= cycle.period <= PERIOD[1]:
+        raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")
+    if not cycle.starts_at_rest:
+        raise CycleError("table begins off home or moving, allowed: at rest at home")
+    peaks = usage(rig, cycle)
+    if not peaks.worst <= SLACK:
+        raise CycleError(
+            f"table needs {1e3 * peaks.stroke_m:.4g} mm, {peaks.speed:.4g} m/s and "
+            f"{peaks.accel:.4g} m/s2, allowed: {1e3 * rig.limits.stroke_m:g} mm, "
+            f"{rig.limits.speed:g} m/s and {rig.limits.accel:g} m/s2"
+        )
+    return peaks
