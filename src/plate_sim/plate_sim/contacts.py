@@ -99,7 +99,7 @@ def _separate(position, velocity, on_plate, pairs, found, radius):
     for _ in range(SWEEPS):
         deepest = 0.0
         for k in range(found):
-            i, j = pairs[k]
+            i, j = pairs[k, 0], pairs[k, 1]
             dx = position[i, 0] - position[j, 0]
             dy = position[i, 1] - position[j, 1]
             distance2 = dx * dx + dy * dy

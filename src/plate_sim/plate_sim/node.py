@@ -1,0 +1,239 @@
+"""The simulator node: plays motor tables, moves the parts, and takes the camera's images."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import PartSet, PlateCycle, PlateError, load_rig
+from plate_core.limits import CycleUsage
+from plate_core.parts import part_class
+from plate_core.ros.convert import (
+    array_to_image,
+    msg_to_motors,
+    nanoseconds,
+    parts_to_msg,
+    to_time,
+)
+from plate_core.ros.main import run_node
+from plate_core.ros.params import declare, parameter
+from plate_core.ros.qos import DATA, IMAGE
+from plate_core.scenario import load_scenario
+
+from .camera import NOISE, Camera, part_greys
+from .playback import Playback, check_table, next_playback
+from .world import WorldState, run_cycle
+
+START_NS = 1_000_000_000
+"""Simulated time of the first image [ns]: a zero stamp would mean "no time"."""
+
+CLOCK_PERIOD_S = 0.01
+"""Time between two messages on /clock [s, wall]."""
+
+REPORT_PERIOD_S = 1.0
+"""Time between two diagnostics, and between two copies of an unanswered image [s, wall]."""
+
+QUIET_S = 2.0
+"""Least time between two warnings of the same kind [s]."""
+
+NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Parameters of the simulator."""
+
+    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    scenario: str = parameter("sort_10", "Scenario whose parts are put on the plate.")
+    seed: int = parameter(0, "Seed of scattered parts and of the image noise.", 0, 2**31 - 1)
+    lockstep: bool = parameter(False, "Wait for the answer to each image, as fast as they come.")
+    rate: float = parameter(1.0, "Simulated seconds per wall second, if not lockstep.", 0.01, 100)
+    noise: float = parameter(NOISE, "Standard deviation of the image noise [grey values].", 0, 50)
+    mu_scale: float = parameter(1.0, "True friction over the rig file's.", 0.1, 10)
+    hold_cycles: int = parameter(5, "Repetitions of a table when no new one comes.", 0, 1000)
+    idle_period: float = parameter(0.1, "Length of a cycle while at rest [s].", 0.01, 10)
+
+
+class SimulatorNode(Node):
+    """Node `simulator`: subscribes motor_setpoints; publishes image_raw, camera_info, diagnostics
+    and, unless it runs in real time, /clock. `ground_truth` (parts on the plate with true names
+    and velocities) is for judging a run: no stage may subscribe to it.
+
+    Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
+    are moved to t_k+1. In real time the next cycle begins on schedule; in lockstep as soon as a
+    table with the stamp of image k has come.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("simulator")
+        self._options = options = declare(self, Options)
+        self._rig = load_rig(options.rig_file)
+        layout, self._noise = np.random.default_rng(options.seed).spawn(2)
+        self._state = WorldState.of_scenario(load_scenario(options.scenario), self._rig, layout)
+        self._grey = part_greys([part_class(name) for name in self._state.ids])
+        self._camera = Camera(self._rig, options.noise)
+        self._mu = self._rig.friction.mu * options.mu_scale
+        self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
+        self._newest: PlateCycle | None = None
+        self._usage = NO_USE
+        self._count = {"cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0}
+        self._simulated_time = options.lockstep or options.rate != 1
+        self._compile()
+        self._connect()
+        self._start()
+
+    def _compile(self) -> None:
+        """Have everything compiled before time starts."""
+        run_cycle(self._state, self._playback.cycle, self._rig)
+        self._camera.render(self._state.position, self._grey, np.random.default_rng(0))
+
+    def _connect(self) -> None:
+        self._images = self.create_publisher(Image, "image_raw", IMAGE)
+        self._infos = self.create_publisher(CameraInfo, "camera_info", IMAGE)
+        self._truths = self.create_publisher(MultiDOFJointState, "ground_truth", DATA)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        if self._simulated_time:
+            self._clocks = self.create_publisher(ClockMsg, "/clock", DATA)
+        self.create_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
+        # Wall time: our own /clock must not drive the timers that make it.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        if self._options.lockstep:
+            self._repeat = self.create_timer(REPORT_PERIOD_S, self._publish_image, clock=steady)
+        else:
+            self._alarm = self.create_timer(REPORT_PERIOD_S, self._on_alarm, clock=steady)
+            if self._simulated_time:
+                self.create_timer(CLOCK_PERIOD_S, self._publish_clock, clock=steady)
+
+    def _start(self) -> None:
+        system = Clock(clock_type=ClockType.SYSTEM_TIME)
+        self._time_ns = START_NS if self._simulated_time else system.now().nanoseconds
+        self._next_ns = self._time_ns  # when the next cycle begins
+        self._due_ns = time.monotonic_ns()  # the same on the wall
+        self._begin_cycle()
+
+    # Time
+
+    def _begin_cycle(self) -> None:
+        """Begin the next cycle: choose its table, take the image, move the parts to its end."""
+        self._time_ns = self._next_ns
+        options = self._options
+        self._playback = next_playback(
+            self._playback, self._newest, options.hold_cycles, options.idle_period
+        )
+        self._newest = None
+        self._take_image()
+        period_ns = round(self._playback.cycle.period * 1e9)
+        self._next_ns += period_ns
+        self._due_ns += round(period_ns / options.rate)
+        self._state = run_cycle(self._state, self._playback.cycle, self._rig, self._mu)
+        self._count["cycles"] += 1
+        self._count["held cycles"] += self._playback.repeats > 0
+        if not options.lockstep:
+            self._set_alarm()
+
+    def _set_alarm(self) -> None:
+        self._alarm.timer_period_ns = max(1, self._due_ns - time.monotonic_ns())
+        self._alarm.reset()
+
+    def _on_alarm(self) -> None:
+        behind_ns = time.monotonic_ns() - self._due_ns
+        if behind_ns > (self._next_ns - self._time_ns) / self._options.rate:
+            # More than a cycle late: the plate has waited at home, so go on from now.
+            self._due_ns += behind_ns
+            self._next_ns += 0 if self._simulated_time else behind_ns
+            self._count["late cycles"] += 1
+        self._begin_cycle()
+
+    def _publish_clock(self) -> None:
+        ahead_ns = (self._due_ns - time.monotonic_ns()) * self._options.rate
+        now_ns = self._next_ns - max(0, round(ahead_ns))
+        self._clocks.publish(ClockMsg(clock=to_time(max(self._time_ns, now_ns))))
+
+    # Tables
+
+    def _on_table(self, msg: JointTrajectory) -> None:
+        lockstep = self._options.lockstep
+        if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
+            return  # a second answer to an earlier image
+        try:
+            cycle = msg_to_motors(self._rig, msg)
+            self._usage = check_table(self._rig, cycle)
+            self._newest = cycle
+        except PlateError as error:
+            self._count["refused tables"] += 1
+            self.get_logger().warning(
+                f"motor table refused, the plate carries on: {error}",
+                throttle_duration_sec=QUIET_S,
+            )
+        if lockstep:
+            self._begin_cycle()
+
+    # Messages
+
+    def _take_image(self) -> None:
+        state = self._state
+        on, stamp = state.on_plate, to_time(self._time_ns)
+        pixels = self._camera.render(
+            state.position[on], self._grey[on], self._noise, state.velocity[on]
+        )
+        self._image = array_to_image(pixels, stamp)
+        self._publish_image()
+        ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
+        truth = PartSet.make(ids, state.position[on], state.velocity[on])
+        self._truths.publish(parts_to_msg(truth, stamp))
+
+    def _publish_image(self) -> None:
+        """Publish the last image; in lockstep again and again until it is answered."""
+        if self._simulated_time:
+            self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
+        self._images.publish(self._image)
+        self._infos.publish(self._camera_info())
+        if self._options.lockstep:
+            self._repeat.reset()
+
+    def _camera_info(self) -> CameraInfo:
+        """Nominal pinhole without distortion: the rig's corners are the calibration."""
+        camera = self._rig.camera
+        focal, u, v = float(camera.width_px), camera.width_px / 2, camera.height_px / 2
+        info = CameraInfo(header=self._image.header, distortion_model="plumb_bob")
+        info.width, info.height = camera.width_px, camera.height_px
+        info.d = [0.0] * 5
+        info.k = [focal, 0.0, u, 0.0, focal, v, 0.0, 0.0, 1.0]
+        info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        info.p = [focal, 0.0, u, 0.0, 0.0, focal, v, 0.0, 0.0, 0.0, 1.0, 0.0]
+        return info
+
+    def _report(self) -> None:
+        limits, used, dropped = self._rig.limits, self._usage, self._state.dropped
+        troubles = [f"parts dropped: {dropped}"] if dropped else []
+        if self._count["late cycles"]:
+            troubles.append(f"late cycles: {self._count['late cycles']}")
+        values = {
+            **self._count,
+            "parts dropped": dropped,
+            "stroke used": f"{used.stroke_m / limits.stroke_m:.3f}",
+            "speed used": f"{used.speed / limits.speed:.3f}",
+            "acceleration used": f"{used.accel / limits.accel:.3f}",
+            "true friction": f"{self._mu:g}",
+        }
+        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="simulation")
+        status.level = DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK
+        status.message = ", ".join(troubles) or "all parts on the plate, all cycles on time"
+        status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = to_time(self._time_ns)
+        self._diagnostics.publish(msg)
+
+
+def main() -> None:
+    """Run the simulator."""
+    run_node(SimulatorNode)

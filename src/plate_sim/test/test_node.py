@@ -1,0 +1,159 @@
+"""The simulator node in a graph of its own: time, answers, refusals."""
+
+# ruff: noqa: E402  (without ROS these tests are left out, before anything of it is imported)
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, load_rig
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core.ros.convert import image_to_array, motors_to_msg, msg_to_parts, nanoseconds
+from plate_core.ros.qos import CAMERA, DATA
+from plate_sim.node import START_NS, SimulatorNode
+
+RIG = load_rig()
+PATIENCE_S = 20.0
+"""A test that hears nothing for so long has failed [s]."""
+
+
+def push(period=0.05):
+    """Table that takes the plate 4 mm along x and back, at rest at both ends."""
+    t = np.arange(33) / 32
+    u, scale = t * (1 - t), 4e-3 * 4**3
+    pose, twist, accel = np.zeros((3, 33, 3))
+    pose[:, 0] = scale * u**3
+    twist[:, 0] = scale * 3 * u**2 * (1 - 2 * t) / period
+    accel[:, 0] = scale * (6 * u * (1 - 2 * t) ** 2 - 6 * u**2) / period**2
+    return PlateCycle.from_knots(period * t, pose, twist, accel)
+
+
+class Loop:
+    """A simulator, and a node that hears it and answers each image by `answer(index, stamp)`."""
+
+    def __init__(self, answer=None, **parameters):
+        arguments = ["--ros-args", "-r", f"__ns:=/test_{os.getpid()}"]
+        for name, value in parameters.items():
+            arguments += ["-p", f"{name}:={str(value).lower()}"]
+        rclpy.init(args=arguments)
+        self.answer = answer
+        self.images, self.infos, self.truths, self.reports = [], [], [], []
+        self.ear = Node("ear")
+        for kind, topic, heard, qos in (
+            (CameraInfo, "camera_info", self.infos.append, CAMERA),
+            (MultiDOFJointState, "ground_truth", self.truths.append, DATA),
+            (DiagnosticArray, "diagnostics", self.reports.append, DATA),
+            (Image, "image_raw", self.on_image, CAMERA),
+        ):
+            self.ear.create_subscription(kind, topic, heard, qos)
+        self.tables = self.ear.create_publisher(JointTrajectory, "motor_setpoints", DATA)
+        self.simulator = SimulatorNode()
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.ear)
+        self.executor.add_node(self.simulator)
+
+    def on_image(self, msg):
+        if not self.images or self.images[-1].header.stamp != msg.header.stamp:
+            self.images.append(msg)
+        if self.answer is not None:
+            self.tables.publish(self.answer(len(self.images) - 1, msg.header.stamp))
+
+    def spin(self, done, patience=PATIENCE_S):
+        end = time.monotonic() + patience
+        while not done() and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.1)
+        return done()
+
+    @property
+    def stamps(self):
+        return [nanoseconds(msg.header.stamp) for msg in self.images]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.simulator.destroy_node()
+        self.ear.destroy_node()
+        rclpy.try_shutdown()
+
+
+def good(index, stamp):
+    return motors_to_msg(RIG, push(), stamp)
+
+
+def lockstep_run(seed, count=6):
+    with Loop(good, lockstep=True, seed=seed) as loop:
+        assert loop.spin(lambda: len(loop.images) >= count and len(loop.truths) >= count)
+        pixels = [image_to_array(msg).copy() for msg in loop.images[:count]]
+        return loop.stamps[:count], pixels, [msg_to_parts(msg) for msg in loop.truths[-1:]]
+
+
+def test_lockstep_repeats_a_run_to_the_last_bit():
+    stamps, pixels, truths = lockstep_run(seed=3)
+    # Cycle 0 rests; the answer to image k is cycle k + 1.
+    assert stamps == [START_NS, *(START_NS + 100_000_000 + k * 50_000_000 for k in range(5))]
+    again = lockstep_run(seed=3)
+    assert again[0] == stamps
+    assert all(np.array_equal(a, b) for a, b in zip(pixels, again[1], strict=True))
+    assert not np.array_equal(pixels[0], lockstep_run(seed=4, count=1)[1][0])
+    assert truths[0].ids[:2] == ("black_1", "black_2")
+
+
+def test_lockstep_waits_and_asks_again():
+    with Loop(lockstep=True) as loop:
+        assert loop.spin(lambda: len(loop.infos) >= 2)
+        assert len(loop.images) == 1
+        loop.answer = good
+        assert loop.spin(lambda: len(loop.images) >= 3)
+        assert (loop.infos[0].width, loop.infos[0].height) == (640, 480)
+
+
+def spoilt(index, stamp):
+    """Answers of which none may be played."""
+    msg = motors_to_msg(RIG, push(), stamp)
+    if index % 4 == 0:
+        msg.points[5].positions[0] = float("nan")
+    elif index % 4 == 1:
+        msg.joint_names[0] = "motor_9"
+    elif index % 4 == 2:
+        msg.points = msg.points[3:]  # does not start at rest, nor at 0
+    else:
+        msg = motors_to_msg(RIG, push().scaled(3.0), stamp)
+    return msg
+
+
+def test_bad_tables_are_refused_and_the_plate_carries_on():
+    with Loop(spoilt, lockstep=True) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 9)
+        loop.answer = None
+        loop.reports.clear()
+        assert loop.spin(lambda: bool(loop.reports))
+        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
+        assert int(values["refused tables"]) >= 8
+        assert set(np.diff(loop.stamps)) == {100_000_000}  # it only rested
+        assert np.array_equal(
+            msg_to_parts(loop.truths[0]).position, msg_to_parts(loop.truths[-1]).position
+        )
+
+
+def test_real_time_goes_on_without_answers():
+    with Loop(idle_period=0.02) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 5)
+        # On schedule, or shifted by being late on a busy machine; never closer.
+        assert min(np.diff(loop.stamps)) >= 20_000_000
+        assert abs(loop.stamps[-1] * 1e-9 - time.time()) < PATIENCE_S
+
+
+def test_real_time_takes_tables_as_they_come():
+    with Loop(good, idle_period=0.03) as loop:
+        assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
