@@ -120,7 +120,8 @@ class PlateCycle:
         Raises
         ------
         CycleError
-            If times do not rise from 0, a value is not finite, or the motion does not close.
+            If times do not rise from 0, a value is not finite or too large to compute with, or the
+            motion does not close.
         """
         times = np.array(times, dtype=float)
         states = [np.array(a, dtype=float) for a in (pose, twist, accel)]
@@ -145,7 +146,11 @@ class PlateCycle:
         for array in (times, *states):
             array.setflags(write=False)
         pose, twist, accel = states
-        return cls(times, pose, twist, accel, _quintic(times, pose, twist, accel))
+        with np.errstate(all="ignore"):
+            coefficients = _quintic(times, pose, twist, accel)
+        if not np.all(np.isfinite(coefficients)):
+            raise CycleError("knots are too large, or too close in time, to compute a motion")
+        return cls(times, pose, twist, accel, coefficients)
 
     @classmethod
     def from_samples(

@@ -215,6 +215,12 @@ def test_wrong_samples_are_refused(period, pose, message):
         PlateCycle.from_samples(period, pose)
 
 
+@pytest.mark.parametrize("arguments", [broken(1, (3, 0), 1e305), broken(0, (1,), 1e-200)])
+def test_knots_beyond_computing_are_refused(arguments):
+    with pytest.raises(CycleError, match="knots are too large, or too close in time, to compute"):
+        PlateCycle.from_knots(*arguments)
+
+
 def test_knots_cannot_be_changed():
     cycle = random_cycle(9)
     with pytest.raises(ValueError, match="read-only"):

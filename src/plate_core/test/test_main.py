@@ -1,0 +1,78 @@
+"""run_node: a clean start and a clean stop."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+DOMAIN = 1 + (37 * os.getpid() + 5) % 99
+NODE = """
+import sys, time
+from rclpy.node import Node
+from plate_core import PlateError
+from plate_core.ros.main import run_node
+
+class Talker(Node):
+    def __init__(self):
+        super().__init__("talker")
+        if "refuse" in sys.argv:
+            raise PlateError("size is 3, allowed: 1 to 2")
+        self.create_timer(0.01, self.tick)
+
+    def tick(self):
+        if "break" in sys.argv:
+            raise RuntimeError("a defect")
+        print("ready", flush=True)
+
+    def destroy_node(self):
+        time.sleep(0.2)
+        print("last words, ROS works:", self.context.ok(), flush=True)
+        super().destroy_node()
+
+run_node(Talker)
+"""
+
+
+def start(*words: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-c", NODE, *words],
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_signals_end_it_in_peace():
+    with start() as process:
+        assert process.stdout.readline() == "ready\n"
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.25)  # the teardown is under way
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
+        output, errors = process.communicate(timeout=10)
+        assert time.monotonic() - began < 3
+    assert process.returncode == 0, errors
+    assert output.endswith("last words, ROS works: True\n")
+    assert errors == ""
+
+
+def test_wrong_input_is_one_line_and_code_2():
+    with start("refuse") as process:
+        _, errors = process.communicate(timeout=10)
+    assert process.returncode == 2
+    assert errors == "error: size is 3, allowed: 1 to 2\n"
+
+
+def test_a_defect_is_a_traceback_and_code_1():
+    with start("break") as process:
+        output, errors = process.communicate(timeout=10)
+    assert process.returncode == 1
+    assert "RuntimeError: a defect" in errors
+    assert output == "last words, ROS works: True\n"

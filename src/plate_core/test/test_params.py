@@ -1,0 +1,104 @@
+"""Parameters as data: defaults, values of the command line, changes while the node runs."""
+
+import os
+from dataclasses import dataclass
+
+import pytest
+
+from plate_core import PlateError
+
+rclpy = pytest.importorskip("rclpy")
+from rclpy.parameter import Parameter  # noqa: E402
+
+from plate_core.ros.params import declare, follow, parameter  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Options:
+    """Parameters of a node for this test."""
+
+    gain: float = parameter(1.0, "Gain [1/s].", 0.0, 10.0, live=True)
+    count: int = parameter(3, "Number of parts.", 1, 9, live=True)
+    method: str = parameter("fast", "Way to do it.", choices=("fast", "exact"))
+    name: str = parameter("", "Any text.")
+    on: bool = parameter(True, "Whether it is on.", live=True)
+
+
+@pytest.fixture(name="make_node")
+def _make_node():
+    nodes = []
+
+    def make_node(*assignments: str):
+        args = [word for a in assignments for word in ("-p", a)]
+        rclpy.init(
+            args=["--ros-args", *args] if args else [], domain_id=1 + (41 * os.getpid()) % 99
+        )
+        nodes.append(rclpy.create_node("parametric"))
+        return nodes[-1]
+
+    yield make_node
+    for node in nodes:
+        node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_defaults(make_node):
+    assert declare(make_node(), Options) == Options()
+
+
+def test_values_of_the_command_line(make_node):
+    node = make_node("gain:=2", "count:=9", "method:=exact", "name:=some", "on:=false")
+    assert declare(node, Options) == Options(2.0, 9, "exact", "some", False)
+
+
+def test_descriptions_are_told(make_node):
+    node = make_node()
+    declare(node, Options)
+    assert node.describe_parameter("gain").description == "Gain [1/s]."
+    assert node.describe_parameter("gain").additional_constraints == "0.0 to 10.0"
+    assert node.describe_parameter("method").additional_constraints == "one of fast, exact"
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("gain:=10.5", "parameter gain is 10.5, allowed: 0.0 to 10.0"),
+        ("gain:=.nan", "parameter gain is nan, allowed: 0.0 to 10.0"),
+        ("gain:=fast", "parameter gain is 'fast', allowed: a value of type float"),
+        ("count:=0", "parameter count is 0, allowed: 1 to 9"),
+        ("count:=2.0", "parameter count is 2.0, allowed: a value of type int"),
+        ("count:=true", "parameter count is True, allowed: a value of type int"),
+        ("method:=slow", "parameter method is 'slow', allowed: one of fast, exact"),
+        ("name:=3", "parameter name is 3, allowed: a value of type str"),
+        ("on:=1", "parameter on is 1, allowed: a value of type bool"),
+    ],
+)
+def test_wrong_values_are_refused(make_node, assignment, message):
+    node = make_node(assignment)
+    with pytest.raises(PlateError) as caught:
+        declare(node, Options)
+    assert str(caught.value) == message
+
+
+def test_changes_while_running(make_node):
+    node = make_node()
+    changes: list[Options] = []
+    keep = follow(node, declare(node, Options), changes.append)
+    assert callable(keep)
+
+    def change(name, value):
+        return node.set_parameters([Parameter(name, value=value)])[0]
+
+    assert change("gain", 4.0).successful
+    assert change("count", 5).successful
+    assert changes[-1] == Options(gain=4.0, count=5)
+    for name, value, reason in (
+        ("gain", 11.0, "parameter gain is 11.0, allowed: 0.0 to 10.0"),
+        ("on", "yes", "parameter on is 'yes', allowed: a value of type bool"),
+        ("method", "exact", "parameter method is read when the node starts; restart to change it"),
+    ):
+        result = change(name, value)
+        assert not result.successful
+        assert result.reason == reason
+    assert changes[-1] == Options(gain=4.0, count=5)
+    assert change("use_sim_time", True).successful  # not ours

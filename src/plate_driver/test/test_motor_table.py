@@ -1,0 +1,86 @@
+"""prepare(): the whole way of a cycle through the driver; and the order of stamps."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly
+
+from plate_core import CycleError, PlateCycle, load_rig
+from plate_core.kinematics import motor_state, plate_state
+from plate_driver.motor_table import MAX_KNOTS, RESTART_NS, MotorTable, check_order, prepare
+
+RIG = load_rig()
+SECOND = 1_000_000_000
+
+
+def foreign(size: float, period: float = 0.1, knots: int = 16) -> PlateCycle:
+    pose = size * np.random.default_rng(knots).normal(size=(knots, 3)) * [1, 1, 5]
+    return PlateCycle.from_samples(period, pose)
+
+
+def test_rest():
+    table, fit = prepare(RIG, PlateCycle.rest(0.05), 7)
+    assert table.stamp_ns == 7
+    assert fit.factor == 1
+    assert not np.any(table.q)
+    assert not np.any(MotorTable.rest(RIG, 0.05, 7).qdd)
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.01, 100.0])
+def test_table_does_what_the_cycle_says(size):
+    table, fit = prepare(RIG, foreign(size), 1)
+    assert table.cycle is fit.cycle
+    pose, twist, accel = plate_state(RIG, table.q, table.qd, table.qdd)
+    np.testing.assert_allclose(pose, fit.cycle.knot_pose, atol=1e-14)
+    np.testing.assert_allclose(twist, fit.cycle.knot_twist, atol=1e-12)
+    np.testing.assert_allclose(accel, fit.cycle.knot_accel, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.001, 0.01, 100.0])
+def test_motors_that_spline_by_themselves_keep_the_limits_too(size):
+    # Motor controllers draw quintics through the motors' knots, not through the plate's: the two
+    # differ by the small curvature of the kinematics, which must not break a limit.
+    for seed in range(10):
+        table, _ = prepare(RIG, foreign(size, knots=12 + seed), 1)
+        states = np.stack([table.q, table.qd, table.qdd], axis=1)
+        spline = BPoly.from_derivatives(table.cycle.times, states)
+        t = np.linspace(0, table.cycle.period, 5000)
+        assert np.max(np.abs(spline(t))) <= RIG.limits.stroke_m * (1 + 1e-3)
+        assert np.max(np.abs(spline.derivative()(t))) <= RIG.limits.speed * (1 + 1e-3)
+        ours = motor_state(RIG, table.cycle.pose(t), table.cycle.twist(t), table.cycle.accel(t))[0]
+        np.testing.assert_allclose(spline(t), ours, atol=2e-5)
+
+
+def test_scaled_from_rest_is_still_from_rest():
+    table, fit = prepare(RIG, foreign(1.0), 1, repeats=2)
+    assert 0 < fit.factor < 0.1
+    assert table.cycle.starts_at_rest
+    assert table.cycle.period == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("period", [0.0049, 61.0])
+def test_strange_periods_are_refused(period):
+    with pytest.raises(CycleError, match=r"period is .* s, allowed: 0\.005 to 60\.0 s"):
+        prepare(RIG, PlateCycle.rest(period), 1)
+
+
+def test_too_many_knots_are_refused():
+    with pytest.raises(CycleError, match="2002 knots, allowed: at most 2000"):
+        prepare(RIG, foreign(1e-4, knots=MAX_KNOTS + 1), 1)
+
+
+def test_stamps_in_order():
+    check_order(None, 0)
+    check_order(5, 5)
+    check_order(5, 6)
+
+
+def test_old_stamps_are_refused():
+    now = 100 * SECOND
+    for late in (1, RESTART_NS):
+        with pytest.raises(CycleError, match=r"is older than the last, 100\.0+ s, allowed"):
+            check_order(now, now - late)
+
+
+def test_stamps_far_back_are_a_new_beginning():
+    check_order(100 * SECOND, 100 * SECOND - RESTART_NS - 1)
+    check_order(100 * SECOND, 0)

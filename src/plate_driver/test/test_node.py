@@ -1,0 +1,321 @@
+"""The driver as a process of its own, spoken to over ROS."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, PlateError, load_rig
+from plate_core.kinematics import motor_state
+
+rclpy = pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
+
+from plate_core.ros.convert import (  # noqa: E402
+    cycle_to_msg,
+    msg_to_motors,
+    nanoseconds,
+    to_time,
+)
+from plate_core.ros.qos import DATA  # noqa: E402
+from plate_driver.node import DriverNode  # noqa: E402
+
+DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
+DOMAIN = 1 + (31 * os.getpid() + 17) % 99
+PERIOD = 0.1
+MS = 1_000_000
+LAST_STAMP = 90_000 * MS
+
+
+def shaking(amplitude: float) -> PlateCycle:
+    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
+    t = np.arange(48) * PERIOD / 48
+    wave = np.sin(np.pi * t / PERIOD) ** 4
+    phase = 4 * np.pi * t / PERIOD
+    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
+    cycle = PlateCycle.from_samples(PERIOD, amplitude * pose)
+    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
+    twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
+    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+
+
+class Peer:
+    """A driver process and a node that listens to it."""
+
+    def __init__(self, *parameters: str) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node("peer", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.setpoints: list[JointTrajectory] = []
+        self.states: list[JointState] = []
+        self.reports: list[DiagnosticArray] = []
+        for kind, topic, received in (
+            (JointTrajectory, "motor_setpoints", self.setpoints),
+            (JointState, "motor_states", self.states),
+            (DiagnosticArray, "diagnostics", self.reports),
+        ):
+            self.node.create_subscription(kind, topic, received.append, DATA)
+        self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        env = os.environ | {
+            "ROS_DOMAIN_ID": str(DOMAIN),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONUNBUFFERED": "1",
+        }
+        arguments = [word for p in parameters for word in ("-p", p)]
+        command = DRIVER + (["--ros-args", *arguments] if arguments else [])
+        self.process = subprocess.Popen(
+            command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+
+    def until(self, condition, seconds: float = 5.0) -> bool:
+        """Spin until the condition holds; False when it takes too long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+            if condition():
+                return True
+        return False
+
+    def connect(self) -> None:
+        assert self.until(
+            lambda: (
+                self.cycles.get_subscription_count() > 0
+                and self.node.count_publishers("motor_setpoints") > 0
+            )
+        ), self.end()
+
+    def send(self, cycle: PlateCycle, stamp_ns: int) -> None:
+        self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
+
+    def answer(self, stamp_ns: int, count: int = 1) -> JointTrajectory:
+        """Wait for the setpoints with a stamp; `count` of them."""
+
+        def found() -> list[JointTrajectory]:
+            return [m for m in self.setpoints if nanoseconds(m.header.stamp) == stamp_ns]
+
+        assert self.until(lambda: len(found()) >= count), f"no answer to stamp {stamp_ns}"
+        return found()[-1]
+
+    def call(self, kind, name: str, request):
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(timeout_sec=5.0)
+        future = client.call_async(request)
+        assert self.until(future.done)
+        self.node.destroy_client(client)
+        return future.result()
+
+    def change(self, transition: str) -> bool:
+        request = ChangeState.Request()
+        request.transition.label = transition
+        return self.call(ChangeState, "driver/change_state", request).success
+
+    def state(self) -> str:
+        return self.call(GetState, "driver/get_state", GetState.Request()).current_state.label
+
+    def end(self, number: int = signal.SIGINT) -> tuple[int, str]:
+        """Signal the driver; return its exit code and all it printed."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        output, _ = self.process.communicate(timeout=10)
+        return self.process.returncode, output
+
+    def close(self) -> None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.end()
+        self.process.kill()
+        self.process.wait()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(name="rig", scope="module")
+def _rig():
+    return load_rig()
+
+
+@pytest.fixture(name="peer")
+def _peer(request):
+    peer = Peer(*getattr(request, "param", ()))
+    yield peer
+    peer.close()
+
+
+def at_rest(msg: JointTrajectory) -> bool:
+    return not any(
+        value for p in msg.points for value in (*p.positions, *p.velocities, *p.accelerations)
+    )
+
+
+# Tests of the driver's life come in few, long pieces: to start one takes most of a second.
+
+
+def test_good_and_bad_cycles(peer, rig):
+    peer.connect()
+    stamp = 1_000 * MS
+    # A cycle within the limits is passed on as it is.
+    gentle = shaking(0.0005)
+    peer.send(gentle, stamp)
+    motors = peer.answer(stamp)
+    q, qd, qdd = motor_state(rig, gentle.knot_pose, gentle.knot_twist, gentle.knot_accel)
+    assert motors.joint_names == ["motor_1", "motor_2", "motor_3", "motor_4"]
+    np.testing.assert_allclose([p.positions for p in motors.points], q, atol=1e-12)
+    np.testing.assert_allclose([p.velocities for p in motors.points], qd, atol=1e-12)
+    np.testing.assert_allclose([p.accelerations for p in motors.points], qdd, atol=1e-12)
+    # The same stamp again is answered again: the first answer may have been missed.
+    peer.send(gentle, stamp)
+    peer.answer(stamp, count=2)
+
+    # A wild one comes back scaled down, the same motion.
+    stamp += 100 * MS
+    wild = shaking(0.1)
+    peer.send(wild, stamp)
+    applied = msg_to_motors(rig, peer.answer(stamp))
+    factor = applied.knot_pose[24, 2] / wild.knot_pose[24, 2]
+    assert 0 < factor < 0.2
+    np.testing.assert_allclose(applied.knot_pose, factor * wild.knot_pose, atol=1e-9)
+
+    # Bad ones are not answered, and the driver goes on.
+    good_msg = cycle_to_msg(gentle, to_time(stamp + 100 * MS))
+    joints = cycle_to_msg(gentle, good_msg.header.stamp)
+    joints.joint_names = ["x", "y", "z"]
+    nan = cycle_to_msg(gentle, good_msg.header.stamp)
+    nan.points[3].velocities[1] = float("nan")
+    open_end = cycle_to_msg(gentle, good_msg.header.stamp)
+    open_end.points[-1].positions[0] = 0.004
+    unsorted = cycle_to_msg(gentle, good_msg.header.stamp)
+    unsorted.points[5].time_from_start.nanosec = 1
+    stale = cycle_to_msg(gentle, to_time(stamp - 50 * MS))
+    before = len(peer.setpoints)
+    for bad in (joints, nan, open_end, unsorted, stale, JointTrajectory()):
+        peer.cycles.publish(bad)
+        peer.until(lambda: False, seconds=0.02)  # the queue holds five
+    peer.cycles.publish(good_msg)
+    peer.answer(stamp + 100 * MS)
+    answered = {nanoseconds(m.header.stamp) for m in peer.setpoints[before:]}
+    # A rest table of the watchdog may have come between, with the stamp of the last good cycle.
+    assert answered <= {stamp, stamp + 100 * MS}
+
+    # A stamp far back is a simulator that began anew.
+    peer.send(gentle, 0)
+    peer.answer(0)
+
+    # What happened is in the diagnostics.
+    def totals():
+        return [{v.key: v.value for v in r.status[0].values} for r in peer.reports]
+
+    assert peer.until(lambda: any(r["refused"] == "6" and r["cycles"] == "5" for r in totals()))
+    assert totals()[-1]["scaled"] == "1"
+    assert any(float(r["worst_limit_share"]) > 5 for r in totals())
+    assert peer.until(lambda: len(peer.states) > 0)
+    assert peer.states[-1].name == motors.joint_names
+
+    # It rests before it ends.
+    peer.send(gentle, LAST_STAMP)
+    assert not at_rest(peer.answer(LAST_STAMP))
+    code, output = peer.end(signal.SIGINT)
+    assert code == 0, output
+    assert at_rest(peer.answer(LAST_STAMP, count=2))
+    assert "Traceback" not in output
+    assert "cycle refused: " in output
+    assert "cycle scaled by" in output
+
+
+@pytest.mark.parametrize("peer", [["hold_cycles:=2"]], indirect=True)
+def test_foreign_cycle_and_rest(peer, rig):
+    peer.connect()
+    t = np.arange(24) * PERIOD / 24
+    pose = 0.001 * np.column_stack([np.cos(2 * np.pi * t / PERIOD)] * 3)
+    peer.send(PlateCycle.from_samples(PERIOD, pose), MS)
+    applied = msg_to_motors(rig, peer.answer(MS))
+    assert applied.starts_at_rest
+    assert applied.period == pytest.approx(3 * PERIOD)
+    # No more cycles: the plate rests, once, in the same rhythm.
+    sent = time.monotonic()
+    rest = peer.answer(MS, count=2)
+    assert at_rest(rest)
+    assert rest.points[-1].time_from_start.nanosec == pytest.approx(3 * PERIOD * 1e9)
+    assert 6 * PERIOD - 0.1 < time.monotonic() - sent < 2
+    # A signal while the plate moves: it rests before the driver ends.
+    peer.send(shaking(0.0005), LAST_STAMP)
+    assert not at_rest(peer.answer(LAST_STAMP))
+    code, output = peer.end(signal.SIGTERM)
+    assert code == 0, output
+    assert "Traceback" not in output
+    assert "no plate_cycle for 0.6 s: the plate is brought to rest" in output
+    assert at_rest(peer.answer(LAST_STAMP, count=2))
+
+
+@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
+def test_lifecycle(peer):
+    assert peer.state() == "unconfigured"
+    assert peer.change("configure")
+    assert peer.state() == "inactive"
+    peer.connect()
+    peer.send(shaking(0.0005), LAST_STAMP)
+    assert not peer.until(lambda: peer.setpoints, seconds=0.3), "an inactive driver sends nothing"
+    assert peer.change("activate")
+    peer.send(shaking(0.0005), LAST_STAMP)
+    assert not at_rest(peer.answer(LAST_STAMP))
+    assert peer.change("deactivate")
+    assert at_rest(peer.answer(LAST_STAMP, count=2))
+    assert peer.change("cleanup")
+    assert peer.state() == "unconfigured"
+    # A second life.
+    assert peer.change("configure")
+    assert peer.change("activate")
+    peer.connect()
+    peer.send(shaking(0.0005), LAST_STAMP + MS)
+    assert not at_rest(peer.answer(LAST_STAMP + MS))
+    assert peer.change("shutdown")
+    assert at_rest(peer.answer(LAST_STAMP + MS, count=2))
+    code, output = peer.end()
+    assert code == 0, output
+    assert "Traceback" not in output
+
+
+def test_wrong_parameter_ends_the_process():
+    result = subprocess.run(
+        [*DRIVER, "--ros-args", "-p", "transport:=serial"],
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
+        capture_output=True,
+        text=True,
+        timeout=15,
+    )
+    assert result.returncode == 2
+    assert result.stderr.endswith(
+        "error: transport is 'serial', allowed: sim (serial arrives with the hardware release)\n"
+    )
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("parameter", "message"),
+    [
+        ("hold_cycles:=0", "parameter hold_cycles is 0, allowed: 1 to 1000"),
+        ("hold_cycles:=2.5", "parameter hold_cycles is 2.5, allowed: a value of type int"),
+        ("repeats:=101", "parameter repeats is 101, allowed: 1 to 100"),
+        ("state_rate:=-1.0", "parameter state_rate is -1.0, allowed: 0.0 to 200.0"),
+        ("autostart:=1", "parameter autostart is 1, allowed: a value of type bool"),
+        ("rig_file:=nowhere.yaml", "nowhere.yaml: no such file"),
+    ],
+)
+def test_wrong_parameters_are_refused_at_start(parameter, message):
+    rclpy.init(args=["--ros-args", "-p", parameter], domain_id=DOMAIN)
+    try:
+        with pytest.raises(PlateError, match=re.escape(message)):
+            DriverNode()
+    finally:
+        rclpy.shutdown()
