@@ -67,9 +67,9 @@ def plate_state(
         along, across = _projections(point, direction, pose[:, 2])
         error = q - (pose[:, :2] @ direction.T + along - home)
         jacobian = _jacobian(direction, across)
-        pose = pose + np.linalg.solve(_normal(jacobian), _project(jacobian, error)[..., None])[
-            ..., 0
-        ]
+        pose = (
+            pose + np.linalg.solve(_normal(jacobian), _project(jacobian, error)[..., None])[..., 0]
+        )
     along, across = _projections(point, direction, pose[:, 2])
     error = q - (pose[:, :2] @ direction.T + along - home)
     if error.size and np.max(np.abs(error)) > CONSISTENCY_TOLERANCE:

@@ -228,7 +228,9 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
         for m in motors
     ]
     if np.linalg.matrix_rank(np.array(rows), tol=1e-3) < 3:
-        raise RigError("motors: their directions and points cannot move the plate in x, y and theta")
+        raise RigError(
+            "motors: their directions and points cannot move the plate in x, y and theta"
+        )
     return tuple(motors)
 
 

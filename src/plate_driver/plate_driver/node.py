@@ -174,7 +174,7 @@ class DriverNode(LifecycleNode):
         self._active = False
         self._rest()
         if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
-            self.get_logger().warning("not everyone has confirmed the last motor table")
+            self.get_logger().debug("not everyone has confirmed the last motor table")
 
     def _release(self) -> None:
         for timer in self._timers_made:
