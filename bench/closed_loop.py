@@ -1,0 +1,117 @@
+"""Closed-loop runs without ROS, many seeds, one JSON row per run.
+
+    python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from loop import Setup, summary, with_settings
+from plate_core import PlateError, load_rig
+from plate_core.scenario import load_scenario
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    args = _arguments()
+    try:
+        rig = load_rig(args.rig)
+        load_scenario(args.scenario)
+        settings = dict(_pair(text) for text in args.set)
+        setups = [with_settings(Setup(args.scenario, seed), settings) for seed in args.seeds]
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    rows = []
+    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs")
+    for row in _rows(setups, args):
+        rows.append(row)
+        print(_line(row), flush=True)
+        if args.json:
+            args.json.parent.mkdir(parents=True, exist_ok=True)
+            args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(_conclusion(rows))
+    return 0
+
+
+def _rows(setups: list[Setup], args: argparse.Namespace) -> Iterator[dict[str, object]]:
+    """Yield a row per run, in the order of the seeds, whatever the number of workers."""
+    if args.workers == 1:
+        rig = load_rig(args.rig)
+        for setup in setups:
+            yield summary(setup, rig)
+        return
+    with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_summary, setups, [args.rig] * len(setups))
+
+
+def _summary(setup: Setup, rig_file: str) -> dict[str, object]:
+    return summary(setup, load_rig(rig_file))
+
+
+def _line(row: dict) -> str:
+    rms = "" if row["rms_error_m"] is None else f"  RMS {1e3 * row['rms_error_m']:.3f} mm"
+    return (
+        f"seed {row['seed']:4d}  {'ok  ' if row['success'] else 'FAIL'}  {row['time_s']:6.1f} s"
+        f"  dropped {row['dropped']}{rms}  missed {100 * row['missed_share']:.0f} %"
+        f"  solve {row['solve_ms_median']:.1f} ms, p99 {row['solve_ms_p99']:.1f}"
+        + ("" if row["success"] else f"  {row['message']}")
+    )
+
+
+def _conclusion(rows: list[dict]) -> str:
+    good = [row for row in rows if row["success"]]
+    text = f"{len(good)} of {len(rows)} ended well, {sum(r['dropped'] for r in rows)} parts dropped"
+    if good:
+        times = [row["time_s"] for row in good]
+        text += f"; time median {np.median(times):.1f} s, most {max(times):.1f} s"
+    errors = [row["rms_error_m"] for row in rows if row["rms_error_m"] is not None]
+    if errors:
+        text += f"; RMS median {1e3 * np.median(errors):.3f} mm, most {1e3 * max(errors):.3f} mm"
+    return text
+
+
+def _pair(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise PlateError(f"setting is {text!r}, allowed: key=value")
+    return key, value
+
+
+def _seeds(text: str) -> range:
+    first, colon, end = text.partition(":")
+    try:
+        seeds = range(int(first), int(end) if colon else int(first) + 1)
+    except ValueError:
+        seeds = range(0)
+    if not len(seeds) or seeds[0] < 0:
+        raise argparse.ArgumentTypeError(f"seeds are {text!r}, allowed: A:B with 0 <= A < B, or A")
+    return seeds
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="sort_10", help="name or path (sort_10)")
+    parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, without B (0:3)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="method, noise, kp, ..."
+    )
+    parser.add_argument("--json", type=Path, help="file for the rows")
+    parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")
+    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
+    args = parser.parse_args()
+    if args.workers < 1:
+        parser.error(f"--workers is {args.workers}, allowed: 1 or more")
+    return args
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,213 @@
+"""The closed loop without ROS: the same cores as the nodes, composed in one process.
+
+Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
+from plate_core.parts import part_class
+from plate_core.scenario import FollowTask, Scenario, load_scenario
+from plate_driver.motor_table import prepare
+from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
+from plate_planner.following import Follower
+from plate_planner.planner import PlannerState
+from plate_planner.progress import Progress
+from plate_sim.camera import NOISE, Camera, part_greys
+from plate_sim.world import WorldState, run_cycle
+from plate_solver import Controller
+from plate_solver.controller import METHODS, Answer
+from plate_vision.tracking import Tracker
+from plate_vision.vision import look, make_vision
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One run: what is to be done, by which method, in which world.
+
+    Attributes
+    ----------
+    scenario : str
+        Name or path.
+    seed : int
+        Of scattered parts, image noise and the solver's restarts.
+    method : str
+        A key of `METHODS`.
+    noise : float
+        Image noise [grey levels].
+    mu_scale : float
+        True friction over the rig's.
+    planner : PlannerOptions
+    """
+
+    scenario: str
+    seed: int = 0
+    method: str = "sinusoids"
+    noise: float = NOISE
+    mu_scale: float = 1.0
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+
+
+def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
+    """Return the setup with settings `key=value` of the command line.
+
+    Keys are fields of `Setup`, `SortOptions` and `FollowOptions`.
+
+    Raises
+    ------
+    PlateError
+        If a key is unknown or a value does not fit.
+    """
+    sort, follow = setup.planner.sort, setup.planner.follow
+    for key, text in settings.items():
+        try:
+            if key == "method" and text in METHODS:
+                setup = replace(setup, method=METHODS[text])
+            elif key in ("noise", "mu_scale"):
+                setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
+            elif key in {f.name for f in fields(SortOptions)}:
+                sort = replace(sort, **{key: float(text)})
+            elif key in {f.name for f in fields(FollowOptions)}:
+                follow = replace(follow, **{key: float(text)})
+            else:
+                raise KeyError(key)
+        except KeyError:
+            known = ["method", "noise", "mu_scale"]
+            known += [f.name for kind in (SortOptions, FollowOptions) for f in fields(kind)]
+            raise PlateError(f"setting {key!r}, allowed: {', '.join(known)}") from None
+        except ValueError:
+            raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
+    return replace(setup, planner=replace(setup.planner, sort=sort, follow=follow))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there is to know at the start of one cycle, for judging and drawing.
+
+    Attributes
+    ----------
+    time : float
+        Since the first image [s].
+    world : WorldState
+        True parts.
+    parts : PartSet
+        As seen.
+    asked : PartSet
+        As asked of the solver.
+    answer : Answer
+        Cycle to run next.
+    progress : Progress
+    image : (H, W)
+        What the camera saw.
+    solve_s : float
+        Time the answer took [s].
+    limit_share : float
+        Greatest share of a limit that the motors' table uses.
+    error_m : (P,)
+        True distance of each seen part from its reference [m]; empty for other tasks.
+    """
+
+    time: float
+    world: WorldState
+    parts: PartSet
+    asked: PartSet
+    answer: Answer
+    progress: Progress
+    image: np.ndarray
+    solve_s: float
+    limit_share: float
+    error_m: np.ndarray
+
+
+def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
+    """Run the loop until the task has ended; yields every cycle."""
+    rig = rig or load_rig()
+    scenario = load_scenario(setup.scenario)
+    layout, noise = np.random.default_rng(setup.seed).spawn(2)
+    world = WorldState.of_scenario(scenario, rig, layout)
+    grey = part_greys([part_class(name) for name in world.ids])
+    camera = Camera(rig, setup.noise)
+    vision, tracker = make_vision(rig), Tracker()
+    planner = Planner(rig, scenario, setup.planner)
+    state = planner.start(planner.initial())
+    controller = Controller(rig, setup.method, seed=setup.seed)
+    running = next_cycle = PlateCycle.rest(0.1)
+    t = 0.0
+    while True:
+        running = next_cycle
+        on = world.on_plate
+        image = camera.render(world.position[on], grey[on], noise, world.velocity[on])
+        tracker = look(vision, tracker, image, t)
+        state, asked, progress = planner.plan(state, tracker.parts, t)
+        began = time.perf_counter()
+        answer = controller.answer(asked, running)
+        solve_s = time.perf_counter() - began
+        table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
+        next_cycle = table.cycle
+        error = _true_error(scenario, rig, state, tracker.parts, world, t)
+        yield Moment(
+            t, world, tracker.parts, asked, answer, progress, image, solve_s,
+            fitted.usage.worst, error,
+        )  # fmt: skip
+        if progress.phase in ("done", "failed"):
+            return
+        world = run_cycle(world, running, rig, rig.friction.mu * setup.mu_scale)
+        t += running.period
+
+
+def _true_error(
+    scenario: Scenario,
+    rig: Rig,
+    state: PlannerState,
+    parts: PartSet,
+    world: WorldState,
+    t: float,
+) -> np.ndarray:
+    """Distance (P,) [m] of the true parts from their references, once these move."""
+    task = scenario.task
+    if not isinstance(task, FollowTask) or not state.follow.match or not len(world.position):
+        return np.zeros(0)
+    reference = Follower(task, rig).reference(state.follow, t)
+    seen = dict(zip(parts.ids, parts.position, strict=True))
+    errors = []
+    for k, name in enumerate(state.follow.match):
+        if name in seen:
+            true = np.argmin(np.sum((world.position - seen[name]) ** 2, axis=1))
+            errors.append(np.linalg.norm(world.position[true] - reference[k]))
+    return np.array(errors)
+
+
+def summary(setup: Setup, rig: Rig) -> dict[str, object]:
+    """Run the loop and return the row that `bench/closed_loop.py` prints."""
+    solve_s, shares, errors, misses, asks = [], [], [], [], []
+    for moment in run(setup, rig):
+        if moment.answer.solution is not None:
+            solve_s.append(moment.solve_s)
+            misses.append(moment.answer.error_m)
+            asks.append(moment.answer.asked_m)
+        shares.append(moment.limit_share)
+        errors.append(moment.error_m)
+    error = np.concatenate(errors)
+    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
+    return {
+        "scenario": setup.scenario,
+        "seed": setup.seed,
+        "method": setup.method,
+        "success": moment.progress.phase == "done" and moment.world.dropped == 0,
+        "message": moment.progress.text,
+        "time_s": round(moment.progress.time_s, 3),
+        "dropped": moment.world.dropped,
+        "parts": len(moment.world.ids),
+        "rms_error_m": float(np.sqrt(np.mean(error**2))) if len(error) else None,
+        "max_error_m": float(np.max(error)) if len(error) else None,
+        "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
+        "solve_ms_median": float(np.median(milliseconds)),
+        "solve_ms_p99": float(np.percentile(milliseconds, 99)),
+        "limit_share_max": float(np.max(shares)),
+        "gamma": round(rig.gamma, 2),
+    }
