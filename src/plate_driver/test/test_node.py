@@ -32,6 +32,7 @@ from plate_driver.node import DriverNode  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 DOMAIN = 1 + (31 * os.getpid() + 17) % 99
+NAMESPACE = f"/driver_test_{os.getpid()}"  # another run may have drawn the same domain
 PERIOD = 0.1
 MS = 1_000_000
 LAST_STAMP = 90_000 * MS
@@ -55,7 +56,7 @@ class Peer:
     def __init__(self, *parameters: str) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
-        self.node = rclpy.create_node("peer", context=self.context)
+        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.setpoints: list[JointTrajectory] = []
@@ -74,7 +75,7 @@ class Peer:
             "PYTHONUNBUFFERED": "1",
         }
         arguments = [word for p in parameters for word in ("-p", p)]
-        command = DRIVER + (["--ros-args", *arguments] if arguments else [])
+        command = [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments]
         self.process = subprocess.Popen(
             command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
