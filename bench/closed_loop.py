@@ -1,6 +1,6 @@
 """Closed-loop runs without ROS, many seeds, one JSON row per run.
 
-    python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
+python bench/closed_loop.py --scenario sort_10 --seeds 0:20 --json out/bench/sort_10.json
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from loop import Setup, summary, with_settings
+
 from plate_core import PlateError, load_rig
 from plate_core.scenario import load_scenario
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
 from plate_core.parts import part_class
 from plate_core.scenario import FollowTask, Scenario, load_scenario

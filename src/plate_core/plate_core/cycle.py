@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
+from scipy.interpolate import PPoly
 
 from .errors import CycleError
 
@@ -69,16 +70,13 @@ class PlateCycle:
                 f"time {t[(t < -slack) | (t > self.period + slack) | ~np.isfinite(t)][0]:g} s, "
                 f"allowed: 0 to the period, {self.period:g} s"
             )
-        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        s = (t - self.times[i])[..., None]
-        c = self._coefficients[i]
-        powers = np.arange(6)
-        for _ in range(order):
-            c = c[..., 1:, :] * powers[1 : c.shape[-2], None]
-        value = c[..., -1, :]
-        for k in range(c.shape[-2] - 2, -1, -1):
-            value = value * s + c[..., k, :]
-        return value
+        return np.asarray(self._splines[order](np.clip(t, 0, self.period)))
+
+    @cached_property
+    def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
+        """Pose, twist and acceleration as piecewise polynomials."""
+        pose = PPoly(self._coefficients.transpose(1, 0, 2)[::-1], self.times)
+        return pose, pose.derivative(), pose.derivative(2)
 
     def control_points(self, order: int, pieces: int = 4) -> np.ndarray:
         """Bezier control points of the motion: a curve never leaves their hull.

@@ -32,7 +32,7 @@ def rotation_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def curl_matrix(position: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the rows (M, N) of equation (12): 1 / distance, the curl of a rotation's field (11)."""
+    """Return the rows (M, N) of equation (12): 1 / distance, the curl (11) of a rotation."""
     arm = position[:, None] - centre
     distance = np.hypot(arm[..., 0], arm[..., 1])
     return 1 / np.where(distance > 0, distance, np.inf)
@@ -86,5 +86,7 @@ def ring(half: np.ndarray, count: int = 24) -> np.ndarray:
 
 def grid(half: np.ndarray, columns: int = 6, rows: int = 4) -> np.ndarray:
     """Return centres (columns * rows, 2) [m] spread evenly over the plate."""
-    x, y = np.meshgrid(np.linspace(-half[0], half[0], columns), np.linspace(-half[1], half[1], rows))
+    x, y = np.meshgrid(
+        np.linspace(-half[0], half[0], columns), np.linspace(-half[1], half[1], rows)
+    )
     return np.column_stack([x.ravel(), y.ravel()])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from plate_core import PartSet, PlateCycle, Rig
 
 from .cycle_map import end_state
@@ -71,7 +72,7 @@ class Controller:
 
     def __init__(self, rig: Rig, method: str = "sinusoids", seed: int = 0) -> None:
         self._rig = rig
-        self._solvers = {
+        self._solvers: dict[str, RotationSolver | SinusoidSolver] = {
             "rotations": RotationSolver(rig, iterations=12, restarts=1, seed=seed),
             "sinusoids": SinusoidSolver(rig, iterations=16, restarts=2, seed=seed),
         }

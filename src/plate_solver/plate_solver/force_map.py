@@ -13,6 +13,7 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
+
 from plate_core import PlateCycle, PlateError
 
 SAMPLES = 1024
@@ -48,9 +49,7 @@ def average_force(
     """
     position = np.ascontiguousarray(position, dtype=float)
     velocity = (
-        np.zeros_like(position)
-        if velocity is None
-        else np.ascontiguousarray(velocity, dtype=float)
+        np.zeros_like(position) if velocity is None else np.ascontiguousarray(velocity, dtype=float)
     )
     if position.ndim != 2 or position.shape[1] != 2 or velocity.shape != position.shape:
         raise PlateError(

@@ -7,8 +7,9 @@ finds the motions that did something like what is asked now.
 from __future__ import annotations
 
 import numpy as np
-from plate_core import Rig
 from scipy.spatial import cKDTree
+
+from plate_core import Rig
 
 from .force_map import mean_force
 from .harmonics import Harmonics

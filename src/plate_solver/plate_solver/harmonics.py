@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+
 from plate_core import PlateCycle
 
 from .solution import Bounds
@@ -104,10 +105,10 @@ def harmonics(number: int, period: float, at_rest: bool, steps: int = 0) -> Harm
         pose = np.hstack([(offset - cos) / j, sin / j]) / omega
         twist = np.hstack([sin, cos])
         accel = np.hstack([cos * j, -sin * j]) * omega
-        pose, twist, accel = (np.ascontiguousarray(matrix @ span) for matrix in (pose, twist, accel))
+        pose, twist, accel = (
+            np.ascontiguousarray(matrix @ span) for matrix in (pose, twist, accel)
+        )
         return pose, twist, accel
 
     pose, twist, accel = basis((np.arange(steps) + 0.5) / steps * period)
-    return Harmonics(
-        period, steps, twist, pose, accel, basis(np.arange(knots) / knots * period)
-    )
+    return Harmonics(period, steps, twist, pose, accel, basis(np.arange(knots) / knots * period))

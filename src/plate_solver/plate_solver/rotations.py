@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from plate_core import PlateCycle, PlateError, Rig
 
 from .centres import curl_matrix, grid, priority_order, rotation_matrix, solve_weights, unit_twists

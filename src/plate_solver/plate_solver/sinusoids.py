@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from plate_core import PlateError, Rig
 
 from .force_map import SAMPLES, mean_force_gradient
@@ -14,6 +15,7 @@ from .harmonics import Harmonics, harmonics
 from .least_squares import Fit, fit
 from .solution import CURL_LENGTH_M, Bounds, Request, Solution, within_limits
 from .steering import Goal, steer
+
 
 @dataclass(frozen=True)
 class SinusoidOptions:

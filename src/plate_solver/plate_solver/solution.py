@@ -7,6 +7,7 @@ from math import sqrt
 
 import numpy as np
 from numba import njit
+
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.limits import usage
 

@@ -1,0 +1,182 @@
+"""The solver node: wanted forces in, the next plate cycle out."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from sensor_msgs.msg import MultiDOFJointState
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import PartSet, PlateCycle, PlateError, load_rig
+from plate_core.ros.convert import cycle_to_msg, msg_to_parts, nanoseconds
+from plate_core.ros.main import run_node
+from plate_core.ros.params import declare, follow, parameter
+from plate_core.ros.qos import DATA
+
+from .controller import IDLE_PERIOD, METHODS, Answer, Controller
+
+REPORT_PERIOD_S = 0.5
+QUIET_S = 2.0
+"""Least time between two warnings of the same kind [s]."""
+
+RESTART_NS = 1_000_000_000
+"""A stamp this much older than the last means that the camera or simulator began anew [ns]."""
+
+HANDOVER_NS = 4_000_000
+"""Time from our publishing a cycle until the device has it [ns]: two hops and the driver."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Parameters of the solver."""
+
+    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    method: str = parameter(
+        "sinusoids",
+        "Method: rotations (A) or sinusoids (B).",
+        choices=tuple(METHODS),
+        live=True,
+    )
+    seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
+
+
+@dataclass(frozen=True)
+class Sent:
+    """An answer given: the image it answers, when it was published (both [ns]), and its cycle."""
+
+    stamp_ns: int
+    sent_ns: int
+    cycle: PlateCycle
+
+
+class SolverNode(Node):
+    """Node `solver`: subscribes part_forces, publishes plate_cycle and diagnostics."""
+
+    def __init__(self) -> None:
+        super().__init__("solver")
+        options = declare(self, Options)
+        rig = load_rig(options.rig_file)
+        self._controller = Controller(rig, options.method, options.seed)
+        warm_up(self._controller, rig.plate.half)
+        self._sent: deque[Sent] = deque(maxlen=4)
+        self._solve_ms: list[float] = []
+        self._errors: list[tuple[float, float]] = []
+        self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0}
+        self._last: Answer | None = None
+        self._parts = 0
+        follow(self, options, self._set_options)
+        self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, DATA)
+        self.create_timer(REPORT_PERIOD_S, self._report)
+
+    def _set_options(self, options: Options) -> None:
+        self._controller.method = METHODS[options.method]
+        self.get_logger().info(f"method is now {self._controller.method}")
+
+    def _on_forces(self, msg: MultiDOFJointState) -> None:
+        stamp_ns = nanoseconds(msg.header.stamp)
+        try:
+            parts = msg_to_parts(msg)
+        except PlateError as error:
+            self._refuse(f"part_forces refused, no new cycle: {error}")
+            return
+        newest = self._sent[-1].stamp_ns if self._sent else None
+        if newest is not None and stamp_ns < newest:
+            if stamp_ns > newest - RESTART_NS:
+                self._refuse("part_forces refused: older than the last")
+                return
+            self._sent.clear()
+            self._controller.reset()
+        if newest == stamp_ns:
+            self._cycles.publish(cycle_to_msg(self._sent[-1].cycle, msg.header.stamp))
+            return
+        cycle = self._answer(parts, stamp_ns)
+        self._cycles.publish(cycle_to_msg(cycle, msg.header.stamp))
+        self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
+
+    def _refuse(self, text: str) -> None:
+        self._count["refused_messages"] += 1
+        self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+
+    def _answer(self, parts: PartSet, stamp_ns: int) -> PlateCycle:
+        began = time.perf_counter()
+        try:
+            answer = self._controller.answer(parts, self._running(stamp_ns))
+        except (PlateError, np.linalg.LinAlgError) as error:
+            self.get_logger().error(f"no solution, plate rests: {error}")
+            return PlateCycle.rest(IDLE_PERIOD)
+        self._count["answers"] += 1
+        self._last, self._parts = answer, len(parts)
+        if answer.solution is not None:
+            self._solve_ms.append(1e3 * (time.perf_counter() - began))
+            self._errors.append((answer.error_m, answer.asked_m))
+            spin = np.flatnonzero(parts.torque)
+            if len(spin):
+                self.get_logger().warning(
+                    f"torque is {parts.torque[spin[0]]:g} N m for {parts.ids[spin[0]]}, "
+                    "allowed: 0 (parts are points to this solver)",
+                    throttle_duration_sec=QUIET_S,
+                )
+        return answer.cycle
+
+    def _running(self, stamp_ns: int) -> PlateCycle | None:
+        """The cycle that began when the image was taken: the last one that was there in time."""
+        for number, sent in enumerate(reversed(self._sent)):
+            if sent.sent_ns + HANDOVER_NS <= stamp_ns or sent.sent_ns == sent.stamp_ns:
+                self._count["late_answers"] += number > 0
+                return sent.cycle
+        return None
+
+    def _now_ns(self, stamp_ns: int) -> int:
+        """This node's time; the stamp itself where stamps come from a clock that is not ours."""
+        now_ns = self.get_clock().now().nanoseconds
+        return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
+
+    def _report(self) -> None:
+        asked = sum(pair[1] ** 2 for pair in self._errors) ** 0.5
+        missed = sum(pair[0] ** 2 for pair in self._errors) ** 0.5
+        solution = self._last.solution if self._last else None
+        values = {
+            "method": self._controller.method,
+            "parts": self._parts,
+            "missed_share": f"{missed / asked:.4f}" if asked > 0 else "0",
+            "solve_ms_median": f"{np.median(self._solve_ms):.2f}" if self._solve_ms else "0",
+            "solve_ms_max": f"{max(self._solve_ms):.2f}" if self._solve_ms else "0",
+            "condition": f"{solution.condition:.4g}" if solution else "0",
+            "iterations": solution.iterations if solution else 0,
+            **self._count,
+        }
+        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="")
+        status.message = self._last.message if self._last else "waiting for part_forces"
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(msg)
+        self._solve_ms.clear()
+        self._errors.clear()
+
+
+def warm_up(controller: Controller, half: np.ndarray) -> None:
+    """Compile, and make the tables of guesses, before the first image comes."""
+    chosen = controller.method
+    for count in (2, 4, 6):
+        angle = 2 * np.pi * np.arange(count) / count
+        place = 0.5 * half * np.column_stack([np.cos(angle), np.sin(angle)])
+        parts = PartSet.make(
+            tuple(f"part_{i}" for i in range(count)), place, force=1e-4 * np.ones((count, 2))
+        )
+        for controller.method in ("rotations", "sinusoids"):
+            controller.answer(parts, PlateCycle.rest(IDLE_PERIOD))
+    controller.method = chosen
+    controller.reset()
+
+
+def main() -> None:
+    """Run the solver."""
+    run_node(SolverNode)
