@@ -12,8 +12,8 @@ from plate_core.kinematics import motor_state
 from . import transition
 from .limits import Fit, check_setpoints, fit
 
-PERIOD_S = (0.005, 60.0)
-"""Periods that are a plate's: 200 Hz, beyond which no voice coil follows, to a minute."""
+PERIOD_S = (0.01, 10.0)
+"""Allowed length of a table [s]: one image is taken in each, so it is 0.1 to 100 Hz of sight."""
 
 MAX_KNOTS = 2000
 """Knots of one cycle: more would take longer to work through than the cycle lasts."""
@@ -62,13 +62,17 @@ def prepare(rig: Rig, cycle: PlateCycle, stamp_ns: int, repeats: int = 1) -> tup
     CycleError
         If the cycle is none that this plate could do.
     """
-    if not PERIOD_S[0] <= cycle.period <= PERIOD_S[1]:
-        raise CycleError(
-            f"plate_cycle: period is {cycle.period:g} s, allowed: {PERIOD_S[0]} to {PERIOD_S[1]} s"
-        )
     if len(cycle.times) > MAX_KNOTS:
         raise CycleError(f"plate_cycle: {len(cycle.times)} knots, allowed: at most {MAX_KNOTS}")
-    fitted = fit(rig, transition.table(cycle, repeats))
+    whole = transition.table(cycle, repeats)
+    for period in (cycle.period, whole.period):
+        if not PERIOD_S[0] <= period <= PERIOD_S[1]:
+            fades = "" if whole is cycle else f" ({whole.period:g} s with fades)"
+            raise CycleError(
+                f"plate_cycle: period is {cycle.period:g} s{fades}, "
+                f"allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
+            )
+    fitted = fit(rig, whole)
     made = MotorTable.of(rig, fitted.cycle, stamp_ns)
     check_setpoints(rig, fitted.cycle.times, made.q, made.qd)
     return made, fitted
