@@ -49,13 +49,14 @@ class DetectorOptions:
     threshold : float
         Share of the bare plate's brightness below which a pixel belongs to a part, 0.1 to 0.95.
     class_threshold : float
-        Share of the bare plate's brightness below which a part is black, above which grey; below
-        `threshold`.
+        Share of the bare plate's brightness below which a part is black, above which grey, 0.05 to
+        0.95.
     min_plate_grey : float
         Darkest plate that is believed [grey levels], 1 to 255: below that the light is off.
     margin_px : float
         How far outside the plate a part's centre may be [px], 0 to 100: for a small displacement
-        of the plate or error of the calibration. A plate that is elsewhere needs another region.
+        of the plate or error of the calibration. More than half a part's radius less 2 px has no
+        effect: a plate that is elsewhere needs another region.
     """
 
     radius_px: float = 8.0
@@ -63,14 +64,14 @@ class DetectorOptions:
     threshold: float = 0.8
     class_threshold: float = 0.4
     min_plate_grey: float = 60.0
-    margin_px: float = 2.0
+    margin_px: float = 1.0
 
     def __post_init__(self) -> None:
         ranges = {
             "radius_px": (3.0, 200.0),
             "radius_tolerance": (0.05, 0.6),
             "threshold": (0.1, 0.95),
-            "class_threshold": (0.05, self.threshold),
+            "class_threshold": (0.05, 0.95),
             "min_plate_grey": (1.0, 255.0),
             "margin_px": (0.0, 100.0),
         }
@@ -113,7 +114,7 @@ def detect(
     if region_px is not None:
         array = check_quadrilateral(np.asarray(region_px, dtype=float), "region_px")
         corners = tuple((x, y) for x, y in array.tolist())
-    region = make_region(grey.shape[0], grey.shape[1], corners)
+    region = make_region(*grey.shape, corners, options.margin_px)
     discs = _find_discs(grey, region, options)
     found = np.zeros(len(discs.radius), DETECTION)
     found["x_px"], found["y_px"] = discs.centre.T
@@ -140,7 +141,7 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
     brightness = fit_brightness(grey, region, options.min_plate_grey)
     seeds = np.empty((0, 2))
     if brightness is not None:
-        seeds = find_seeds(grey, region, brightness, options.threshold, radius)
+        seeds = find_seeds(grey, region, brightness, options.threshold, radius, options.margin_px)
     if brightness is None or not len(seeds):
         return Discs(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
     windows = cut_windows(grey, brightness, seeds, radius)

@@ -13,3 +13,7 @@ class CalibrationError(PlateError):
 
 class OptionError(PlateError):
     """An option is out of range."""
+
+
+class TrackError(PlateError):
+    """Measurements cannot be followed: wrong shape, or values that are not finite."""

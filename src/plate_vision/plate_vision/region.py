@@ -31,7 +31,7 @@ class Region:
     offsets : (4,)
         Distance of the image's origin from the edges [px], positive inside.
     box : (x0, y0, x1, y1)
-        Pixel ranges [px] that hold the region, half open.
+        Pixel ranges [px] that hold the region and a margin, half open.
     """
 
     normals: np.ndarray
@@ -54,7 +54,10 @@ class Region:
 
 @lru_cache(maxsize=16)
 def make_region(
-    height_px: int, width_px: int, corners: tuple[tuple[float, float], ...] | None
+    height_px: int,
+    width_px: int,
+    corners: tuple[tuple[float, float], ...] | None,
+    margin_px: float = 0.0,
 ) -> Region:
     """Build the region of an image.
 
@@ -65,6 +68,8 @@ def make_region(
     corners : four pairs, optional
         Corners of the plate in the image [px], checked by `check_quadrilateral`, in either sense
         of rotation; the whole image if None.
+    margin_px : float
+        By how much the box is larger than the plate [px].
 
     Raises
     ------
@@ -74,8 +79,9 @@ def make_region(
     if corners is None:
         return Region(np.empty((0, 2)), np.empty(0), (0, 0, width_px, height_px))
     polygon = np.array(corners, dtype=float)
-    low = np.maximum(np.floor(polygon.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(polygon.max(axis=0)).astype(int) + 1, (width_px, height_px))
+    low = np.maximum(np.floor(polygon.min(axis=0) - margin_px).astype(int), 0)
+    high = np.ceil(polygon.max(axis=0) + margin_px).astype(int) + 1
+    high = np.minimum(high, (width_px, height_px))
     if np.any(high - low < 2):
         raise ImageError(
             f"region_px: spans x {polygon[:, 0].min():g} to {polygon[:, 0].max():g}, "
@@ -105,7 +111,7 @@ def check_quadrilateral(polygon: np.ndarray, name: str) -> np.ndarray:
     turns = _cross(edges, np.roll(edges, -1, axis=0))
     if not (np.all(turns > 0) or np.all(turns < 0)):
         raise ImageError(
-            f"{name}: got {polygon.tolist()}, allowed: four corners in order around a convex "
+            f"{name}: got {polygon.tolist()} px, allowed: four corners in order around a convex "
             "quadrilateral, no three of them in line"
         )
     x, y = polygon.T

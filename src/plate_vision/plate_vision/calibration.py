@@ -1,0 +1,192 @@
+"""From image points [px] to points of the plate [m, plate_home] and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plate_core import Rig
+
+from .errors import CalibrationError, ImageError
+from .region import check_quadrilateral
+
+MAX_CONDITION = 1e10
+"""Condition number of a homography above which points cannot be mapped back: a useful camera has
+1e3 to 1e7, depending on the units."""
+
+LENS_PARAMETERS = (4, 5, 8)
+"""Numbers of distortion parameters that are understood: OpenCV's plumb bob (k1, k2, p1, p2[, k3])
+and rational polynomial (the same and k4, k5, k6)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A lens that bends straight lines: the K and D of sensor_msgs/CameraInfo.
+
+    Attributes
+    ----------
+    matrix : (3, 3)
+        Focal lengths and image centre [px].
+    distortion : (4,), (5,) or (8,)
+        OpenCV's k1, k2, p1, p2, k3, k4, k5, k6.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+    def __post_init__(self) -> None:
+        matrix = _finite(self.matrix, (3, 3), "lens matrix")
+        if min(matrix[0, 0], matrix[1, 1]) <= 0:
+            raise CalibrationError(
+                f"lens matrix: focal lengths are {matrix[0, 0]:g} and {matrix[1, 1]:g} px, "
+                "allowed: more than 0"
+            )
+        count = np.size(self.distortion)
+        if count not in LENS_PARAMETERS:
+            raise CalibrationError(
+                f"lens distortion: {count} values, allowed: {', '.join(map(str, LENS_PARAMETERS))}"
+            )
+        _finite(self.distortion, (count,), "lens distortion")
+
+    def straighten(self, point_px: np.ndarray) -> np.ndarray:
+        """Return where points (M, 2) [px] would be without distortion (M, 2) [px]."""
+        point_px = _points(point_px)
+        if not len(point_px):
+            return point_px
+        camera = np.asarray(self.matrix, dtype=float)
+        bent = point_px.reshape(-1, 1, 2)
+        lens = np.asarray(self.distortion, dtype=float)
+        return np.asarray(cv2.undistortPoints(bent, camera, lens, P=camera)).reshape(-1, 2)
+
+    def bend(self, point_px: np.ndarray) -> np.ndarray:
+        """Return where straight points (M, 2) [px] are seen (M, 2) [px]."""
+        point_px = _points(point_px)
+        if not len(point_px):
+            return point_px
+        camera = np.asarray(self.matrix, dtype=float)
+        lens = np.asarray(self.distortion, dtype=float)
+        ray = np.column_stack([point_px, np.ones(len(point_px))]) @ np.linalg.inv(camera).T
+        seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), camera, lens)[0]
+        return np.asarray(seen).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Where a camera sees the points of the plane of the parts.
+
+    Attributes
+    ----------
+    image_from_home : (3, 3)
+        Homography from plate_home [m] to the image [px].
+    home_from_image : (3, 3)
+        Its inverse.
+    lens : Lens, optional
+        If given, the homographies are those of the straightened image.
+    """
+
+    image_from_home: np.ndarray
+    home_from_image: np.ndarray
+    lens: Lens | None = None
+
+    def to_home(self, point_px: np.ndarray) -> np.ndarray:
+        """Map image points (M, 2) [px] to plate_home (M, 2) [m]."""
+        if self.lens is not None:
+            point_px = self.lens.straighten(point_px)
+        return _apply(self.home_from_image, point_px)
+
+    def to_image(self, point: np.ndarray) -> np.ndarray:
+        """Map points of plate_home (M, 2) [m] to the image (M, 2) [px]."""
+        straight = _apply(self.image_from_home, point)
+        return straight if self.lens is None else self.lens.bend(straight)
+
+    def scale(self, point: np.ndarray) -> np.ndarray:
+        """Pixels per metre (M,) at points of plate_home (M, 2) [m]: of lengths, from areas.
+
+        The area that a homography makes of a small area is det(H) / w^3, with w the third
+        homogeneous coordinate of the image point.
+        """
+        third = _points(point) @ self.image_from_home[2, :2] + self.image_from_home[2, 2]
+        return np.sqrt(np.abs(np.linalg.det(self.image_from_home) / third**3))
+
+
+def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = None) -> Calibration:
+    """Find the homography from four pairs of points.
+
+    Parameters
+    ----------
+    corners_px : (4, 2)
+        Image points [px], as seen (not straightened).
+    corners : (4, 2)
+        The same points in plate_home [m].
+    lens : Lens, optional
+        To be taken into account.
+
+    Raises
+    ------
+    CalibrationError
+        If either four points are not the corners of a convex quadrilateral.
+    """
+    corners = _finite(corners, (4, 2), "corners")
+    try:
+        corners_px = check_quadrilateral(np.asarray(corners_px, dtype=float), "corners_px")
+    except ImageError as error:
+        raise CalibrationError(str(error)) from None
+    # Of the plate only the shape matters: 1000 units across, the same check serves.
+    across = max(float(np.ptp(corners, axis=0).max()), 1e-9)
+    try:
+        check_quadrilateral((corners - corners.mean(axis=0)) * (1000 / across), "corners")
+    except ImageError:
+        raise CalibrationError(
+            f"corners: got {corners.tolist()} m, allowed: four corners in order around a convex "
+            "quadrilateral, no three of them in line"
+        ) from None
+    if lens is not None:
+        corners_px = lens.straighten(corners_px)
+    rows, values = [], []
+    for (x, y), (u, v) in zip(corners, corners_px, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+        values += [u, v]
+    solution = np.linalg.solve(np.array(rows), np.array(values))
+    return calibrate_by_matrix(np.append(solution, 1.0).reshape(3, 3), lens)
+
+
+def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -> Calibration:
+    """Use a known homography (3, 3) from plate_home [m] to the (straightened) image [px].
+
+    Raises
+    ------
+    CalibrationError
+        If it is not (3, 3), not finite, or has no inverse.
+    """
+    matrix = _finite(image_from_home, (3, 3), "homography")
+    condition = float(np.linalg.cond(matrix)) if np.any(matrix) else np.inf
+    if not condition < MAX_CONDITION:
+        raise CalibrationError(
+            f"homography: condition number is {condition:.3g}, allowed: below {MAX_CONDITION:g} "
+            "(points could not be mapped back)"
+        )
+    return Calibration(matrix, np.linalg.inv(matrix), lens)
+
+
+def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
+    """Use the images of the plate's corners that the rig file gives."""
+    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens)
+
+
+def _apply(matrix: np.ndarray, point: np.ndarray) -> np.ndarray:
+    mapped = _points(point) @ matrix[:, :2].T + matrix[:, 2]
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def _points(point: np.ndarray) -> np.ndarray:
+    return np.asarray(point, dtype=float).reshape(-1, 2)
+
+
+def _finite(array: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
+    array = np.array(array, dtype=float)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        size = " x ".join(map(str, shape))
+        raise CalibrationError(f"{name}: got {array.tolist()}, allowed: {size} finite numbers")
+    return array

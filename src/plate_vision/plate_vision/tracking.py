@@ -1,0 +1,228 @@
+"""Names for the parts that stay with them from image to image, and their drift."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from plate_core import PartSet
+
+from .errors import OptionError, TrackError
+
+
+@dataclass(frozen=True)
+class TrackerOptions:
+    """How parts are followed.
+
+    Attributes
+    ----------
+    gate_m : float
+        Greatest distance [m] between where a part is expected and where it is found, per image,
+        0.001 to 1. At 50 mm/s that turn round within a cycle of 0.2 s a part is 20 mm from where
+        it was expected.
+    max_missed : int
+        Images in a row that a part may be missed before its id is given up, 0 to 1000.
+    velocity_frames : int
+        Images over which the drift is taken, 1 to 100. With 1 it is the drift of the last cycle,
+        which is what the planner controls and without delay; its noise is that of two positions,
+        0.014 mm over the cycle. More images smooth and delay it.
+    """
+
+    gate_m: float = 0.02
+    max_missed: int = 5
+    velocity_frames: int = 1
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "gate_m": (0.001, 1.0),
+            "max_missed": (0, 1000),
+            "velocity_frames": (1, 100),
+        }
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise OptionError(f"{name} is {value}, allowed: {low:g} to {high:g}")
+
+
+@dataclass(frozen=True)
+class Track:
+    """One part.
+
+    Attributes
+    ----------
+    label : str
+        Class.
+    number : int
+        Running number within the class, from 1.
+    history : tuple of (stamp [s], x [m], y [m])
+        When and where in plate_home it was seen, oldest first; at most `velocity_frames` + 1.
+        Plain numbers: for so few of them they are ten times faster than arrays.
+    missed : int
+        Images since it was last seen.
+    """
+
+    label: str
+    number: int
+    history: tuple[tuple[float, float, float], ...]
+    missed: int = 0
+
+    @property
+    def id(self) -> str:
+        """Such as `black_3`."""
+        return f"{self.label}_{self.number}"
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """Where it was last seen: x, y [m]."""
+        return self.history[-1][1:]
+
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """Drift along x, y [m/s]: zero until it has been seen twice."""
+        (t0, x0, y0), (t1, x1, y1) = self.history[0], self.history[-1]
+        if t1 == t0:
+            return 0.0, 0.0
+        return (x1 - x0) / (t1 - t0), (y1 - y0) / (t1 - t0)
+
+    def expected(self, stamp: float, reach: float) -> tuple[float, float]:
+        """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m]."""
+        last, x, y = self.history[-1]
+        vx, vy = self.velocity
+        time = min(stamp - last, reach / max(math.hypot(vx, vy), 1e-12))
+        return x + vx * time, y + vy * time
+
+    def seen(self, stamp: float, position: np.ndarray, keep: int) -> Track:
+        """Return the track with one more position (2,) [m]; the last `keep` are kept."""
+        point = (stamp, float(position[0]), float(position[1]))
+        return Track(self.label, self.number, (*self.history, point)[-keep:])
+
+
+@dataclass(frozen=True, eq=False)
+class Tracker:
+    """The parts followed so far.
+
+    Attributes
+    ----------
+    options : TrackerOptions
+    stamp : float or None
+        Of the last image [s].
+    tracks : tuple of Track
+        By class and number; also those that were missed in the last image.
+    given : mapping of str to int
+        Greatest number given so far, by class; no number is given twice.
+    """
+
+    options: TrackerOptions = field(default_factory=TrackerOptions)
+    stamp: float | None = None
+    tracks: tuple[Track, ...] = ()
+    given: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> PartSet:
+        """The parts seen in the last image."""
+        seen = [track for track in self.tracks if track.missed == 0]
+        return PartSet.make(
+            tuple(track.id for track in seen),
+            position=np.array([track.position for track in seen]),
+            velocity=np.array([track.velocity for track in seen]),
+        )
+
+
+def step(
+    tracker: Tracker, stamp: float, position: np.ndarray, label: Sequence[str] | np.ndarray
+) -> Tracker:
+    """Take in what was found in one image.
+
+    The same stamp again changes nothing: the same image gives the same answer. An earlier stamp
+    means that time began anew (a simulator was restarted): all parts are new.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The parts so far.
+    stamp : float
+        When the image was taken [s].
+    position : (M, 2)
+        Centres [m, plate_home].
+    label : (M,) str
+        Classes.
+
+    Returns
+    -------
+    Tracker
+
+    Raises
+    ------
+    TrackError
+        If shapes disagree or a value is not finite.
+    """
+    position, labels = _checked(stamp, position, label)
+    stamp = float(stamp)
+    if tracker.stamp is not None and stamp == tracker.stamp:
+        return tracker
+    if tracker.stamp is not None and stamp < tracker.stamp:
+        tracker = Tracker(tracker.options)
+    options = tracker.options
+    tracks = []
+    is_new = np.ones(len(labels), dtype=bool)
+    for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
+        if found >= 0:
+            is_new[found] = False
+            tracks.append(track.seen(stamp, position[found], options.velocity_frames + 1))
+        elif track.missed < options.max_missed:
+            tracks.append(replace(track, missed=track.missed + 1))
+    given = dict(tracker.given)
+    # From left to right, so that the first names do not depend on the order of detection.
+    for i in sorted(np.flatnonzero(is_new).tolist(), key=lambda i: (*position[i], labels[i])):
+        given[labels[i]] = given.get(labels[i], 0) + 1
+        tracks.append(Track(labels[i], given[labels[i]], ()).seen(stamp, position[i], 1))
+    tracks.sort(key=lambda track: (track.label, track.number))
+    return Tracker(options, stamp, tuple(tracks), given)
+
+
+def _checked(
+    stamp: float, position: np.ndarray, label: Sequence[str] | np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    position = np.asarray(position, dtype=float).reshape(-1, 2)
+    labels = [str(name) for name in label]
+    if len(labels) != len(position):
+        raise TrackError(f"{len(labels)} labels for {len(position)} positions, allowed: as many")
+    if not np.isfinite(stamp):
+        raise TrackError(f"stamp is {stamp}, allowed: a finite number of seconds")
+    bad = np.flatnonzero(~np.all(np.isfinite(position), axis=1))
+    if bad.size:
+        raise TrackError(
+            f"position {bad[0]} is {position[bad[0]].tolist()}, allowed: finite numbers"
+        )
+    return position, labels
+
+
+def _assign(
+    tracker: Tracker, stamp: float, position: np.ndarray, labels: Sequence[str]
+) -> np.ndarray:
+    """Return for each track the index of its position (T,), or -1.
+
+    As many pairs as possible of one class and within the gate, and of all such choices the one
+    with the least sum of squared distances.
+    """
+    found = np.full(len(tracker.tracks), -1)
+    if not len(found) or not len(labels):
+        return found
+    reach = tracker.options.gate_m * np.array([1 + track.missed for track in tracker.tracks])
+    expected = [
+        track.expected(stamp, gate) for track, gate in zip(tracker.tracks, reach, strict=True)
+    ]
+    gap = np.array(expected)[:, None] - position[None, :]
+    square = np.sum(gap**2, axis=2)
+    same = np.array([track.label for track in tracker.tracks])[:, None] == np.array(labels)[None, :]
+    allowed = same & (square <= reach[:, None] ** 2)
+    # One forbidden pair costs more than all allowed pairs together.
+    forbidden = 1.0 + np.sum(reach**2)
+    rows, columns = linear_sum_assignment(np.where(allowed, square, forbidden))
+    kept = allowed[rows, columns]
+    found[rows[kept]] = columns[kept]
+    return found

@@ -1,0 +1,178 @@
+"""The node over real topics, in one process."""
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState  # noqa: E402
+
+from plate_core import PlateError  # noqa: E402
+from plate_core.ros.convert import array_to_image, msg_to_parts, to_time  # noqa: E402
+from plate_core.ros.qos import DATA, IMAGE  # noqa: E402
+from plate_vision.node import DetectorNode, lens_of  # noqa: E402
+
+CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
+LABEL = ["black", "grey"]
+
+
+class Graph:
+    """The detector and a probe that plays the camera."""
+
+    def __init__(self, **parameters):
+        args = ["--ros-args", "-r", "__ns:=/detector_test"]
+        for name, value in parameters.items():
+            args += ["-p", f"{name}:={value}"]
+        rclpy.init(args=args)
+        try:
+            self.detector = DetectorNode()
+        except BaseException:
+            rclpy.try_shutdown()
+            raise
+        self.probe = rclpy.create_node("probe")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.detector)
+        self.executor.add_node(self.probe)
+        self.parts = []
+        self.images = self.probe.create_publisher(Image, "image_raw", IMAGE)
+        self.infos = self.probe.create_publisher(CameraInfo, "camera_info", IMAGE)
+        self.probe.create_subscription(MultiDOFJointState, "parts", self.parts.append, DATA)
+        self.until(lambda: self.images.get_subscription_count())
+        self.until(lambda: self.infos.get_subscription_count())
+        self.until(lambda: self.detector.count_subscribers("parts"))
+        self.warnings = []
+        self.detector.get_logger().warning = lambda text, **_: self.warnings.append(text)
+
+    def until(self, true):
+        for _ in range(2000):
+            if true():
+                return
+            self.executor.spin_once(timeout_sec=0.01)
+        raise AssertionError("it did not come")
+
+    def answer(self, msg):
+        """Publish an image and return the answer; None if it was refused."""
+        answers, warnings = len(self.parts), len(self.warnings)
+        self.images.publish(msg)
+        self.until(lambda: len(self.parts) > answers or len(self.warnings) > warnings)
+        return self.parts[-1] if len(self.parts) > answers else None
+
+    def close(self):
+        self.executor.shutdown()
+        self.detector.destroy_node()
+        self.probe.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def graph():
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+def image(frame, stamp_s, encoding="mono8"):
+    return array_to_image(frame, to_time(round(stamp_s * 1e9)), encoding)
+
+
+def test_every_image_is_answered_with_its_stamp(graph, draw, rng):
+    for k in range(3):
+        frame = draw(CENTRE_PX + [k, 0], LABEL, rng, radius=7.9)
+        msg = image(frame, 7.0 + 0.05 * k)
+        answer = graph.answer(msg)
+        assert answer.header.stamp == msg.header.stamp
+        assert answer.header.frame_id == "plate_home"
+        parts = msg_to_parts(answer)
+        assert parts.ids == ("black_1", "grey_1")
+        seen = graph.detector._vision.calibration.to_image(parts.position)
+        assert np.abs(seen - CENTRE_PX - [k, 0]).max() < 0.06
+        assert k == 0 or np.allclose(parts.velocity[:, 0], 0.0202, atol=2e-3)
+    assert graph.answer(msg) == answer  # lockstep publishes an image again until it is answered
+    empty = graph.answer(image(draw([], [], rng), 7.2))
+    assert empty.joint_names == []
+    assert graph.warnings == []
+
+
+def test_colour_images(graph, draw, rng):
+    frame = np.dstack([draw(CENTRE_PX, LABEL, rng, radius=7.9)] * 3)
+    for k, encoding in enumerate(("bgr8", "rgb8")):
+        assert graph.answer(image(frame, k, encoding)).joint_names == ["black_1", "grey_1"]
+
+
+def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
+    frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
+
+    def wrong(words, **fields):
+        msg = image(frame, 1.0)
+        for name, value in fields.items():
+            setattr(msg, name, value)
+        assert graph.answer(msg) is None
+        for word in ("image_raw ignored", "allowed", *words):
+            assert word in graph.warnings[-1]
+
+    wrong(["encoding", "16UC1", "mono8, bgr8, rgb8"], encoding="16UC1")
+    wrong(["step", "600", "640"], step=600)
+    wrong(["bytes", "307199", "307200"], data=image(frame, 1.0).data[:-1])
+    wrong(["size", "320 x 480", "640 x 480"], width=320)
+    wrong(["size", "0 x 0"], width=0, height=0, step=0, data=[])
+    assert len(graph.warnings) == 5
+    padded = np.zeros((480, 704), np.uint8)
+    padded[:, :640] = frame
+    msg = image(padded, 2.0)
+    msg.width = 640  # rows may be longer than the image is wide
+    assert graph.answer(msg).joint_names == ["black_1", "grey_1"]
+
+
+def test_live_parameters(graph, draw, rng):
+    frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
+    radius_px = graph.detector._vision.options.radius_px
+    (result,) = graph.detector.set_parameters([Parameter("threshold", value=0.5)])
+    assert result.successful
+    assert graph.answer(image(frame, 1.0)).joint_names == ["black_1"]
+    assert graph.detector._vision.options.radius_px == radius_px
+    (result,) = graph.detector.set_parameters([Parameter("max_missed", value=-1)])
+    assert not result.successful
+    assert result.reason == "parameter max_missed is -1, allowed: 0 to 1000"
+    (result,) = graph.detector.set_parameters([Parameter("rig_file", value="other.yaml")])
+    assert not result.successful
+
+
+@pytest.mark.parametrize(("name", "value"), [("threshold", 1.5), ("gate_m", 0.0)])
+def test_wrong_parameters_are_refused_at_start(name, value):
+    with pytest.raises(PlateError, match=f"parameter {name} is {value}, allowed: "):
+        Graph(**{name: value})
+
+
+def camera_info(d=(), model="plumb_bob", width=640):
+    msg = CameraInfo(width=width, height=480, distortion_model=model)
+    msg.k = [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0.0, 0.0, 1.0]
+    msg.d = list(d)
+    return msg
+
+
+def test_lens_of_camera_info():
+    size = (640, 480)
+    assert lens_of(camera_info(), size) is None
+    assert lens_of(camera_info([0.0] * 5), size) is None
+    assert lens_of(CameraInfo(width=640, height=480, d=[0.1] * 5), size) is None  # not calibrated
+    lens = lens_of(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]), size)
+    assert lens.matrix[0].tolist() == [600, 0, 320]
+    assert lens.distortion[0] == -0.2
+    for msg in (
+        camera_info(width=320),
+        camera_info([0.1] * 4, model="equidistant"),
+        camera_info([0.1] * 3),
+    ):
+        with pytest.raises(PlateError, match="allowed: "):
+            lens_of(msg, size)
+
+
+def test_distortion_of_camera_info_is_used(graph):
+    graph.infos.publish(camera_info([-0.2, 0.0, 0.0, 0.0, 0.0]))
+    graph.until(lambda: graph.detector._vision.calibration.lens is not None)
+    graph.infos.publish(camera_info([0.1] * 4, model="equidistant"))
+    graph.until(lambda: graph.warnings)
+    assert "camera_info ignored: distortion_model is 'equidistant'" in graph.warnings[0]
+    assert graph.detector._vision.calibration.lens is not None

@@ -1,0 +1,210 @@
+"""Ids and drift against motions that are known."""
+
+import numpy as np
+import pytest
+
+from plate_vision import OptionError, Tracker, TrackerOptions, TrackError
+from plate_vision.tracking import step
+
+DT = 0.05
+
+
+def follow(frames, options=None, dt=DT):
+    """Take in frames of (position, label); return the part sets seen after each."""
+    tracker = Tracker(options or TrackerOptions())
+    answers = []
+    for k, (position, label) in enumerate(frames):
+        tracker = step(tracker, k * dt, np.array(position, float), label)
+        answers.append(tracker.parts)
+    return answers
+
+
+def test_first_names_from_left_to_right():
+    position = [[0.2, 0], [-0.1, 0.1], [0.0, 0.0], [-0.2, 0.0]]
+    parts = follow([(position, ["black", "grey", "black", "grey"])])[0]
+    assert parts.ids == ("black_1", "black_2", "grey_1", "grey_2")
+    assert parts.position.tolist() == [[0, 0], [0.2, 0], [-0.2, 0], [-0.1, 0.1]]
+    assert np.all(parts.velocity == 0)
+
+
+def test_nothing_seen():
+    empty = (np.empty((0, 2)), [])
+    for parts in follow([empty, empty]):
+        assert parts.ids == ()
+        assert parts.position.shape == parts.velocity.shape == (0, 2)
+
+
+def test_ids_stay_over_1000_frames(rng):
+    """Ten parts that wander at random, turn at the rim, and keep apart by twice their radius."""
+    count, speed, near = 10, 0.06, 0.016
+    x, y = np.meshgrid(np.linspace(-0.25, 0.25, 5), [-0.08, 0.08])
+    position = np.stack([x.ravel(), y.ravel()], axis=1)
+    label = np.array(["black", "grey"])[rng.integers(0, 2, count)]
+    heading = rng.uniform(0, 2 * np.pi, count)
+    tracker = Tracker()
+    names = None
+    for k in range(1000):
+        heading += 0.5 * rng.standard_normal(count)
+        move = speed * DT * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        for i in range(count):
+            target = position[i] + move[i]
+            gap = np.hypot(*(np.delete(position, i, axis=0) - target).T)
+            if np.all(np.abs(target) < [0.29, 0.14]) and gap.min() > near:
+                position[i] = target
+            else:
+                heading[i] += np.pi / 2
+        order = rng.permutation(count)
+        seen = position[order] + 1e-5 * rng.standard_normal((count, 2))
+        tracker = step(tracker, k * DT, seen, label[order])
+        parts = tracker.parts
+        gap = np.linalg.norm(parts.position[:, None] - position[None], axis=2)
+        assert gap.min(axis=1).max() < 1e-4
+        here = dict(zip(parts.ids, gap.argmin(axis=1).tolist(), strict=True))
+        names = names or here
+        assert here == names
+        assert all(label[i] == name.split("_")[0] for name, i in here.items())
+
+
+def test_parts_of_one_class_that_cross():
+    """Where they pass, each is nearer to the other's last position than to its own."""
+    t = (np.arange(40) + 0.5) * DT
+    right = np.stack([-0.1 + 0.1 * t, np.full_like(t, 0.002)], axis=1)
+    left = np.stack([0.1 - 0.1 * t, np.full_like(t, -0.002)], axis=1)
+    answers = follow([([a, b], ["grey", "grey"]) for a, b in zip(right, left, strict=True)])
+    for parts, a, b in zip(answers, right, left, strict=True):
+        assert parts.ids == ("grey_1", "grey_2")
+        assert np.allclose(parts.position, [a, b])
+
+
+def test_parts_of_two_classes_that_swap_places():
+    a, b = [0.0, 0.0], [0.016, 0.0]
+    before, after = follow([([a, b], ["black", "grey"]), ([a, b], ["grey", "black"])])
+    assert before.ids == after.ids == ("black_1", "grey_1")
+    assert after.position.tolist() == [b, a]
+
+
+def test_choice_is_the_best_for_all():
+    """Part by part, the nearest first, would give the second the first's place and lose one."""
+    before = [[0.0, 0.0], [0.018, 0.0]]
+    after = [[0.011, 0.0], [0.029, 0.0]]
+    parts = follow([(before, ["grey"] * 2), (after, ["grey"] * 2)])[1]
+    assert parts.ids == ("grey_1", "grey_2")
+    assert parts.position.tolist() == after
+
+
+def test_missed_parts_are_silent_and_keep_their_id():
+    drift = np.array([0.04, 0.0])
+    both = [(np.array([[0, 0], [0, 0.1]]) + k * DT * drift, ["black", "black"]) for k in range(12)]
+    frames = [
+        (position[1:], label[1:]) if 3 <= k < 8 else (position, label)
+        for k, (position, label) in enumerate(both)
+    ]
+    answers = follow(frames, TrackerOptions(max_missed=5))
+    for k, parts in enumerate(answers):
+        assert parts.ids == (("black_2",) if 3 <= k < 8 else ("black_1", "black_2"))
+    # Over the gap the drift is that between the two images in which the part was seen.
+    assert np.allclose(answers[8].velocity, drift)
+
+
+def test_parts_missed_too_long_are_retired():
+    seen, unseen = ([[0.0, 0.0]], ["grey"]), (np.empty((0, 2)), [])
+    back = follow([seen, *[unseen] * 5, seen], TrackerOptions(max_missed=5))[-1]
+    assert back.ids == ("grey_1",)
+    back = follow([seen, *[unseen] * 6, seen], TrackerOptions(max_missed=5))[-1]
+    assert back.ids == ("grey_2",)  # numbers are not used twice
+    back = follow([seen, unseen, seen], TrackerOptions(max_missed=0))[-1]
+    assert back.ids == ("grey_2",)
+
+
+def test_new_parts_get_new_numbers():
+    one = ([[0.0, 0.0]], ["grey"])
+    two = ([[0.0, 0.0], [-0.1, 0.0]], ["grey", "grey"])
+    answers = follow([one, two])
+    assert answers[1].ids == ("grey_1", "grey_2")
+    assert answers[1].position.tolist() == [[0, 0], [-0.1, 0]]
+    assert answers[1].velocity.tolist() == [[0, 0], [0, 0]]
+
+
+@pytest.mark.parametrize(("jump", "name"), [(0.0199, "grey_1"), (0.0201, "grey_2")])
+def test_gate(jump, name):
+    answers = follow([([[0, 0]], ["grey"]), ([[jump, 0]], ["grey"])], TrackerOptions(gate_m=0.02))
+    assert answers[1].ids == (name,)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4])
+def test_velocity_is_the_drift_over_the_last_frames(frames):
+    """On x = a t2/2 the mean over n dt is a (t - n dt/2): the delay that smoothing costs."""
+    accel = 0.1
+    t = np.arange(20) * DT
+    path = [([[0.5 * accel * s**2, -0.01 * s]], ["black"]) for s in t]
+    answers = follow(path, TrackerOptions(velocity_frames=frames))
+    for k in range(frames, 20):
+        expected = [accel * (t[k] - frames * DT / 2), -0.01]
+        assert np.allclose(answers[k].velocity, [expected])
+
+
+def test_velocity_with_uneven_stamps():
+    tracker = Tracker()
+    for stamp in (10.0, 10.03, 10.2, 10.25):
+        tracker = step(tracker, stamp, [[0.02 * stamp, 0.0]], ["grey"])
+        if stamp > 10:
+            assert np.allclose(tracker.parts.velocity, [[0.02, 0]])
+
+
+def test_same_stamp_gives_the_same_answer():
+    tracker = step(Tracker(), 1.0, [[0.0, 0.0]], ["grey"])
+    tracker = step(tracker, 1.05, [[0.001, 0.0]], ["grey"])
+    again = step(tracker, 1.05, [[0.001, 0.0]], ["grey"])
+    assert again is tracker
+    assert again.parts.velocity.tolist() == tracker.parts.velocity.tolist() != [[0, 0]]
+
+
+def test_earlier_stamp_starts_anew():
+    tracker = step(Tracker(), 5.0, [[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
+    tracker = step(tracker, 5.05, [[0.1, 0.0]], ["grey"])
+    assert tracker.parts.ids == ("grey_2",)
+    tracker = step(tracker, 0.05, [[0.1, 0.0]], ["grey"])
+    assert tracker.parts.ids == ("grey_1",)
+    assert tracker.parts.velocity.tolist() == [[0, 0]]
+    assert len(tracker.tracks) == 1
+
+
+def test_a_step_leaves_the_old_state_as_it_was():
+    position = np.array([[0.0, 0.0]])
+    first = step(Tracker(), 0.0, position, ["grey"])
+    before = first.parts
+    step(first, DT, position + 0.01, ["grey"])
+    position += 1
+    assert np.array_equal(first.parts.position, before.position)
+    assert first.parts.ids == before.ids
+
+
+def test_a_long_pause_throws_nothing_away():
+    """A part at rest is found again where it was, even though it drifted before."""
+    tracker = step(Tracker(), 0.0, [[0.0, 0.0]], ["grey"])
+    tracker = step(tracker, DT, [[0.0005, 0.0]], ["grey"])
+    tracker = step(tracker, 60.0, [[0.0005, 0.0]], ["grey"])
+    assert tracker.parts.ids == ("grey_1",)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "position", "label"),
+    [
+        (0.0, [[0, 0]], []),
+        (0.0, [[0, 0]], ["grey", "grey"]),
+        (0.0, [[np.nan, 0]], ["grey"]),
+        (0.0, [[0, np.inf]], ["grey"]),
+        (np.nan, [[0, 0]], ["grey"]),
+    ],
+)
+def test_wrong_measurements_are_refused(stamp, position, label):
+    with pytest.raises(TrackError, match="allowed: "):
+        step(Tracker(), stamp, position, label)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("gate_m", 0.0), ("max_missed", -1), ("velocity_frames", 0)]
+)
+def test_wrong_options_are_refused(name, value):
+    with pytest.raises(OptionError, match=f"{name} is .*allowed: "):
+        TrackerOptions(**{name: value})

@@ -1,0 +1,61 @@
+"""The whole stage without ROS: frames drawn here, parts in metres."""
+
+import numpy as np
+import pytest
+
+from plate_core import load_rig
+from plate_vision import DetectorOptions, ImageError, Tracker, look, make_vision
+
+DT = 0.05
+
+
+@pytest.fixture
+def vision():
+    return make_vision(load_rig())
+
+
+def test_radius_and_region_come_from_the_rig(vision):
+    rig = load_rig()
+    assert vision.options.radius_px == pytest.approx(7.9, abs=0.1)  # 8 mm, 1 px is about 1 mm
+    assert np.array_equal(vision.region_px, rig.camera.corners_px)
+    assert make_vision(rig, DetectorOptions(threshold=0.7)).options.threshold == 0.7
+
+
+def test_drifting_parts(vision, draw, rng):
+    """Positions to 0.05 mm, drift to 2 mm/s from two images 50 ms apart, ids that stay."""
+    start = np.array([[-0.25, 0.1], [-0.1, -0.05], [0.0, 0.0], [0.1, 0.1], [0.2, -0.1]])
+    drift = rng.uniform(-0.04, 0.04, (5, 2))
+    label = ["black", "grey", "black", "grey", "black"]
+    ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
+    order = [0, 2, 4, 1, 3]
+    tracker = Tracker()
+    for k in range(6):
+        position = start + drift * k * DT
+        image = draw(vision.calibration.to_image(position), label, rng, radius=7.9)
+        tracker = look(vision, tracker, image, 100.0 + k * DT)
+        parts = tracker.parts
+        assert parts.ids == ids
+        assert np.abs(parts.position - position[order]).max() < 5e-5
+        if k:
+            assert np.abs(parts.velocity - drift[order]).max() < 2e-3
+
+
+def test_empty_and_dark_images_are_answered(vision, draw, rng):
+    tracker = look(vision, Tracker(), draw([], [], rng), 0.0)
+    assert tracker.parts.ids == ()
+    tracker = look(vision, tracker, np.zeros((480, 640), np.uint8), DT)
+    assert tracker.parts.ids == ()
+
+
+def test_same_frames_give_the_same_bits(vision, draw, rng):
+    frame = draw([[100.0, 200.0], [116.0, 200.0]], ["black", "grey"], rng)
+    a, b = (look(vision, Tracker(), frame, 0.0).parts for _ in range(2))
+    assert a.ids == b.ids
+    assert a.position.tobytes() == b.position.tobytes()
+
+
+@pytest.mark.parametrize("shape", [(240, 320), (640, 480), (481, 640, 3), (1, 1), (640,)])
+def test_another_size_is_refused(vision, draw, rng, shape):
+    tracker = look(vision, Tracker(), draw([], [], rng), 0.0)
+    with pytest.raises(ImageError, match=r"size is .* allowed: 640 x 480 px"):
+        look(vision, tracker, np.full(shape, 200, np.uint8), DT)
