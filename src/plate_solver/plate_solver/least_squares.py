@@ -34,7 +34,7 @@ class Fit:
 
 
 def fit(
-    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, Callable[[], np.ndarray]]],
     parameters: np.ndarray,
     admissible: Callable[[np.ndarray], np.ndarray],
     tolerance: float,
@@ -45,7 +45,8 @@ def fit(
     Parameters
     ----------
     evaluate : function
-        Parameters (P,) to errors (R,) and the derivative (R, P) of MINUS the errors.
+        Parameters (P,) to errors (R,), and a function for the derivative (R, P) of MINUS the
+        errors there: it is called only where a step is taken.
     parameters : (P,)
         Admissible start.
     admissible : function
@@ -55,7 +56,8 @@ def fit(
     iterations : int
         Most evaluations after the first.
     """
-    error, jacobian = evaluate(parameters)
+    error, slopes = evaluate(parameters)
+    jacobian = slopes()
     cost = error @ error
     damping = FIRST_DAMPING
     done = 0
@@ -63,10 +65,11 @@ def fit(
         done += 1
         step = _step(jacobian, error, damping)
         trial = admissible(parameters + step)
-        trial_error, trial_jacobian = evaluate(trial)
+        trial_error, slopes = evaluate(trial)
         trial_cost = trial_error @ trial_error
         if trial_cost < cost:
-            parameters, error, jacobian, cost = trial, trial_error, trial_jacobian, trial_cost
+            parameters, error, cost = trial, trial_error, trial_cost
+            jacobian = slopes()
             damping = max(damping / 3, LEAST_DAMPING)
         else:
             damping *= 4

@@ -7,30 +7,23 @@ speeds are then corrected, on the averaged map or on the cycle map.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig
+from plate_core import PlateError, Rig
 
+from .averaged import CURL_LENGTH_M, fit_force, force_solution
 from .centres import curl_matrix, grid, priority_order, rotation_matrix, solve_weights, unit_twists
-from .force_map import SAMPLES, mean_force_gradient
-from .least_squares import Fit, fit
-from .sequence import knot_poses, motion, motion_slopes, timeline
-from .solution import CURL_LENGTH_M, Bounds, Request, Solution, within_limits
-from .steering import Goal, steer
+from .force_map import SAMPLES
+from .least_squares import Fit
+from .rotation_family import RotationFamily
+from .solution import Bounds, Request, Solution
+from .steering import Goal, steer, steering_solution
 
-STEPS_PER_SECOND = 1250
-"""Samples of a sequence while it is being corrected [1/s]."""
-
-RAMP_SHARE = 0.95
-"""Share of the acceleration limit that ramps take; the rest is for closing the motion."""
-
-SHORTEST, FASTEST = 0.02, 2.5
-"""Least length of a rotation and greatest speed, in units of their usual values."""
-
-SLOPE_STEP = 1e-4
-"""Step of the differences that give a sequence's derivatives, in units of the parameters."""
+SHAKE = 0.4
+"""How far a further start is from the best so far, in units of the parameters."""
 
 
 @dataclass(frozen=True)
@@ -75,129 +68,6 @@ class RotationOptions:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise PlateError(f"{name} is {value!r}, allowed: {low} to {high}")
-
-
-class RotationFamily:
-    """Sequences of J rotations about given centres in a given order, as a family for `steer`.
-
-    Parameters are the J + 1 lengths (the last is the rest at the end) and the J signed speeds, both
-    in units of their usual values.
-    """
-
-    def __init__(
-        self,
-        twists: np.ndarray,
-        bounds: Bounds,
-        options: RotationOptions,
-        steps: int = 0,
-    ) -> None:
-        self._twists = np.ascontiguousarray(twists)
-        self._bounds = bounds
-        self._options = options
-        self._steps = steps or max(60, round(STEPS_PER_SECOND * options.period))
-        self._accel = RAMP_SHARE * bounds.accel
-        self._lengths = np.array([1.0, 1.0, bounds.arm_m])  # turns the gap into metres
-        self._hold_scale = 1 / len(twists)
-
-    @property
-    def count(self) -> int:
-        """Number of rotations J."""
-        return len(self._twists)
-
-    @property
-    def dt(self) -> float:
-        """Length of a step [s]."""
-        return self._options.period / self._steps
-
-    def finer(self, steps: int) -> RotationFamily:
-        """Return the same family with another number of samples."""
-        return RotationFamily(self._twists, self._bounds, self._options, steps)
-
-    def parameters(self, share: np.ndarray) -> np.ndarray:
-        """Return parameters of signed shares (J,) of the cycle; what is left over is rest."""
-        used = max(1.0, float(np.sum(np.abs(share))))
-        rest = max(0.0, 1.0 - float(np.sum(np.abs(share))))
-        holds = np.append(np.abs(share) / used, rest) / self._hold_scale
-        return self.admissible(np.concatenate([holds, np.where(share < 0, -1.0, 1.0)]))
-
-    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3)."""
-        pose, twist, _, _ = self._motion(parameters)
-        return pose, twist
-
-    def pull_back(
-        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray | None
-    ) -> np.ndarray:
-        """Return derivatives (R, P) by the parameters."""
-        twist_slopes, pose_slopes, _ = self._slopes(parameters)
-        rows, size = len(by_twist), len(parameters)
-        jacobian = by_twist.reshape(rows, -1) @ twist_slopes.reshape(size, -1).T
-        if by_pose is not None:
-            jacobian += by_pose.reshape(rows, -1) @ pose_slopes.reshape(size, -1).T
-        return jacobian
-
-    def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Keep lengths positive and speeds within the limits."""
-        parameters = parameters.copy()
-        holds, speed = parameters[: self.count + 1], parameters[self.count + 1 :]
-        np.maximum(holds, SHORTEST, out=holds)
-        np.clip(speed, -FASTEST, FASTEST, out=speed)
-        for _ in range(3):
-            pose, twist, accel, _ = self._motion(parameters)
-            share = self._bounds.share(pose, twist, accel)
-            if share <= 1:
-                break
-            speed /= 1.01 * share
-        return parameters
-
-    def penalty(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gap (3,) [m] that the sequence leaves: small, so that rotations stay so."""
-        gap = self._motion(parameters)[3]
-        slopes = self._slopes(parameters)[2]
-        return -gap * self._lengths, slopes.T * self._lengths[:, None]
-
-    def cycle(self, parameters: np.ndarray) -> PlateCycle:
-        """Return the motion as a plate cycle, with knots where ramps begin and end."""
-        times, twist = self._timeline(parameters)
-        pose = knot_poses(times, twist)
-        period, y = times[-1], times / times[-1]
-        shape = np.column_stack(
-            [
-                y**3 * (10 - 15 * y + 6 * y**2),
-                30 * y**2 * (1 - y) ** 2 / period,
-                60 * y * (1 - y) * (1 - 2 * y) / period**2,
-            ]
-        )
-        bump = shape[:, :, None] * pose[-1]
-        keep = np.append(np.diff(times) > 1e-7, True)
-        keep[0] = True
-        return PlateCycle.from_knots(
-            times[keep], (pose - bump[:, 0])[keep], (twist - bump[:, 1])[keep], -bump[keep, 2]
-        )
-
-    def _split(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        holds = parameters[: self.count + 1] * self._hold_scale
-        return holds, parameters[self.count + 1 :] * self._options.speed
-
-    def _timeline(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        holds, speed = self._split(parameters)
-        half, period = self._bounds.half, self._options.period
-        return timeline(holds, speed, self._twists, half, period, self._accel)
-
-    def _motion(
-        self, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        times, knots = self._timeline(parameters)
-        pose, twist, accel = (np.empty((self._steps, 3)) for _ in range(3))
-        gap = motion(times, knots, self._steps, pose, twist, accel)
-        return pose, twist, accel, gap
-
-    def _slopes(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        holds, speed = self._split(parameters)
-        return motion_slopes(
-            holds, speed, self._twists, self._bounds.half, self._options.period, self._accel,
-            self._steps, SLOPE_STEP, self._hold_scale, self._options.speed,
-        )  # fmt: skip
 
 
 class RotationSolver:
@@ -269,96 +139,80 @@ class RotationSolver:
             If shapes are wrong or values are not finite.
         """
         request = Request.check(position, force, velocity, curl)
-        pick = request.rows
-        scale = np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))[pick]
-        wanted = np.column_stack([request.force, request.curl]).ravel()[pick]
         start, family, condition = self._plan(request.position, request.force, request.curl)
+        tolerance = self.options.tolerance
 
-        def attempt(family: RotationFamily, theta: np.ndarray) -> Fit:
-            def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-                _, twist = family.samples(theta)
-                mean, field_curl, gradient = mean_force_gradient(
-                    request.position, request.velocity, twist
-                )
-                got = np.column_stack([mean, field_curl]).ravel()[pick]
-                jacobian = family.pull_back(theta, gradient[pick], None)
-                return (wanted - got) * scale, jacobian * scale[:, None]
-
-            stop, most = self.options.tolerance / 10, self.options.iterations
-            return fit(evaluate, theta, family.admissible, stop, most)
+        def attempt(theta: np.ndarray) -> Fit:
+            return fit_force(request, family, theta, tolerance / 10, self.options.iterations)
 
         def good(result: Fit) -> bool:
-            return bool(np.max(np.abs(result.error)) <= self.options.tolerance)
+            return bool(np.max(np.abs(result.error)) <= tolerance)
 
-        best = attempt(family, start)
-        iterations = best.iterations
-        for _ in range(self.options.restarts):
-            if good(best):
-                break
-            other = attempt(family, self._shaken(family, best.parameters))
-            iterations += other.iterations
-            best = min(best, other, key=lambda result: result.cost)
+        first = attempt(start)
+        best, iterations = self._again(first, first.iterations, family, attempt, good)
         family = family.finer(SAMPLES)
-        best = attempt(family, best.parameters)  # a few steps on samples that resolve dips
+        best = attempt(best.parameters)  # a few steps on samples that resolve dips
         iterations += best.iterations
-        error = np.zeros(len(pick))
-        error[pick] = best.error / scale
-        worst = float(np.max(np.abs(best.error)))
-        success = worst <= self.options.tolerance
-        return Solution(
-            success=success,
-            message=(
-                f"force error {worst:.2g} mu m g after {iterations} iterations"
-                + ("" if success else f", allowed: {self.options.tolerance:g}")
-            ),
-            cycle=within_limits(self._rig, family.cycle(best.parameters)),
-            residual=error.reshape(-1, 3)[:, :2],
-            iterations=iterations,
-            condition=condition,
-        )
+        cycle = family.cycle(best.parameters)
+        return force_solution(self._rig, request, best, cycle, tolerance, iterations, condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
         """Find a motion from rest to rest that moves parts as asked, on the cycle map.
 
         Parameters and result as in `SinusoidSolver.steer`.
         """
-        period = self.options.period
-        good_cost = good_enough**2 * 2 * len(goal.position)
         most = self.options.iterations
-        best = family = None
-        iterations, condition = 0, float("nan")
+
+        def good(result: Fit) -> bool:
+            return result.cost <= good_enough**2 * goal.position.size
+
+        best, iterations, condition = None, 0, float("nan")
         if self._warm is not None:
             family, theta = self._warm
             best = steer(goal, family, theta, tolerance, most)
             iterations = best.iterations
-        if best is None or best.cost > good_cost:
-            impulse = goal.displacement - goal.velocity * period
-            force = impulse / (0.5 * period**2 * goal.friction_accel)
-            theta, other_family, condition = self._plan(
-                goal.position, force, np.full(len(force), np.nan)
-            )
-            other = steer(goal, other_family, theta, tolerance, 2 * most)
+        if best is None or not good(best):
+            theta, fresh, condition = self._plan_displacement(goal)
+            other = steer(goal, fresh, theta, tolerance, 2 * most)
             iterations += other.iterations
             if best is None or other.cost < best.cost:
-                best, family = other, other_family
-        assert family is not None
-        for _ in range(self.options.restarts):
-            if best.cost <= good_cost:
-                break
-            other = steer(goal, family, self._shaken(family, best.parameters), tolerance, 2 * most)
-            iterations += other.iterations
-            best = min(best, other, key=lambda result: result.cost)
+                best, family = other, fresh
+
+        def attempt(theta: np.ndarray) -> Fit:
+            return steer(goal, family, theta, tolerance, 2 * most)
+
+        best, iterations = self._again(best, iterations, family, attempt, good)
         self._warm = family, best.parameters
-        error = best.error[: 2 * len(goal.position)].reshape(-1, 2)
-        worst = float(np.max(np.abs(error)))
-        return Solution(
-            success=worst <= max(tolerance, good_enough),
-            message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
-            cycle=within_limits(self._rig, family.cycle(best.parameters)),
-            residual=error / (goal.friction_accel * period**2),
-            iterations=iterations,
-            condition=condition if np.isfinite(condition) else best.condition,
-        )
+        return steering_solution(
+            self._rig, goal, best, family.cycle(best.parameters), good_enough, iterations,
+            condition if np.isfinite(condition) else best.condition,
+        )  # fmt: skip
+
+    def _again(
+        self,
+        best: Fit,
+        iterations: int,
+        family: RotationFamily,
+        attempt: Callable[[np.ndarray], Fit],
+        good: Callable[[Fit], bool],
+    ) -> tuple[Fit, int]:
+        """Start again some way from the best, until it is good; returns iterations in all."""
+        for _ in range(self.options.restarts):
+            if good(best):
+                break
+            shaken = best.parameters + SHAKE * self._rng.normal(size=len(best.parameters))
+            other = attempt(family.admissible(shaken))
+            iterations += other.iterations
+            if other.cost < best.cost:
+                best = other
+        return best, iterations
+
+    def _plan_displacement(self, goal: Goal) -> tuple[np.ndarray, RotationFamily, float]:
+        """Plan with the force that would give the displacements from the start velocities."""
+        period = self.options.period
+        impulse = goal.displacement - goal.velocity * period
+        force = impulse / (0.5 * period**2 * goal.friction_accel)
+        return self._plan(goal.position, force, np.full(len(force), np.nan))
 
     def _plan(
         self, position: np.ndarray, force: np.ndarray, curl: np.ndarray
@@ -375,9 +229,6 @@ class RotationSolver:
         wanted = np.concatenate([force.T.ravel(), curl[asked] * CURL_LENGTH_M, np.zeros(3)])
         share, condition = solve_weights(matrix, wanted, self.options.most_gain)
         order = priority_order(share, position, self.centres)
-        family = RotationFamily(self._twists[order], self._bounds, self.options)
+        options = self.options
+        family = RotationFamily(self._twists[order], self._bounds, options.period, options.speed)
         return family.parameters(share[order]), family, condition
-
-    def _shaken(self, family: RotationFamily, theta: np.ndarray) -> np.ndarray:
-        """Return admissible parameters some way from `theta`."""
-        return family.admissible(theta + 0.4 * self._rng.normal(size=len(theta)))

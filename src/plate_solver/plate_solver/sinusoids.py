@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PlateError, Rig
+from plate_core import PlateCycle, PlateError, Rig
 
-from .force_map import SAMPLES, mean_force_gradient
+from .averaged import fit_force, force_solution
+from .force_map import SAMPLES
 from .guesses import GuessTable
 from .harmonics import Harmonics, harmonics
-from .least_squares import Fit, fit
-from .solution import CURL_LENGTH_M, Bounds, Request, Solution, within_limits
-from .steering import Goal, steer
+from .least_squares import Fit
+from .solution import Bounds, Request, Solution
+from .steering import Goal, steer, steering_solution
 
 
 @dataclass(frozen=True)
@@ -105,9 +106,17 @@ class SinusoidFamily:
         """Scale to the full amplitude that the limits allow."""
         return self.parameters(self.basis.saturated(self.coefficients(parameters), self._bounds))
 
-    def penalty(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return no errors: limits are kept by scaling."""
-        return np.zeros(0), np.zeros((0, len(parameters)))
+        return np.zeros(0)
+
+    def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
+        """Return no derivatives."""
+        return np.zeros((0, len(parameters)))
+
+    def cycle(self, parameters: np.ndarray) -> PlateCycle:
+        """Return the motion as a plate cycle."""
+        return self.basis.cycle(self.coefficients(parameters))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """Return random admissible parameters."""
@@ -172,47 +181,23 @@ class SinusoidSolver:
             If shapes are wrong or values are not finite.
         """
         request = Request.check(position, force, velocity, curl)
-        constraints = 2 * len(request.position) + int(np.sum(np.isfinite(request.curl)))
-        family, key = self._family(constraints, self.options.at_rest)
-        rows = request.rows
-        scale = np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))[rows]
-        wanted = np.column_stack([request.force, request.curl]).ravel()[rows]
+        family, key = self._family(int(np.sum(request.rows)), self.options.at_rest)
+        tolerance = self.options.tolerance
 
-        def attempt(family: SinusoidFamily, start: np.ndarray) -> Fit:
-            def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-                _, twist = family.samples(theta)
-                mean, field_curl, gradient = mean_force_gradient(
-                    request.position, request.velocity, twist
-                )
-                got = np.column_stack([mean, field_curl]).ravel()[rows]
-                jacobian = family.pull_back(theta, gradient[rows], None)
-                return (wanted - got) * scale, jacobian * scale[:, None]
+        def attempt(theta: np.ndarray) -> Fit:
+            return fit_force(request, family, theta, tolerance / 10, self.options.iterations)
 
-            stop, most = self.options.tolerance / 10, self.options.iterations
-            return fit(evaluate, start, family.admissible, stop, most)
+        def good(result: Fit) -> bool:
+            return bool(np.max(np.abs(result.error)) <= tolerance)
 
-        best, iterations = self._search(family, key, request.position, request.force, attempt)
+        best, iterations = self._search(family, key, request.position, request.force, attempt, good)
         family = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
-        best = attempt(family, best.parameters)  # a few steps on samples that resolve dips
+        best = attempt(best.parameters)  # a few steps on samples that resolve dips
         iterations += best.iterations
-        error = np.zeros(len(rows))
-        error[rows] = best.error / scale
-        residual = error.reshape(-1, 3)[:, :2]
-        worst = float(np.max(np.abs(best.error)))
-        success = worst <= self.options.tolerance
         self._warm[key] = best.parameters
-        return Solution(
-            success=success,
-            message=(
-                f"force error {worst:.2g} mu m g after {iterations} iterations"
-                + ("" if success else f", allowed: {self.options.tolerance:g}")
-            ),
-            cycle=within_limits(
-                self._rig, family.basis.cycle(family.coefficients(best.parameters))
-            ),
-            residual=residual,
-            iterations=iterations,
-            condition=best.condition,
+        cycle = family.cycle(best.parameters)
+        return force_solution(
+            self._rig, request, best, cycle, tolerance, iterations, best.condition
         )
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
@@ -233,27 +218,19 @@ class SinusoidSolver:
             `residual` is the displacement error in mu m g: error / (mu g T^2).
         """
         family, key = self._family(2 * len(goal.position), True)
-        period = family.basis.period
 
-        def attempt(family: SinusoidFamily, start: np.ndarray) -> Fit:
-            return steer(goal, family, start, tolerance, self.options.iterations)
+        def attempt(theta: np.ndarray) -> Fit:
+            return steer(goal, family, theta, tolerance, self.options.iterations)
 
-        wanted = goal.displacement / (goal.friction_accel * period**2)
-        best, iterations = self._search(
-            family, key, goal.position, wanted, attempt, good_enough**2 * 2 * len(goal.position)
-        )
+        def good(result: Fit) -> bool:
+            return result.cost <= good_enough**2 * goal.position.size
+
+        wanted = goal.displacement / (goal.friction_accel * family.basis.period**2)
+        best, iterations = self._search(family, key, goal.position, wanted, attempt, good)
         self._warm[key] = best.parameters
-        error = best.error.reshape(-1, 2)
-        worst = float(np.max(np.abs(error)))
-        return Solution(
-            success=worst <= max(tolerance, good_enough),
-            message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
-            cycle=within_limits(
-                self._rig, family.basis.cycle(family.coefficients(best.parameters))
-            ),
-            residual=error / (goal.friction_accel * period**2),
-            iterations=iterations,
-            condition=best.condition,
+        cycle = family.cycle(best.parameters)
+        return steering_solution(
+            self._rig, goal, best, cycle, good_enough, iterations, best.condition
         )
 
     def steering_period(self, count: int) -> float:
@@ -266,16 +243,10 @@ class SinusoidSolver:
         key: tuple[int, float, bool],
         position: np.ndarray,
         force: np.ndarray,
-        attempt: Callable[[SinusoidFamily, np.ndarray], Fit],
-        good_cost: float | None = None,
+        attempt: Callable[[np.ndarray], Fit],
+        good: Callable[[Fit], bool],
     ) -> tuple[Fit, int]:
         """Try the last solution, then the table's guess, then random starts; keep the best."""
-
-        def good(result: Fit) -> bool:
-            if good_cost is not None:
-                return result.cost <= good_cost
-            return bool(np.max(np.abs(result.error)) <= self.options.tolerance)
-
         warm = self._warm.get(key)
         if warm is None:
             table = self._tables.get(key)
@@ -285,7 +256,7 @@ class SinusoidSolver:
             start = family.admissible(family.parameters(guess))
         else:
             start = warm
-        best = attempt(family, start)
+        best = attempt(start)
         iterations = best.iterations
         for number in range(self.options.restarts):
             if good(best):
@@ -293,7 +264,7 @@ class SinusoidSolver:
             start = family.random(self._rng)
             if number % 2 == 0:  # stay near what is known, then look far away
                 start = family.admissible(best.parameters + 0.7 * start)
-            other = attempt(family, start)
+            other = attempt(start)
             iterations += other.iterations
             if other.cost < best.cost:
                 best = other

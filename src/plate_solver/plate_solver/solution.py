@@ -17,9 +17,6 @@ MARGIN = 0.98
 CERTAIN = 0.999
 """Share of the limits that a finished cycle uses at most, by the exact check."""
 
-CURL_LENGTH_M = 0.05
-"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
-
 
 @dataclass(frozen=True)
 class Solution:

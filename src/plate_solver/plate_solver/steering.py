@@ -7,13 +7,17 @@ family of motions with exact derivatives of the cycle map.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from .cycle_map import end_position_gradient
+from plate_core import PlateCycle, Rig
+
+from .cycle_map import end_position_gradient, end_state
 from .least_squares import Fit, fit
+from .solution import Solution, within_limits
 
 INSIDE_WEIGHT = 0.02
 """Weight of an error within its tolerance: enough to prefer the middle, too little to cost."""
@@ -53,15 +57,18 @@ class Family(Protocol):
         """Return pose and twist (n, 3) at the middles of the steps."""
 
     def pull_back(
-        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray
+        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray | None
     ) -> np.ndarray:
-        """Turn derivatives by the samples, (R, n, 3) and (R, n, 2), into ones (R, P)."""
+        """Turn derivatives by twist (R, n, 3) and position (R, n, 2) into ones (R, P)."""
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Return the nearest parameters that the rig can run."""
 
-    def penalty(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return further errors (K,) [m] and the derivative (K, P) of minus them."""
+    def penalty(self, parameters: np.ndarray) -> np.ndarray:
+        """Return further errors (K,) [m]."""
+
+    def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
+        """Return the derivative (K, P) of minus the further errors."""
 
 
 def residual(goal: Goal, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,14 +89,39 @@ def steer(
     Errors are in metres; `tolerance` is the greatest at which to stop [m].
     """
 
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
         pose, twist = family.samples(theta)
-        end, _, by_twist, by_pose = end_position_gradient(
-            goal.position, goal.velocity, pose, twist, family.dt, goal.friction_accel
-        )
+        state = goal.position, goal.velocity, pose, twist, family.dt, goal.friction_accel
+        end, _ = end_state(*state)
         error, weight = residual(goal, end)
-        jacobian = weight.reshape(-1, 1) * family.pull_back(theta, by_twist, by_pose)
-        more, more_jacobian = family.penalty(theta)
-        return np.concatenate([error.ravel(), more]), np.vstack([jacobian, more_jacobian])
+
+        def slopes() -> np.ndarray:
+            _, _, by_twist, by_pose = end_position_gradient(*state)
+            jacobian = weight.reshape(-1, 1) * family.pull_back(theta, by_twist, by_pose)
+            return np.vstack([jacobian, family.penalty_slopes(theta)])
+
+        return np.concatenate([error.ravel(), family.penalty(theta)]), slopes
 
     return fit(evaluate, parameters, family.admissible, tolerance, iterations)
+
+
+def steering_solution(
+    rig: Rig,
+    goal: Goal,
+    best: Fit,
+    cycle: PlateCycle,
+    good_enough: float,
+    iterations: int,
+    condition: float,
+) -> Solution:
+    """Put the result of `steer` into a solution; its residual is error / (mu g T^2)."""
+    error = best.error[: goal.position.size].reshape(-1, 2)
+    worst = float(np.max(np.abs(error)))
+    return Solution(
+        success=bool(np.sqrt(np.mean(error**2)) <= good_enough),
+        message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
+        cycle=within_limits(rig, cycle),
+        residual=error / (goal.friction_accel * cycle.period**2),
+        iterations=iterations,
+        condition=condition,
+    )
