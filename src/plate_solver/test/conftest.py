@@ -1,0 +1,46 @@
+"""What the solver's tests share: the rig, random scenes, and motions of given velocities."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, Rig, load_rig
+
+
+@pytest.fixture(scope="session")
+def rig() -> Rig:
+    return load_rig()
+
+
+@pytest.fixture(scope="session")
+def scene(rig):
+    """Function (seed, count) to (rng, positions (M, 2) [m] at least 4 cm apart)."""
+
+    def make(seed: int, count: int) -> tuple[np.random.Generator, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        chosen = np.empty((0, 2))
+        while len(chosen) < count:
+            new = rng.uniform(-0.85, 0.85, 2) * rig.plate.half
+            if np.all(np.hypot(*(chosen - new).T) >= 0.04):
+                chosen = np.vstack([chosen, new])
+        return rng, chosen
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def sinusoid_cycle():
+    """Function (sin (N, 3), cos (N, 3), period, knots) to the cycle with these velocities."""
+
+    def make(sin, cos, period: float = 0.1, knots: int = 64) -> PlateCycle:
+        sin, cos = (np.array(a, dtype=float).reshape(-1, 3) for a in (sin, cos))
+        omega = 2 * np.pi / period * np.arange(1, len(sin) + 1)
+        angle = np.outer(np.arange(knots) * period / knots, omega)
+        s, c = np.sin(angle), np.cos(angle)
+        return PlateCycle.from_samples(
+            period,
+            (-c / omega) @ sin + (s / omega) @ cos,
+            s @ sin + c @ cos,
+            (c * omega) @ sin - (s * omega) @ cos,
+        )
+
+    return make
