@@ -53,7 +53,9 @@ def test_agrees_with_quadrature_of_the_textbook_formula(seed, sinusoid_cycle):
     cycle = sinusoid_cycle(sin, cos, period=2 * np.pi)
 
     def friction(t: float, place: np.ndarray, part: np.ndarray) -> np.ndarray:
-        u = sum(a * np.sin(j * t) + b * np.cos(j * t) for j, a, b in zip((1, 2), sin, cos))
+        u = sum(
+            a * np.sin(j * t) + b * np.cos(j * t) for j, a, b in zip((1, 2), sin, cos, strict=True)
+        )
         slip = u[:2] + np.cross([0, 0, u[2]], [*place, 0])[:2] - part
         return slip / np.linalg.norm(slip)
 
@@ -207,7 +209,7 @@ def test_gradient_agrees_with_differences(seed):
     rng = np.random.default_rng(seed)
     twist = rng.normal(size=(16, 3)) * [0.2, 0.2, 1.0]
     places, velocity = PLACES[:3], rng.normal(size=(3, 2)) * 0.02
-    force, curl, gradient = mean_force_gradient(places, velocity, twist)
+    force, _, gradient = mean_force_gradient(places, velocity, twist)
     np.testing.assert_allclose(force, mean_force(places, velocity, twist), atol=1e-14)
     step = 1e-6
     for k, c in np.ndindex(*twist.shape):
