@@ -68,13 +68,21 @@ class Controller:
         A key of `METHODS`.
     seed : int
         Seed of the solvers' restarts.
+    centres : (N, 2), optional
+        Centres of rotation of Method A [m], plate_home; as `RotationSolver` if left out.
     """
 
-    def __init__(self, rig: Rig, method: str = "sinusoids", seed: int = 0) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        method: str = "sinusoids",
+        seed: int = 0,
+        centres: np.ndarray | None = None,
+    ) -> None:
         self._rig = rig
         self._solvers: dict[str, RotationSolver | SinusoidSolver] = {
-            "rotations": RotationSolver(rig, iterations=12, restarts=1, seed=seed),
-            "sinusoids": SinusoidSolver(rig, iterations=16, restarts=2, seed=seed),
+            "rotations": RotationSolver(rig, centres, iterations=12, restarts=1, seed=seed),
+            "sinusoids": SinusoidSolver(rig, iterations=16, restarts=3, seed=seed),
         }
         self._velocity: dict[str, np.ndarray] = {}
         self.method = METHODS[method]
