@@ -145,11 +145,11 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
     if brightness is None or not len(seeds):
         return Discs(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
     windows = cut_windows(grey, brightness, seeds, radius)
-    discs = measure_alone(windows, radius)
+    discs, shared = measure_alone(windows, radius)
     x, y = seeds.T
     height, width = grey.shape
     room = np.min([region.depth(x, y) - SEAM_PX, x, y, width - 1 - x, height - 1 - y], axis=0)
-    shared = room < radius + RIM_PX + 1
+    shared |= room < radius + RIM_PX + 1
     shared[neighbour_pairs(seeds, 2 * radius + RIM_PX + BLUR_PX)[:, 0]] = True
     # What is no disc by itself may be a part and something beside it.
     shared |= ~_is_part(discs, region, options) | (discs.misfit > CLEAN_MISFIT)
@@ -159,7 +159,6 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
         fitted = fit_discs(beside, seeds[rest], radius, region, (height, width))
         discs = discs.select(np.flatnonzero(~shared)).join(fitted)
         discs = discs.select(np.flatnonzero(_is_part(discs, region, options)))
-        discs = discs.select(_distinct(discs, radius))
     return discs
 
 
@@ -171,12 +170,3 @@ def _is_part(discs: Discs, region: Region, options: DetectorOptions) -> np.ndarr
         & (discs.misfit < MAX_MISFIT)
         & (region.depth(*discs.centre.T) >= -options.margin_px)
     )
-
-
-def _distinct(discs: Discs, radius_px: float) -> np.ndarray:
-    """Return the indices of the discs, of those in the same place only the best."""
-    drop = {
-        int(a if (discs.misfit[a], a) > (discs.misfit[b], b) else b)
-        for a, b in neighbour_pairs(discs.centre, radius_px)
-    }
-    return np.array([i for i in range(len(discs.radius)) if i not in drop], dtype=int)

@@ -19,6 +19,13 @@ RIM_PX = 3.0
 """Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
 seed error, and the blurred edge."""
 
+RIM_CLEAR_PX = 2.2
+"""Distance [px] from a part's radius to the rim of its window that must be bright."""
+
+RIM_DIRT_PX2 = 0.5
+"""Dark area [px2] in that rim from which on there is something beside the part; twice as
+much would shift the moments of a part of 8 px radius by 0.05 px."""
+
 CORE = 0.6
 """Inner part of a disc, in radii, whose mean darkness is the part's: away from the blurred edge."""
 
@@ -117,11 +124,17 @@ def window_reach(radius_px: float) -> int:
     return int(np.ceil(radius_px + RIM_PX))
 
 
-def measure_alone(windows: Windows, radius_px: float) -> Discs:
+def measure_alone(windows: Windows, radius_px: float) -> tuple[Discs, np.ndarray]:
     """Measure discs that have their window to themselves, by moments of darkness.
 
     With m the darkness and d the distance from the centre, a disc of radius r has
     sum(m d2) / sum(m) = r2 / 2; the misfit is how far that is from the radius by area.
+
+    Returns
+    -------
+    Discs
+    (n,) bool
+        Whether there is something else in the window: the measurement is then wrong.
     """
     basis, core = _moment_basis(radius_px)
     darkness = np.where(windows.darkness > NOISE, windows.darkness, np.float32(0))
@@ -135,21 +148,23 @@ def measure_alone(windows: Windows, radius_px: float) -> Discs:
     spread = sums[:, 3] / mass - np.sum(shift**2, axis=1)
     reach = (windows.x.shape[2] - 1) // 2
     centre = np.stack([windows.x[:, 0, reach], windows.y[:, reach, 0]], axis=1) + shift
-    return Discs(centre, radius, darkness, np.abs(2 * spread / radius**2 - 1))
+    misfit = np.abs(2 * spread / radius**2 - 1)
+    return Discs(centre, radius, darkness, misfit), sums[:, 5] > RIM_DIRT_PX2 * darkness
 
 
 @lru_cache(maxsize=16)
 def _moment_basis(radius_px: float) -> tuple[np.ndarray, int]:
-    """Return weights (s * s, 5) of 1, dx, dy, d2 in a round window and of its inner part; the
-    number of pixels of the latter."""
+    """Return weights (s * s, 6) of 1, dx, dy, d2 in a round window, of its inner part and of its
+    rim; the number of pixels of the inner part."""
     reach = window_reach(radius_px)
     offset = np.arange(-reach, reach + 1)
     dx, dy = np.meshgrid(offset, offset)
     square = dx**2 + dy**2
     disc = square <= (radius_px + RIM_PX) ** 2
     core = square <= (CORE * radius_px) ** 2
-    columns = [disc, dx * disc, dy * disc, square * disc, core]
-    basis = np.stack(columns, axis=-1).astype(np.float32).reshape(-1, 5)
+    rim = disc & (square > (radius_px + RIM_CLEAR_PX) ** 2)
+    columns = [disc, dx * disc, dy * disc, square * disc, core, rim]
+    basis = np.stack(columns, axis=-1).astype(np.float32).reshape(-1, len(columns))
     return basis, int(np.count_nonzero(core))
 
 

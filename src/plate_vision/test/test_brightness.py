@@ -1,0 +1,40 @@
+"""The bare plate's brightness, where parts hide it, against the brightness that was drawn."""
+
+import numpy as np
+import pytest
+
+from plate_vision.brightness import fit_brightness
+from plate_vision.region import make_region
+
+X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
+
+
+@pytest.fixture
+def region(corners_px):
+    return make_region(480, 640, tuple(map(tuple, corners_px.tolist())))
+
+
+def truth(x, y):
+    """The shading `slope` on a plate of 220 grey levels."""
+    return 220 * (1 + 0.05 * (2 * x / 639 - 1) - 0.03 * (2 * y / 479 - 1))
+
+
+@pytest.mark.parametrize("count", [0, 100])
+def test_parts_do_not_darken_the_plate(draw, region, rng, count):
+    """A hundred grey parts and their edges, which are hardly darker than the plate."""
+    centre = np.stack([X_PX.ravel(), Y_PX.ravel()], axis=1)
+    centre = centre[rng.permutation(len(centre))[:count]]
+    frame = draw(centre, ["grey"] * count, rng)
+    brightness = fit_brightness(frame, region, 60)
+    assert np.abs(brightness.at(X_PX, Y_PX) - truth(X_PX, Y_PX)).max() < 0.6
+
+
+def test_the_room_does_not_darken_the_plate(draw, rng):
+    """Also if nobody says where the plate is."""
+    brightness = fit_brightness(draw([], [], rng), make_region(480, 640, None), 60)
+    assert np.abs(brightness.at(X_PX, Y_PX) - truth(X_PX, Y_PX)).max() < 1.5
+
+
+def test_no_light_no_plate(draw, region, rng):
+    assert fit_brightness(draw([], [], rng, light=0.2), region, 60) is None
+    assert fit_brightness(np.zeros((480, 640), np.uint8), region, 0) is None
