@@ -1,0 +1,56 @@
+"""The closed loop in simulation: the five nodes of config/graph.yaml.
+
+ros2 launch plate_core closed_loop.launch.py scenario:=sort_10 method:=sinusoids
+ros2 service call /start std_srvs/srv/Trigger
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch_ros.actions import Node
+
+from plate_core.graph import RunOptions, load_graph
+from plate_core.rig import config_path
+
+ARGUMENTS = {
+    "scenario": ("sort_10", "Name in config/scenarios, or path of a .yaml file"),
+    "method": ("sinusoids", "Method of the solver: rotations or sinusoids"),
+    "seed": ("0", "Seed of scattered parts, image noise and the solver"),
+    "lockstep": ("false", "true: the simulator waits for every answer"),
+    "rate": ("1.0", "Simulated seconds per second"),
+    "rig_file": ("", "Rig file; empty: config/rig.yaml"),
+    "params_file": (str(config_path("nodes.yaml")), "ROS parameters of the nodes"),
+    "namespace": ("", "Namespace of all nodes and topics"),
+}
+
+
+def start_nodes(context):
+    """Return one action per node."""
+    given = context.launch_configurations
+    options = RunOptions(
+        scenario=given["scenario"],
+        method=given["method"],
+        seed=int(given["seed"]),
+        lockstep=given["lockstep"].lower() == "true",
+        rate=float(given["rate"]),
+        rig_file=given["rig_file"],
+    )
+    return [
+        Node(
+            package=node.package,
+            executable=node.executable,
+            name=node.name,
+            namespace=given["namespace"],
+            parameters=[given["params_file"], options.parameters(node)],
+            output="screen",
+        )
+        for node in options.nodes(load_graph())
+    ]
+
+
+def generate_launch_description():
+    """Return what `ros2 launch` runs."""
+    arguments = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, (value, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])

@@ -1,0 +1,126 @@
+"""The list of nodes that make up the closed loop, and the parameters of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .errors import PlateError
+from .rig import config_path
+from .yaml_fields import Fields, read_yaml
+
+Value = str | int | float | bool
+
+
+class GraphError(PlateError):
+    """The list of nodes is wrong, or a node does not do its part."""
+
+
+@dataclass(frozen=True)
+class GraphNode:
+    """A node of the graph.
+
+    Attributes
+    ----------
+    name, package, executable : str
+        What `ros2 run PACKAGE EXECUTABLE` starts, and the name it has in the graph.
+    on_hardware : bool
+        Whether it runs on hardware too; False for what stands in for the hardware.
+    """
+
+    name: str
+    package: str
+    executable: str
+    on_hardware: bool
+
+
+def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
+    """Read the list of nodes, in the order in which they are to be started.
+
+    Parameters
+    ----------
+    path : path, optional
+        YAML file; config/graph.yaml if left out.
+
+    Raises
+    ------
+    GraphError
+        If the file is broken, or a name is given twice.
+    """
+    fields = read_yaml(path or config_path("graph.yaml"), GraphError)
+    nodes = tuple(_node(child) for child in fields.children("nodes"))
+    fields.finish()
+    names = [node.name for node in nodes]
+    if len(set(names)) < len(names) or not names:
+        raise fields.fail("nodes", "at least one node, each name once")
+    return nodes
+
+
+def _node(fields: Fields) -> GraphNode:
+    node = GraphNode(
+        fields.text("name"),
+        fields.text("package"),
+        fields.text("executable"),
+        fields.flag("on_hardware"),
+    )
+    fields.finish()
+    return node
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What is to be run, and how: becomes parameters of the nodes.
+
+    Attributes
+    ----------
+    scenario : str
+        Name or path: to simulator and planner.
+    method : str
+        Of the solver.
+    seed : int
+        Of simulator and solver.
+    transport, port : str
+        Of the driver; the port only where it is not empty.
+    lockstep : bool
+        The simulator waits for every answer; time is the simulator's.
+    rate : float
+        Simulated seconds per wall second; other than 1, time is the simulator's.
+    rig_file : str
+        To all nodes; empty: the default rig.
+    """
+
+    scenario: str = "sort_10"
+    method: str = "sinusoids"
+    seed: int = 0
+    transport: str = "sim"
+    port: str = ""
+    lockstep: bool = False
+    rate: float = 1.0
+    rig_file: str = ""
+
+    def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
+        """Return the nodes of the graph that this run needs."""
+        return tuple(node for node in graph if self.transport == "sim" or node.on_hardware)
+
+    def parameters(self, node: GraphNode) -> dict[str, Value]:
+        """Return the parameters of a node, over those of nodes.yaml."""
+        own: dict[str, dict[str, Value]] = {
+            "simulator": {
+                "scenario": self.scenario,
+                "seed": self.seed,
+                "lockstep": self.lockstep,
+                "rate": self.rate,
+            },
+            "planner": {"scenario": self.scenario},
+            "solver": {"method": self.method, "seed": self.seed},
+            "driver": {"transport": self.transport},
+        }
+        values = dict(own.get(node.name, {}))
+        if self.port and node.name == "driver":
+            values["port"] = self.port
+        if self.rig_file:
+            values["rig_file"] = self.rig_file
+        if (self.lockstep or self.rate != 1) and node.on_hardware:
+            values["use_sim_time"] = True
+        return values

@@ -1,0 +1,167 @@
+"""The sixth process: sees the nodes over DDS, starts the task, and records what is said."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
+from rclpy.experimental import EventsExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image, MultiDOFJointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core.graph import GraphError
+from plate_core.ros.convert import nanoseconds
+from plate_core.ros.qos import CAMERA, LATCHED
+
+from .record import Record
+
+ALL = QoSProfile(depth=200)
+"""We want to hear everything, also when we are slow."""
+
+CALL_S = 10.0
+"""Longest wait for a service [s]."""
+
+POLL_S = 0.05
+
+
+class Observer:
+    """A node of its own in this process; a context manager.
+
+    Parameters
+    ----------
+    domain : int
+        ROS domain.
+    pulse : callable, optional
+        Called about every `POLL_S` while waiting; raises to end the wait.
+    """
+
+    def __init__(self, domain: int, pulse: Callable[[], None] = lambda: None) -> None:
+        self.record = Record()
+        self._pulse = pulse
+        self._pulsed_at = 0.0
+        rclpy.init(
+            domain_id=domain,
+            args=["--ros-args", "--disable-external-lib-logs"],
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node("observer")
+        self._executor = EventsExecutor()
+        self._executor.add_node(self.node)
+        record = self.record
+
+        def listen(kind: Any, topic: str, on_message: Any, qos: QoSProfile, raw: bool) -> None:
+            self.node.create_subscription(kind, topic, on_message, qos, raw=raw)
+
+        listen(MultiDOFJointState, "ground_truth", record.truth.append, ALL, True)
+        listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
+        listen(Image, "image_raw", record.images.add, CAMERA, True)
+        listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
+        listen(String, "task_state", lambda msg: record.states.append(msg.data), LATCHED, False)
+
+    def __enter__(self) -> Observer:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _on_report(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            node = status.name.split(":")[0].rsplit("/", 1)[-1]
+            values = {item.key: item.value for item in status.values}
+            stamp = nanoseconds(msg.header.stamp)
+            self.record.reports[node].append((stamp, {"message": status.message, **values}))
+
+    def until(self, true: Callable[[], bool], patience_s: float) -> bool:
+        """Listen until the condition holds; False if it does not within the time [s]."""
+        end = time.monotonic() + patience_s
+        while not true():
+            now = time.monotonic()
+            if now > end:
+                return False
+            if now - self._pulsed_at > POLL_S:
+                self._pulsed_at = now
+                self._pulse()
+            self._executor.spin_once(timeout_sec=POLL_S)
+        return True
+
+    def seen(self, names: Iterable[str]) -> list[str]:
+        """Return those of the names that are in the graph now."""
+        there = self.node.get_node_names()
+        return [name for name in names if name in there]
+
+    def await_nodes(self, names: list[str], patience_s: float) -> list[str]:
+        """Wait until all nodes are in the graph, and return their names.
+
+        Raises
+        ------
+        GraphError
+            Names those that did not appear within the time [s].
+        """
+        if not self.until(lambda: self.seen(names) == names, patience_s):
+            missing = [name for name in names if name not in self.seen(names)]
+            raise GraphError(
+                f"not seen within {patience_s:g} s: {', '.join(missing)} (of {', '.join(names)})"
+            )
+        return self.seen(names)
+
+    def await_loop(self, patience_s: float) -> None:
+        """Wait until images are answered all the way round."""
+        before = len(self.record.tables)
+        if not self.until(lambda: len(self.record.tables) > before, patience_s):
+            raise GraphError(
+                f"no motor_setpoints within {patience_s:g} s: images are not answered all the way "
+                f"round ({self.record.images.count} images seen)"
+            )
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service and return its answer.
+
+        Raises
+        ------
+        GraphError
+            If there is none within `CALL_S`.
+        """
+        client = self.node.create_client(kind, service)
+        try:
+            answer = None
+            if self.until(client.service_is_ready, CALL_S):
+                future = client.call_async(request)
+                if self.until(future.done, CALL_S):
+                    answer = future.result()
+            if answer is None:
+                raise GraphError(f"service {service} did not answer within {CALL_S:g} s")
+            return answer
+        finally:
+            self.node.destroy_client(client)
+
+    def trigger(self, service: str) -> str:
+        """Call `start` or `stop` and return what it says.
+
+        Raises
+        ------
+        GraphError
+            If it refuses.
+        """
+        answer = self.call(Trigger, service, Trigger.Request())
+        if not answer.success:
+            raise GraphError(f"{service} refused: {answer.message}")
+        return str(answer.message)
+
+    def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
+        """Set a parameter of a running node; returns whether it took it, and why not."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+        return bool(result.successful), str(result.reason)

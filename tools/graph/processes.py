@@ -1,0 +1,241 @@
+"""The nodes as processes of their own: started, watched, and stopped without leftovers."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import random
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from plate_core.graph import GraphError, GraphNode, RunOptions, Value
+from plate_core.rig import config_path
+
+PATIENCE_S = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+"""Signals that stop a node, and how long each may take [s]; a node in a compiler needs a while."""
+
+TAIL_LINES = 12
+"""Last lines of a log that are shown when a node has failed."""
+
+DOMAINS = range(1, 102)
+"""ROS domains whose ports do not collide with those that Linux hands out itself."""
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a program to end."""
+
+PR_SET_PDEATHSIG = 1
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked us to stop; `number` is the signal."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@contextlib.contextmanager
+def signals_raise() -> Iterator[None]:
+    """Turn the signals that end a program into `Interrupted`, so that `finally` is reached."""
+
+    def on_signal(number: int, frame: object) -> None:
+        raise Interrupted(number)
+
+    before = {number: signal.signal(number, on_signal) for number in ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def signals_wait() -> Iterator[None]:
+    """Hold signals back while something must not be interrupted; they take effect at its end."""
+    pending: list[int] = []
+    before = {number: signal.getsignal(number) for number in ENDING}
+    for number in ENDING:
+        signal.signal(number, lambda number, _: pending.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if pending:
+            os.kill(os.getpid(), pending[0])
+
+
+def free_domain() -> int:
+    """Return a ROS domain that nobody on this machine uses.
+
+    The first participant of a domain binds a UDP port of its own (DDSI-RTPS 9.6.1.1: 7410 +
+    250 domain), so a port that can be bound tells that the domain is free.
+    """
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise GraphError(f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use")
+
+
+def ros_environment(domain: int) -> dict[str, str]:
+    """Return the variables that keep a graph on this machine and in its own domain."""
+    return {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_path("fastdds.xml")),
+        "RCUTILS_COLORIZED_OUTPUT": "0",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+def executable(node: GraphNode) -> Path:
+    """Return the file that `ros2 run` would start."""
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    for prefix in prefixes:
+        path = prefix / "lib" / node.package / node.executable
+        if os.access(path, os.X_OK):
+            return path
+    raise GraphError(
+        f"{node.package} {node.executable} is not installed; run: make setup, then: source env.sh"
+    )
+
+
+def command(node: GraphNode, parameters: Mapping[str, Value]) -> list[str]:
+    """Return the command line of a node: parameters of nodes.yaml first, then the given ones."""
+    words = [str(executable(node)), "--ros-args", "--disable-external-lib-logs"]
+    words += ["-r", f"__node:={node.name}", "--params-file", str(config_path("nodes.yaml"))]
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        # A text of digits must stay a text.
+        words += ["-p", f"{name}:='{text}'" if isinstance(value, str) else f"{name}:={text}"]
+    return words
+
+
+class Processes:
+    """All nodes of a run. A context manager: at its end none of them is left.
+
+    Parameters
+    ----------
+    nodes : iterable of GraphNode
+    options : RunOptions
+        Decides their parameters.
+    logs : path
+        Folder for NODE.log.
+    domain : int
+        ROS domain.
+
+    Attributes
+    ----------
+    exit_codes : dict of str to int
+        By node, once stopped; negative: ended by that signal.
+    """
+
+    def __init__(
+        self, nodes: Iterable[GraphNode], options: RunOptions, logs: Path, domain: int
+    ) -> None:
+        self.exit_codes: dict[str, int] = {}
+        self._commands = {node.name: command(node, options.parameters(node)) for node in nodes}
+        self._logs = logs
+        self._environment = os.environ | ros_environment(domain)
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Processes:
+        self._logs.mkdir(parents=True, exist_ok=True)
+        try:
+            for name, words in self._commands.items():
+                self._start(name, words)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop()
+
+    def _start(self, name: str, words: list[str]) -> None:
+        # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
+        with self.log(name).open("wb") as log, signals_wait():
+            self._running[name] = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=_prepare_child,
+            )
+
+    def log(self, name: str) -> Path:
+        """Return the path of a node's log."""
+        return self._logs / f"{name}.log"
+
+    def pid(self, name: str) -> int:
+        """Return a node's process id."""
+        return self._running[name].pid
+
+    def check(self) -> None:
+        """Raise if a node has ended by itself.
+
+        Raises
+        ------
+        GraphError
+            Names the node and its exit code, and shows the end of its log.
+        """
+        for name, process in self._running.items():
+            if process.poll() is not None:
+                raise GraphError(f"{name} {ended(process.returncode)}\n{self.tail(name)}")
+
+    def tail(self, name: str) -> str:
+        """Return the last lines of a node's log, and where the rest is."""
+        path = self.log(name)
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
+        return "\n".join([*(f"    {line}" for line in lines), f"  log: {path}"])
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to one node."""
+        self._running[name].send_signal(number)
+
+    def wait(self, name: str, timeout_s: float) -> int:
+        """Return the exit code of a node that ends within the time [s]."""
+        return self._running[name].wait(timeout_s)
+
+    def stop(self) -> dict[str, int]:
+        """End all nodes, politely at first, and return their exit codes."""
+        with signals_wait():
+            for number, patience in PATIENCE_S:
+                alive = [p for p in self._running.values() if p.poll() is None]
+                for process in alive:
+                    process.send_signal(number)
+                until = time.monotonic() + patience
+                for process in alive:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        process.wait(max(0.0, until - time.monotonic()))
+        self.exit_codes = {
+            name: process.returncode if process.returncode is not None else -signal.SIGKILL
+            for name, process in self._running.items()
+        }
+        return self.exit_codes
+
+
+def ended(code: int) -> str:
+    """Say how a process ended."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    return f"was ended by {signal.Signals(-code).name}"
+
+
+_libc = ctypes.CDLL(None)
+
+
+def _prepare_child() -> None:
+    """Between fork and exec: a node is to end also when we die without a word."""
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
