@@ -1,0 +1,179 @@
+"""What the measurements share: fair timing side by side, tables, and the file they end in."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+
+BATCH_S = 2e-3
+"""Least wall time of one timed batch of calls [s]: far above the clock's resolution."""
+
+LEAST_ROUNDS = 3
+"""Rounds of a race, however slow the contestants: a median needs them."""
+
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pymunk")
+
+
+@dataclass(frozen=True)
+class Race:
+    """Times of contestants that took turns, so that all met the same noise.
+
+    Attributes
+    ----------
+    times : mapping of str to (rounds,)
+        Wall time per call [s], round by round.
+    """
+
+    times: Mapping[str, np.ndarray]
+
+    def median(self, name: str) -> float:
+        """Median wall time per call [s]."""
+        return float(np.median(self.times[name]))
+
+    def lead(self, name: str, peer: str) -> float:
+        """How many times faster `name` is than `peer`: the median of the rounds' ratios."""
+        return float(np.median(self.times[peer] / self.times[name]))
+
+
+def race(contestants: Mapping[str, Callable[[], object]], seconds: float) -> Race:
+    """Time contestants in turns for about `seconds` in all; the first call of each is not timed."""
+    batch = {}
+    for name, call in contestants.items():
+        call()
+        began = time.perf_counter()
+        call()
+        batch[name] = max(1, math.ceil(BATCH_S / max(time.perf_counter() - began, 1e-9)))
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    deadline = time.perf_counter() + seconds
+    rounds = 0
+    while rounds < LEAST_ROUNDS or time.perf_counter() < deadline:
+        rounds += 1
+        for name, call in contestants.items():
+            began = time.perf_counter()
+            for _ in range(batch[name]):
+                call()
+            times[name].append((time.perf_counter() - began) / batch[name])
+    return Race({name: np.array(values) for name, values in times.items()})
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of one measurement.
+
+    Attributes
+    ----------
+    key : str
+        Name by which charts find it.
+    title, note : str
+        For readers.
+    columns : mapping of str to str
+        Key of a row -> heading with unit.
+    rows : list of dict
+    """
+
+    key: str
+    title: str
+    columns: Mapping[str, str]
+    rows: list[dict[str, Any]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a measurement gives: tables, sentences that sum them up, raw samples for charts."""
+
+    tables: list[Table]
+    summary: list[str]
+    samples: list[dict[str, Any]] = field(default_factory=list)
+
+
+def optional(name: str) -> Any:
+    """Return a module, or None if it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+def missing_peer(name: str) -> str:
+    """Say how to get a peer that is not there."""
+    return f"{name}: peer not installed: pip install -r requirements-bench.txt"
+
+
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Round floats to significant digits, in nested lists and dicts too; NaN becomes None."""
+    if isinstance(value, Mapping):
+        return {key: rounded(item, digits) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(item, digits) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on: processor count, threads, versions."""
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return {
+        "cpus": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2),
+        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "not set"),
+        "python": platform.python_version(),
+        **versions,
+    }
+
+
+def write(path: Path, name: str, about: str, quick: bool, seconds: float, result: Result) -> None:
+    """Write a measurement's JSON file, whole or not at all."""
+    content = {
+        "name": name,
+        "about": about,
+        "quick": quick,
+        "seconds": round(seconds, 1),
+        "machine": machine(),
+        **asdict(result),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix(".draft")
+    draft.write_text(json.dumps(rounded(content), indent=1) + "\n", encoding="utf-8")
+    draft.replace(path)
+
+
+def shown(value: Any) -> str:
+    """Return a cell's text."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
+    return str(value)
+
+
+def text_table(table: Mapping[str, Any]) -> Iterable[str]:
+    """Yield the lines of a table (as in the JSON file) for a terminal."""
+    columns = table["columns"]
+    cells = [[shown(row.get(key)) for key in columns] for row in table["rows"]]
+    heads = list(columns.values())
+    widths = [max([len(head), *(len(row[i]) for row in cells)]) for i, head in enumerate(heads)]
+    yield table["title"]
+    for row in [heads, *cells]:
+        yield "  " + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True))

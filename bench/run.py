@@ -1,0 +1,73 @@
+"""Measure every stage beside its best peer: out/bench/NAME.json and a short table.
+
+python bench/run.py [NAME ...] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from harness import ROOT, text_table, write
+
+MEASUREMENTS = {
+    "sim": "Parts on a shaken plate: error and speed of the simulator",
+    "force_map": "Average friction over a cycle: time and error",
+    "solver": "Plate motions for wanted average forces, from a cold start",
+    "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
+    "vision": "Finding discs in an image: time, misses, error of the centres",
+    "stages": "What each stage of the loop costs for one image",
+    "tracking": "Two parts on rectangles: tracking error against speed",
+    "closed_loop": "Whole tasks in the closed loop",
+}
+"""Names, each measured by `measure_NAME.py`, and what they are about."""
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    args = arguments()
+    unknown = [name for name in args.names if name not in MEASUREMENTS]
+    if unknown:
+        allowed = ", ".join(MEASUREMENTS)
+        print(f"error: measurement is {unknown[0]!r}, allowed: {allowed}", file=sys.stderr)
+        return 2
+    names = args.names or list(MEASUREMENTS)
+    run_all(names, args.quick, args.out)
+    for name in names:
+        data = json.loads((args.out / f"{name}.json").read_text(encoding="utf-8"))
+        print(f"\n== {name}: {data['about']}")
+        for table in data["tables"]:
+            print("\n".join(text_table(table)))
+        for line in data["summary"]:
+            print(f"  -> {line}")
+    return 0
+
+
+def run_all(names: Iterable[str], quick: bool, out: Path) -> None:
+    """Run measurements one after the other, each with a progress line."""
+    names = list(names)
+    for number, name in enumerate(names, 1):
+        print(f"[{number}/{len(names)}] {name:12s} {MEASUREMENTS[name]} ... ", end="", flush=True)
+        began = time.perf_counter()
+        result = importlib.import_module(f"measure_{name}").measure(quick)
+        seconds = time.perf_counter() - began
+        write(out / f"{name}.json", name, MEASUREMENTS[name], quick, seconds, result)
+        print(f"{seconds:.1f} s", flush=True)
+
+
+def arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
+    parser.add_argument("--quick", action="store_true", help="fewer cases: half a minute in all")
+    parser.add_argument("--out", type=Path, default=ROOT / "out/bench", help="(out/bench)")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
