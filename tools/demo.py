@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from graph.observer import Observer
-from graph.processes import Interrupted, Processes, free_domain, ros_environment, signals_raise
+from graph.processes import Interrupted, free_domain, ros_environment, signals_raise
 from graph.progress import ProgressLine
+from graph.record import Record
 from graph.result import judge, summary
+from graph.session import session
 
 from plate_core import PlateError, Rig, load_rig
 from plate_core.graph import GraphError, RunOptions, load_graph
@@ -29,11 +31,8 @@ from plate_core.scenario import Scenario, load_scenario
 from plate_driver.transport import check_transport
 from plate_solver.controller import METHODS
 
-START_S = 180.0
-"""Longest wait for the nodes [s]: at their first start they compile."""
-
-LOOP_S = 30.0
-"""Longest wait for an image's answer to come round, and longest silence of the planner [s]."""
+SILENCE_S = 30.0
+"""Longest silence of the planner [s]."""
 
 EXTRA_S = 30.0
 """Wall time beyond the scenario's time limit until we give up [s]: the planner should have."""
@@ -125,6 +124,7 @@ def checked(args: argparse.Namespace) -> Demo:
         seed=args.seed,
         transport=args.transport,
         lockstep=args.lockstep,
+        autostart=False,
     )
     domain = free_domain() if args.domain is None else args.domain
     return Demo(options, scenario, load_rig(), args.out, domain, not args.no_pictures)
@@ -136,37 +136,32 @@ def run(demo: Demo) -> int:
     clear(demo.out)
     for name, value in ros_environment(demo.domain).items():
         os.environ.setdefault(name, value)
-    nodes = demo.options.nodes(load_graph())
-    names = [node.name for node in nodes]
+    names = [node.name for node in demo.options.nodes(load_graph())]
     print(
         f"{demo.scenario.description} Method: {demo.options.method}. "
         f"Gamma = {demo.rig.gamma:.1f}.\n"
         f"Starting {', '.join(names)} (the first time they compile: about a minute).",
         flush=True,
     )
-    logs = demo.out / "logs"
-    with Processes(nodes, demo.options, logs, demo.domain) as processes:
-        with Observer(demo.domain, processes.check) as observer:
-            seen = observer.await_nodes(names, START_S)
-            observer.await_loop(LOOP_S)
-            print(
-                f"All {len(seen)} nodes seen after {time.monotonic() - began:.0f} s. "
-                f"To look on: export ROS_DOMAIN_ID={demo.domain}",
-                flush=True,
-            )
-            observer.trigger("start")
-            watch(demo, observer)
-        codes = processes.stop()
-    result = judge(demo.rig, demo.options, observer.record, seen, codes)
+    with session(demo.options, demo.out / "logs", demo.domain) as graph:
+        print(
+            f"All {len(graph.nodes)} nodes seen after {time.monotonic() - began:.0f} s. "
+            f"To look on: export ROS_DOMAIN_ID={demo.domain}",
+            flush=True,
+        )
+        graph.begin()
+        watch(demo, graph.observer)
+    record, codes = graph.observer.record, graph.processes.exit_codes
+    result = judge(demo.rig, demo.options, record, graph.nodes, codes)
     result["wall_s"] = round(time.monotonic() - began, 1)
     write(demo.out / "result.json", result)
     print(summary(result), flush=True)
     if demo.pictures:
-        draw(demo, observer, result)
+        draw(demo, record)
     if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
         return 0
     for name in (name for name, code in codes.items() if code):
-        print(f"{name}:\n{processes.tail(name)}", flush=True)
+        print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
     return 1
 
 
@@ -188,8 +183,8 @@ def watch(demo: Demo, observer: Observer) -> None:
         now = time.monotonic()
         if len(record.reports["planner"]) > count:
             count, news = len(record.reports["planner"]), now
-        if now - news > LOOP_S:
-            raise GraphError(f"the planner has said nothing for {LOOP_S:g} s")
+        if now - news > SILENCE_S:
+            raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
         if now > end:
             raise GraphError(f"the task has not ended {EXTRA_S:g} s after its time limit")
     over = record.states[-1].split(":")[0]
@@ -219,12 +214,12 @@ def write(path: Path, result: dict[str, Any]) -> None:
     print(f"  {path}")
 
 
-def draw(demo: Demo, observer: Observer, result: dict[str, Any]) -> None:
+def draw(demo: Demo, record: Record) -> None:
     """Draw strip and animation, and say where they are."""
     from graph.film import develop
     from graph.pictures import Scene, draw_animation, draw_strip
 
-    scene = Scene(demo.rig, demo.scenario, develop(observer.record, demo.rig))
+    scene = Scene(demo.rig, demo.scenario, develop(record, demo.rig))
     title = f"{demo.scenario.name}, {demo.options.method}"
     strip, animation = demo.out / "strip.png", demo.out / "demo.gif"
     draw_strip(scene, strip, title)

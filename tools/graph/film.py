@@ -27,6 +27,9 @@ ROUNDING = 1e-6
 SAME = 12
 """Pixels that differ no more from the picture without parts show the plate [grey values]."""
 
+BRIGHT = 85
+"""Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
+
 
 @dataclass(frozen=True)
 class Film:
@@ -180,7 +183,7 @@ def from_above(
     Returns
     -------
     bare : (H, W)
-        The plate without parts: median over all images.
+        The plate without parts: the bright end of what each pixel shows in the course of time.
     views : list of (H, W)
         The images.
     parts : list of (H, W)
@@ -192,5 +195,5 @@ def from_above(
     size = round(width), round(height)
     views = [cv2.warpPerspective(i, matrix, size, flags=cv2.INTER_LINEAR) for i in film.images]
     step = max(1, len(views) // 31)
-    bare = np.median(views[::step], axis=0).astype(np.uint8)
+    bare = np.percentile(views[::step], BRIGHT, axis=0).astype(np.uint8)
     return bare, views, [cv2.absdiff(view, bare) > SAME for view in views]

@@ -8,6 +8,8 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
@@ -63,6 +65,7 @@ class Observer:
 
         listen(MultiDOFJointState, "ground_truth", record.truth.append, ALL, True)
         listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
+        listen(JointTrajectory, "plate_cycle", self._on_answer, ALL, True)
         listen(Image, "image_raw", record.images.add, CAMERA, True)
         listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
         listen(String, "task_state", lambda msg: record.states.append(msg.data), LATCHED, False)
@@ -74,6 +77,9 @@ class Observer:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
+
+    def _on_answer(self, _: bytes) -> None:
+        self.record.answers += 1
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -115,14 +121,32 @@ class Observer:
             )
         return self.seen(names)
 
-    def await_loop(self, patience_s: float) -> None:
-        """Wait until images are answered all the way round."""
-        before = len(self.record.tables)
-        if not self.until(lambda: len(self.record.tables) > before, patience_s):
+    def await_answers(self, patience_s: float) -> None:
+        """Wait until images are answered as far as the solver.
+
+        Raises
+        ------
+        GraphError
+            If that does not happen within the time [s].
+        """
+        if not self.until(lambda: self.record.answers > 0, patience_s):
             raise GraphError(
-                f"no motor_setpoints within {patience_s:g} s: images are not answered all the way "
-                f"round ({self.record.images.count} images seen)"
+                f"no plate_cycle within {patience_s:g} s: images are not answered "
+                f"({self.record.images.count} images seen)"
             )
+
+    def activate_driver(self) -> None:
+        """Let the driver pass on what the solver answers: from now on the plate may move.
+
+        Raises
+        ------
+        GraphError
+            If it refuses: its log tells why.
+        """
+        for step in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=step))
+            if not self.call(ChangeState, "driver/change_state", request).success:
+                raise GraphError("the driver could not be activated, see its log")
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service and return its answer.

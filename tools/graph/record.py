@@ -38,6 +38,8 @@ class Record:
     ----------
     truth, tables : list of bytes
         All of ground_truth and motor_setpoints.
+    answers : int
+        Number of plate_cycle messages.
     images : Thinned
         Some of image_raw, as bytes.
     reports : dict of str to list of (stamp in ns, dict)
@@ -48,6 +50,7 @@ class Record:
 
     truth: list[bytes] = field(default_factory=list)
     tables: list[bytes] = field(default_factory=list)
+    answers: int = 0
     images: Thinned = field(default_factory=Thinned)
     reports: dict[str, list[tuple[int, dict[str, str]]]] = field(
         default_factory=lambda: defaultdict(list)

@@ -88,6 +88,8 @@ class RunOptions:
         Simulated seconds per wall second; other than 1, time is the simulator's.
     rig_file : str
         To all nodes; empty: the default rig.
+    autostart : bool
+        False: the driver waits until it is configured and activated from outside.
     """
 
     scenario: str = "sort_10"
@@ -98,6 +100,7 @@ class RunOptions:
     lockstep: bool = False
     rate: float = 1.0
     rig_file: str = ""
+    autostart: bool = True
 
     def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
         """Return the nodes of the graph that this run needs."""
@@ -114,7 +117,7 @@ class RunOptions:
             },
             "planner": {"scenario": self.scenario},
             "solver": {"method": self.method, "seed": self.seed},
-            "driver": {"transport": self.transport},
+            "driver": {"transport": self.transport, "autostart": self.autostart},
         }
         values = dict(own.get(node.name, {}))
         if self.port and node.name == "driver":

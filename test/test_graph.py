@@ -1,0 +1,300 @@
+"""The five nodes as processes, over real topics: what only the whole graph can show."""
+
+import signal
+import sys
+import time
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+from graph.film import check_limits, develop
+from graph.observer import Observer
+from graph.processes import Processes, free_domain, ros_environment
+from graph.session import session
+from rcl_interfaces.srv import ListParameters
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Image
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import PlateError, load_rig
+from plate_core.graph import GraphError, RunOptions, load_graph
+from plate_core.ros.convert import array_to_image, msg_to_motors, to_time
+from plate_core.ros.qos import IMAGE
+from plate_core.scenario import load_scenario
+from plate_sim.camera import Camera, part_greys
+from plate_sim.world import WorldState
+
+ROOT = Path(__file__).resolve().parents[1]
+NAMES = ["simulator", "detector", "planner", "solver", "driver"]
+GRAPH = {node.name: node for node in load_graph()}
+
+
+@pytest.fixture(autouse=True)
+def on_this_machine(monkeypatch):
+    """As env.sh does."""
+    for name, value in ros_environment(0).items():
+        if name != "ROS_DOMAIN_ID":
+            monkeypatch.setenv(name, value)
+
+
+def tables(record):
+    """The plate motions of all motor tables so far."""
+    rig = load_rig()
+    return [msg_to_motors(rig, deserialize_message(d, JointTrajectory)) for d in record.tables]
+
+
+def at_rest(cycle):
+    return not np.any(cycle.knot_pose) and not np.any(cycle.knot_twist)
+
+
+# The closed loop
+
+
+def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
+    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
+    with session(options, tmp_path) as graph:
+        observer, record = graph.observer, graph.observer.record
+        assert graph.nodes == NAMES
+        graph.begin()
+        assert observer.until(lambda: record.last("planner", "parts_sorted", "0") >= "1", 60)
+        assert record.last("solver", "method") == "sinusoids"
+        assert observer.set_parameter("solver", "method", "A") == (True, "")
+        refused, reason = observer.set_parameter("solver", "method", "C")
+        assert not refused
+        assert reason.startswith("parameter method is 'C', allowed: one of ")
+        assert not record.ended
+        assert observer.until(lambda: record.ended, 60)
+        assert observer.until(lambda: record.last("solver", "method") == "rotations", 5)
+        assert observer.until(lambda: record.last("planner", "message") == "done", 5)
+        for name in NAMES:
+            graph.processes.signal(name, signal.SIGINT)
+    assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
+    assert record.states[-1] == "done"
+    rig = load_rig()
+    assert develop(record, rig).dropped == 0
+    check = check_limits(record, rig)
+    assert check.tables > 50
+    assert check.faults == ()
+    assert 0.5 < check.accel <= 1
+
+
+def test_a_seed_gives_the_same_run_to_the_last_bit(tmp_path):
+    runs = []
+    for number in (1, 2):
+        options = RunOptions(scenario="sort_6", seed=3, lockstep=True, autostart=False)
+        with session(options, tmp_path / str(number)) as graph:
+            graph.begin()
+            record = graph.observer.record
+            assert graph.observer.until(lambda r=record: len(r.tables) > 60, 60)
+        runs.append(record.tables[:60])
+    assert not at_rest(msg_to_motors(load_rig(), deserialize_message(runs[0][9], JointTrajectory)))
+    assert runs[0] == runs[1]
+
+
+# Faults
+
+
+def test_the_plate_rests_when_a_node_dies(tmp_path):
+    domain = free_domain()
+    options = RunOptions(scenario="follow_2")
+    with (
+        Processes(GRAPH.values(), options, tmp_path, domain) as processes,
+        Observer(domain) as observer,  # without a look at the processes: one is to die
+    ):
+        observer.await_nodes(NAMES, 120)
+        observer.trigger("start")
+        assert observer.until(lambda: any(not at_rest(c) for c in tables(observer.record)), 20)
+        processes.signal("detector", signal.SIGKILL)
+        assert processes.wait("detector", 5) == -signal.SIGKILL
+        with pytest.raises(GraphError, match="detector was ended by SIGKILL"):
+            processes.check()
+        assert observer.until(lambda: at_rest(tables(observer.record)[-1]), 10)
+        count = len(observer.record.tables)
+        observer.until(lambda: False, 0.5)
+        assert len(observer.record.tables) == count
+    others = [name for name in NAMES if name != "detector"]
+    assert [processes.exit_codes[name] for name in others] == [0, 0, 0, 0]
+
+
+class CameraStandIn:
+    """Publishes pictures of a scenario's parts, right ones and wrong ones."""
+
+    def __init__(self, observer, scenario):
+        rig, rng = load_rig(), np.random.default_rng(0)
+        world = WorldState.of_scenario(load_scenario(scenario), rig, rng)
+        grey = part_greys([name.split("_")[0] for name in world.ids])
+        self.picture = Camera(rig).render(world.position, grey, rng)
+        self.observer = observer
+        self.images = observer.node.create_publisher(Image, "image_raw", IMAGE)
+
+    def stream(self, until, patience_s=10.0, **changes):
+        """Publish at 10 Hz until something holds; with changed fields if given."""
+        for _ in range(int(10 * patience_s)):
+            stamp = to_time(time.time_ns())
+            msg = array_to_image(changes.pop("picture", self.picture), stamp)
+            for name, value in changes.items():
+                setattr(msg, name, value)
+            self.images.publish(msg)
+            if self.observer.until(until, 0.1):
+                return True
+        return False
+
+
+WRONG_IMAGES = {
+    "encoding is '32FC1', allowed: mono8, bgr8, rgb8": {"encoding": "32FC1"},
+    "320 x 240": {"width": 320, "step": 320, "height": 240, "data": bytes(320 * 240)},
+    "1000 bytes of data, allowed: 307200": {"data": bytes(1000)},
+}
+
+
+def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path):
+    domain = free_domain()
+    nodes = [node for node in GRAPH.values() if node.on_hardware]
+    with (
+        Processes(nodes, RunOptions(scenario="sort_4"), tmp_path, domain) as processes,
+        Observer(domain, processes.check) as observer,
+    ):
+        observer.await_nodes(NAMES[1:], 120)
+        camera = CameraStandIn(observer, "sort_4")
+        record = observer.record
+
+        def moving():
+            return bool(record.tables) and not at_rest(tables(record)[-1])
+
+        camera.stream(lambda: record.answers > 0)
+        observer.trigger("start")
+        for message, changes in WRONG_IMAGES.items():
+            assert camera.stream(moving), "good images move the plate"
+            assert camera.stream(
+                lambda m=message: not moving() and m in processes.log("detector").read_text(),
+                **changes,
+            ), "wrong ones are named, and the plate rests"
+        assert camera.stream(moving), "and good ones move it again"
+    assert processes.exit_codes == dict.fromkeys(NAMES[1:], 0)
+
+
+BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
+WRONG_INPUT = [
+    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: follow_2, "),
+    ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: follow_2, "),
+    ("planner", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
+    ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
+    ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),
+    ("driver", {"transport": "serial"}, "transport is 'serial', allowed: sim"),
+    ("detector", {"rig_file": "none.yaml"}, "none.yaml: no such file"),
+]
+
+
+@pytest.mark.parametrize(("name", "changes", "message"), WRONG_INPUT)
+def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, monkeypatch, name, changes, message):
+    (tmp_path / "broken.yaml").write_text(BROKEN)
+    monkeypatch.chdir(tmp_path)
+    options = RunOptions(**changes)
+    with Processes([GRAPH[name]], options, tmp_path, free_domain()) as processes:
+        assert processes.wait(name, 30) == 2
+        lines = processes.log(name).read_text().splitlines()
+        with pytest.raises(GraphError, match=f"{name} ended with exit code 2"):
+            processes.check()
+    assert len(lines) == 1
+    assert message in lines[0]
+
+
+# The list of nodes and their parameters
+
+
+def test_parameters_of_the_file_are_those_of_the_nodes(tmp_path):
+    file = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text(encoding="utf-8"))
+    given = {key.rsplit("/", 1)[-1]: values["ros__parameters"] for key, values in file.items()}
+    assert list(given) == NAMES
+    options = RunOptions(rig_file=str(ROOT / "config" / "rig.yaml"))
+    domain = free_domain()
+    with (
+        Processes(GRAPH.values(), options, tmp_path, domain) as processes,
+        Observer(domain, processes.check) as observer,
+    ):
+        observer.await_nodes(NAMES, 120)
+        for name in NAMES:
+            call = ListParameters, f"{name}/list_parameters", ListParameters.Request()
+            known = set(observer.call(*call).result.names)
+            assert set(given[name]) <= known
+            assert set(options.parameters(GRAPH[name])) <= known
+
+
+def test_the_list_of_nodes_is_checked(tmp_path):
+    path = tmp_path / "graph.yaml"
+    node = "{name: a, package: p, executable: e, on_hardware: true}"
+    path.write_text(f"nodes: [{node}]")
+    assert load_graph(path)[0].package == "p"
+    path.write_text(f"nodes: [{node}, {node}]")
+    with pytest.raises(GraphError, match="each name once"):
+        load_graph(path)
+    path.write_text("nodes: [{name: a, package: p, executable: e}]")
+    with pytest.raises(PlateError, match="on_hardware is missing"):
+        load_graph(path)
+
+
+@pytest.fixture
+def launch_stand_in(monkeypatch):
+    """Modules that record what a launch file asks for: `launch` is not needed to run the graph."""
+
+    def record(**values):
+        return types.SimpleNamespace(**values)
+
+    def argument(name, **values):
+        return record(argument=name, **values)
+
+    launch = types.ModuleType("launch")
+    launch.LaunchDescription = list
+    launch.actions = types.ModuleType("launch.actions")
+    launch.actions.DeclareLaunchArgument = argument
+    launch.actions.OpaqueFunction = record
+    launch_ros = types.ModuleType("launch_ros")
+    launch_ros.actions = types.ModuleType("launch_ros.actions")
+    launch_ros.actions.Node = record
+    for module in (launch, launch.actions, launch_ros, launch_ros.actions):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+
+@pytest.mark.parametrize(
+    ("file", "names", "transport"),
+    [("closed_loop", NAMES, "sim"), ("hardware", NAMES[1:], "serial")],
+)
+def test_launch_files_start_the_same_list(launch_stand_in, file, names, transport):
+    path = ROOT / "launch" / f"{file}.launch.py"
+    scope = {"__name__": file}
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), scope)
+    *arguments, start = scope["generate_launch_description"]()
+    configuration = {a.argument: a.default_value for a in arguments} | {"scenario": "sort_6"}
+    nodes = start.function(types.SimpleNamespace(launch_configurations=configuration))
+    assert [node.name for node in nodes] == names
+    for node in nodes:
+        listed = GRAPH[node.name]
+        assert (node.package, node.executable) == (listed.package, listed.executable)
+        assert Path(node.parameters[0]).name == "nodes.yaml"
+    values = {node.name: node.parameters[1] for node in nodes}
+    assert values["planner"]["scenario"] == "sort_6"
+    assert values["driver"]["transport"] == transport
+
+
+def test_with_simulated_time_all_but_its_source_follow_it():
+    for options in (RunOptions(lockstep=True), RunOptions(rate=2.0)):
+        follows = [n for n in NAMES if options.parameters(GRAPH[n]).get("use_sim_time")]
+        assert follows == NAMES[1:]
+    assert all("use_sim_time" not in RunOptions().parameters(node) for node in GRAPH.values())
+
+
+def test_images_can_be_thinned_without_losing_beginning_or_end():
+    from graph.record import Thinned
+
+    kept = Thinned(most=8)
+    for k in range(100):
+        kept.add(k)
+        assert len(kept.items) < 8
+    assert kept.items[0] == 0
+    assert kept.items[-1] > 80
+    assert len(set(np.diff(kept.items))) == 1

@@ -1,0 +1,80 @@
+"""A running graph: its processes, and us watching them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from plate_core.graph import RunOptions, load_graph
+
+from .observer import Observer
+from .processes import Processes, free_domain
+
+START_S = 180.0
+"""Longest wait for the nodes [s]: at their first start they compile."""
+
+ANSWER_S = 30.0
+"""Longest wait for the answer to the first image [s]."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """The nodes of a run, all seen over DDS, and the first image answered.
+
+    Attributes
+    ----------
+    options : RunOptions
+    processes : Processes
+    observer : Observer
+    nodes : list of str
+        Names as seen over DDS.
+    """
+
+    options: RunOptions
+    processes: Processes
+    observer: Observer
+    nodes: list[str]
+
+    def begin(self) -> None:
+        """Start the task and set the plate free.
+
+        In lockstep in this order: the simulator waits at the first image, which has been answered
+        so far, so the task begins with the second one, and a seed gives the same run every time.
+        """
+        if self.options.lockstep:
+            self.observer.trigger("start")
+            self.observer.activate_driver()
+        else:
+            self.observer.activate_driver()
+            self.observer.trigger("start")
+
+
+@contextmanager
+def session(options: RunOptions, logs: Path, domain: int | None = None) -> Iterator[Session]:
+    """Start the nodes, and stop them at the end.
+
+    Parameters
+    ----------
+    options : RunOptions
+        With `autostart` False: `Session.begin` activates the driver.
+    logs : path
+        Folder for the nodes' logs.
+    domain : int, optional
+        ROS domain; a free one if left out.
+
+    Raises
+    ------
+    GraphError
+        If a node ends or does not appear.
+    """
+    domain = free_domain() if domain is None else domain
+    nodes = options.nodes(load_graph())
+    with (
+        Processes(nodes, options, logs, domain) as processes,
+        Observer(domain, processes.check) as observer,
+    ):
+        seen = observer.await_nodes([node.name for node in nodes], START_S)
+        observer.await_answers(ANSWER_S)
+        yield Session(options, processes, observer, seen)
