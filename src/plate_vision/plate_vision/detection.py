@@ -29,9 +29,6 @@ DETECTION = np.dtype(
 MAX_MISFIT = 0.2
 """Largest deviation of a part from an evenly dark disc."""
 
-CLEAN_MISFIT = 0.05
-"""Deviation above which a part is measured by fitting, in case something dark is beside it."""
-
 BLUR_PX = 1.5
 """Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window."""
 
@@ -54,9 +51,9 @@ class DetectorOptions:
     min_plate_grey : float
         Darkest plate that is believed [grey levels], 1 to 255: below that the light is off.
     margin_px : float
-        How far outside the plate a part's centre may be [px], 0 to 100: for a small displacement
-        of the plate or error of the calibration. More than half a part's radius less 2 px has no
-        effect: a plate that is elsewhere needs another region.
+        How far outside the region a part's centre may be [px], 0 to 10: for errors of the
+        calibration. Only pixels inside the region are looked at, so of a part that is 2 px further
+        out too little is seen. A plate that is displaced by more needs another region.
     """
 
     radius_px: float = 8.0
@@ -73,7 +70,7 @@ class DetectorOptions:
             "threshold": (0.1, 0.95),
             "class_threshold": (0.05, 0.95),
             "min_plate_grey": (1.0, 255.0),
-            "margin_px": (0.0, 100.0),
+            "margin_px": (0.0, 10.0),
         }
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
@@ -114,7 +111,7 @@ def detect(
     if region_px is not None:
         array = check_quadrilateral(np.asarray(region_px, dtype=float), "region_px")
         corners = tuple((x, y) for x, y in array.tolist())
-    region = make_region(*grey.shape, corners, options.margin_px)
+    region = make_region(*grey.shape, corners)
     discs = _find_discs(grey, region, options)
     found = np.zeros(len(discs.radius), DETECTION)
     found["x_px"], found["y_px"] = discs.centre.T
@@ -141,7 +138,7 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
     brightness = fit_brightness(grey, region, options.min_plate_grey)
     seeds = np.empty((0, 2))
     if brightness is not None:
-        seeds = find_seeds(grey, region, brightness, options.threshold, radius, options.margin_px)
+        seeds = find_seeds(grey, region, brightness, options.threshold, radius)
     if brightness is None or not len(seeds):
         return Discs(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
     windows = cut_windows(grey, brightness, seeds, radius)
@@ -151,15 +148,12 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
     room = np.min([region.depth(x, y) - SEAM_PX, x, y, width - 1 - x, height - 1 - y], axis=0)
     shared |= room < radius + RIM_PX + 1
     shared[neighbour_pairs(seeds, 2 * radius + RIM_PX + BLUR_PX)[:, 0]] = True
-    # What is no disc by itself may be a part and something beside it.
-    shared |= ~_is_part(discs, region, options) | (discs.misfit > CLEAN_MISFIT)
     if np.any(shared):
         rest = np.flatnonzero(shared)
         beside = cut_windows(grey, brightness, seeds[rest], radius)
         fitted = fit_discs(beside, seeds[rest], radius, region, (height, width))
         discs = discs.select(np.flatnonzero(~shared)).join(fitted)
-        discs = discs.select(np.flatnonzero(_is_part(discs, region, options)))
-    return discs
+    return discs.select(np.flatnonzero(_is_part(discs, region, options)))
 
 
 def _is_part(discs: Discs, region: Region, options: DetectorOptions) -> np.ndarray:

@@ -64,7 +64,7 @@ class DetectorParameters:
         DetectorOptions.margin_px,
         "How far outside the plate a part's centre may be [px]",
         0.0,
-        100.0,
+        10.0,
         live=True,
     )
     gate_m: float = parameter(

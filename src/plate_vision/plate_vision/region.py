@@ -31,7 +31,7 @@ class Region:
     offsets : (4,)
         Distance of the image's origin from the edges [px], positive inside.
     box : (x0, y0, x1, y1)
-        Pixel ranges [px] that hold the region and a margin, half open.
+        Pixel ranges [px] that hold the region, half open.
     """
 
     normals: np.ndarray
@@ -57,7 +57,6 @@ def make_region(
     height_px: int,
     width_px: int,
     corners: tuple[tuple[float, float], ...] | None,
-    margin_px: float = 0.0,
 ) -> Region:
     """Build the region of an image.
 
@@ -68,8 +67,6 @@ def make_region(
     corners : four pairs, optional
         Corners of the plate in the image [px], checked by `check_quadrilateral`, in either sense
         of rotation; the whole image if None.
-    margin_px : float
-        By how much the box is larger than the plate [px].
 
     Raises
     ------
@@ -79,8 +76,8 @@ def make_region(
     if corners is None:
         return Region(np.empty((0, 2)), np.empty(0), (0, 0, width_px, height_px))
     polygon = np.array(corners, dtype=float)
-    low = np.maximum(np.floor(polygon.min(axis=0) - margin_px).astype(int), 0)
-    high = np.ceil(polygon.max(axis=0) + margin_px).astype(int) + 1
+    low = np.maximum(np.floor(polygon.min(axis=0)).astype(int), 0)
+    high = np.ceil(polygon.max(axis=0)).astype(int) + 1
     high = np.minimum(high, (width_px, height_px))
     if np.any(high - low < 2):
         raise ImageError(

@@ -45,7 +45,6 @@ def find_seeds(
     brightness: PlateBrightness,
     threshold: float,
     radius_px: float,
-    margin_px: float,
 ) -> np.ndarray:
     """Find the centres of dark blobs.
 
@@ -61,8 +60,6 @@ def find_seeds(
         Share of the plate's brightness below which a pixel is dark.
     radius_px : float
         Radius of a part [px].
-    margin_px : float
-        How far outside the plate a centre may be [px].
 
     Returns
     -------
@@ -70,16 +67,14 @@ def find_seeds(
         Centres [px]; some may be no part.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
-    # A wider margin would survive the erosion along the whole edge.
-    margin_px = min(margin_px, max(EROSION * radius_px - 2 * SEAM_PX, 0.0))
-    xs, ys, outside, beyond = _grid(region, stride, margin_px)
+    xs, ys, outside = _grid(region, stride)
     if xs.size == 0 or ys.size == 0:
         return np.empty((0, 2))
     coarse = grey[region.box[1] : region.box[3] : stride, region.box[0] : region.box[2] : stride]
     dark = (coarse < threshold * brightness.at(xs, ys)).view(np.uint8)
     # What is outside counts as dark while eroding: a part is not eroded from the plate's edge.
     eroded = cv2.erode(dark | outside, _disc(round(EROSION * radius_px / stride)))
-    core = np.asarray(eroded, dtype=np.uint8) & ~beyond
+    core = np.asarray(eroded, dtype=np.uint8) & ~outside
     contours = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     whole = np.pi * ((1 - EROSION) * radius_px / stride) ** 2
     if not contours:
@@ -139,15 +134,12 @@ def _split(
 
 
 @lru_cache(maxsize=16)
-def _grid(
-    region: Region, stride: int, margin_px: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return columns (1, w), rows (h, 1) [px] of the coarse image; 1 (h, w) where it does not show
-    the plate; 1 (h, w) where no centre can be."""
+def _grid(region: Region, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns (1, w) and rows (h, 1) [px] of the coarse image; 1 (h, w) where it does not
+    show the plate."""
     x0, y0, x1, y1 = region.box
     xs, ys = np.arange(x0, x1, stride)[None, :], np.arange(y0, y1, stride)[:, None]
-    depth = region.depth(xs, ys)
-    return xs, ys, (depth < SEAM_PX).astype(np.uint8), (depth < -margin_px).astype(np.uint8)
+    return xs, ys, (region.depth(xs, ys) < SEAM_PX).astype(np.uint8)
 
 
 @lru_cache(maxsize=16)
