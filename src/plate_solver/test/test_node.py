@@ -1,0 +1,280 @@
+"""The solver as a process of its own, spoken to over ROS."""
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from plate_core import PartSet, PlateCycle, PlateError
+from plate_core.limits import usage
+from plate_sim import simulate
+
+rclpy = pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.msg import Parameter as ParameterMsg  # noqa: E402
+from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
+
+from plate_core.ros.convert import (  # noqa: E402
+    msg_to_cycle,
+    nanoseconds,
+    parts_to_msg,
+    to_time,
+)
+from plate_core.ros.qos import DATA  # noqa: E402
+from plate_solver.node import SolverNode  # noqa: E402
+
+SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
+DOMAIN = 47
+NAMESPACE = f"/solver_test_{os.getpid()}"  # other tests may run in the same domain
+MS = 1_000_000
+MASS, MU = 0.02, 0.25  # of the default rig
+PLACES = np.array([[0.12, 0.05], [-0.15, -0.04]])
+WANTED = np.array([[0.006, 0.002], [-0.004, 0.005]])  # drift, m/s
+
+
+class Peer:
+    """A solver process and a node that listens to it."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.cycles: list[JointTrajectory] = []
+        self.reports: list[DiagnosticArray] = []
+        self.node.create_subscription(JointTrajectory, "plate_cycle", self.cycles.append, DATA)
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
+        self.forces = self.node.create_publisher(MultiDOFJointState, "part_forces", DATA)
+        self.parameters = self.node.create_client(SetParameters, "solver/set_parameters")
+        env = os.environ | {
+            "ROS_DOMAIN_ID": str(DOMAIN),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONUNBUFFERED": "1",
+        }
+        self.process = subprocess.Popen(
+            [*SOLVER, "--ros-args", "-r", f"__ns:={NAMESPACE}"],
+            env=env,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+
+    def until(self, condition, seconds: float = 5.0) -> bool:
+        """Spin until the condition holds; False when it takes too long."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+            if condition():
+                return True
+        return False
+
+    def connect(self) -> None:
+        # The solver compiles before it speaks: half a minute at worst.
+        assert self.until(
+            lambda: (
+                self.process.poll() is not None
+                or (
+                    self.forces.get_subscription_count() > 0
+                    and self.node.count_publishers("plate_cycle") > 0
+                )
+            ),
+            seconds=60,
+        ), self.end()
+        assert self.process.poll() is None, self.process.communicate()[0]
+
+    def send(self, parts: PartSet, stamp_ns: int) -> None:
+        self.forces.publish(parts_to_msg(parts, to_time(stamp_ns)))
+
+    def answers(self, stamp_ns: int) -> list[JointTrajectory]:
+        return [m for m in self.cycles if nanoseconds(m.header.stamp) == stamp_ns]
+
+    def answer(self, stamp_ns: int, count: int = 1) -> JointTrajectory:
+        """Wait for the cycle with a stamp; `count` of them."""
+        found = self.until(lambda: len(self.answers(stamp_ns)) >= count)
+        assert found, f"no answer to stamp {stamp_ns}"
+        return self.answers(stamp_ns)[-1]
+
+    def ask(self, parts: PartSet, stamp_ns: int) -> PlateCycle:
+        self.send(parts, stamp_ns)
+        return msg_to_cycle(self.answer(stamp_ns))
+
+    def set_method(self, value: str):
+        text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+        assert self.parameters.wait_for_service(timeout_sec=5.0)
+        future = self.parameters.call_async(
+            SetParameters.Request(parameters=[ParameterMsg(name="method", value=text)])
+        )
+        assert self.until(future.done)
+        return future.result().results[0]
+
+    def report(self, condition) -> dict[str, str]:
+        """Wait for diagnostics of which the condition holds."""
+
+        def latest() -> dict[str, str]:
+            if not self.reports:
+                return {}
+            return {item.key: item.value for item in self.reports[-1].status[0].values}
+
+        assert self.until(lambda: latest() and condition(latest())), latest()
+        return latest()
+
+    def end(self) -> tuple[int, str]:
+        """Interrupt the solver; return its exit code and all it printed."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        output, _ = self.process.communicate(timeout=10)
+        return self.process.returncode, output
+
+    def close(self) -> None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.end()
+        self.process.kill()
+        self.process.wait()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(name="peer")
+def _peer():
+    peer = Peer()
+    yield peer
+    peer.close()
+
+
+class Plate:
+    """Parts on a simulated plate, seen at the start of each cycle; stamps are simulated time."""
+
+    def __init__(self, peer: Peer, stamp_ns: int) -> None:
+        self.peer, self.stamp_ns = peer, stamp_ns
+        self.position, self.velocity = PLACES.copy(), np.zeros_like(PLACES)
+        self.drift = np.zeros_like(PLACES)
+        self.running: PlateCycle | None = None
+
+    def cycle(self) -> PlateCycle:
+        """One image, its answer, one cycle of the plate."""
+        period = self.running.period if self.running else 0.1
+        force = (WANTED - self.drift) * MASS / period
+        parts = PartSet.make(("a_1", "a_2"), self.position, self.drift, force)
+        answer = self.peer.ask(parts, self.stamp_ns)
+        if self.running:
+            run = simulate(self.running, self.position, self.velocity, MU)
+            self.drift = (run.position[-1] - self.position) / self.running.period
+            self.position, self.velocity = run.position[-1], run.velocity[-1]
+        self.stamp_ns += round(period * 1e9)
+        self.running = answer
+        return answer
+
+
+# One long piece: a solver takes seconds to start.
+
+
+def test_life_of_a_solver(peer, rig):
+    peer.connect()
+    plate = Plate(peer, stamp_ns=1_000 * MS)
+
+    # Every image is answered with a cycle that the rig can run, and the parts obey.
+    for _ in range(7):
+        answer = plate.cycle()
+        assert answer.starts_at_rest
+        assert usage(rig, answer).worst <= 1 + 1e-6
+        assert np.max(np.abs(answer.knot_pose)) > 1e-4
+    np.testing.assert_allclose(plate.drift, WANTED, atol=0.003)
+    assert peer.cycles[-1].joint_names == ["x", "y", "theta"]
+    report = peer.report(lambda r: r["parts"] == "2")
+    assert report["method"] == "sinusoids"
+
+    # The same stamp again is answered again, alike: the first answer may have been missed.
+    last_ns = nanoseconds(peer.cycles[-1].header.stamp)
+    first = msg_to_cycle(peer.answer(last_ns))
+    other = PartSet.make(("a_1",), [[0.0, 0.1]], force=[[1e-3, 0.0]])
+    peer.send(other, last_ns)
+    again = msg_to_cycle(peer.answer(last_ns, count=2))
+    np.testing.assert_array_equal(again.knot_pose, first.knot_pose)
+
+    # The other method, live; it carries on where the first one was.
+    result = peer.set_method("rotations")
+    assert result.successful, result.reason
+    before = plate.running.period
+    plate.cycle()
+    assert plate.running.period != before
+    for _ in range(6):
+        plate.cycle()
+    np.testing.assert_allclose(plate.drift, WANTED, atol=0.004)
+    peer.report(lambda r: r["method"] == "rotations")
+    refused = peer.set_method("chance")
+    assert not refused.successful
+    assert refused.reason == (
+        "parameter method is 'chance', allowed: one of A, B, rotations, sinusoids"
+    )
+    assert peer.set_method("B").successful
+    peer.report(lambda r: r["method"] == "sinusoids")
+
+    # Nothing asked: the plate rests.
+    stamp_ns = plate.stamp_ns
+    rest = peer.ask(PartSet.make((), np.zeros((0, 2))), stamp_ns)
+    assert np.all(rest.knot_pose == 0)
+    assert rest.starts_at_rest
+
+    # Messages that make no sense are not answered, and the solver goes on.
+    count = len(peer.cycles)
+    whole = PartSet.make(("a_1", "a_2"), PLACES, force=1e-4 * np.ones((2, 2)))
+    for bad in (
+        PartSet.make(("a_1", "a_2"), PLACES * [np.nan, 1]),
+        PartSet.make(("a_1", "a_2"), PLACES, force=np.full((2, 2), np.nan)),
+        PartSet.make(("a_1", "a_1"), PLACES),
+    ):
+        stamp_ns += 100 * MS
+        peer.send(bad, stamp_ns)
+    peer.send(whole, plate.stamp_ns - 50 * MS)  # older than the last
+    peer.report(lambda r: r["refused_messages"] == "4")
+    stamp_ns += 100 * MS
+    assert np.any(peer.ask(whole, stamp_ns).knot_pose != 0)
+    assert len(peer.cycles) == count + 1
+
+    # A stamp far back is a simulator that began anew: nothing is remembered.
+    fresh = Plate(peer, stamp_ns=0)
+    again = [fresh.cycle().knot_pose for _ in range(3)]
+    first = [msg_to_cycle(m).knot_pose for m in peer.cycles[:3]]
+    np.testing.assert_array_equal(again, first)
+
+    # Parts are points here: spin is not promised.
+    peer.ask(PartSet.make(("a_1",), PLACES[:1], torque=[1e-5]), fresh.stamp_ns)
+
+    report = peer.report(lambda r: int(r["answers"]) >= 20)
+    assert 0 <= float(report["missed_share"]) <= 1
+    assert float(report["condition"]) >= 1
+    code, output = peer.end()
+    assert code == 0, output
+    assert "Traceback" not in output
+    assert "part_forces refused" in output
+    assert "torque is 1e-05 N m for a_1, allowed: 0" in output
+
+
+@pytest.mark.parametrize(
+    ("parameter", "message"),
+    [
+        ("method:=magic", "parameter method is 'magic', allowed: one of A, B, "),
+        ("seed:=-1", "parameter seed is -1, allowed: 0 to 2147483647"),
+        ("seed:=0.5", "parameter seed is 0.5, allowed: a value of type int"),
+        ("rig_file:=nowhere.yaml", "nowhere.yaml: no such file"),
+    ],
+)
+def test_wrong_parameters_are_refused_at_start(parameter, message):
+    rclpy.init(args=["--ros-args", "-p", parameter], domain_id=DOMAIN)
+    try:
+        with pytest.raises(PlateError, match=re.escape(message)):
+            SolverNode()
+    finally:
+        rclpy.shutdown()
