@@ -17,9 +17,9 @@ EROSION = 0.5
 """Rim taken off every dark blob, in part radii: cuts the neck between parts that touch, and
 removes the thin dark line of a plate that is displaced a little."""
 
-MIN_CORE = 0.12
-"""Smallest eroded blob, relative to that of a whole part: half of the quarter that is left of a
-part whose centre is on a corner of the plate, and what is left of one 0.8 as large as expected."""
+MIN_CORE = 0.1
+"""Smallest eroded blob, relative to that of a whole part: what is left of a part of which hardly
+half is on the plate, a quarter in a corner, or which is 0.8 as large as expected."""
 
 MAX_CORE = 1.5
 """Largest eroded blob that is taken for one part."""
