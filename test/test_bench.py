@@ -1,0 +1,121 @@
+"""The measuring programs: what they write, what they refuse, and that runs repeat."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+TIMINGS = {"solve_ms_median", "solve_ms_p99"}
+
+TINY = {
+    "description": "One part goes 10 mm, then the run is over.",
+    "parts": [{"class": "black", "positions_m": [[0.0, 0.0]]}],
+    "task": {
+        "kind": "follow",
+        "max_error_m": 0.03,
+        "paths": [
+            {
+                "class": "black",
+                "waypoints_m": [[0.0, 0.0], [0.01, 0.0]],
+                "speed_mps": 0.01,
+                "closed": False,
+            }
+        ],
+    },
+    "time_limit_s": 20,
+}
+
+
+def bench(program, *arguments):
+    return subprocess.run(
+        [sys.executable, str(BENCH / program), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Rows of the same two seeds, twice: run by one process and by two."""
+    folder = tmp_path_factory.mktemp("bench")
+    scenario = folder / "tiny.yaml"
+    scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
+    rows = []
+    for number, workers in enumerate((1, 2)):
+        file = folder / f"rows_{number}.json"
+        done = bench(
+            "closed_loop.py", "--scenario", scenario, "--seeds", "3:5", "--workers", workers,
+            "--json", file,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        rows.append(json.loads(file.read_text(encoding="utf-8")))
+    return rows
+
+
+def without_timings(rows):
+    return [{key: row[key] for key in row if key not in TIMINGS} for row in rows]
+
+
+def test_closed_loop_writes_a_row_for_each_run(runs):
+    assert [row["seed"] for row in runs[0]] == [3, 4]
+    for row in runs[0]:
+        assert row["success"], row["message"]
+        assert row["dropped"] == 0
+        assert 0 < row["rms_error_m"] < 5e-3
+        assert row["limit_share_max"] <= 1
+
+
+def test_seeds_differ(runs):
+    first, second = without_timings(runs[0])
+    assert first["rms_error_m"] != second["rms_error_m"]
+
+
+def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
+    assert without_timings(runs[1]) == without_timings(runs[0])
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "words"),
+    [
+        ("closed_loop.py", ["--scenario", "sort_3"], ("'sort_3'", "allowed", "sort_10")),
+        ("closed_loop.py", ["--set", "colour=blue"], ("'colour'", "allowed", "method")),
+        ("closed_loop.py", ["--set", "noise"], ("'noise'", "allowed", "key=value")),
+        ("closed_loop.py", ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
+        ("run.py", ["simulator"], ("'simulator'", "allowed", "closed_loop")),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(program, arguments, words):
+    done = bench(program, *arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    last = done.stderr.strip().splitlines()[-1]
+    assert "error: " in last
+    for word in words:
+        assert word in last
+
+
+def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
+    done = bench("run.py", "force_map", "--quick", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "[1/1] force_map" in done.stdout
+    data = json.loads((tmp_path / "force_map.json").read_text(encoding="utf-8"))
+    assert [file.name for file in tmp_path.iterdir()] == ["force_map.json"]
+    assert data["quick"] is True
+    assert data["summary"]
+    (table,) = data["tables"]
+    for row in table["rows"]:
+        assert set(table["columns"]) == set(row)
+        assert row["one_us"] > 0
+        assert math.isfinite(row["median"])
+    ours, peer = table["rows"][0], table["rows"][-1]
+    assert "average_force" in ours["method"]
+    assert "quad" in peer["method"]
+    assert ours["median"] < 1e-5
