@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -157,7 +158,12 @@ def develop(record: Record, rig: Rig) -> Film:
     for row, msg in zip(position, truth, strict=True):
         parts = msg_to_parts(msg)
         row[[ids.index(name) for name in parts.ids]] = parts.position
-    tables = [deserialize_message(data, JointTrajectory) for data in record.tables]
+    tables, cycles = [], []
+    for data in record.tables:
+        msg = deserialize_message(data, JointTrajectory)
+        with suppress(PlateError):  # check_limits tells what is wrong with it
+            cycles.append(msg_to_motors(rig, msg))
+            tables.append(msg)
     images = [deserialize_message(data, Image) for data in record.images.items]
 
     def since(messages: list) -> np.ndarray:
@@ -169,7 +175,7 @@ def develop(record: Record, rig: Rig) -> Film:
         position=position,
         end=float(reports[-1][1]["time_s"]),
         table_time=since(tables),
-        tables=tuple(msg_to_motors(rig, msg) for msg in tables),
+        tables=tuple(cycles),
         image_time=since(images),
         images=tuple(image_to_array(msg) for msg in images),
     )

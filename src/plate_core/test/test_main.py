@@ -70,6 +70,17 @@ def test_wrong_input_is_one_line_and_code_2():
     assert errors == "error: size is 3, allowed: 1 to 2\n"
 
 
+def test_a_broken_parameter_file_is_no_defect(tmp_path):
+    file = tmp_path / "wrong.yaml"
+    file.write_text("nodes:\n  - {name: talker}\n")
+    with start("--ros-args", "--params-file", str(file)) as process:
+        _, errors = process.communicate(timeout=10)
+    assert process.returncode == 2
+    assert errors.splitlines()[-1].startswith("error: ")
+    assert str(file) in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+
+
 def test_a_defect_is_a_traceback_and_code_1():
     with start("break") as process:
         output, errors = process.communicate(timeout=10)

@@ -40,11 +40,8 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> Non
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
-    rclpy.init(
-        args=list(args) if args is not None else None,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
     try:
+        _init(args)
         node = make()
         # EventsExecutor.spin() hangs in some builds; spin_once on it works and is the fastest.
         executor = EventsExecutor()
@@ -64,3 +61,14 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> Non
         rclpy.try_shutdown()
     if code:
         sys.exit(code)
+
+
+def _init(args: Sequence[str] | None) -> None:
+    """Start ROS; a wrong command line or parameter file is the user's error, not a defect."""
+    try:
+        rclpy.init(
+            args=list(args) if args is not None else None,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except RuntimeError as error:  # RCLError, which has no public name
+        raise PlateError(str(error).splitlines()[0]) from None

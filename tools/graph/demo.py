@@ -1,0 +1,206 @@
+"""One run of the demo, from its checked arguments to its pictures."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from plate_core import PlateError, Rig, load_rig
+from plate_core.graph import GraphError, RunOptions, load_graph
+from plate_core.scenario import Scenario, load_scenario
+from plate_driver.transport import check_transport
+from plate_solver.controller import METHODS
+
+from .observer import Observer
+from .processes import Interrupted, free_domain, ros_environment, signals_raise
+from .progress import ProgressLine
+from .record import Record
+from .result import judge, summary
+from .session import session
+
+SILENCE_S = 30.0
+"""Longest silence of the planner [s]."""
+
+EXTRA_S = 30.0
+"""Wall time beyond the scenario's time limit until we give up [s]: the planner should have."""
+
+LOCKSTEP_SLOWER = 3
+"""Lockstep may take this many times the task's own time on a slow machine."""
+
+OUTPUT = ("result.json", "strip.png", "demo.gif")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What was asked for, checked.
+
+    Attributes
+    ----------
+    options : RunOptions
+    scenario : Scenario
+    rig : Rig
+    out : path
+        Where results go.
+    domain : int
+        ROS domain.
+    pictures : bool
+    """
+
+    options: RunOptions
+    scenario: Scenario
+    rig: Rig
+    out: Path
+    domain: int
+    pictures: bool
+
+
+def demo(args: argparse.Namespace) -> int:
+    """Check the arguments, run, and return the exit code of tools/demo.py."""
+    try:
+        plan = checked(args)
+    except PlateError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2
+    try:
+        with signals_raise():
+            return run(plan)
+    except Interrupted as interrupt:
+        print(f"\ndemo: {signal.Signals(interrupt.number).name}, all nodes are stopped", flush=True)
+        return 128 + interrupt.number
+    except PlateError as error:
+        print(f"\ndemo: {error}", file=sys.stderr, flush=True)
+        return 1
+
+
+def checked(args: argparse.Namespace) -> Plan:
+    """Check everything before anything is started.
+
+    Raises
+    ------
+    PlateError
+        Names the argument, its value and what is allowed.
+    """
+    scenario = load_scenario(args.scenario)
+    if args.method not in METHODS:
+        raise PlateError(f"method is {args.method!r}, allowed: {', '.join(sorted(METHODS))}")
+    check_transport(args.transport)
+    if not 0 <= args.seed < 2**31:
+        raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
+    if args.domain is not None and not 0 <= args.domain <= 101:
+        raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    options = RunOptions(
+        scenario=str(args.scenario),
+        method=METHODS[args.method],
+        seed=args.seed,
+        transport=args.transport,
+        lockstep=args.lockstep,
+        autostart=False,
+    )
+    domain = free_domain() if args.domain is None else args.domain
+    return Plan(options, scenario, load_rig(), args.out, domain, not args.no_pictures)
+
+
+def run(plan: Plan) -> int:
+    """Run the task from start to end."""
+    began = time.monotonic()
+    clear(plan.out)
+    for name, value in ros_environment(plan.domain).items():
+        os.environ.setdefault(name, value)
+    names = [node.name for node in plan.options.nodes(load_graph())]
+    print(
+        f"{plan.scenario.description} Method: {plan.options.method}. "
+        f"Gamma = {plan.rig.gamma:.1f}.\n"
+        f"Starting {', '.join(names)} (the first time they compile: about a minute).",
+        flush=True,
+    )
+    with session(plan.options, plan.out / "logs", plan.domain) as graph:
+        print(
+            f"All {len(graph.nodes)} nodes seen after {time.monotonic() - began:.0f} s. "
+            f"To look on: source env.sh; export ROS_DOMAIN_ID={plan.domain}",
+            flush=True,
+        )
+        graph.begin()
+        watch(plan, graph.observer)
+    record, codes = graph.observer.record, graph.processes.exit_codes
+    result = judge(plan.rig, plan.options, record, graph.nodes, codes)
+    result["wall_s"] = round(time.monotonic() - began, 1)
+    write(plan.out / "result.json", result)
+    print(summary(result), flush=True)
+    if plan.pictures:
+        draw(plan, record)
+    if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
+        return 0
+    for name in (name for name, code in codes.items() if code):
+        print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
+    return 1
+
+
+def watch(plan: Plan, observer: Observer) -> None:
+    """Show how the task gets on until it is over.
+
+    Raises
+    ------
+    GraphError
+        If the planner falls silent, or does not end the task in time.
+    """
+    line = ProgressLine(plan.scenario)
+    record = observer.record
+    allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
+    end = time.monotonic() + allowed + EXTRA_S
+    count, news = 0, time.monotonic()
+    while not record.ended:
+        observer.until(lambda: record.ended, line.PERIOD_S)
+        line.show(record)
+        now = time.monotonic()
+        if len(record.reports["planner"]) > count:
+            count, news = len(record.reports["planner"]), now
+        if now - news > SILENCE_S:
+            raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
+        if now > end:
+            raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
+    over = record.states[-1].split(":")[0]
+    observer.until(lambda: record.last("planner", "message").startswith(over), 2.0)
+    line.show(record, last=True)
+
+
+def clear(out: Path) -> None:
+    """Make the folder and remove an earlier run's results, so that none are taken for ours.
+
+    Raises
+    ------
+    PlateError
+        If that cannot be done.
+    """
+    try:
+        (out / "logs").mkdir(parents=True, exist_ok=True)
+        for path in [*(out / name for name in OUTPUT), *(out / "logs").glob("*.log")]:
+            path.unlink(missing_ok=True)
+    except OSError as problem:
+        raise PlateError(f"out is {out}: {problem}") from None
+
+
+def write(path: Path, result: dict[str, Any]) -> None:
+    """Write the result."""
+    path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    print(f"  {path}")
+
+
+def draw(plan: Plan, record: Record) -> None:
+    """Draw strip and animation, and say where they are."""
+    from .film import develop
+    from .pictures import Scene, draw_animation, draw_strip
+
+    scene = Scene(plan.rig, plan.scenario, develop(record, plan.rig))
+    title = f"{plan.scenario.name}, {plan.options.method}"
+    strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
+    draw_strip(scene, strip, title)
+    print(f"  {strip}", flush=True)
+    draw_animation(scene, animation, title)
+    print(f"  {animation}", flush=True)
