@@ -40,8 +40,9 @@ levels. Without that the empty rim of the window doubles the error of the centre
 MAX_STEP_PX = 1.0
 """Largest change of a centre or radius [px] in one iteration: edges are seen only when near."""
 
-SETTLED_PX = 2e-3
-"""Change [px] below which the fit has converged: a tenth of the effect of the image's noise."""
+SETTLED_PX = 0.01
+"""Change [px] of centre and radius after which the fit has converged: the next change would be a
+tenth of it, and a tenth of the effect of the image's noise."""
 
 MAX_ITERATIONS = 25
 
@@ -211,14 +212,14 @@ def fit_discs(
     state[:, :2], state[:, 2], state[:, 3] = seeds, radius_px, EDGE_PX[1]
     state[:, 4] = _first_darkness(windows, weight, seeds, radius_px)
     for _ in range(MAX_ITERATIONS):
-        step = _step(*_residual(windows, weight, pairs, state))
+        error, slopes = _residual(windows, weight, pairs, state)
+        step = _step(error, slopes)
         state += step
         state[:, 2] = state[:, 2].clip(0.5 * radius_px, 1.5 * radius_px)
         state[:, 3] = state[:, 3].clip(EDGE_PX[0], EDGE_PX[2])
-        if not np.any(np.abs(step[:, :2]) > SETTLED_PX):
+        if np.all(np.abs(step[:, :3]) < SETTLED_PX):
             break
-    error, slopes = _residual(windows, weight, pairs, state)
-    covered = slopes[..., 4]
+    covered = slopes[:, 4]
     square = np.sum(error**2 * covered, axis=(1, 2)) / np.maximum(covered.sum(axis=(1, 2)), 1)
     misfit = np.sqrt(square) / np.maximum(state[:, 4], MIN_DARKNESS)
     return Discs(state[:, :2], state[:, 2], state[:, 4], misfit)
@@ -236,7 +237,7 @@ def _first_darkness(
 def _residual(
     windows: Windows, weight: np.ndarray, pairs: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return darkness not explained (n, s, s) and its slopes (n, s, s, 5) in the state; both
+    """Return darkness not explained (n, s, s) and its slopes (n, 5, s, s) in the state; both
     weighted."""
     x, y = windows.x, windows.y
     distance, dx, dy = _distance(x, y, state[:, :2])
@@ -252,8 +253,9 @@ def _residual(
         weight = weight.copy()
         weight[here[first]] *= np.multiply.reduceat(1 - other, first)
     pull = darkness * rim
-    slopes = np.stack([pull * dx / distance, pull * dy / distance, pull, -pull * depth, cover], -1)
-    return error * weight, slopes * weight[..., None]
+    slopes = np.stack([pull * dx / distance, pull * dy / distance, pull, -pull * depth, cover], 1)
+    slopes *= weight[:, None]
+    return error * weight, slopes
 
 
 def _distance(
@@ -278,11 +280,10 @@ def _disc_cover(
 
 def _step(error: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Return the change (n, 5) of the discs' state: least squares, damped and bounded."""
-    count, size = len(error), slopes.shape[-1]
-    rows = slopes.reshape(count, -1, size)
-    turned = rows.transpose(0, 2, 1)
-    normal = (turned @ rows).astype(float)
-    right = (turned @ error.reshape(count, -1, 1)).astype(float)
+    count, size = slopes.shape[:2]
+    rows = slopes.reshape(count, size, -1)
+    normal = (rows @ rows.transpose(0, 2, 1)).astype(float)
+    right = (rows @ error.reshape(count, -1, 1)).astype(float)
     index = np.arange(size)
     normal[:, index, index] = normal[:, index, index] * 1.001 + 1e-3
     step = np.linalg.solve(normal, right)[..., 0]
