@@ -137,7 +137,7 @@ def draw_sim(figure: Figure, rows: list[dict[str, Any]]) -> None:
             if method == "plate_sim":
                 default = next(r for r in mine if abs(r["step_ms"] - 1e3 * STEP) < 1e-9)
                 mark(axes, default["speed"], default["error_percent"], "our default")
-        axes.set(xscale="log", yscale="log", xlabel="simulated seconds per wall second")
+        axes.set(xscale="log", yscale="log", xlabel="simulated s per s of one core")
         axes.set_title(f"shaken at {gamma} µg")
         axes.margins(x=0.2, y=0.08)
         axes.yaxis.set_major_formatter("{x:g}")

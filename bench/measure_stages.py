@@ -5,15 +5,14 @@ The loop itself is `loop.run`; every stage then gets the same inputs once more.
 
 from __future__ import annotations
 
-import time
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
-from harness import Result, Table
+from harness import Result, Table, cpu_time
 from loop import Moment, Setup, run
 
 from plate_core import PlateCycle, Rig, load_rig
@@ -22,6 +21,7 @@ from plate_core.scenario import Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import Planner
 from plate_sim import Camera, part_greys, run_cycle
+from plate_solver import Controller
 from plate_vision import Tracker, look, make_vision
 
 PARTS = (1, 2, 4, 6, 8, 10, 12)
@@ -49,7 +49,7 @@ def measure(quick: bool) -> Result:
         for parts in (2, 10) if quick else PARTS:
             path = Path(folder) / f"sort_{parts}.yaml"
             path.write_text(scenario_text(parts), encoding="utf-8")
-            setup = Setup(str(path), seed=1)
+            setup = Setup(str(path))
             moments = list(islice(run(setup, rig), 15 if quick else IMAGES))
             rows.append(stages_row(rig, load_scenario(path), moments))
     return Result(
@@ -104,13 +104,13 @@ def scenario_text(parts: int) -> str:
 def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:
     """Give every stage the run's inputs again, and time it."""
     camera, vision, tracker = Camera(rig), make_vision(rig), Tracker()
-    planner = Planner(rig, scenario)
+    planner, controller = Planner(rig, scenario), Controller(rig)
     state = planner.start(planner.initial())
     grey = part_greys([part_class(name) for name in moments[0].world.ids])
     rng = np.random.default_rng(0)
     clock = Clock()
     running = PlateCycle.rest(0.1)
-    for moment, after in pairwise(moments):
+    for moment in moments:
         world = moment.world
         clock.start()
         camera.render(world.position, grey, rng, world.velocity)
@@ -119,12 +119,13 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         clock.lap("vision")
         state, _, _ = planner.plan(state, tracker.parts, moment.time)
         clock.lap("planner")
-        prepare(rig, moment.answer.cycle, round(moment.time * 1e9))
+        answer = controller.answer(moment.asked, running)
+        clock.lap("solver")
+        table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9))
         clock.lap("driver")
         run_cycle(world, running, rig)
         clock.lap("simulator")
-        running = moment.answer.cycle
-        clock.seconds["solver"].append(after.solve_s)
+        running = table.cycle
     medians = {name: 1e3 * float(np.median(clock.seconds[name][FIRST:])) for name in STAGES}
     return {
         "parts": len(grey),
@@ -143,10 +144,10 @@ class Clock:
 
     def start(self) -> None:
         """Start the first lap."""
-        self._began = time.perf_counter()
+        self._began = cpu_time()
 
     def lap(self, name: str) -> None:
         """End a lap and start the next."""
-        now = time.perf_counter()
+        now = cpu_time()
         self.seconds[name].append(now - self._began)
-        self._began = time.perf_counter()
+        self._began = cpu_time()
