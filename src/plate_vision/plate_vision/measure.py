@@ -35,7 +35,7 @@ lens with a blur of 0.6 px (standard deviation)."""
 
 NOISE = 0.04
 """Darkness below which moments leave a pixel out: 4 standard deviations of a noise of 2 in 200
-levels. Without that the empty rim of the window doubles the error of the centre."""
+levels. Otherwise the empty rim of the window would make the centre's error half as large again."""
 
 MAX_STEP_PX = 1.0
 """Largest change of a centre or radius [px] in one iteration: edges are seen only when near."""
