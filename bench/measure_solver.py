@@ -242,7 +242,8 @@ def summary(rows: list[dict[str, Any]], linear: list[dict[str, Any]]) -> list[st
             for method in (OURS, PEER, ROTATIONS)
         )
         lines.append(
-            f"{parts} parts: {OURS} {ours['success_percent']:.0f} % in {shown(ours['median_ms'])} ms, "
+            f"{parts} part{'s' * (parts > 1)}: {OURS} {ours['success_percent']:.0f} % in "
+            f"{shown(ours['median_ms'])} ms, "
             f"scipy {peer['success_percent']:.0f} % in {shown(peer['median_ms'])} ms "
             f"({peer['median_ms'] / ours['median_ms']:.1f} times as long), "
             f"{ROTATIONS} {rotations['near_percent']:.0f} % (within {NEAR:g}) in "
