@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PartSet, PlateCycle, Rig
+from plate_core import PartSet, PlateCycle, PlateError, Rig
 
 from .cycle_map import end_state
 from .rotations import RotationSolver
@@ -79,6 +79,8 @@ class Controller:
         seed: int = 0,
         centres: np.ndarray | None = None,
     ) -> None:
+        if method not in METHODS:
+            raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._solvers: dict[str, RotationSolver | SinusoidSolver] = {
             "rotations": RotationSolver(rig, centres, iterations=12, restarts=1, seed=seed),

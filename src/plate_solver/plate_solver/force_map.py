@@ -45,7 +45,7 @@ def average_force(
     Raises
     ------
     PlateError
-        If shapes are wrong.
+        If shapes are wrong or values are not finite.
     """
     position = np.ascontiguousarray(position, dtype=float)
     velocity = (
@@ -56,6 +56,9 @@ def average_force(
             f"position and velocity have shapes {position.shape} and {velocity.shape}, "
             "allowed: both (M, 2)"
         )
+    for name, array in (("position", position), ("velocity", velocity)):
+        if not np.all(np.isfinite(array)):
+            raise PlateError(f"{name} has values that are not finite")
     t = (np.arange(SAMPLES) + 0.5) / SAMPLES * cycle.period
     return mean_force(position, velocity, cycle.twist(t))
 

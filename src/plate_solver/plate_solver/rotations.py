@@ -64,6 +64,7 @@ class RotationOptions:
             ("tolerance", 0, 1),
             ("iterations", 1, 10_000),
             ("restarts", 0, 10_000),
+            ("seed", 0, 2**31 - 1),
         ):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -96,6 +97,8 @@ class RotationSolver:
             raise PlateError(
                 f"centres have shape {self.centres.shape}, allowed: (N, 2) with N at least 3"
             )
+        if not np.all(np.isfinite(self.centres)):
+            raise PlateError("centres have values that are not finite")
         self._twists = unit_twists(self.centres, rig.plate.half)
         self._rng = np.random.default_rng(self.options.seed)
         self._warm: tuple[RotationFamily, np.ndarray] | None = None

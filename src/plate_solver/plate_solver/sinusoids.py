@@ -56,6 +56,7 @@ class SinusoidOptions:
             ("tolerance", 0, 1),
             ("iterations", 1, 10_000),
             ("restarts", 0, 10_000),
+            ("seed", 0, 2**31 - 1),
         ):
             value = getattr(self, name)
             if not low <= value <= high:

@@ -176,4 +176,6 @@ class Request:
         for name, array in (("position", position), ("force", force), ("velocity", velocity)):
             if not np.all(np.isfinite(array)):
                 raise PlateError(f"{name} has values that are not finite")
+        if np.any(np.isinf(curl)):
+            raise PlateError("curl has infinite values, allowed: numbers, NaN where it is free")
         return cls(position, force, velocity, curl)

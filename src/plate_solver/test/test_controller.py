@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core import PartSet, PlateCycle
+from plate_core import PartSet, PlateCycle, PlateError
 from plate_core.limits import usage
 from plate_sim import simulate
 from plate_solver import Controller
@@ -182,6 +182,11 @@ def test_method_can_change_on_the_way(rig, scene):
     assert periods[0] == periods[12] != periods[6] == periods[18]
     assert np.median(errors) < 0.3 * 0.008
     assert np.max(errors) < 0.008
+
+
+def test_unknown_method_is_named(rig):
+    with pytest.raises(PlateError, match="method is 'magic', allowed: A, B, rotations, sinusoids"):
+        Controller(rig, "magic")
 
 
 def test_parts_come_and_go(rig, scene):

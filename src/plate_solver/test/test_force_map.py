@@ -244,5 +244,12 @@ def test_wrong_shapes_are_named(position, velocity, shapes):
         average_force(PlateCycle.rest(0.1), position, velocity)
 
 
+@pytest.mark.parametrize("name", ["position", "velocity"])
+def test_values_that_are_not_finite_are_named(name):
+    given = {"position": PLACES, "velocity": STILL} | {name: PLACES * np.nan}
+    with pytest.raises(PlateError, match=f"{name} has values that are not finite"):
+        average_force(PlateCycle.rest(0.1), **given)
+
+
 def test_no_parts_no_forces():
     assert average_force(PlateCycle.rest(0.1), np.zeros((0, 2))).shape == (0, 2)

@@ -178,6 +178,7 @@ def test_close_parts_that_go_apart_are_not_shaken_wildly(rig):
         ({"most_gain": 0.5}, "most_gain is 0.5, allowed: 1 to "),
         ({"centres": np.zeros((2, 2))}, r"centres have shape \(2, 2\), allowed: \(N, 2\)"),
         ({"centres": np.zeros(6)}, r"centres have shape \(6,\), allowed: \(N, 2\)"),
+        ({"centres": np.full((4, 2), np.nan)}, "centres have values that are not finite"),
     ],
 )
 def test_wrong_options_are_named(rig, options, message):

@@ -192,6 +192,7 @@ PLACE, PUSH = np.array([[0.1, 0.05]]), np.array([[0.1, 0.0]])
         ({"position": PLACE * np.nan}, "position has values that are not finite"),
         ({"force": PUSH - np.inf}, "force has values that are not finite"),
         ({"velocity": PUSH * np.nan}, "velocity has values that are not finite"),
+        ({"curl": [np.inf]}, "curl has infinite values, allowed: numbers, NaN where it is free"),
     ],
 )
 def test_wrong_requests_are_named(rig, method, asked, message):
@@ -209,6 +210,7 @@ def test_wrong_requests_are_named(rig, method, asked, message):
         ({"tolerance": -1e-9}, "tolerance is -1e-09, allowed: 0 to 1"),
         ({"iterations": 0}, "iterations is 0, allowed: 1 to "),
         ({"restarts": -1}, "restarts is -1, allowed: 0 to "),
+        ({"seed": -1}, "seed is -1, allowed: 0 to "),
     ],
 )
 def test_wrong_options_are_named(rig, method, options, message):
