@@ -38,7 +38,7 @@ def dense_force(cycle, position):
         (SinusoidSolver, 1, 40, 0.95),
         (SinusoidSolver, 2, 40, 0.90),
         (RotationSolver, 1, 12, 0.80),
-        (RotationSolver, 2, 20, 0.40),
+        (RotationSolver, 2, 12, 0.35),
     ],
 )
 def test_random_requests(rig, scene, method, count, seeds, least):
