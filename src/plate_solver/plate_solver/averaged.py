@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,6 +40,22 @@ def fit_force(
         return (wanted - got) * scale, slopes
 
     return fit(evaluate, parameters, family.admissible, tolerance, iterations)
+
+
+def fit_force_finely(
+    request: Request,
+    coarse: Family,
+    fine: Family,
+    parameters: np.ndarray,
+    tolerance: float,
+    iterations: int,
+) -> Fit:
+    """Do as `fit_force`; what is good on coarse samples is corrected on ones that resolve dips."""
+    found = fit_force(request, coarse, parameters, tolerance / 10, iterations)
+    if np.max(np.abs(found.error)) > tolerance:
+        return found
+    better = fit_force(request, fine, found.parameters, tolerance / 10, iterations)
+    return replace(better, iterations=found.iterations + better.iterations)
 
 
 def force_solution(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,11 +20,14 @@ METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinuso
 IDLE_PERIOD = 0.1
 """Length of a cycle at rest [s]."""
 
-STEP = 0.8e-3
-"""Step for predicting the running cycle [s]: as fine as the solvers' own."""
+STEP = 0.1e-3
+"""Step for predicting the running cycle [s]: it is done once, so it may be fine."""
 
 DRIFT_TOLERANCE = 2e-4
 """Error of the drift over a cycle at which a search stops [m/s]."""
+
+SHARES = (1.0, 0.5, 0.25)
+"""Shares of a request that are tried, one after the other, when a part would leave the plate."""
 
 GOOD_SHARE = 0.15
 """Share of the wanted displacement that may be missed (root mean square) before a solver looks
@@ -109,22 +112,26 @@ class Controller:
             self._velocity.clear()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
-        goal = self._goal(parts, running, solver.steering_period(len(parts)))
-        asked = float(np.sqrt(np.mean(goal.displacement**2)))
         period = solver.steering_period(len(parts))
-        good = max(GOOD_SHARE * asked, DRIFT_TOLERANCE * period)
-        solution = solver.steer(goal, DRIFT_TOLERANCE * period, good)
+        goal = self._goal(parts, running, period)
+        asked = float(np.sqrt(np.mean(goal.displacement**2)))
+        for share in SHARES:
+            part = replace(goal, displacement=share * goal.displacement)
+            good = max(GOOD_SHARE * share * asked, DRIFT_TOLERANCE * period)
+            solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
+            if not self._leaves_plate(goal, solution.cycle):
+                break
+            solver.forget()
+        else:
+            message = "a part would leave the plate: one cycle at rest"
+            return Answer(PlateCycle.rest(period), solution, message, asked, asked)
         unit = self._rig.friction.accel * period**2
-        error = float(np.sqrt(np.mean(solution.residual**2))) * unit
-        if self._leaves_plate(goal, solution.cycle):
-            return Answer(
-                PlateCycle.rest(period),
-                solution,
-                "a part would leave the plate: one cycle at rest",
-                asked,
-                asked,
-            )
-        return Answer(solution.cycle, solution, solution.message, error, asked)
+        missed = solution.residual * unit + (1 - share) * goal.displacement
+        message = (
+            solution.message if share == 1 else f"{share:g} of the request; {solution.message}"
+        )
+        error = float(np.sqrt(np.mean(missed**2)))
+        return Answer(solution.cycle, solution, message, error, asked)
 
     def _goal(self, parts: PartSet, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
@@ -134,12 +141,17 @@ class Controller:
             position, velocity = self._after(running, parts.position, start)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         gain = period / self._rig.parts.mass_kg
-        drift = parts.velocity + gain * parts.force
+        wanted = (parts.velocity + gain * parts.force) * period
+        tolerance = gain * parts.tolerance * period
+        # What leads off the plate is not asked for, so it does not keep the others waiting.
+        edge = self._rig.plate.half - self._rig.parts.radius_m
+        low = np.clip(wanted - tolerance, -edge - position, edge - position)
+        high = np.clip(wanted + tolerance, -edge - position, edge - position)
         return Goal(
             position=position,
             velocity=velocity,
-            displacement=drift * period,
-            tolerance=gain * parts.tolerance * period,
+            displacement=(low + high) / 2,
+            tolerance=(high - low) / 2,
             friction_accel=self._rig.friction.accel,
         )
 

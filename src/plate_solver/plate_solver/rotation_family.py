@@ -9,7 +9,7 @@ from plate_core import PlateCycle
 from .sequence import knot_poses, motion, motion_slopes, timeline
 from .solution import Bounds
 
-STEPS_PER_SECOND = 1250
+STEPS_PER_SECOND = 2000
 """Samples of a sequence while it is being corrected [1/s]."""
 
 RAMP_SHARE = 0.95
@@ -90,7 +90,7 @@ class RotationFamily:
         holds, speed = parameters[: self.count + 1], parameters[self.count + 1 :]
         np.maximum(holds, SHORTEST, out=holds)
         np.clip(speed, -FASTEST, FASTEST, out=speed)
-        for _ in range(3):
+        for _ in range(8):
             pose, twist, accel, _ = self._motion(parameters)
             share = self._bounds.share(pose, twist, accel)
             if share <= 1:

@@ -14,12 +14,12 @@ import numpy as np
 
 from plate_core import PlateError, Rig
 
-from .averaged import CURL_LENGTH_M, fit_force, force_solution
+from .averaged import CURL_LENGTH_M, fit_force, fit_force_finely, force_solution
 from .centres import curl_matrix, grid, priority_order, rotation_matrix, solve_weights, unit_twists
 from .force_map import SAMPLES
 from .least_squares import Fit
 from .rotation_family import RotationFamily
-from .solution import Bounds, Request, Solution
+from .solution import Bounds, Request, Solution, check_options
 from .steering import Goal, steer, steering_solution
 
 SHAKE = 0.4
@@ -57,18 +57,16 @@ class RotationOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("period", 1e-3, 10),
-            ("speed", 1e-3, 10),
-            ("most_gain", 1, 1e12),
-            ("tolerance", 0, 1),
-            ("iterations", 1, 10_000),
-            ("restarts", 0, 10_000),
-            ("seed", 0, 2**31 - 1),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise PlateError(f"{name} is {value!r}, allowed: {low} to {high}")
+        check_options(
+            self,
+            period=(1e-3, 10.0),
+            speed=(1e-3, 10.0),
+            most_gain=(1.0, 1e12),
+            tolerance=(0.0, 1.0),
+            iterations=(1, 10_000),
+            restarts=(0, 10_000),
+            seed=(0, 2**31 - 1),
+        )
 
 
 class RotationSolver:
@@ -106,6 +104,10 @@ class RotationSolver:
     def reset(self) -> None:
         """Forget the last solution and start the random numbers anew."""
         self._rng = np.random.default_rng(self.options.seed)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last solution: the next search begins afresh."""
         self._warm = None
 
     def steering_period(self, count: int) -> float:
@@ -145,18 +147,19 @@ class RotationSolver:
         start, family, condition = self._plan(request.position, request.force, request.curl)
         tolerance = self.options.tolerance
 
+        fine, most = family.finer(SAMPLES), self.options.iterations
+
         def attempt(theta: np.ndarray) -> Fit:
-            return fit_force(request, family, theta, tolerance / 10, self.options.iterations)
+            return fit_force_finely(request, family, fine, theta, tolerance, most)
 
         def good(result: Fit) -> bool:
             return bool(np.max(np.abs(result.error)) <= tolerance)
 
         first = attempt(start)
         best, iterations = self._again(first, first.iterations, family, attempt, good)
-        family = family.finer(SAMPLES)
-        best = attempt(best.parameters)  # a few steps on samples that resolve dips
+        best = fit_force(request, fine, best.parameters, tolerance / 10, most)
         iterations += best.iterations
-        cycle = family.cycle(best.parameters)
+        cycle = fine.cycle(best.parameters)
         return force_solution(self._rig, request, best, cycle, tolerance, iterations, condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:

@@ -9,12 +9,12 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 
-from .averaged import fit_force, force_solution
+from .averaged import fit_force, fit_force_finely, force_solution
 from .force_map import SAMPLES
 from .guesses import GuessTable
 from .harmonics import Harmonics, harmonics
 from .least_squares import Fit
-from .solution import Bounds, Request, Solution
+from .solution import Bounds, Request, Solution, check_options
 from .steering import Goal, steer, steering_solution
 
 
@@ -50,17 +50,15 @@ class SinusoidOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("harmonics", 0, 64),
-            ("period", 0, 10),
-            ("tolerance", 0, 1),
-            ("iterations", 1, 10_000),
-            ("restarts", 0, 10_000),
-            ("seed", 0, 2**31 - 1),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise PlateError(f"{name} is {value!r}, allowed: {low} to {high}")
+        check_options(
+            self,
+            harmonics=(0, 64),
+            period=(0.0, 10.0),
+            tolerance=(0.0, 1.0),
+            iterations=(1, 10_000),
+            restarts=(0, 10_000),
+            seed=(0, 2**31 - 1),
+        )
         if self.at_rest and self.harmonics == 1:
             raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
 
@@ -150,6 +148,10 @@ class SinusoidSolver:
     def reset(self) -> None:
         """Forget the last solution and start the random numbers anew."""
         self._rng = np.random.default_rng(self.options.seed)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the last solution: the next search begins afresh."""
         self._warm.clear()
 
     def solve(
@@ -185,15 +187,17 @@ class SinusoidSolver:
         family, key = self._family(int(np.sum(request.rows)), self.options.at_rest)
         tolerance = self.options.tolerance
 
+        fine = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
+        most = self.options.iterations
+
         def attempt(theta: np.ndarray) -> Fit:
-            return fit_force(request, family, theta, tolerance / 10, self.options.iterations)
+            return fit_force_finely(request, family, fine, theta, tolerance, most)
 
         def good(result: Fit) -> bool:
             return bool(np.max(np.abs(result.error)) <= tolerance)
 
         best, iterations = self._search(family, key, request.position, request.force, attempt, good)
-        family = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
-        best = attempt(best.parameters)  # a few steps on samples that resolve dips
+        best = fit_force(request, fine, best.parameters, tolerance / 10, most)
         iterations += best.iterations
         self._warm[key] = best.parameters
         cycle = family.cycle(best.parameters)

@@ -122,6 +122,23 @@ def within_limits(rig: Rig, cycle: PlateCycle) -> PlateCycle:
     return cycle
 
 
+def check_options(options: object, **ranges: tuple[float, float]) -> None:
+    """Check that options are numbers in their ranges; whole ones where the range is whole.
+
+    Raises
+    ------
+    PlateError
+        Naming the option, its value and what is allowed.
+    """
+    for name, (low, high) in ranges.items():
+        value = getattr(options, name)
+        whole = isinstance(low, int)
+        numeric = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        if not numeric or not low <= value <= high:
+            allowed = f"{low:g} to {high:g}" + (", a whole number" if whole else "")
+            raise PlateError(f"{name} is {value!r}, allowed: {allowed}")
+
+
 @dataclass(frozen=True)
 class Request:
     """What is asked at M parts, checked.

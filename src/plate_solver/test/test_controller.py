@@ -137,21 +137,18 @@ def test_no_parts_no_motion(rig, scene, method):
 
 @METHOD
 @pytest.mark.parametrize("way", [[1.0, 0.0], [0.0, -1.0], [0.7, 0.7]])
-def test_part_driven_outward_stays_on_the_plate(rig, method, way):
+def test_part_driven_outward_stays_and_does_not_stop_the_other(rig, method, way):
     half = rig.plate.half
     way = np.array(way)
     position = np.array([way / np.max(np.abs(way)) * half * 0.97, [-0.1, 0.02]])
     assert np.all(np.abs(position) < half)
     loop = Loop(rig, Controller(rig, method), position)
-    refused = 0
     for _ in range(25):
-        loop.step(np.array([0.02 * way, [0.0, 0.0]]))
+        loop.step(np.array([0.02 * way, [0.005, 0.005]]))
         assert np.all(np.abs(loop.position) < half)
-        refused += "leave the plate" in loop.answer.message
-        if "leave the plate" in loop.answer.message:
-            assert np.all(loop.answer.cycle.knot_pose == 0)
-            assert loop.answer.error_m == loop.answer.asked_m
-    assert refused > 0
+    # The other part is not kept waiting: it goes most of what it is asked.
+    asked = 25 * loop.answer.cycle.period * np.array([0.005, 0.005])
+    assert np.all(loop.position[1] - position[1] > 0.6 * asked)
     # It comes back when asked to.
     before = loop.position[0] @ way
     for _ in range(8):
