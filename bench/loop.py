@@ -67,8 +67,8 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     sort, follow = setup.planner.sort, setup.planner.follow
     for key, text in settings.items():
         try:
-            if key == "method" and text in METHODS:
-                setup = replace(setup, method=METHODS[text])
+            if key == "method":
+                setup = replace(setup, method=_method(text))
             elif key in ("noise", "mu_scale"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
             elif key in {f.name for f in fields(SortOptions)}:
@@ -80,10 +80,19 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
         except KeyError:
             known = ["method", "noise", "mu_scale"]
             known += [f.name for kind in (SortOptions, FollowOptions) for f in fields(kind)]
-            raise PlateError(f"setting {key!r}, allowed: {', '.join(known)}") from None
+            names = ", ".join(dict.fromkeys(known))
+            raise PlateError(f"setting {key!r}, allowed: {names}") from None
+        except PlateError:
+            raise
         except ValueError:
             raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
     return replace(setup, planner=replace(setup.planner, sort=sort, follow=follow))
+
+
+def _method(name: str) -> str:
+    if name not in METHODS:
+        raise PlateError(f"setting method is {name!r}, allowed: {', '.join(METHODS)}")
+    return METHODS[name]
 
 
 @dataclass(frozen=True)
