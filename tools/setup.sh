@@ -15,6 +15,7 @@ quiet=${1:-}
 
 say() { echo "set-up: $*"; }
 fail() { printf 'set-up: %s\n' "$@" >&2; exit 1; }
+trap 'echo "set-up: interrupted; the same command again goes on from here" >&2; exit 130' INT
 
 # --- which ROS, which Python -------------------------------------------------------------------
 
