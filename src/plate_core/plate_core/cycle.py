@@ -42,6 +42,11 @@ class PlateCycle:
         return float(self.times[-1])
 
     @property
+    def coefficients(self) -> np.ndarray:
+        """Powers (k, 6, 3) of the time since the knot, per knot interval [m, m, rad]."""
+        return self._coefficients
+
+    @property
     def starts_at_rest(self) -> bool:
         """Whether the plate is at home and at rest where the cycle begins and ends."""
         return bool(

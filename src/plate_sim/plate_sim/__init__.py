@@ -1,7 +1,8 @@
 """Simulates parts on the vibrating plate, its camera and its motor controller."""
 
 from .camera import Camera, part_greys
-from .friction import Trajectory, simulate
+from .friction import Trajectory
+from .points import simulate, simulate_many
 from .world import WorldState, record_cycle, run_cycle
 
 __all__ = [
@@ -12,4 +13,5 @@ __all__ = [
     "record_cycle",
     "run_cycle",
     "simulate",
+    "simulate_many",
 ]

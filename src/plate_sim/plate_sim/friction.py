@@ -1,4 +1,4 @@
-"""Point parts on the moving plate: Coulomb friction, slip and stick.
+"""Point parts on the moving plate in equal steps: Coulomb friction, slip and stick.
 
 The surface under a part at P moves with v_s = O' + theta' x (P - O_s(t)), equation (2) of the
 paper, with the plate's true pose and twist. Friction turns the part's velocity v towards v_s at
@@ -24,6 +24,9 @@ STEP = 5e-5
 SPLIT = 16
 """Pieces of a step in which the slip may stop or reverse: 20 times less error, 20 % more time."""
 
+LARGEST = 1e60
+"""Greatest number that a state or a coefficient may have: its products stay finite."""
+
 STUCK = 1e-3
 """A slip below this share of mu g dt counts as none: it comes from rounding, not from sliding."""
 
@@ -47,58 +50,6 @@ class Trajectory:
     velocity: np.ndarray
 
 
-def simulate(
-    cycle: PlateCycle,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    friction: float | np.ndarray,
-    gravity: float = 9.81,
-    cycles: int = 1,
-    samples: int | None = None,
-) -> Trajectory:
-    """Integrate the stick-slip motion of point parts that never meet, on an endless plate.
-
-    Parameters
-    ----------
-    cycle : PlateCycle
-        Motion of the plate, repeated.
-    position, velocity : (M, 2)
-        Parts at the start of the first cycle [m], [m/s], plate_home.
-    friction : float or (M,)
-        Friction coefficient mu, of all parts or of each.
-    gravity : float
-        [m/s2].
-    cycles : int
-        How often the cycle is run.
-    samples : int, optional
-        Integration steps per cycle; by default steps of at most `STEP`.
-
-    Returns
-    -------
-    Trajectory
-        The start and every step: k = cycles * samples + 1.
-
-    Raises
-    ------
-    PlateError
-        If shapes disagree, a value is not finite, or a count or coefficient is out of range.
-    """
-    position = pairs("position", position)
-    velocity = pairs("velocity", velocity, len(position))
-    limit = friction_accel(friction, gravity, len(position))
-    steps = default_steps(cycle) if samples is None else samples
-    for name, count in (("cycles", cycles), ("samples", steps)):
-        if count < 1:
-            raise PlateError(f"{name} is {count}, allowed: at least 1")
-    pose, twist = surface_samples(cycle, steps)
-    step = cycle.period / steps
-    shape = (cycles * steps + 1, len(position), 2)
-    path, speed = np.empty(shape), np.empty(shape)
-    path[0], speed[0] = position, velocity
-    _run(pose, twist, step, limit, path, speed)
-    return Trajectory(np.arange(len(path)) * step, path, speed)
-
-
 def default_steps(cycle: PlateCycle, step: float = STEP) -> int:
     """Return how many equal steps of at most `step` [s] fill the cycle."""
     return max(1, int(np.ceil(cycle.period / step - 1e-9)))
@@ -111,13 +62,19 @@ def surface_samples(cycle: PlateCycle, steps: int) -> tuple[np.ndarray, np.ndarr
 
 
 def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
-    """Return a float copy of `array`, checked to be finite and of shape (count, 2)."""
+    """Return a float copy of `array`, checked to be of shape (count, 2) and within `LARGEST`."""
     array = np.array(array, dtype=float)
     if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
         rows = "M" if count is None else count
         raise PlateError(f"{name} has shape {array.shape}, allowed: ({rows}, 2)")
-    if not np.all(np.isfinite(array)):
-        raise PlateError(f"{name} has values that are not finite")
+    usable = np.abs(array) <= LARGEST  # a NaN is not
+    if not usable.all():
+        part = int(np.argmin(usable.all(axis=1)))
+        finite = "not finite" if not np.isfinite(array[part]).all() else "too large"
+        raise PlateError(
+            f"{name} has values that are {finite}: part {part} has {array[part].tolist()}, "
+            f"allowed: up to {LARGEST:g}"
+        )
     return array
 
 
@@ -126,8 +83,16 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
     mu = np.asarray(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
-    if not (np.all(np.isfinite(mu)) and np.all(mu >= 0)):
-        raise PlateError(f"friction is {friction}, allowed: finite and at least 0")
+    usable = (mu >= 0) & (mu <= LARGEST)
+    if not usable.all():
+        part = int(np.argmin(usable))
+        which = f" for part {part}" if mu.ndim else ""
+        raise PlateError(
+            f"friction is {mu.flat[part]:g}{which}, allowed: finite and at least 0, "
+            f"up to {LARGEST:g}"
+        )
+    if not 0 <= gravity <= LARGEST:
+        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
     return np.broadcast_to(mu * gravity, (count,)).copy()
 
 
@@ -180,8 +145,8 @@ def _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick):
 
 
 @njit(cache=True)
-def _run(pose, twist, step, limit, path, speed):
-    """Fill path and speed (cycles * steps + 1, M, 2) from their first rows."""
+def run_steps(pose, twist, step, limit, path, speed):
+    """Fill path and speed (cycles * steps + 1, M, 2) from their first rows, step by step."""
     steps = len(pose) - 1
     for k in range(len(path) - 1):
         for i in range(path.shape[1]):

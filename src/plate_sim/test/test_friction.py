@@ -95,7 +95,7 @@ def test_below_the_friction_limit_parts_ride_along():
     peak = np.max(np.abs(cycle.accel(np.linspace(0, 0.2, 500)))[:, 0])
     assert peak < 0.5 * MU * G
     position = np.array([[0.25, 0.1], [-0.1, 0.05], [0, 0]])
-    run = simulate(cycle, position, np.zeros((3, 2)), MU, G, cycles=3)
+    run = simulate(cycle, position, np.zeros((3, 2)), MU, G, cycles=3, samples=4000)
     home = to_plate(cycle.pose(0)[0], position)
     for t in (0.05, 0.1, 0.3, 0.6):
         k = round(t / 5e-5)

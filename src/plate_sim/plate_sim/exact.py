@@ -1,0 +1,258 @@
+"""Point parts on the plate's exact motion, event by event, to a stated accuracy.
+
+A part slides, by Runge-Kutta 5(4) with steps that keep the estimated error small; or it is stuck
+to its place in the plate, exactly, until the surface's acceleration there exceeds mu g. Where the
+slip vanishes the time is found; then the part sticks if the surface can hold it, else it slides
+off along the surface's acceleration: on a line that is a reversal. Where the slip in the plane
+only dips, steps shrink with it, but never below what the tolerance can feel.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from numba import njit
+
+from .motion import END, START, hold_bound, in_plate, riding, slip, surface_rate
+from .output import emit, emit_held
+from .sliding import landing, restart, runge_kutta
+
+STEP_SHARE = 0.1
+"""Share of the tolerance that one step may err: errors of a cycle's steps add up and decay."""
+
+SNAP_SHARE = 0.1
+"""Share of a step's error [m] that may be left to slide when a part is taken to be stuck."""
+
+ZERO_SHARE = 0.2
+"""Share of a step's error, per period, below which a slip [m/s] counts as none."""
+
+AHEAD = 1e-8
+"""A part can stick if the surface can hold it also this share of a period later."""
+
+FLOOR = 1e-13
+"""Shortest step, as a share of the period: time itself is rounded to 1e-16 of it."""
+
+BUDGET, COARSE = 20_000, 2000
+"""Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked."""
+
+LEAST = 1e-60
+"""Friction [m/s2] below this moves nothing; its directions would drown in rounding."""
+
+SCAN = 6
+"""Looks per piece for the release of a stuck part: its acceleration there is nearly a cubic."""
+
+
+@njit(cache=True, nogil=True)
+def run_points(table, scales, limit, tolerance, cycles, path, speed):
+    """Fill path and speed (cycles * samples + 1, M, 2) from their first rows; return the steps.
+
+    Parameters
+    ----------
+    table, scales : (K, 23), (4,)
+        The plate's motion, from `tabulate`.
+    limit : (M,)
+        mu g of each part [m/s2].
+    tolerance : float
+        Of the displacement in one cycle [m].
+    cycles : int
+    path, speed : (cycles * samples + 1, M, 2)
+        Positions [m] and velocities [m/s], plate_home.
+    """
+    steps = 0
+    for i in range(path.shape[1]):
+        if limit[i] > LEAST:
+            steps += _run_part(table, scales, limit[i], tolerance, cycles, path[:, i], speed[:, i])
+        else:
+            dt = cycles * table[-1, END] / (len(path) - 1)
+            for j in range(1, len(path)):
+                for d in range(2):
+                    path[j, i, d] = path[0, i, d] + j * dt * speed[0, i, d]
+                    speed[j, i, d] = speed[0, i, d]
+    return steps
+
+
+@njit(cache=True)
+def _run_part(table, scales, limit, tolerance, cycles, path, speed):
+    """As `run_points`, for one part: path and speed (cycles * samples + 1, 2)."""
+    period = table[-1, END]
+    grid = (period / ((len(path) - 1) // cycles), (len(path) - 1) // cycles)
+    px, py, vx, vy = path[0, 0], path[0, 1], speed[0, 0], speed[0, 1]
+    accel, pace = _scales(scales, px, py)
+    reach = period if pace * period < 0.5 else max(1 / pace, period / COARSE)
+    stuck, done, steps, k, j = False, 0, 0, 0, 1
+    t, hint, qx, qy = 0.0, 0.25 * reach, 0.0, 0.0
+    _, wx, wy, r = slip(table, t, k, px, py, vx, vy)
+    ax, ay = surface_rate(table, t, k, px, py, vx, vy)
+    while done < cycles:
+        steps += 1
+        left = period - t
+        room = left if done == cycles - 1 else period
+        # Rounding of the state limits what a step can promise.
+        size = abs(px) + abs(py) + period * (abs(vx) + abs(vy))
+        allowed = max(STEP_SHARE * tolerance, 1e-15 * size)
+        crude = steps > BUDGET * cycles
+        a = sqrt(ax * ax + ay * ay)
+        if not (stuck or crude) and _calm(r, limit, a, allowed, period):
+            qx, qy = in_plate(table, t, k, px, py)
+            stuck = _holds(table, t + AHEAD * period, k, qx, qy, limit)
+            if not stuck:
+                h, x, y, ux, uy, fx, fy, gx, gy = restart(
+                    table, t, k, min(0.5 * reach, room), px, py, vx, vy, limit, allowed / period
+                )  # fmt: skip
+                stuck = h == 0
+                hint = h
+        elif not stuck:
+            fx, fy = (limit * wx / r, limit * wy / r) if r > 0 else (0.0, 0.0)
+            hint = period / COARSE if crude else min(hint, reach)
+            h, x, y, ux, uy, gx, gy, hint = _slide(
+                table, t, k, _to_knot(table, t, k, hint, room), hint, px, py, vx, vy, fx, fy, r,
+                fx * ax + fy * ay, limit, a, allowed, period, accel, pace, crude,
+            )  # fmt: skip
+        if stuck:
+            until = _release(table, t + AHEAD * period, k, qx, qy, limit)
+            j = emit_held(table, t, until, k, qx, qy, done, grid, j, path, speed)
+            h = until - t
+            k, x, y, ux, uy, ax, ay = riding(table, until, k, qx, qy)
+            stuck = until >= period
+            hint = 0.1 * reach
+        else:
+            j = emit(
+                t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, j, path, speed
+            )  # fmt: skip
+        px, py, vx, vy = x, y, ux, uy
+        t += h
+        if t >= period or (h >= left and done == cycles - 1):
+            t = max(0.0, t - period)
+            done += 1
+            k = 0
+        k, wx, wy, r = slip(table, t, k, px, py, vx, vy)
+        ax, ay = surface_rate(table, t, k, px, py, vx, vy)
+    path[-1, 0], path[-1, 1], speed[-1, 0], speed[-1, 1] = px, py, vx, vy
+    return steps
+
+
+@njit(cache=True)
+def _scales(scales, px, py):
+    """Greatest acceleration [m/s2] under a part and how fast it changes [1/s], about."""
+    arm = sqrt(px * px + py * py)
+    accel = scales[0] + arm * scales[1]
+    jerk = scales[2] + arm * scales[3]
+    return accel, jerk / accel if accel > 0 else 0.0
+
+
+@njit(cache=True)
+def _calm(r, limit, a, allowed, period):
+    """Whether a slip r [m/s] is as good as none where the surface accelerates by a [m/s2]."""
+    if r * r <= 2 * SNAP_SHARE * allowed * (limit - a):
+        return True
+    return r <= _zero(limit, a, allowed, period)
+
+
+@njit(cache=True)
+def _zero(limit, a, allowed, period):
+    """Slip [m/s] that is over before friction can change v by what a step may err."""
+    return ZERO_SHARE * allowed / period * max(1.0, a / limit)
+
+
+@njit(cache=True)
+def _holds(table, t, k, qx, qy, limit):
+    """Whether the surface can carry a part at q [m, in the plate] along."""
+    _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
+    return ax * ax + ay * ay <= limit * limit
+
+
+@njit(cache=True)
+def _to_knot(table, t, k, h, room):
+    """Shorten a step to end on a knot, unless it would span several pieces."""
+    h = min(h, room)
+    knot = table[k, END]
+    if knot - t <= FLOOR * table[-1, END] and k + 1 < len(table):
+        k += 1
+        knot = table[k, END]
+    gap = knot - t
+    if gap > FLOOR * table[-1, END] and gap < h < 2 * (knot - table[k, START]):
+        h = gap
+    return h
+
+
+@njit(cache=True)
+def _slide(
+    table, t, k, h, hint, px, py, vx, vy, fx, fy, r, power, limit, a, allowed, period, accel,
+    pace, crude,
+):  # fmt: skip
+    """Make one step of a sliding part, of at most h [s], with an error within `allowed` [m].
+
+    Returns the step [s], the state and friction at its end, and the next step to try [s].
+    """
+    first = h
+    while True:
+        turned, x, y, ux, uy, gx, gy, ep, ev = runge_kutta(
+            table, t, k, h, px, py, vx, vy, fx, fy, limit
+        )
+        tiny = h <= FLOOR * period
+        if turned > 0:
+            tau, rest, error = landing(
+                table, t, k, turned * h, px, py, vx, vy, fx, fy, r, limit
+            )  # fmt: skip
+            fits = period * error <= allowed and rest <= _zero(limit, a, allowed, period)
+            if (tau > 0 and fits) or tiny or crude:
+                h = tau if tau > 0 and fits and not crude else h
+                x, y = px + h * (vx + 0.5 * h * fx), py + h * (vy + 0.5 * h * fy)
+                return h, x, y, vx + h * fx, vy + h * fy, fx, fy, hint
+            h = hint = 0.7 * tau if tau > 0 else 0.4 * turned * h
+            continue
+        error = ep + period * ev
+        if error > allowed and not (tiny or crude):
+            h = hint = h * max(0.2, 0.9 * (allowed / error) ** 0.2)
+            continue
+        down = h * (power / limit - limit)
+        if down >= 0 or tiny or crude or not _dips(
+            table, t, k, h, x, y, ux, uy, gx, gy, r, down, limit, 0.01 * accel * h * (pace * h) ** 3
+        ):  # fmt: skip
+            break
+        h = hint = 0.5 * h
+    grown = 6.0 if error * 4000 < allowed else 0.9 * (allowed / error) ** 0.2
+    hint = h * grown if h == first == hint or grown < 1 else max(hint, h * grown)
+    return h, x, y, ux, uy, gx, gy, hint
+
+
+@njit(cache=True)
+def _dips(table, t, k, h, x, y, ux, uy, gx, gy, r, down, limit, margin):
+    """Whether the slip may vanish unseen within a step: from values and rates at its ends."""
+    k, _, _, r_end = slip(table, t + h, k, x, y, ux, uy)
+    ax, ay = surface_rate(table, t + h, k, x, y, ux, uy)
+    up = h * ((gx * ax + gy * ay) / limit - limit)
+    if up <= 0:
+        return False
+    # The cubic r + down s + b s^2 + c s^3, s from 0 to 1
+    b, c = 3 * (r_end - r) - 2 * down - up, 2 * (r - r_end) + down + up
+    root = sqrt(max(0.0, b * b - 3 * c * down))
+    s = -down / (b + root) if b + root > 0 else 0.5
+    least = r + s * (down + s * (b + s * c))
+    return least < margin
+
+
+@njit(cache=True)
+def _release(table, t, k, qx, qy, limit):
+    """Time [s], at most the period, up to which the surface holds a part at q [m, in the plate]."""
+    period = table[-1, END]
+    radius = sqrt(qx * qx + qy * qy)
+    for piece in range(k, len(table)):
+        low, end = max(t, table[piece, START]), table[piece, END]
+        if low >= end or hold_bound(table, piece, radius) <= limit:
+            continue
+        width = (end - table[piece, START]) / SCAN
+        while low < end:
+            high = min(low + width, end)
+            if not _holds(table, high, piece, qx, qy, limit) and high < period:
+                while high - low > 1e-15 * period:
+                    middle = 0.5 * (low + high)
+                    if not low < middle < high:
+                        break
+                    if _holds(table, middle, piece, qx, qy, limit):
+                        low = middle
+                    else:
+                        high = middle
+                return low
+            low = high
+    return period

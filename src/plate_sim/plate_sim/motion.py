@@ -1,0 +1,177 @@
+"""The plate's exact motion for compiled code: the quintic pieces of a PlateCycle in one table.
+
+The surface under a part at P has the velocity v_s = O' + theta' x (P - O), equation (2) of the
+paper; its rate along the part's path is O'' + theta'' x (P - O) + theta' x (v - O').
+
+A table (K, 23) has a row per piece between two knots: times of its start and end [s]; six powers
+of the time since its start of x, y [m] and theta [rad], each; what a riding part can feel (see
+`hold_bound`); and whether theta changes anywhere. One array, as compiled calls take few arguments
+quickly.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+
+import numpy as np
+from numba import njit
+
+from plate_core import PlateCycle
+
+START, END, X, Y, THETA, HOLD, TURNS, WIDTH = 0, 1, 2, 8, 14, 20, 22, 23
+"""Columns of a table."""
+
+
+def tabulate(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
+    """Return a cycle's table (K, 23), and its scales.
+
+    Scales are the greatest rates at the knots, (4,): of O' [m/s2], theta' [rad/s2], O'' [m/s3]
+    and theta'' [rad/s3].
+    """
+    return _tabulate(cycle.times, cycle.coefficients)
+
+
+@njit(cache=True)
+def _tabulate(times, pieces):
+    table, scales = np.empty((len(pieces), WIDTH)), np.zeros(4)
+    turns = 0.0
+    for k in range(len(pieces)):
+        row, c = table[k], pieces[k]
+        row[START], row[END], row[HOLD] = times[k], times[k + 1], -1.0
+        for i in range(6):
+            row[X + i], row[Y + i], row[THETA + i] = c[i, 0], c[i, 1], c[i, 2]
+            if c[i, 2] != 0:
+                turns = 1.0
+        scales[0] = max(scales[0], 2 * sqrt(c[2, 0] * c[2, 0] + c[2, 1] * c[2, 1]))
+        scales[1] = max(scales[1], 2 * abs(c[2, 2]))
+        scales[2] = max(scales[2], 6 * sqrt(c[3, 0] * c[3, 0] + c[3, 1] * c[3, 1]))
+        scales[3] = max(scales[3], 6 * abs(c[3, 2]))
+    table[:, TURNS] = turns
+    return table, scales
+
+
+@njit(cache=True)
+def locate(table, t, k):
+    """Wrap t [s] into the cycle, and return it with its piece, searched from piece k on."""
+    last = len(table) - 1
+    if t >= table[last, END]:
+        t -= table[last, END]
+    if t < table[k, START]:
+        k = 0
+    while k < last and t >= table[k, END]:
+        k += 1
+    return t, k
+
+
+@njit(cache=True)
+def place(table, k, c, u):
+    """Value of the polynomial of piece k that starts in column c, u [s] after its knot."""
+    return table[k, c] + u * (
+        table[k, c + 1]
+        + u
+        * (table[k, c + 2] + u * (table[k, c + 3] + u * (table[k, c + 4] + u * table[k, c + 5])))
+    )
+
+
+@njit(cache=True)
+def slope(table, k, c, u):
+    """First derivative of `place`."""
+    return table[k, c + 1] + u * (
+        2 * table[k, c + 2]
+        + u * (3 * table[k, c + 3] + u * (4 * table[k, c + 4] + u * (5 * table[k, c + 5])))
+    )
+
+
+@njit(cache=True)
+def bend(table, k, c, u):
+    """Second derivative of `place`."""
+    return 2 * table[k, c + 2] + u * (
+        6 * table[k, c + 3] + u * (12 * table[k, c + 4] + u * (20 * table[k, c + 5]))
+    )
+
+
+@njit(cache=True)
+def slip(table, t, k, px, py, vx, vy):
+    """Slip w = v_s - v [m/s] of a part; returns its piece, x, y, and norm."""
+    t, k = locate(table, t, k)
+    u = t - table[k, START]
+    wx, wy = slope(table, k, X, u) - vx, slope(table, k, Y, u) - vy
+    if table[k, TURNS] != 0:
+        spin = slope(table, k, THETA, u)
+        wx -= spin * (py - place(table, k, Y, u))
+        wy += spin * (px - place(table, k, X, u))
+    return k, wx, wy, sqrt(wx * wx + wy * wy)
+
+
+@njit(cache=True)
+def surface_rate(table, t, k, px, py, vx, vy):
+    """Rate [m/s2] of the surface's velocity under a part that moves at v; x and y."""
+    t, k = locate(table, t, k)
+    u = t - table[k, START]
+    ax, ay = bend(table, k, X, u), bend(table, k, Y, u)
+    if table[k, TURNS] != 0:
+        spin, push = slope(table, k, THETA, u), bend(table, k, THETA, u)
+        ax -= push * (py - place(table, k, Y, u)) + spin * (vy - slope(table, k, Y, u))
+        ay += push * (px - place(table, k, X, u)) + spin * (vx - slope(table, k, X, u))
+    return ax, ay
+
+
+@njit(cache=True)
+def riding(table, t, k, qx, qy):
+    """State of a part stuck at q [m, in the plate]: piece, position, velocity, acceleration."""
+    t, k = locate(table, t, k)
+    u = t - table[k, START]
+    rx, ry, spin, push = qx, qy, 0.0, 0.0
+    if table[k, TURNS] != 0:
+        theta = place(table, k, THETA, u)
+        rx, ry = cos(theta) * qx - sin(theta) * qy, sin(theta) * qx + cos(theta) * qy
+        spin, push = slope(table, k, THETA, u), bend(table, k, THETA, u)
+    return (
+        k,
+        place(table, k, X, u) + rx,
+        place(table, k, Y, u) + ry,
+        slope(table, k, X, u) - spin * ry,
+        slope(table, k, Y, u) + spin * rx,
+        bend(table, k, X, u) - push * ry - spin * spin * rx,
+        bend(table, k, Y, u) + push * rx - spin * spin * ry,
+    )
+
+
+@njit(cache=True)
+def in_plate(table, t, k, px, py):
+    """Return where in the plate [m] a part at p is at time t."""
+    t, k = locate(table, t, k)
+    u = t - table[k, START]
+    rx, ry = px - place(table, k, X, u), py - place(table, k, Y, u)
+    theta = place(table, k, THETA, u)
+    return cos(theta) * rx + sin(theta) * ry, cos(theta) * ry - sin(theta) * rx
+
+
+@njit(cache=True)
+def hold_bound(table, k, radius):
+    """Return what a part riding at `radius` [m] feels at most [m/s2] during piece k.
+
+    A cubic never leaves the hull of its Bezier points, so their greatest norm bounds O'' and
+    theta''; theta' is bounded from its ends. Both bounds are kept in the table.
+    """
+    if table[k, HOLD] < 0:
+        h = table[k, END] - table[k, START]
+        line = push = 0.0
+        for i in range(4):
+            bx, by = _bezier(table, k, X, h, i), _bezier(table, k, Y, h, i)
+            line = max(line, sqrt(bx * bx + by * by))
+            push = max(push, abs(_bezier(table, k, THETA, h, i)))
+        spin = max(abs(table[k, THETA + 1]), abs(slope(table, k, THETA, h))) + 0.5 * h * push
+        table[k, HOLD], table[k, HOLD + 1] = line, push + spin * spin
+    return table[k, HOLD] + radius * table[k, HOLD + 1]
+
+
+@njit(cache=True)
+def _bezier(table, k, c, h, i):
+    """Bezier point i of the second derivative of `place`, u from 0 to h."""
+    point = 2 * table[k, c + 2] + 2 * h * i * table[k, c + 3]
+    if i >= 2:
+        point += (4.0 if i == 2 else 12.0) * h * h * table[k, c + 4]
+    if i == 3:
+        point += 20 * h * h * h * table[k, c + 5]
+    return point
