@@ -131,8 +131,8 @@ def run(plan: Plan) -> int:
     record, codes = graph.observer.record, graph.processes.exit_codes
     result = judge(plan.rig, plan.options, record, graph.nodes, codes)
     result["wall_s"] = round(time.monotonic() - began, 1)
-    write(plan.out / "result.json", result)
     print(summary(result), flush=True)
+    write(plan.out / "result.json", result)
     if plan.pictures:
         draw(plan, record)
     if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
