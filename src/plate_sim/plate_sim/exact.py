@@ -13,9 +13,9 @@ from math import sqrt
 
 from numba import njit
 
-from .motion import END, START, hold_bound, in_plate, riding, slip, surface_rate
+from .motion import END, START, TURNS, hold_bound, in_plate, riding, slip, surface_rate
 from .output import emit, emit_held
-from .sliding import landing, restart, runge_kutta
+from .sliding import landing, line_step, restart, runge_kutta
 
 STEP_SHARE = 0.1
 """Share of the tolerance that one step may err: errors of a cycle's steps add up and decay."""
@@ -34,6 +34,12 @@ FLOOR = 1e-13
 
 BUDGET, COARSE = 20_000, 2000
 """Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked."""
+
+TWINS = 100
+"""Parts among which one that moves alike is sought: more would cost more than they save."""
+
+LINE = 1e-3
+"""Slip across a line motion, as a share of one that counts as none, that is left alone."""
 
 LEAST = 1e-60
 """Friction [m/s2] below this moves nothing; its directions would drown in rounding."""
@@ -60,7 +66,13 @@ def run_points(table, scales, limit, tolerance, cycles, path, speed):
     """
     steps = 0
     for i in range(path.shape[1]):
-        if limit[i] > LEAST:
+        twin = _twin(table, limit, speed, i)
+        if twin < i:
+            for j in range(1, len(path)):
+                for d in range(2):
+                    path[j, i, d] = path[0, i, d] + (path[j, twin, d] - path[0, twin, d])
+                    speed[j, i, d] = speed[j, twin, d]
+        elif limit[i] > LEAST:
             steps += _run_part(table, scales, limit[i], tolerance, cycles, path[:, i], speed[:, i])
         else:
             dt = cycles * table[-1, END] / (len(path) - 1)
@@ -69,6 +81,18 @@ def run_points(table, scales, limit, tolerance, cycles, path, speed):
                     path[j, i, d] = path[0, i, d] + j * dt * speed[0, i, d]
                     speed[j, i, d] = speed[0, i, d]
     return steps
+
+
+@njit(cache=True)
+def _twin(table, limit, speed, i):
+    """Return an earlier part that moves as part i does, else i: where nothing turns, the place
+    of a part does not matter."""
+    if table[0, TURNS] == 0:
+        for j in range(min(i, TWINS)):
+            alike = speed[0, j, 0] == speed[0, i, 0] and speed[0, j, 1] == speed[0, i, 1]
+            if alike and limit[j] == limit[i]:
+                return j
+    return i
 
 
 @njit(cache=True)
@@ -103,10 +127,16 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
                 hint = h
         elif not stuck:
             fx, fy = (limit * wx / r, limit * wy / r) if r > 0 else (0.0, 0.0)
+            line = abs(wx * scales[5] - wy * scales[4]) <= LINE * _zero(limit, a, allowed, period)
+            line = line and (scales[4] != 0 or scales[5] != 0)
+            if line:
+                way = limit if wx * scales[4] + wy * scales[5] > 0 else -limit
+                fx, fy, hint = way * scales[4], way * scales[5], reach
             hint = period / COARSE if crude else min(hint, reach)
+            first = min(hint, room) if line else _to_knot(table, t, k, hint, room)
             h, x, y, ux, uy, gx, gy, hint = _slide(
-                table, t, k, _to_knot(table, t, k, hint, room), hint, px, py, vx, vy, fx, fy, r,
-                fx * ax + fy * ay, limit, a, allowed, period, accel, pace, crude,
+                table, t, k, first, hint, px, py, vx, vy, fx, fy, r,
+                fx * ax + fy * ay, limit, a, allowed, period, accel, pace, crude, line,
             )  # fmt: skip
         if stuck:
             until = _release(table, t + AHEAD * period, k, qx, qy, limit)
@@ -178,7 +208,7 @@ def _to_knot(table, t, k, h, room):
 @njit(cache=True)
 def _slide(
     table, t, k, h, hint, px, py, vx, vy, fx, fy, r, power, limit, a, allowed, period, accel,
-    pace, crude,
+    pace, crude, line,
 ):  # fmt: skip
     """Make one step of a sliding part, of at most h [s], with an error within `allowed` [m].
 
@@ -186,9 +216,14 @@ def _slide(
     """
     first = h
     while True:
-        turned, x, y, ux, uy, gx, gy, ep, ev = runge_kutta(
-            table, t, k, h, px, py, vx, vy, fx, fy, limit
-        )
+        if line:
+            turned, x, y, ux, uy, gx, gy, ep, ev = line_step(
+                table, t, k, h, px, py, vx, vy, fx, fy, limit
+            )
+        else:
+            turned, x, y, ux, uy, gx, gy, ep, ev = runge_kutta(
+                table, t, k, h, px, py, vx, vy, fx, fy, limit
+            )
         tiny = h <= FLOOR * period
         if turned > 0:
             tau, rest, error = landing(

@@ -26,14 +26,15 @@ def tabulate(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
     """Return a cycle's table (K, 23), and its scales.
 
     Scales are the greatest rates at the knots, (4,): of O' [m/s2], theta' [rad/s2], O'' [m/s3]
-    and theta'' [rad/s3].
+    and theta'' [rad/s3]; then the direction (2,) of the greatest acceleration, 0 if the plate
+    turns.
     """
     return _tabulate(cycle.times, cycle.coefficients)
 
 
 @njit(cache=True)
 def _tabulate(times, pieces):
-    table, scales = np.empty((len(pieces), WIDTH)), np.zeros(4)
+    table, scales = np.empty((len(pieces), WIDTH)), np.zeros(6)
     turns = 0.0
     for k in range(len(pieces)):
         row, c = table[k], pieces[k]
@@ -42,11 +43,16 @@ def _tabulate(times, pieces):
             row[X + i], row[Y + i], row[THETA + i] = c[i, 0], c[i, 1], c[i, 2]
             if c[i, 2] != 0:
                 turns = 1.0
-        scales[0] = max(scales[0], 2 * sqrt(c[2, 0] * c[2, 0] + c[2, 1] * c[2, 1]))
+        accel = 2 * sqrt(c[2, 0] * c[2, 0] + c[2, 1] * c[2, 1])
+        if accel > scales[0]:
+            scales[0] = accel
+            scales[4], scales[5] = 2 * c[2, 0] / accel, 2 * c[2, 1] / accel
         scales[1] = max(scales[1], 2 * abs(c[2, 2]))
         scales[2] = max(scales[2], 6 * sqrt(c[3, 0] * c[3, 0] + c[3, 1] * c[3, 1]))
         scales[3] = max(scales[3], 6 * abs(c[3, 2]))
     table[:, TURNS] = turns
+    if turns != 0:
+        scales[4:] = 0
     return table, scales
 
 
@@ -143,6 +149,8 @@ def in_plate(table, t, k, px, py):
     t, k = locate(table, t, k)
     u = t - table[k, START]
     rx, ry = px - place(table, k, X, u), py - place(table, k, Y, u)
+    if table[k, TURNS] == 0:
+        return rx, ry
     theta = place(table, k, THETA, u)
     return cos(theta) * rx + sin(theta) * ry, cos(theta) * ry - sin(theta) * rx
 

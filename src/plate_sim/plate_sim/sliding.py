@@ -104,11 +104,19 @@ def runge_kutta(table, t, k, h, px, py, vx, vy, fx, fy, limit):
 
 
 @njit(cache=True)
-def _straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny):
+def straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny):
     """Slip along and across n [m/s] after tau [s] of constant friction f."""
     x, y = px + tau * (vx + 0.5 * tau * fx), py + tau * (vy + 0.5 * tau * fy)
     k, wx, wy, _ = slip(table, t + tau, k, x, y, vx + tau * fx, vy + tau * fy)
     return wx * nx + wy * ny, wy * nx - wx * ny
+
+
+@njit(cache=True)
+def line_step(table, t, k, h, px, py, vx, vy, fx, fy, limit):
+    """As `runge_kutta`, for a slip that keeps to a line: friction is constant, the step exact."""
+    along, _ = straight(table, t, k, h, px, py, vx, vy, fx, fy, fx, fy)
+    x, y = px + h * (vx + 0.5 * h * fx), py + h * (vy + 0.5 * h * fy)
+    return 0.0 if along > 0 else 1.0, x, y, vx + h * fx, vy + h * fy, fx, fy, 0.0, 0.0
 
 
 @njit(cache=True)
@@ -127,7 +135,7 @@ def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit):
     nx, ny = fx / limit, fy / limit
     low, high = 0.0, h
     s_low = r
-    s_high, rest = _straight(table, t, k, h, px, py, vx, vy, fx, fy, nx, ny)
+    s_high, rest = straight(table, t, k, h, px, py, vx, vy, fx, fy, nx, ny)
     if s_high > 0:
         return 0.0, 0.0, 0.0
     side = 0
@@ -140,7 +148,7 @@ def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit):
             tau = 0.5 * (low + high)
             if not low < tau < high:
                 break
-        s, rest = _straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny)
+        s, rest = straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny)
         if s > 0:
             low, s_low = tau, s
             if side == 1:
@@ -153,7 +161,7 @@ def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit):
             side = -1
         if abs(s) <= 1e-15 * r:
             break
-    along, across = _straight(table, t, k, 0.5 * tau, px, py, vx, vy, fx, fy, nx, ny)
+    along, across = straight(table, t, k, 0.5 * tau, px, py, vx, vy, fx, fy, nx, ny)
     rest = abs(rest)
     # Across a slip that shrinks evenly the angle grows as rest tau/(tau - t): a logarithm.
     share = rest / r * (1 + log(max(1.0, r / rest))) if rest > 0 else 0.0
