@@ -1,0 +1,136 @@
+"""Points and weights that integrate over discs and convex polygons, exact to degree 2 and more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plate_core import PlateError
+
+ALIKE = 1e-9
+"""Lengths that differ by less than this share are equal."""
+
+NEAR, FAR = 1 / 6, 2 / 3
+"""Barycentric coordinates of the rule of degree 2 on a triangle: three points of equal weight."""
+
+
+def disc_rule(radius: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return about `count` points (n, 2) [m] in a disc, and the areas (n,) [m2] they stand for.
+
+    Rings by Gauss's rule with the weight r on [0, 1] (Golub and Welsch 1969), turned against each
+    other; at least two, so the second moment is exact.
+    """
+    rings = max(2, round(np.sqrt(count / 6)))
+    share = max(3, round(count / rings))
+    # The rule for 1 + x on [-1, 1]: recurrence of the Jacobi polynomials (0, 1).
+    n = np.arange(rings)
+    diagonal = 1 / ((2 * n + 1) * (2 * n + 3))
+    m = n[1:]
+    beside = np.sqrt(m * (m + 1)) / (2 * m + 1)
+    values, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
+    place, area = [], []
+    for k in range(rings):
+        angle = 2 * np.pi * (np.arange(share) + k / rings) / share
+        r = 0.5 * (1 + values[k]) * radius
+        place.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
+        area.append(np.full(share, np.pi * radius**2 * vectors[0, k] ** 2 / share))
+    return np.concatenate(place), np.concatenate(area)
+
+
+def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return about `count` points (n, 2) [m] in a convex polygon, and their areas (n,) [m2].
+
+    In a parallelogram a product of two Gauss rules; in others three points in every triangle.
+    """
+    size = np.ptp(corners, axis=0).max()
+    skew = np.abs(corners[0] + corners[2 % len(corners)] - corners[1] - corners[-1]).max()
+    if len(corners) == 4 and skew <= ALIKE * size:
+        return _parallelogram(corners, count)
+    triangles = [corners[[0, k, k + 1]] for k in range(1, len(corners) - 1)]
+    while 3 * len(triangles) < count - 1:
+        # Halve the largest at its longest side: triangles stay of good shape.
+        triangles.sort(key=area)
+        largest = triangles.pop()
+        side = np.linalg.norm(np.roll(largest, -1, axis=0) - largest, axis=1)
+        a, b, c = np.roll(largest, -int(np.argmax(side)), axis=0)
+        middle = 0.5 * (a + b)
+        triangles += [np.array([a, middle, c]), np.array([middle, b, c])]
+    mix = np.full((3, 3), NEAR) + (FAR - NEAR) * np.eye(3)
+    place = np.concatenate([mix @ triangle for triangle in triangles])
+    return place, np.repeat([area(triangle) / 3 for triangle in triangles], 3)
+
+
+def _parallelogram(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    first, second = corners[1] - corners[0], corners[3] - corners[0]
+    ratio = np.linalg.norm(first) / np.linalg.norm(second)
+    most = max(2, count // 2)
+    columns = int(np.clip(round(np.sqrt(count * ratio)), 2, most))
+    rows = max(2, round(count / columns))
+    u, uw = np.polynomial.legendre.leggauss(columns)
+    v, vw = np.polynomial.legendre.leggauss(rows)
+    u, v = (a.ravel() for a in np.meshgrid(0.5 * (1 + u), 0.5 * (1 + v)))
+    weight = 0.25 * np.outer(vw, uw).ravel()
+    return corners[0] + np.outer(u, first) + np.outer(v, second), weight * area(corners)
+
+
+def area(corners: np.ndarray) -> float:
+    """Area [m2] of a polygon (k, 2), positive if its corners go counter-clockwise."""
+    if len(corners) < 3:
+        return 0.0
+    x, y = (corners - corners[0]).T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def convex(corners: np.ndarray) -> np.ndarray:
+    """Return a copy of corners (k, 2) [m], checked to be convex, counter-clockwise.
+
+    Raises
+    ------
+    PlateError
+        If it is no convex polygon.
+    """
+    corners = places("corners", corners, 3)
+    if area(corners) < 0:
+        corners = corners[::-1].copy()
+    side = np.roll(corners, -1, axis=0) - corners
+    after = np.roll(side, -1, axis=0)
+    turn = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
+    size = np.ptp(corners, axis=0).max()
+    around = np.arctan2(turn, (side * after).sum(1)).sum()
+    if area(corners) <= ALIKE * size**2:
+        raise PlateError(f"corners {corners.tolist()} enclose no area, allowed: a convex polygon")
+    if turn.min() < -ALIKE * size**2 or around > 3 * np.pi:
+        k = (int(np.argmin(turn)) + 1) % len(corners)
+        raise PlateError(
+            f"polygon is not convex at {corners[k].tolist()}, allowed: convex ones, or a union"
+        )
+    return corners
+
+
+def clip(corners: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Return the common part (k, 2) of two convex polygons (Sutherland and Hodgman 1974)."""
+    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
+        if not len(corners):
+            break
+        along = b - a
+        inside = along[0] * (corners[:, 1] - a[1]) - along[1] * (corners[:, 0] - a[0])
+        kept = []
+        for k in range(len(corners)):
+            here, before = inside[k], inside[k - 1]
+            if (here >= 0) != (before >= 0):
+                t = before / (before - here)
+                kept.append(corners[k - 1] + t * (corners[k] - corners[k - 1]))
+            if here >= 0:
+                kept.append(corners[k])
+        corners = np.array(kept).reshape(-1, 2)
+    return corners
+
+
+def places(name: str, array: np.ndarray, least: int) -> np.ndarray:
+    """Return a float copy of points (n, 2) [m], n at least `least`, checked to be finite."""
+    array = np.array(array, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 2 or len(array) < least:
+        raise PlateError(f"{name} has shape {array.shape}, allowed: (n, 2) with n at least {least}")
+    if not np.isfinite(array).all():
+        bad = array[~np.isfinite(array).all(axis=1)][0]
+        raise PlateError(f"{name} has {bad.tolist()}, allowed: finite numbers")
+    return array
