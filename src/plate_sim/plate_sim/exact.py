@@ -38,8 +38,8 @@ BUDGET, COARSE = 20_000, 2000
 TWINS = 100
 """Parts among which one that moves alike is sought: more would cost more than they save."""
 
-LINE = 1e-3
-"""Slip across a line motion, as a share of one that counts as none, that is left alone."""
+FINE = 1e-3
+"""Share of a slip that counts as none, to which roots are found and lines kept."""
 
 LEAST = 1e-60
 """Friction [m/s2] below this moves nothing; its directions would drown in rounding."""
@@ -127,7 +127,7 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
                 hint = h
         elif not stuck:
             fx, fy = (limit * wx / r, limit * wy / r) if r > 0 else (0.0, 0.0)
-            line = abs(wx * scales[5] - wy * scales[4]) <= LINE * _zero(limit, a, allowed, period)
+            line = abs(wx * scales[5] - wy * scales[4]) <= FINE * _zero(limit, a, allowed, period)
             line = line and (scales[4] != 0 or scales[5] != 0)
             if line:
                 way = limit if wx * scales[4] + wy * scales[5] > 0 else -limit
@@ -214,7 +214,7 @@ def _slide(
 
     Returns the step [s], the state and friction at its end, and the next step to try [s].
     """
-    first = h
+    first, zero = h, _zero(limit, a, allowed, period)
     while True:
         if line:
             turned, x, y, ux, uy, gx, gy, ep, ev = line_step(
@@ -227,9 +227,9 @@ def _slide(
         tiny = h <= FLOOR * period
         if turned > 0:
             tau, rest, error = landing(
-                table, t, k, turned * h, px, py, vx, vy, fx, fy, r, limit
+                table, t, k, turned * h, px, py, vx, vy, fx, fy, r, limit, FINE * zero
             )  # fmt: skip
-            fits = period * error <= allowed and rest <= _zero(limit, a, allowed, period)
+            fits = period * error <= allowed and rest <= zero
             if (tau > 0 and fits) or tiny or crude:
                 h = tau if tau > 0 and fits and not crude else h
                 x, y = px + h * (vx + 0.5 * h * fx), py + h * (vy + 0.5 * h * fy)

@@ -58,14 +58,17 @@ def _tabulate(times, pieces):
 
 @njit(cache=True)
 def locate(table, t, k):
-    """Wrap t [s] into the cycle, and return it with its piece, searched from piece k on."""
+    """Wrap t [s] into the cycle, and return it with its piece: k, or sought from its share."""
     last = len(table) - 1
-    if t >= table[last, END]:
-        t -= table[last, END]
-    if t < table[k, START]:
-        k = 0
-    while k < last and t >= table[k, END]:
-        k += 1
+    period = table[last, END]
+    if t >= period:
+        t -= period
+    if t < table[k, START] or t >= table[k, END]:
+        k = min(int(t / period * (last + 1)), last)
+        while k > 0 and t < table[k, START]:
+            k -= 1
+        while k < last and t >= table[k, END]:
+            k += 1
     return t, k
 
 

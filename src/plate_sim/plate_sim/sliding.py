@@ -120,8 +120,10 @@ def line_step(table, t, k, h, px, py, vx, vy, fx, fy, limit):
 
 
 @njit(cache=True)
-def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit):
+def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit, none):
     """Find when the slip, r [m/s] now, vanishes within h [s] if friction keeps its direction.
+
+    A slip along of `none` [m/s] is as good as none.
 
     Returns
     -------
@@ -159,7 +161,7 @@ def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit):
             if side == -1:
                 s_low *= 0.5
             side = -1
-        if abs(s) <= 1e-15 * r:
+        if abs(s) <= none:
             break
     along, across = straight(table, t, k, 0.5 * tau, px, py, vx, vy, fx, fy, nx, ny)
     rest = abs(rest)

@@ -89,9 +89,9 @@ TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
 def test_travel_of_the_exact_scene(gamma, known):
     line = Line(gamma)
     truth = travel_event_by_event(line, 30 * line.period)
-    for tolerance in (1e-12, None):
+    for tolerance, error in ((1e-12, 1e-12), (None, 1e-9)):
         run = simulate(line.cycle(), STILL, STILL, MU, G, 30, tolerance=tolerance)
-        assert run.position[-1, 0, 0] == pytest.approx(truth, abs=1e-12)
+        assert run.position[-1, 0, 0] == pytest.approx(truth, abs=error)
     assert truth == pytest.approx(known, abs=1e-11 if gamma == 4 else 5e-8)
 
 
