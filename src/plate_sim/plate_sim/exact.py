@@ -48,7 +48,7 @@ SCAN = 6
 """Looks per piece for the release of a stuck part: its acceleration there is nearly a cubic."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def run_points(table, scales, limit, tolerance, cycles, path, speed):
     """Fill path and speed (cycles * samples + 1, M, 2) from their first rows; return the steps.
 
@@ -83,7 +83,7 @@ def run_points(table, scales, limit, tolerance, cycles, path, speed):
     return steps
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _twin(table, limit, speed, i):
     """Return an earlier part that moves as part i does, else i: where nothing turns, the place
     of a part does not matter."""
@@ -95,7 +95,7 @@ def _twin(table, limit, speed, i):
     return i
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _run_part(table, scales, limit, tolerance, cycles, path, speed):
     """As `run_points`, for one part: path and speed (cycles * samples + 1, 2)."""
     period = table[-1, END]
@@ -161,7 +161,7 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
     return steps
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _scales(scales, px, py):
     """Greatest acceleration [m/s2] under a part and how fast it changes [1/s], about."""
     arm = sqrt(px * px + py * py)
@@ -170,7 +170,7 @@ def _scales(scales, px, py):
     return accel, jerk / accel if accel > 0 else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _calm(r, limit, a, allowed, period):
     """Whether a slip r [m/s] is as good as none where the surface accelerates by a [m/s2]."""
     if r * r <= 2 * SNAP_SHARE * allowed * (limit - a):
@@ -178,20 +178,20 @@ def _calm(r, limit, a, allowed, period):
     return r <= _zero(limit, a, allowed, period)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _zero(limit, a, allowed, period):
     """Slip [m/s] that is over before friction can change v by what a step may err."""
     return ZERO_SHARE * allowed / period * max(1.0, a / limit)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _holds(table, t, k, qx, qy, limit):
     """Whether the surface can carry a part at q [m, in the plate] along."""
     _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
     return ax * ax + ay * ay <= limit * limit
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _to_knot(table, t, k, h, room):
     """Shorten a step to end on a knot, unless it would span several pieces."""
     h = min(h, room)
@@ -205,7 +205,7 @@ def _to_knot(table, t, k, h, room):
     return h
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slide(
     table, t, k, h, hint, px, py, vx, vy, fx, fy, r, power, limit, a, allowed, period, accel,
     pace, crude, line,
@@ -251,7 +251,7 @@ def _slide(
     return h, x, y, ux, uy, gx, gy, hint
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _dips(table, t, k, h, x, y, ux, uy, gx, gy, r, down, limit, margin):
     """Whether the slip may vanish unseen within a step: from values and rates at its ends."""
     k, _, _, r_end = slip(table, t + h, k, x, y, ux, uy)
@@ -267,7 +267,7 @@ def _dips(table, t, k, h, x, y, ux, uy, gx, gy, r, down, limit, margin):
     return least < margin
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _release(table, t, k, qx, qy, limit):
     """Time [s], at most the period, up to which the surface holds a part at q [m, in the plate]."""
     period = table[-1, END]

@@ -32,7 +32,7 @@ def tabulate(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
     return _tabulate(cycle.times, cycle.coefficients)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _tabulate(times, pieces):
     table, scales = np.empty((len(pieces), WIDTH)), np.zeros(6)
     turns = 0.0
@@ -56,7 +56,7 @@ def _tabulate(times, pieces):
     return table, scales
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def locate(table, t, k):
     """Wrap t [s] into the cycle, and return it with its piece: k, or sought from its share."""
     last = len(table) - 1
@@ -72,7 +72,7 @@ def locate(table, t, k):
     return t, k
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def place(table, k, c, u):
     """Value of the polynomial of piece k that starts in column c, u [s] after its knot."""
     return table[k, c] + u * (
@@ -82,7 +82,7 @@ def place(table, k, c, u):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def slope(table, k, c, u):
     """First derivative of `place`."""
     return table[k, c + 1] + u * (
@@ -91,7 +91,7 @@ def slope(table, k, c, u):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def bend(table, k, c, u):
     """Second derivative of `place`."""
     return 2 * table[k, c + 2] + u * (
@@ -99,7 +99,7 @@ def bend(table, k, c, u):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def slip(table, t, k, px, py, vx, vy):
     """Slip w = v_s - v [m/s] of a part; returns its piece, x, y, and norm."""
     t, k = locate(table, t, k)
@@ -112,7 +112,7 @@ def slip(table, t, k, px, py, vx, vy):
     return k, wx, wy, sqrt(wx * wx + wy * wy)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def surface_rate(table, t, k, px, py, vx, vy):
     """Rate [m/s2] of the surface's velocity under a part that moves at v; x and y."""
     t, k = locate(table, t, k)
@@ -125,7 +125,7 @@ def surface_rate(table, t, k, px, py, vx, vy):
     return ax, ay
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def riding(table, t, k, qx, qy):
     """State of a part stuck at q [m, in the plate]: piece, position, velocity, acceleration."""
     t, k = locate(table, t, k)
@@ -146,7 +146,7 @@ def riding(table, t, k, qx, qy):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def in_plate(table, t, k, px, py):
     """Return where in the plate [m] a part at p is at time t."""
     t, k = locate(table, t, k)
@@ -158,7 +158,7 @@ def in_plate(table, t, k, px, py):
     return cos(theta) * rx + sin(theta) * ry, cos(theta) * ry - sin(theta) * rx
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def hold_bound(table, k, radius):
     """Return what a part riding at `radius` [m] feels at most [m/s2] during piece k.
 
@@ -177,7 +177,7 @@ def hold_bound(table, k, radius):
     return table[k, HOLD] + radius * table[k, HOLD + 1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bezier(table, k, c, h, i):
     """Bezier point i of the second derivative of `place`, u from 0 to h."""
     point = 2 * table[k, c + 2] + 2 * h * i * table[k, c + 3]

@@ -11,7 +11,7 @@ from numba import njit
 from .motion import riding
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def emit_held(table, t, until, k, qx, qy, done, grid, j, path, speed):
     """Write the samples of a part stuck at q from t to `until`; return the next sample."""
     while j < len(path) - 1:
@@ -23,7 +23,7 @@ def emit_held(table, t, until, k, qx, qy, done, grid, j, path, speed):
     return j
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def emit(t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, j, path, speed):
     """Write the samples of a sliding step: the quintic through both ends' p, v and v'."""
     if j >= len(path) - 1 or (j - done * grid[1]) * grid[0] > t + h:

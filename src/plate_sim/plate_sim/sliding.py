@@ -32,7 +32,7 @@ ROOT = 1e-15
 """A root in time is found to this share of its bracket."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _stage(table, t, k, px, py, vx, vy, limit, nx, ny):
     """Friction [m/s2] of one stage, and whether the slip is still along the unit vector n."""
     k, wx, wy, r = slip(table, t, k, px, py, vx, vy)
@@ -40,7 +40,7 @@ def _stage(table, t, k, px, py, vx, vy, limit, nx, ny):
     return k, share * wx, share * wy, wx * nx + wy * ny > 0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def runge_kutta(table, t, k, h, px, py, vx, vy, fx, fy, limit):
     """Try a step h [s] from friction f [m/s2].
 
@@ -103,7 +103,7 @@ def runge_kutta(table, t, k, h, px, py, vx, vy, fx, fy, limit):
     return 0.0, x, y, ux7, uy7, fx7, fy7, ep, ev
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny):
     """Slip along and across n [m/s] after tau [s] of constant friction f."""
     x, y = px + tau * (vx + 0.5 * tau * fx), py + tau * (vy + 0.5 * tau * fy)
@@ -111,7 +111,7 @@ def straight(table, t, k, tau, px, py, vx, vy, fx, fy, nx, ny):
     return wx * nx + wy * ny, wy * nx - wx * ny
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def line_step(table, t, k, h, px, py, vx, vy, fx, fy, limit):
     """As `runge_kutta`, for a slip that keeps to a line: friction is constant, the step exact."""
     along, _ = straight(table, t, k, h, px, py, vx, vy, fx, fy, fx, fy)
@@ -119,7 +119,7 @@ def line_step(table, t, k, h, px, py, vx, vy, fx, fy, limit):
     return 0.0 if along > 0 else 1.0, x, y, vx + h * fx, vy + h * fy, fx, fy, 0.0, 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit, none):
     """Find when the slip, r [m/s] now, vanishes within h [s] if friction keeps its direction.
 
@@ -171,7 +171,7 @@ def landing(table, t, k, h, px, py, vx, vy, fx, fy, r, limit, none):
     return tau, rest, limit * tau * share
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def restart(table, t, k, h, px, py, vx, vy, limit, allowed):
     """Slide off from a slip of nearly 0, at most h [s] far, where the surface accelerates too much.
 
@@ -207,7 +207,7 @@ def restart(table, t, k, h, px, py, vx, vy, limit, allowed):
     return 0.0, px, py, vx, vy, 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _heading(table, t, k, qx, qy):
     """Direction of the acceleration of a place in the plate."""
     _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
