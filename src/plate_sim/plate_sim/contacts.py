@@ -1,142 +1,237 @@
 """Round parts on the moving plate: friction, collisions, and the plate's edge.
 
-Parts are discs of equal mass and radius. Two that touch lose the speed with which they close in
-(an inelastic impulse along the line of centres), and are moved apart where they overlap; both
-keep the pair's centre of mass, and neither adds kinetic energy. Rims do not rub. A part whose
-centre passes the plate's edge is gone: it moves no more and touches nothing.
+Parts are discs of equal mass and radius. Without walls, a part whose centre passes the plate's
+edge is gone: it moves no more and touches nothing. Parts are sorted by place before anything
+else, so that results do not depend on the order in which they are named.
 """
 
 from __future__ import annotations
 
-from math import sqrt
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from .friction import friction_step  # numba does not see changes there: delete the cache then
+from plate_core import PlateCycle, PlateError
 
-SWEEPS = 8
-"""Gauss-Seidel passes over the touching pairs of one step, at most."""
+# numba does not see changes in these: delete the cache then
+from .crowd import LANES, advance, drift_apart, sample_motion
+from .friction import LARGEST
+from .impacts import push_off, separate, touching
+from .neighbours import SKIN, by_place, near_pairs
 
-OVERLAP = 1e-6
-"""Overlap [m] that ends the passes: a thousandth of a pixel."""
+START_OVERLAP = 0.1
+"""Greatest overlap at the start, as a share of the radius: less is left of a pressed crowd."""
 
-SKIN = 4e-3
-"""Pairs closer than this [m] are watched; while none has moved so far, all others are safe."""
+GOOD, NOT_FINITE, OVERLAPPING = 0, 1, 2
+"""What `run_discs` may find."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """How parts touch.
+
+    Attributes
+    ----------
+    restitution : float
+        Speed after over speed before along the line of centres: 0 to 1.
+    friction : float
+        Coulomb friction coefficient between rims: at least 0.
+    walls : bool
+        Whether walls around the plate, of the same restitution and friction, keep parts on it.
+
+    Raises
+    ------
+    PlateError
+        If a coefficient is out of range.
+    """
+
+    restitution: float = 0.0
+    friction: float = 0.0
+    walls: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.restitution <= 1:
+            raise PlateError(f"contacts: restitution is {self.restitution!r}, allowed: 0 to 1")
+        if not 0 <= self.friction <= LARGEST:
+            raise PlateError(f"contacts: friction is {self.friction!r}, allowed: at least 0")
+
+
+INELASTIC = Contacts()
+"""Parts stop each other, rims do not rub, no walls."""
+
+
+def check_found(found: tuple[int, int, int, float], ids: tuple[str, ...], radius: float) -> None:
+    """Raise a PlateError if `run_discs` could not run."""
+    problem, i, j, value = found
+    if problem == NOT_FINITE:
+        raise PlateError(
+            f"part {ids[i]}: {'position' if j < 2 else 'velocity'} has {value!r}, "
+            f"allowed: finite numbers up to {LARGEST:g}"
+        )
+    if problem == OVERLAPPING:
+        first, second = sorted((ids[i], ids[j]))
+        raise PlateError(
+            f"parts {first} and {second} overlap by {1e3 * value:.3g} mm, "
+            f"allowed: at most {1e3 * START_OVERLAP * radius:.3g} mm"
+        )
+
+
+def motion_of(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
+    """Return knots (K + 1,) [s] and powers (K, 6, 3) of the plate's motion."""
+    return cycle.times, cycle.coefficients
 
 
 @njit(cache=True)
-def run_discs(pose, twist, step, limit, radius, half, position, velocity, on_plate, path, speed):
-    """Advance discs through one cycle, in place.
+def run_discs(
+    times, pieces, steps, cycles, limit, radius, half, bounce, rub, walls, position, velocity,
+    on_plate, path, speed,
+):  # fmt: skip
+    """Advance discs through cycles of the plate, in place.
 
     Parameters
     ----------
-    pose, twist : (n + 1, 3)
-        Plate at the ends of n equal steps.
-    step : float
-        Length of a step [s].
+    times, pieces : (K + 1,), (K, 6, 3)
+        The plate's motion, from `motion_of`.
+    steps, cycles : int
+        Equal steps in a cycle, and cycles.
     limit : (M,)
         mu g of each part [m/s2].
     radius : float
         Of all parts [m]; 0 means that they never touch.
     half : (2,)
         Half sides of the plate [m].
+    bounce, rub, walls : float, float, bool
+        Restitution and friction of contacts; whether the plate has walls.
     position, velocity : (M, 2)
         Parts in plate_home; changed.
     on_plate : (M,)
         Which parts are there; changed.
-    path, speed : (n + 1, M, 2) or (0, M, 2)
+    path, speed : (cycles * steps + 1, M, 2) or (0, M, 2)
         Filled with the motion, unless empty.
+
+    Returns
+    -------
+    problem, i, j, value : int, int, int, float
+        One of `GOOD`, `NOT_FINITE`, `OVERLAPPING`; the parts, or part and column, and the value.
     """
-    count = len(position)
-    pairs = np.empty((count * (count - 1) // 2, 2), np.int64)
+    for i in range(len(position)):
+        for d in range(4):
+            value = position[i, d] if d < 2 else velocity[i, d - 2]
+            if not abs(value) <= LARGEST:
+                return NOT_FINITE, i, d, value
+    who = np.flatnonzero(on_plate)
+    # Sorted roughly, then exactly: equal x are common, and quick sorts leave them in any order.
+    who = who[np.argsort(position[who, 0])]
+    by_place(position, who)
+    room = (len(who) + LANES - 1) // LANES * LANES
+    discs, work = np.zeros((6, room)), np.empty((9, room))
+    for column in range(room if len(who) else 0):
+        i = who[min(column, len(who) - 1)]
+        discs[0, column], discs[1, column] = position[i]
+        discs[2, column], discs[3, column] = velocity[i]
+        discs[4, column] = limit[i]
+    pose, twist = np.empty((steps + 1, 3)), np.empty((steps + 1, 3))
+    sample_motion(times, pieces, steps, pose, twist)
+    plate = np.empty((steps + 1, 5))
+    plate[:, :2], plate[:, 2:] = pose[:, :2], twist
+    edge = np.empty(8)
+    edge[6:] = half
+    step = times[-1] / steps
+    x, y, u, v, mu_g, near = discs[0], discs[1], discs[2], discs[3], discs[4], discs[5]
+    count = len(who)
+    order = np.arange(count)
+    pairs, hits = np.empty((4 * room + 4, 2), np.int64), np.empty(4 * room + 4, np.int64)
     found = 0
-    slack = 0.0  # what is left of SKIN until a pair not in the list may touch
-    for k in range(len(pose) - 1):
+    gap = 0.0  # the least of all pairs when they were listed, at x0, y0 [m]
+    x0, y0 = np.empty(room), np.empty(room)
+    for k in range(cycles * steps):
         if len(path):
+            _write(x, y, u, v, who, count, position, velocity)
             path[k], speed[k] = position, velocity
-        fastest2 = 0.0
-        for i in range(count):
-            if not on_plate[i]:
-                continue
-            px, py, vx, vy = friction_step(
-                position[i, 0], position[i, 1], velocity[i, 0], velocity[i, 1],
-                pose, twist, k, step, limit[i],
-            )  # fmt: skip
-            before2 = velocity[i, 0] ** 2 + velocity[i, 1] ** 2
-            fastest2 = max(fastest2, before2, vx * vx + vy * vy)
-            position[i, 0], position[i, 1] = px, py
-            velocity[i, 0], velocity[i, 1] = vx, vy
-        if radius > 0:
-            slack -= 2 * step * sqrt(fastest2)
-            if slack <= 0:
-                found = _near_pairs(position, on_plate, 2 * radius + SKIN, pairs)
-                slack = SKIN
-            slack -= 2 * _separate(position, velocity, on_plate, pairs, found, radius)
-        _drop(pose[k + 1], half, position, velocity, on_plate)
+        if count == 0:
+            continue
+        row = k % steps
+        if radius > 0 and k == 0:
+            pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0)
+            worst, i, j = _deepest(x, y, radius, pairs, found)
+            if worst > START_OVERLAP * radius:
+                return OVERLAPPING, who[i], who[j], worst
+        advance(x, y, u, v, mu_g, near, work, plate[row], plate[row + 1], step)
+        edge[:3], edge[3:6] = pose[row + 1], twist[row + 1]
+        if radius > 0 and count > 1:
+            drift = drift_apart(x, y, x0, y0, count)
+            if drift >= SKIN * radius:
+                pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0)
+                drift = 0.0
+            if drift >= gap:
+                if len(hits) < len(pairs):
+                    hits = np.empty(len(pairs), np.int64)
+                touched, least = touching(x, y, radius, pairs, found, hits)
+                if least < 2 * radius:
+                    separate(
+                        discs, count, radius, pairs, found, hits, touched, edge, walls, bounce,
+                        rub, step,
+                    )  # fmt: skip
+        if walls:
+            push_off(discs, count, radius, edge, bounce, rub, step)
+        elif _outside(x, y, count, edge) > 0:
+            _write(x, y, u, v, who, count, position, velocity)
+            left = _drop(discs, who, count, edge, position, velocity, on_plate)
+            if left < count:
+                count, order = left, np.arange(left)
+                if radius > 0:
+                    pairs, found, gap = near_pairs(x, y, order, radius, pairs, x0, y0)
+    _write(x, y, u, v, who, count, position, velocity)
     if len(path):
         path[-1], speed[-1] = position, velocity
+    return GOOD, 0, 0, 0.0
 
 
 @njit(cache=True)
-def _near_pairs(position, on_plate, reach, pairs):
-    """List the pairs whose centres are closer than `reach` [m]; return how many."""
-    found = 0
-    for i in range(len(position)):
-        for j in range(i):
-            dx = position[i, 0] - position[j, 0]
-            dy = position[i, 1] - position[j, 1]
-            if on_plate[i] and on_plate[j] and dx * dx + dy * dy < reach * reach:
-                pairs[found, 0], pairs[found, 1] = i, j
-                found += 1
-    return found
+def _deepest(x, y, radius, pairs, found):
+    """Return the deepest overlap [m] in a list, and its parts."""
+    worst, first, second = 0.0, 0, 0
+    for k in range(found):
+        i, j = pairs[k, 0], pairs[k, 1]
+        depth = 2 * radius - np.sqrt((x[i] - x[j]) ** 2 + (y[i] - y[j]) ** 2)
+        if depth > worst:
+            worst, first, second = depth, i, j
+    return worst, first, second
 
 
 @njit(cache=True)
-def _separate(position, velocity, on_plate, pairs, found, radius):
-    """End closing speeds and overlaps of touching pairs; return the summed displacement [m]."""
-    moved = 0.0
-    for _ in range(SWEEPS):
-        deepest = 0.0
-        for k in range(found):
-            i, j = pairs[k, 0], pairs[k, 1]
-            dx = position[i, 0] - position[j, 0]
-            dy = position[i, 1] - position[j, 1]
-            distance2 = dx * dx + dy * dy
-            if distance2 >= 4 * radius * radius or not (on_plate[i] and on_plate[j]):
-                continue
-            distance = sqrt(distance2)
-            # Two centres in one point have no line; any direction will do.
-            nx, ny = (dx / distance, dy / distance) if distance > 0 else (1.0, 0.0)
-            overlap = 2 * radius - distance
-            deepest = max(deepest, overlap)
-            closing = (velocity[i, 0] - velocity[j, 0]) * nx
-            closing += (velocity[i, 1] - velocity[j, 1]) * ny
-            impulse = max(0.0, -0.5 * closing)
-            _exchange(velocity, i, j, impulse * nx, impulse * ny)
-            _exchange(position, i, j, 0.5 * overlap * nx, 0.5 * overlap * ny)
-            moved += 0.5 * overlap
-        if deepest <= OVERLAP:
-            break
-    return moved
+def _write(x, y, u, v, who, count, position, velocity):
+    """Write discs to where their parts stand."""
+    for column in range(count):
+        i = who[column]
+        position[i, 0], position[i, 1] = x[column], y[column]
+        velocity[i, 0], velocity[i, 1] = u[column], v[column]
+
+
+@njit(cache=True, fastmath={"nsz", "nnan"})
+def _outside(x, y, count, edge):
+    """Greatest distance [m] of a centre beyond the plate's edge; negative inside."""
+    c, s = np.cos(edge[2]), np.sin(edge[2])
+    worst = -1e300
+    for i in range(count):
+        rx, ry = x[i] - edge[0], y[i] - edge[1]
+        worst = max(worst, abs(c * rx + s * ry) - edge[6], abs(c * ry - s * rx) - edge[7])
+    return worst
 
 
 @njit(cache=True)
-def _exchange(array, i, j, x, y):
-    array[i, 0] += x
-    array[i, 1] += y
-    array[j, 0] -= x
-    array[j, 1] -= y
-
-
-@njit(cache=True)
-def _drop(pose, half, position, velocity, on_plate):
-    """Take parts whose centre is beyond the edge off the plate."""
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    for i in range(len(position)):
-        if not on_plate[i]:
+def _drop(discs, who, count, edge, position, velocity, on_plate):
+    """Take parts whose centre is beyond the edge off the plate; returns how many are left."""
+    left = 0
+    for column in range(count):
+        if _outside(discs[0, column : column + 1], discs[1, column : column + 1], 1, edge) > 0:
+            on_plate[who[column]] = False
+            velocity[who[column]] = 0.0
             continue
-        x, y = position[i, 0] - pose[0], position[i, 1] - pose[1]
-        if abs(cos * x + sin * y) > half[0] or abs(cos * y - sin * x) > half[1]:
-            on_plate[i] = False
-            velocity[i] = 0.0
+        discs[:, left] = discs[:, column]
+        who[left] = who[column]
+        left += 1
+    for column in range(left, discs.shape[1]):
+        discs[:4, column] = discs[:4, max(left - 1, 0)]
+    return left

@@ -9,8 +9,8 @@ import numpy as np
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.scenario import Scenario, start_positions
 
-from .contacts import run_discs
-from .friction import STEP, Trajectory, default_steps, friction_accel, pairs, surface_samples
+from .contacts import INELASTIC, Contacts, check_found, motion_of, run_discs
+from .friction import STEP, Trajectory, default_steps, friction_accel, pairs
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,11 @@ def run_cycle(
     rig: Rig,
     mu: float | np.ndarray | None = None,
     step: float = STEP,
+    *,
+    contacts: Contacts = INELASTIC,
+    cycles: int = 1,
 ) -> WorldState:
-    """Return the state after one plate cycle.
+    """Return the state after a plate cycle.
 
     Parameters
     ----------
@@ -77,8 +80,18 @@ def run_cycle(
         True friction coefficient, of all parts or of each; the rig's if missing.
     step : float
         Longest integration step [s].
+    contacts : Contacts
+        How parts touch each other, and whether walls keep them on the plate.
+    cycles : int
+        How often the cycle is run.
+
+    Raises
+    ------
+    PlateError
+        If a state is not finite, parts overlap at the start, or a coefficient or count is out of
+        range.
     """
-    return _advance(state, cycle, rig, mu, step, record=False)[0]
+    return _advance(state, cycle, rig, mu, step, contacts, cycles, record=False)[0]
 
 
 def record_cycle(
@@ -87,9 +100,12 @@ def record_cycle(
     rig: Rig,
     mu: float | np.ndarray | None = None,
     step: float = STEP,
+    *,
+    contacts: Contacts = INELASTIC,
+    cycles: int = 1,
 ) -> tuple[WorldState, Trajectory]:
-    """Return what `run_cycle` does, and the motion at every step of the cycle."""
-    return _advance(state, cycle, rig, mu, step, record=True)
+    """Return what `run_cycle` does, and the motion at every step."""
+    return _advance(state, cycle, rig, mu, step, contacts, cycles, record=True)
 
 
 def _advance(
@@ -98,18 +114,39 @@ def _advance(
     rig: Rig,
     mu: float | np.ndarray | None,
     step: float,
+    contacts: Contacts,
+    cycles: int,
     record: bool,
 ) -> tuple[WorldState, Trajectory]:
     count = len(state.ids)
+    if not step > 0:
+        raise PlateError(f"step is {step!r} s, allowed: more than 0")
+    if cycles < 1:
+        raise PlateError(f"cycles is {cycles!r}, allowed: at least 1")
     steps = default_steps(cycle, step)
-    pose, twist = surface_samples(cycle, steps)
     limit = friction_accel(rig.friction.mu if mu is None else mu, rig.friction.gravity, count)
-    position, velocity = state.position.copy(), state.velocity.copy()
-    on_plate = state.on_plate.copy()
-    path, speed = (np.empty((steps + 1 if record else 0, count, 2)) for _ in range(2))
-    run_discs(
-        pose, twist, cycle.period / steps, limit, rig.parts.radius_m, rig.plate.half,
-        position, velocity, on_plate, path, speed,
+    position, velocity = (_rows(name, getattr(state, name), count) for name in _MOVING)
+    on_plate = np.array(state.on_plate, dtype=bool)
+    if on_plate.shape != (count,):
+        raise PlateError(f"on_plate has shape {on_plate.shape}, allowed: ({count},)")
+    samples = cycles * steps + 1 if record else 0
+    path, speed = np.empty((samples, count, 2)), np.empty((samples, count, 2))
+    found = run_discs(
+        *motion_of(cycle), steps, cycles, limit, rig.parts.radius_m, rig.plate.half,
+        contacts.restitution, contacts.friction, contacts.walls, position, velocity, on_plate,
+        path, speed,
     )  # fmt: skip
-    time = np.linspace(0, cycle.period, steps + 1)[: len(path)]
+    check_found(found, state.ids, rig.parts.radius_m)
+    time = np.arange(samples) * (cycle.period / steps)
     return WorldState(state.ids, position, velocity, on_plate), Trajectory(time, path, speed)
+
+
+_MOVING = ("position", "velocity")
+
+
+def _rows(name: str, array: np.ndarray, count: int) -> np.ndarray:
+    """Return a float copy (count, 2); its values are checked where they are used."""
+    array = np.array(array, dtype=float, order="C")
+    if array.shape != (count, 2):
+        raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
+    return array
