@@ -32,7 +32,7 @@ AHEAD = 1e-8
 FLOOR = 1e-13
 """Shortest step, as a share of the period: time itself is rounded to 1e-16 of it."""
 
-BUDGET, COARSE = 20_000, 2000
+BUDGET, COARSE = 50_000, 2000
 """Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked."""
 
 TWINS = 100
