@@ -16,7 +16,7 @@ from plate_solver import RotationSolver, SinusoidSolver
 from plate_solver.centres import grid, rotation_matrix, solve_weights
 from plate_solver.force_map import SAMPLES, mean_force, mean_force_gradient
 from plate_solver.harmonics import harmonics
-from plate_solver.sinusoids import SinusoidFamily
+from plate_solver.sinusoid_family import SinusoidFamily
 from plate_solver.solution import Bounds
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}

@@ -12,6 +12,7 @@ from .cycle_map import end_state
 from .rotations import RotationSolver
 from .sinusoids import SinusoidSolver
 from .solution import Solution
+from .solver import MotionSolver
 from .steering import Goal
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
@@ -85,7 +86,7 @@ class Controller:
         if method not in METHODS:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
-        self._solvers: dict[str, RotationSolver | SinusoidSolver] = {
+        self._solvers: dict[str, MotionSolver] = {
             "rotations": RotationSolver(rig, centres, iterations=12, restarts=1, seed=seed),
             "sinusoids": SinusoidSolver(rig, iterations=16, restarts=3, seed=seed),
         }

@@ -19,7 +19,8 @@ from .centres import curl_matrix, grid, priority_order, rotation_matrix, solve_w
 from .force_map import SAMPLES
 from .least_squares import Fit
 from .rotation_family import RotationFamily
-from .solution import Bounds, Request, Solution, check_options
+from .solution import Request, Solution, check_options
+from .solver import MotionSolver, make_options
 from .steering import Goal, steer, steering_solution
 
 SHAKE = 0.4
@@ -69,7 +70,7 @@ class RotationOptions:
         )
 
 
-class RotationSolver:
+class RotationSolver(MotionSolver):
     """Plate motions made of rotations.
 
     Parameters
@@ -83,13 +84,8 @@ class RotationSolver:
     """
 
     def __init__(self, rig: Rig, centres: np.ndarray | None = None, **options: float) -> None:
-        try:
-            self.options = RotationOptions(**options)  # type: ignore[arg-type]
-        except TypeError:
-            known = ", ".join(("centres", *RotationOptions.__dataclass_fields__))
-            raise PlateError(f"options are {', '.join(options)}, allowed: {known}") from None
-        self._rig = rig
-        self._bounds = Bounds.of(rig)
+        self.options: RotationOptions = make_options(RotationOptions, options, "centres")
+        super().__init__(rig, self.options.seed)
         self.centres = grid(rig.plate.half) if centres is None else np.array(centres, dtype=float)
         if self.centres.ndim != 2 or self.centres.shape[1] != 2 or len(self.centres) < 3:
             raise PlateError(
@@ -98,55 +94,17 @@ class RotationSolver:
         if not np.all(np.isfinite(self.centres)):
             raise PlateError("centres have values that are not finite")
         self._twists = unit_twists(self.centres, rig.plate.half)
-        self._rng = np.random.default_rng(self.options.seed)
         self._warm: tuple[RotationFamily, np.ndarray] | None = None
 
-    def reset(self) -> None:
-        """Forget the last solution and start the random numbers anew."""
-        self._rng = np.random.default_rng(self.options.seed)
-        self.forget()
-
     def forget(self) -> None:
-        """Forget the last solution: the next search begins afresh."""
         self._warm = None
 
     def steering_period(self, count: int) -> float:
-        """Period [s] of the cycles that `steer` makes, for any number of parts."""
         return self.options.period
 
-    def solve(
-        self,
-        position: np.ndarray,
-        force: np.ndarray,
-        velocity: np.ndarray | None = None,
-        curl: np.ndarray | None = None,
-    ) -> Solution:
-        """Find a closed sequence of rotations with the wanted average forces, equation (9).
-
-        Parameters
-        ----------
-        position : (M, 2)
-            Parts [m], plate_home.
-        force : (M, 2)
-            Wanted average forces [mu m g].
-        velocity : (M, 2), optional
-            Parts' velocities [m/s]; zero if left out.
-        curl : (M,), optional
-            Wanted curl of the averaged field [mu m g / m]; NaN where it is free.
-
-        Returns
-        -------
-        Solution
-
-        Raises
-        ------
-        PlateError
-            If shapes are wrong or values are not finite.
-        """
-        request = Request.check(position, force, velocity, curl)
+    def _solve(self, request: Request) -> Solution:
         start, family, condition = self._plan(request.position, request.force, request.curl)
         tolerance = self.options.tolerance
-
         fine, most = family.finer(SAMPLES), self.options.iterations
 
         def attempt(theta: np.ndarray) -> Fit:
@@ -163,10 +121,6 @@ class RotationSolver:
         return force_solution(self._rig, request, best, cycle, tolerance, iterations, condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        """Find a motion from rest to rest that moves parts as asked, on the cycle map.
-
-        Parameters and result as in `SinusoidSolver.steer`.
-        """
         most = self.options.iterations
 
         def good(result: Fit) -> bool:

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig
+from plate_core import PlateError, Rig
 
 from .averaged import fit_force, fit_force_finely, force_solution
 from .force_map import SAMPLES
 from .guesses import GuessTable
-from .harmonics import Harmonics, harmonics
+from .harmonics import harmonics
 from .least_squares import Fit
-from .solution import Bounds, Request, Solution, check_options
+from .sinusoid_family import SinusoidFamily
+from .solution import Request, Solution, check_options
+from .solver import MotionSolver, make_options
 from .steering import Goal, steer, steering_solution
 
 
@@ -63,66 +65,7 @@ class SinusoidOptions:
             raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
 
 
-class SinusoidFamily:
-    """`Harmonics` with limits, as a family for `steer`: theta is scaled by a length."""
-
-    def __init__(self, basis: Harmonics, bounds: Bounds) -> None:
-        self.basis = basis
-        self._bounds = bounds
-        self._scale = np.array([1.0, 1.0, 1 / bounds.arm_m])
-
-    @property
-    def dt(self) -> float:
-        """Length of a step [s]."""
-        return self.basis.dt
-
-    def coefficients(self, parameters: np.ndarray) -> np.ndarray:
-        """Return coefficients (h, 3) of parameters (3 h,)."""
-        return parameters.reshape(-1, 3) * self._scale
-
-    def parameters(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return parameters (3 h,) of coefficients (h, 3)."""
-        return (coefficients / self._scale).ravel()
-
-    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3)."""
-        coefficients = self.coefficients(parameters)
-        return self.basis.pose @ coefficients, self.basis.twist @ coefficients
-
-    def pull_back(
-        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray | None
-    ) -> np.ndarray:
-        """Return derivatives (R, 3 h) by the parameters."""
-        rows = len(by_twist)
-        jacobian = np.empty((rows, self.basis.size, 3))
-        for axis in range(3):
-            jacobian[:, :, axis] = by_twist[:, :, axis] @ self.basis.twist
-            if by_pose is not None and axis < 2:
-                jacobian[:, :, axis] += by_pose[:, :, axis] @ self.basis.pose
-        return (jacobian * self._scale).reshape(rows, -1)
-
-    def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Scale to the full amplitude that the limits allow."""
-        return self.parameters(self.basis.saturated(self.coefficients(parameters), self._bounds))
-
-    def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no errors: limits are kept by scaling."""
-        return np.zeros(0)
-
-    def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return no derivatives."""
-        return np.zeros((0, len(parameters)))
-
-    def cycle(self, parameters: np.ndarray) -> PlateCycle:
-        """Return the motion as a plate cycle."""
-        return self.basis.cycle(self.coefficients(parameters))
-
-    def random(self, rng: np.random.Generator) -> np.ndarray:
-        """Return random admissible parameters."""
-        return self.parameters(self.basis.random(rng, self._bounds))
-
-
-class SinusoidSolver:
+class SinusoidSolver(MotionSolver):
     """Plate motions made of sinusoids.
 
     Parameters
@@ -134,59 +77,17 @@ class SinusoidSolver:
     """
 
     def __init__(self, rig: Rig, **options: float) -> None:
-        try:
-            self.options = SinusoidOptions(**options)  # type: ignore[arg-type]
-        except TypeError:
-            known = ", ".join(SinusoidOptions.__dataclass_fields__)
-            raise PlateError(f"options are {', '.join(options)}, allowed: {known}") from None
-        self._rig = rig
-        self._bounds = Bounds.of(rig)
-        self._rng = np.random.default_rng(self.options.seed)
+        self.options: SinusoidOptions = make_options(SinusoidOptions, options)
+        super().__init__(rig, self.options.seed)
         self._tables: dict[tuple[int, float, bool], GuessTable] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
 
-    def reset(self) -> None:
-        """Forget the last solution and start the random numbers anew."""
-        self._rng = np.random.default_rng(self.options.seed)
-        self.forget()
-
     def forget(self) -> None:
-        """Forget the last solution: the next search begins afresh."""
         self._warm.clear()
 
-    def solve(
-        self,
-        position: np.ndarray,
-        force: np.ndarray,
-        velocity: np.ndarray | None = None,
-        curl: np.ndarray | None = None,
-    ) -> Solution:
-        """Find a closed motion with the wanted average forces, equation (5).
-
-        Parameters
-        ----------
-        position : (M, 2)
-            Parts [m], plate_home.
-        force : (M, 2)
-            Wanted average forces [mu m g].
-        velocity : (M, 2), optional
-            Parts' velocities [m/s]; zero if left out.
-        curl : (M,), optional
-            Wanted curl of the averaged field [mu m g / m]; NaN where it is free.
-
-        Returns
-        -------
-        Solution
-
-        Raises
-        ------
-        PlateError
-            If shapes are wrong or values are not finite.
-        """
-        request = Request.check(position, force, velocity, curl)
+    def _solve(self, request: Request) -> Solution:
         family, key = self._family(int(np.sum(request.rows)), self.options.at_rest)
         tolerance = self.options.tolerance
-
         fine = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
         most = self.options.iterations
 
@@ -206,22 +107,6 @@ class SinusoidSolver:
         )
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        """Find a motion from rest to rest that moves parts as asked, on the cycle map.
-
-        Parameters
-        ----------
-        goal : Goal
-            Start state and wanted displacements.
-        tolerance : float
-            Greatest error at which to stop [m].
-        good_enough : float
-            Root mean square error [m] above which other starts are tried.
-
-        Returns
-        -------
-        Solution
-            `residual` is the displacement error in mu m g: error / (mu g T^2).
-        """
         family, key = self._family(2 * len(goal.position), True)
 
         def attempt(theta: np.ndarray) -> Fit:
@@ -239,7 +124,6 @@ class SinusoidSolver:
         )
 
     def steering_period(self, count: int) -> float:
-        """Period [s] of the cycles that `steer` makes for `count` parts."""
         return self._family(2 * count, True)[0].basis.period
 
     def _search(
