@@ -287,7 +287,7 @@ def test_output_samples_do_not_change_the_motion():
 
 def test_no_input_gives_nan_or_stalls():
     rng = np.random.default_rng(9)
-    for case in range(300):
+    for case in range(40):
         size = 10 ** rng.uniform(-20, 20, 5) * rng.integers(0, 2, 5)
         pose = rng.normal(size=(rng.integers(1, 20), 3)) * size[:3]
         rates = (0 * pose, 0 * pose) if case % 2 else (None, None)
