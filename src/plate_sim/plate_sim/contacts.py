@@ -17,7 +17,7 @@ from plate_core import PlateCycle, PlateError
 # numba does not see changes in these: delete the cache then
 from .crowd import LANES, advance, drift_apart, sample_motion
 from .friction import LARGEST
-from .impacts import push_off, separate, touching
+from .impacts import push_off, separate
 from .neighbours import SKIN, by_place, near_pairs
 
 START_OVERLAP = 0.1
@@ -125,7 +125,7 @@ def run_discs(
     who = who[np.argsort(position[who, 0])]
     by_place(position, who)
     room = (len(who) + LANES - 1) // LANES * LANES
-    discs, work = np.zeros((6, room)), np.empty((9, room))
+    discs, work = np.zeros((5, room)), np.empty((10, room))
     for column in range(room if len(who) else 0):
         i = who[min(column, len(who) - 1)]
         discs[0, column], discs[1, column] = position[i]
@@ -133,15 +133,13 @@ def run_discs(
         discs[4, column] = limit[i]
     pose, twist = np.empty((steps + 1, 3)), np.empty((steps + 1, 3))
     sample_motion(times, pieces, steps, pose, twist)
-    plate = np.empty((steps + 1, 5))
-    plate[:, :2], plate[:, 2:] = pose[:, :2], twist
-    edge = np.empty(8)
-    edge[6:] = half
+    edge = np.empty(10)
+    edge[6:8] = half
     step = times[-1] / steps
-    x, y, u, v, mu_g, near = discs[0], discs[1], discs[2], discs[3], discs[4], discs[5]
+    x, y, u, v = discs[0], discs[1], discs[2], discs[3]
     count = len(who)
     order = np.arange(count)
-    pairs, hits = np.empty((4 * room + 4, 2), np.int64), np.empty(4 * room + 4, np.int64)
+    pairs, hits = np.empty((4 * room, 2), np.uint32), np.empty((4 * room, 2), np.uint32)
     found = 0
     gap = 0.0  # the least of all pairs when they were listed, at x0, y0 [m]
     x0, y0 = np.empty(room), np.empty(room)
@@ -153,35 +151,34 @@ def run_discs(
             continue
         row = k % steps
         if radius > 0 and k == 0:
-            pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0)
+            pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0, work)
             worst, i, j = _deepest(x, y, radius, pairs, found)
             if worst > START_OVERLAP * radius:
                 return OVERLAPPING, who[i], who[j], worst
-        advance(x, y, u, v, mu_g, near, work, plate[row], plate[row + 1], step)
-        edge[:3], edge[3:6] = pose[row + 1], twist[row + 1]
+        advance(discs, work, pose, twist, row, step)
+        for d in range(3):
+            edge[d], edge[3 + d] = pose[row + 1, d], twist[row + 1, d]
+        edge[8], edge[9] = np.cos(edge[2]), np.sin(edge[2])
+        apart = True
         if radius > 0 and count > 1:
             drift = drift_apart(x, y, x0, y0, count)
             if drift >= SKIN * radius:
-                pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0)
+                pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0, work)
                 drift = 0.0
-            if drift >= gap:
+            apart = drift < gap
+            if not apart:
                 if len(hits) < len(pairs):
-                    hits = np.empty(len(pairs), np.int64)
-                touched, least = touching(x, y, radius, pairs, found, hits)
-                if least < 2 * radius:
-                    separate(
-                        discs, count, radius, pairs, found, hits, touched, edge, walls, bounce,
-                        rub, step,
-                    )  # fmt: skip
-        if walls:
+                    hits = np.empty(pairs.shape, np.uint32)
+                separate(discs, count, radius, pairs, found, hits, edge, walls, bounce, rub, step)
+        if walls and apart:
             push_off(discs, count, radius, edge, bounce, rub, step)
-        elif _outside(x, y, count, edge) > 0:
+        if not walls and _outside(x, y, count, edge) > 0:
             _write(x, y, u, v, who, count, position, velocity)
             left = _drop(discs, who, count, edge, position, velocity, on_plate)
             if left < count:
                 count, order = left, np.arange(left)
                 if radius > 0:
-                    pairs, found, gap = near_pairs(x, y, order, radius, pairs, x0, y0)
+                    pairs, found, gap = near_pairs(x, y, order, radius, pairs, x0, y0, work)
     _write(x, y, u, v, who, count, position, velocity)
     if len(path):
         path[-1], speed[-1] = position, velocity
@@ -212,7 +209,7 @@ def _write(x, y, u, v, who, count, position, velocity):
 @njit(cache=True, fastmath={"nsz", "nnan"})
 def _outside(x, y, count, edge):
     """Greatest distance [m] of a centre beyond the plate's edge; negative inside."""
-    c, s = np.cos(edge[2]), np.sin(edge[2])
+    c, s = edge[8], edge[9]
     worst = -1e300
     for i in range(count):
         rx, ry = x[i] - edge[0], y[i] - edge[1]

@@ -45,22 +45,24 @@ def sample_motion(times, pieces, steps, pose, twist):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def advance(x, y, u, v, limit, near, work, start, end, step):
+def advance(discs, work, pose, twist, row, step):
     """Advance all discs by one step, in place; contacts come after.
 
     Parameters
     ----------
-    x, y, u, v, limit : (P,)
-        Discs, and their mu g [m/s2].
-    near, work : (P,), (9, P)
+    discs : (5, P)
+        x, y [m], u, v [m/s], mu g [m/s2].
+    work : (10, P)
         Room to work in.
-    start, end : (5,)
-        The plate at both ends of the step: x, y [m], its velocity [m/s], theta' [rad/s].
+    pose, twist, row : (n, 3), (n, 3), int
+        The plate's motion, and where in it the step starts.
     step : float
         [s].
     """
-    ox, oy, ou, ov, ow = start[0], start[1], start[2], start[3], start[4]
-    qx, qy, qu, qv, qw = end[0], end[1], end[2], end[3], end[4]
+    x, y, u, v, limit, near = discs[0], discs[1], discs[2], discs[3], discs[4], work[9]
+    ox, oy, ou, ov, ow = pose[row, 0], pose[row, 1], twist[row, 0], twist[row, 1], twist[row, 2]
+    row += 1
+    qx, qy, qu, qv, qw = pose[row, 0], pose[row, 1], twist[row, 0], twist[row, 1], twist[row, 2]
     for i in range(len(x)):
         kick = limit[i] * step
         sx, sy = ou - ow * (y[i] - oy), ov + ow * (x[i] - ox)
@@ -84,12 +86,14 @@ def advance(x, y, u, v, limit, near, work, start, end, step):
             near[count] = i
             count += 1
     if count:
-        _advance_near(x, y, u, v, limit, near, count, work, start, end, step)
+        start, end = (ox, oy, ou, ov, ow), (qx, qy, qu, qv, qw)
+        _advance_near(discs, work, count, start, end, step)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _advance_near(x, y, u, v, limit, near, count, work, start, end, step):
-    """Advance the `count` discs listed in `near` in pieces of the step, which slip or stick."""
+def _advance_near(discs, work, count, start, end, step):
+    """Advance the `count` discs listed in the last row of `work` in pieces of the step, which slip or stick."""
+    x, y, u, v, limit, near = discs[0], discs[1], discs[2], discs[3], discs[4], work[9]
     pieces = SPLIT if step < COARSE_STEP else COARSE_SPLIT
     rows = (count + LANES - 1) // LANES * LANES
     px, py, pu, pv = work[0, :rows], work[1, :rows], work[2, :rows], work[3, :rows]

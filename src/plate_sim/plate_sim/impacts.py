@@ -10,8 +10,9 @@ overlap a crowd leaves is ended by moving its parts apart, without speed.
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import sqrt
 
+import numpy as np
 from numba import njit
 
 SWEEPS = 12
@@ -24,24 +25,13 @@ MARGIN = 0.02
 """Pairs apart by less than this share of the radius take part in the passes: others may push
 them into each other."""
 
-
-@njit(cache=True)
-def touching(x, y, radius, pairs, found, hits):
-    """List the pairs that take part in passes; returns how many, and the least distance [m]."""
-    count, least2 = 0, 1e300
-    reach2 = ((2 + MARGIN) * radius) ** 2
-    for k in range(found):
-        dx, dy = x[pairs[k, 0]] - x[pairs[k, 1]], y[pairs[k, 0]] - y[pairs[k, 1]]
-        distance2 = dx * dx + dy * dy
-        least2 = min(least2, distance2)
-        if distance2 < reach2:
-            hits[count] = k
-            count += 1
-    return count, sqrt(least2)
+MINOR = 4e-4
+"""A relative motion below this share of the radius since the touch does not turn the line of
+centres, to 2e-4 rad."""
 
 
 @njit(cache=True, error_model="numpy")
-def separate(discs, count, radius, pairs, found, hits, touched, edge, walls, bounce, rub, step):
+def separate(discs, count, radius, pairs, found, hits, edge, walls, bounce, rub, step):
     """End closing speeds and overlaps, in place.
 
     Parameters
@@ -50,80 +40,90 @@ def separate(discs, count, radius, pairs, found, hits, touched, edge, walls, bou
         x, y [m], u, v [m/s] in plate_home of the first `count` columns.
     pairs, found : (C, 2), int
         Close pairs: the first rows.
-    hits, touched : (C,), int
-        Pairs to look at: the first `touched` of `hits` are rows of `pairs`. Looked up again when
-        parts are pushed far.
-    edge, walls : (8,), bool
+    hits : (C, 2)
+        Room to work in.
+    edge, walls : (10,), bool
         The plate at the end of the step, as `push_off` takes it, and whether it has walls.
     bounce, rub : float
         Restitution and friction coefficient.
     step : float
         [s].
     """
-    pushed = 0.0
-    size2 = 4 * radius * radius
+    x, y, u, v = discs[0], discs[1], discs[2], discs[3]
+    size2, reach2 = 4 * radius * radius, ((2 + MARGIN) * radius) ** 2
+    bounds, touched, pushed = (radius, MINOR * radius, bounce, rub, step), 0, np.inf
     for sweep in range(SWEEPS):
+        # All pairs at first, and where parts are pushed far; else those close to touching.
+        whole = pushed > 0.5 * MARGIN * radius
+        rows = found if whole else touched
+        if whole:
+            touched, pushed = 0, 0.0
         deepest = 0.0
-        for k in range(touched):
+        for k in range(rows):
             # Forth and back: pushes then travel both ways through a crowd.
-            row = hits[k] if sweep % 2 == 0 else hits[touched - 1 - k]
-            i, j = pairs[row, 0], pairs[row, 1]
-            dx, dy = discs[0, i] - discs[0, j], discs[1, i] - discs[1, j]
+            row = k if sweep % 2 == 0 else rows - 1 - k
+            i, j = (pairs[row, 0], pairs[row, 1]) if whole else (hits[row, 0], hits[row, 1])
+            dx, dy = x[i] - x[j], y[i] - y[j]
             distance2 = dx * dx + dy * dy
+            if distance2 >= reach2:
+                continue
+            if whole:
+                hits[touched, 0], hits[touched, 1] = i, j
+                touched += 1
             if distance2 >= size2:
                 continue
-            wx, wy = discs[2, i] - discs[2, j], discs[3, i] - discs[3, j]
-            depth, jx, jy, px, py = _meet(dx, dy, distance2, wx, wy, radius, bounce, rub, step)
-            discs[0, i] += px
-            discs[1, i] += py
-            discs[2, i] += jx
-            discs[3, i] += jy
-            discs[0, j] -= px
-            discs[1, j] -= py
-            discs[2, j] -= jx
-            discs[3, j] -= jy
+            depth, jx, jy, px, py = _meet(dx, dy, distance2, u[i] - u[j], v[i] - v[j], bounds)
+            x[i] += px
+            y[i] += py
+            u[i] += jx
+            v[i] += jy
+            x[j] -= px
+            y[j] -= py
+            u[j] -= jx
+            v[j] -= jy
             deepest = max(deepest, depth)
             pushed = max(pushed, abs(px), abs(py))
         if walls:
             deepest = max(deepest, push_off(discs, count, radius, edge, bounce, rub, step))
-        if pushed > 0.5 * MARGIN * radius:
-            touched, _ = touching(discs[0], discs[1], radius, pairs, found, hits)
-            pushed = 0.0
-        elif deepest <= OVERLAP:
+        if deepest <= OVERLAP:
             break
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _meet(dx, dy, distance2, wx, wy, radius, bounce, rub, step):
+def _meet(dx, dy, distance2, wx, wy, bounds):
     """Let two discs meet that are (dx, dy) [m] apart and move at (wx, wy) [m/s] to each other.
 
-    Returns their overlap [m], and how the speed and the place of the first change.
+    `bounds` are the radius, `MINOR` [m], restitution, friction, and the step [s]. Returns their
+    overlap [m], and how the speed and the place of the first change.
     """
+    radius, minor, bounce, rub, step = bounds
     distance = sqrt(distance2)
     depth = 2 * radius - distance
-    ahead = -(dx * wx + dy * wy)
-    jx = jy = px = py = 0.0
-    if ahead > 0:
+    share = 1 / distance if distance > 0 else 0.0
+    # Two centres in one point have no line; any direction will do.
+    nx, ny = (dx * share, dy * share) if distance > 0 else (1.0, 0.0)
+    closing = -(wx * nx + wy * ny)
+    if closing <= 0:
+        return depth, 0.0, 0.0, 0.5 * depth * nx, 0.5 * depth * ny
+    w2 = wx * wx + wy * wy
+    tau = min(depth / closing, step)
+    if w2 * tau * tau > minor * minor:
         # When they touched: |d - tau w| = 2 r
-        w2 = wx * wx + wy * wy
+        ahead = closing * distance
         root = sqrt(ahead * ahead + w2 * depth * (2 * radius + distance))
         tau = min((root - ahead) / w2, step)
-        cx, cy = dx - tau * wx, dy - tau * wy
-        far = sqrt(cx * cx + cy * cy)
-        nx, ny = (cx / far, cy / far) if far > 0 else (1.0, 0.0)
+        nx, ny = dx - tau * wx, dy - tau * wy
+        far = sqrt(nx * nx + ny * ny)
+        nx, ny = nx / far, ny / far
         closing = -(wx * nx + wy * ny)
-        hit = max(0.0, 0.5 * (1 + bounce) * closing)
-        across = wy * nx - wx * ny
-        drag = min(rub * hit, 0.5 * abs(across))
-        drag = -drag if across > 0 else drag
-        jx, jy = hit * nx - drag * ny, hit * ny + drag * nx
-        px, py = tau * jx, tau * jy
-        dx, dy = dx + 2 * px, dy + 2 * py
-        distance = sqrt(dx * dx + dy * dy)
-    left = 0.5 * (2 * radius - distance)
+    hit = 0.5 * (1 + bounce) * closing
+    across = wy * nx - wx * ny
+    drag = min(rub * hit, 0.5 * abs(across))
+    drag = -drag if across > 0 else drag
+    jx, jy = hit * nx - drag * ny, hit * ny + drag * nx
+    px, py = tau * jx, tau * jy
+    left = 0.5 * depth - tau * hit
     if left > 0:
-        # Two centres in one point have no line; any direction will do.
-        nx, ny = (dx / distance, dy / distance) if distance > 0 else (1.0, 0.0)
         px, py = px + left * nx, py + left * ny
     return depth, jx, jy, px, py
 
@@ -132,42 +132,49 @@ def _meet(dx, dy, distance2, wx, wy, radius, bounce, rub, step):
 def push_off(discs, count, radius, edge, bounce, rub, step):
     """Let discs meet the walls; returns the deepest overlap [m] before.
 
-    `edge` holds the plate's pose x, y [m], theta [rad], its velocity [m/s, m/s, rad/s], and the
-    half sides [m]. Walls are the plate's: they move with it, and are not moved by parts.
+    `edge` holds the plate's pose x, y [m], theta [rad], its velocity [m/s, m/s, rad/s], the half
+    sides [m], and the cosine and sine of theta. Walls are the plate's: they move with it, and are
+    not moved by parts.
     """
-    c, s = cos(edge[2]), sin(edge[2])
+    x, y = discs[0], discs[1]
+    ox, oy, c, s = edge[0], edge[1], edge[8], edge[9]
+    reach_x, reach_y = edge[6] - radius, edge[7] - radius
     deepest = 0.0
-    x, y, u, v = discs[0], discs[1], discs[2], discs[3]
     for i in range(count):
-        rx, ry = x[i] - edge[0], y[i] - edge[1]
+        rx, ry = x[i] - ox, y[i] - oy
         along, side = c * rx + s * ry, c * ry - s * rx
-        for axis in range(2):
-            place = along if axis == 0 else side
-            depth = abs(place) - (edge[6 + axis] - radius)
-            if depth <= 0:
-                continue
-            deepest = max(deepest, depth)
-            sign = 1.0 if place > 0 else -1.0
-            nx, ny = (sign * c, sign * s) if axis == 0 else (-sign * s, sign * c)
-            # Relative to the wall where the rim touches it
-            qx, qy = x[i] + radius * nx - edge[0], y[i] + radius * ny - edge[1]
-            wx, wy = u[i] - (edge[3] - edge[5] * qy), v[i] - (edge[4] + edge[5] * qx)
-            closing = wx * nx + wy * ny
-            shift = 0.0
-            if closing > 0:
-                hit = (1 + bounce) * closing
-                across = wy * nx - wx * ny
-                drag = min(rub * hit, abs(across))
-                drag = -drag if across > 0 else drag
-                jx, jy = -hit * nx - drag * ny, -hit * ny + drag * nx
-                tau = min(depth / closing, step)
-                u[i] += jx
-                v[i] += jy
-                x[i] += tau * jx
-                y[i] += tau * jy
-                shift = -tau * (jx * nx + jy * ny)
-            left = depth - shift
-            if left > 0:
-                x[i] -= left * nx
-                y[i] -= left * ny
+        deep_x, deep_y = abs(along) - reach_x, abs(side) - reach_y
+        if deep_x > 0:
+            sign = 1.0 if along > 0 else -1.0
+            _meet_wall(discs, i, deep_x, sign * c, sign * s, radius, edge, bounce, rub, step)
+            deepest = max(deepest, deep_x)
+        if deep_y > 0:
+            sign = 1.0 if side > 0 else -1.0
+            _meet_wall(discs, i, deep_y, -sign * s, sign * c, radius, edge, bounce, rub, step)
+            deepest = max(deepest, deep_y)
     return deepest
+
+
+@njit(cache=True, error_model="numpy")
+def _meet_wall(discs, i, depth, nx, ny, radius, edge, bounce, rub, step):
+    """Let a disc meet the wall with the outward normal (nx, ny), `depth` [m] in it."""
+    # Relative to the wall where the rim touches it
+    qx, qy = discs[0, i] + radius * nx - edge[0], discs[1, i] + radius * ny - edge[1]
+    wx, wy = discs[2, i] - (edge[3] - edge[5] * qy), discs[3, i] - (edge[4] + edge[5] * qx)
+    closing = wx * nx + wy * ny
+    left = depth
+    if closing > 0:
+        hit = (1 + bounce) * closing
+        across = wy * nx - wx * ny
+        drag = min(rub * hit, abs(across))
+        drag = -drag if across > 0 else drag
+        jx, jy = -hit * nx - drag * ny, -hit * ny + drag * nx
+        tau = min(depth / closing, step)
+        discs[2, i] += jx
+        discs[3, i] += jy
+        discs[0, i] += tau * jx
+        discs[1, i] += tau * jy
+        left -= tau * hit
+    if left > 0:
+        discs[0, i] -= left * nx
+        discs[1, i] -= left * ny

@@ -33,7 +33,7 @@ def _before(position, i, j):
 
 
 @njit(cache=True)
-def near_pairs(x, y, order, radius, pairs, x0, y0):
+def near_pairs(x, y, order, radius, pairs, x0, y0, work):
     """List the pairs that may soon touch, and note in x0, y0 where they are now.
 
     Parameters
@@ -46,8 +46,8 @@ def near_pairs(x, y, order, radius, pairs, x0, y0):
         Of all discs [m].
     pairs : (C, 2)
         Room for the list, replaced by more where it does not suffice.
-    x0, y0 : (M,)
-        Filled.
+    x0, y0, work : (M,), (M,), (2 or more, M)
+        Filled; room to work in.
 
     Returns
     -------
@@ -66,21 +66,23 @@ def near_pairs(x, y, order, radius, pairs, x0, y0):
             order[b] = order[b - 1]
             b -= 1
         order[b] = i
-    found = 0
-    for a in range(len(order)):
-        i = order[a]
-        for b in range(a + 1, len(order)):
-            j = order[b]
-            dx, dy = x[j] - x[i], y[j] - y[i]
-            if dx >= reach:
-                break
+    count, found = len(order), 0
+    sorted_x, sorted_y = work[0], work[1]
+    for a in range(count):
+        sorted_x[a], sorted_y[a] = x[order[a]], y[order[a]]
+    for a in range(count):
+        i, px, py = order[a], sorted_x[a], sorted_y[a]
+        if len(pairs) < found + count:
+            more = np.empty((2 * len(pairs) + count, 2), pairs.dtype)
+            more[:found] = pairs[:found]
+            pairs = more
+        b = a + 1
+        while b < count and sorted_x[b] < px + reach:
+            dx, dy = sorted_x[b] - px, sorted_y[b] - py
             distance2 = dx * dx + dy * dy
-            if distance2 < reach * reach:
-                least2 = min(least2, distance2)
-                if found == len(pairs):
-                    more = np.empty((2 * len(pairs), 2), np.int64)
-                    more[:found] = pairs
-                    pairs = more
-                pairs[found, 0], pairs[found, 1] = i, j
-                found += 1
+            # No branch: whether a pair is near cannot be foretold.
+            pairs[found, 0], pairs[found, 1] = i, order[b]
+            found += distance2 < reach * reach
+            least2 = min(least2, distance2)
+            b += 1
     return pairs, found, np.sqrt(least2) - 2 * radius
