@@ -125,14 +125,14 @@ def run_discs(
     who = who[np.argsort(position[who, 0])]
     by_place(position, who)
     room = (len(who) + LANES - 1) // LANES * LANES
-    discs, work = np.zeros((5, room)), np.empty((10, room))
+    discs, work = np.zeros((5, room)), np.empty((12, room))
     for column in range(room if len(who) else 0):
         i = who[min(column, len(who) - 1)]
         discs[0, column], discs[1, column] = position[i]
         discs[2, column], discs[3, column] = velocity[i]
         discs[4, column] = limit[i]
-    pose, twist = np.empty((steps + 1, 3)), np.empty((steps + 1, 3))
-    sample_motion(times, pieces, steps, pose, twist)
+    pose, twist = np.empty((2 * steps + 1, 3)), np.empty((2 * steps + 1, 3))
+    sample_motion(times, pieces, 2 * steps, pose, twist)
     edge = np.empty(10)
     edge[6:8] = half
     step = times[-1] / steps
@@ -149,7 +149,7 @@ def run_discs(
             path[k], speed[k] = position, velocity
         if count == 0:
             continue
-        row = k % steps
+        row = 2 * (k % steps)
         if radius > 0 and k == 0:
             pairs, found, gap = near_pairs(x, y, order[:count], radius, pairs, x0, y0, work)
             worst, i, j = _deepest(x, y, radius, pairs, found)
@@ -157,7 +157,7 @@ def run_discs(
                 return OVERLAPPING, who[i], who[j], worst
         advance(discs, work, pose, twist, row, step)
         for d in range(3):
-            edge[d], edge[3 + d] = pose[row + 1, d], twist[row + 1, d]
+            edge[d], edge[3 + d] = pose[row + 2, d], twist[row + 2, d]
         edge[8], edge[9] = np.cos(edge[2]), np.sin(edge[2])
         apart = True
         if radius > 0 and count > 1:

@@ -1,4 +1,7 @@
-"""Friction of many discs in one step: the formulas of `friction.friction_step`, all discs at once.
+"""Friction of many discs in one step: as `friction.friction_step`, all discs at once.
+
+The surface's velocity is a parabola through both ends and the middle of the step: long steps, which
+many discs want, then err several times less.
 
 Discs are columns: x, y [m] and u, v [m/s] in plate_home, each (P,), P a multiple of `LANES`, the
 last ones unused copies. Loops without branches run on several discs per instruction.
@@ -16,7 +19,7 @@ from .friction import SPLIT  # numba does not see changes there: delete the cach
 LANES = 16
 """Discs are padded to a multiple of this: compiled loops then have no slow remainder."""
 
-COARSE_STEP, COARSE_SPLIT = 2e-4, 4
+COARSE_STEP, COARSE_SPLIT = 2e-4, 8
 """From this step [s] on, pieces of a step in which the slip may vanish: a step so long errs more
 elsewhere."""
 
@@ -52,17 +55,20 @@ def advance(discs, work, pose, twist, row, step):
     ----------
     discs : (5, P)
         x, y [m], u, v [m/s], mu g [m/s2].
-    work : (10, P)
+    work : (12, P)
         Room to work in.
-    pose, twist, row : (n, 3), (n, 3), int
-        The plate's motion, and where in it the step starts.
+    pose, twist, row : (2 n + 1, 3), (2 n + 1, 3), int
+        The plate's motion at the ends and middles of steps, and the row where the step starts.
     step : float
         [s].
     """
     x, y, u, v, limit, near = discs[0], discs[1], discs[2], discs[3], discs[4], work[9]
     ox, oy, ou, ov, ow = pose[row, 0], pose[row, 1], twist[row, 0], twist[row, 1], twist[row, 2]
-    row += 1
+    mu, mv, mw = twist[row + 1, 0], twist[row + 1, 1], twist[row + 1, 2]
+    row += 2
     qx, qy, qu, qv, qw = pose[row, 0], pose[row, 1], twist[row, 0], twist[row, 1], twist[row, 2]
+    # How far the velocity at the middle is off the mean of the ends
+    bu, bv, bw = mu - 0.5 * (ou + qu), mv - 0.5 * (ov + qv), mw - 0.5 * (ow + qw)
     for i in range(len(x)):
         kick = limit[i] * step
         sx, sy = ou - ow * (y[i] - oy), ov + ow * (x[i] - ox)
@@ -73,7 +79,8 @@ def advance(discs, work, pose, twist, row, step):
         # Where the slip may vanish within the step, nothing moves yet.
         free = 1.0 if min(sx * sx + sy * sy, ex * ex + ey * ey) > reach2 else 0.0
         near[i] = free
-        dx, dy = 0.5 * (sx + ex), 0.5 * (sy + ey)
+        dx = 0.5 * (sx + ex) + 2 / 3 * (bu - bw * (y[i] - oy))
+        dy = 0.5 * (sy + ey) + 2 / 3 * (bv + bw * (x[i] - ox))
         share = free * kick / np.sqrt(dx * dx + dy * dy + TINY)
         half = 0.5 * step * share
         x[i] += free * step * u[i] + half * dx
@@ -86,19 +93,20 @@ def advance(discs, work, pose, twist, row, step):
             near[count] = i
             count += 1
     if count:
-        start, end = (ox, oy, ou, ov, ow), (qx, qy, qu, qv, qw)
-        _advance_near(discs, work, count, start, end, step)
+        start, end, bulge = (ox, oy, ou, ov, ow), (qx, qy, qu, qv, qw), (bu, bv, bw)
+        _advance_near(discs, work, count, start, end, bulge, step)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _advance_near(discs, work, count, start, end, step):
-    """Advance the `count` discs listed in the last row of `work` in pieces of the step, which slip or stick."""
+def _advance_near(discs, work, count, start, end, bulge, step):
+    """Advance the `count` discs listed in the last row of `work`, in pieces of the step."""
     x, y, u, v, limit, near = discs[0], discs[1], discs[2], discs[3], discs[4], work[9]
     pieces = SPLIT if step < COARSE_STEP else COARSE_SPLIT
     rows = (count + LANES - 1) // LANES * LANES
     px, py, pu, pv = work[0, :rows], work[1, :rows], work[2, :rows], work[3, :rows]
     tx, ty, gx, gy = work[4, :rows], work[5, :rows], work[6, :rows], work[7, :rows]
     kick = work[8, :rows]
+    hx, hy = work[10, :rows], work[11, :rows]
     for row in range(rows):
         i = int(near[min(row, count - 1)])
         px[row], py[row], pu[row], pv[row] = 0.0, 0.0, u[i], v[i]
@@ -106,17 +114,22 @@ def _advance_near(discs, work, count, start, end, step):
         ty[row] = start[3] + start[4] * (x[i] - start[0])
         gx[row] = (end[2] - end[4] * (y[i] + step * v[i] - end[1]) - tx[row]) / pieces
         gy[row] = (end[3] + end[4] * (x[i] + step * u[i] - end[0]) - ty[row]) / pieces
+        hx[row] = 4 * (bulge[0] - bulge[2] * (y[i] - start[1]))
+        hy[row] = 4 * (bulge[1] + bulge[2] * (x[i] - start[0]))
         kick[row] = limit[i] * step / pieces
-    for _ in range(pieces):
+    for piece in range(1, pieces + 1):
+        share = piece / pieces
+        bow = share * (1 - share)
         for row in range(rows):
             tx[row] += gx[row]
             ty[row] += gy[row]
-            dx, dy = tx[row] - pu[row], ty[row] - pv[row]
-            share = min(1.0, kick[row] / np.sqrt(dx * dx + dy * dy + TINY))
-            px[row] += pu[row] + 0.5 * share * dx
-            py[row] += pv[row] + 0.5 * share * dy
-            pu[row] += share * dx
-            pv[row] += share * dy
+            dx = tx[row] + bow * hx[row] - pu[row]
+            dy = ty[row] + bow * hy[row] - pv[row]
+            part = min(1.0, kick[row] / np.sqrt(dx * dx + dy * dy + TINY))
+            px[row] += pu[row] + 0.5 * part * dx
+            py[row] += pv[row] + 0.5 * part * dy
+            pu[row] += part * dx
+            pv[row] += part * dy
     for row in range(count):
         i = int(near[row])
         x[i] += step / pieces * px[row]

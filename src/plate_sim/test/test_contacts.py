@@ -87,9 +87,9 @@ def test_discs_apart_move_like_points():
         cycle, state.position, state.velocity, RIG.friction.mu, RIG.friction.gravity,
         samples=len(run.time) - 1,
     )  # fmt: skip
-    # The same formulas, rounded in another order
-    assert run.position == pytest.approx(points.position, abs=1e-12)
-    assert run.velocity == pytest.approx(points.velocity, abs=1e-10)
+    # Points take the surface's velocity as straight within a step, discs as a parabola.
+    assert run.position == pytest.approx(points.position, abs=2e-6)
+    assert run.velocity == pytest.approx(points.velocity, abs=2e-4)
 
 
 def collide(offset, restitution, friction, step=1e-3):
