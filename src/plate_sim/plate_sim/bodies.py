@@ -31,7 +31,7 @@ HALVINGS = 9
 """How often a step is halved where the slip turns: friction reverses on time to 1/512 of it."""
 
 STEADY = 0.9
-"""Least cosine between the slips at both ends of a step that is not halved."""
+"""Least cosine of the slip's turn to the middle and the end of a step that is not halved."""
 
 STUCK = 1e-3
 """A slip below this share of mu g dt counts as none: it comes from rounding, not from sliding."""
@@ -191,12 +191,9 @@ def _advance(
         ex, ey, ec = _rub(
             ex, ey, ec, angle, limit * h, gyration2, points, weights, blur, force
         )  # fmt: skip
-        if ex == 0 and ey == 0 and ec == 0:
-            return True
-        loose = True
+        if (ex == 0 and ey == 0 and ec == 0) or not last:
+            return ex == 0 and ey == 0 and ec == 0
     else:
-        loose = False
-    if not loose:
         # Friction at the middle of the step
         mx, my, mc = _slip(
             table, t + 0.5 * h, x + 0.5 * h * vx, y + 0.5 * h * vy, vx, vy, spin
@@ -208,8 +205,8 @@ def _advance(
         ux, uy, uc = vx + 2 * (mx - ax), vy + 2 * (my - ay), spin + 2 * (mc - ac)
         _move(now, after, h, ux, uy, uc)
         ex, ey, ec = _slip(table, t + h, after[0], after[1], ux, uy, uc)
-        along = sx * ex + sy * ey + gyration2 * sc * ec
-        if along > STEADY * sqrt(size2 * (ex * ex + ey * ey + gyration2 * ec * ec)):
+        steady = _alike(sx, sy, sc, ax, ay, ac, gyration2)
+        if steady and _alike(sx, sy, sc, ex, ey, ec, gyration2):
             return True
         if not last:
             return False
@@ -219,6 +216,15 @@ def _advance(
     )  # fmt: skip
     _move(now, after, h, vx + fx - ex, vy + fy - ey, spin + fc - ec)
     return True
+
+
+@njit(cache=True, nogil=True)
+def _alike(ax, ay, ac, bx, by, bc, gyration2):
+    """Whether two slips have nearly the same direction."""
+    product = ax * bx + ay * by + gyration2 * ac * bc
+    a2 = ax * ax + ay * ay + gyration2 * ac * ac
+    b2 = bx * bx + by * by + gyration2 * bc * bc
+    return product > STEADY * sqrt(a2 * b2)
 
 
 @njit(cache=True, nogil=True)

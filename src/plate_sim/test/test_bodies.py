@@ -1,0 +1,262 @@
+"""Finite parts against exact results, scipy with a quadrature of its own, and invariants."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from plate_core import PlateCycle, PlateError
+from plate_core.frames import to_plate
+from plate_sim import simulate
+from plate_sim.bodies import simulate_bodies
+from plate_sim.footprint import bar, disc, on_feet, union
+
+MU, G = 0.25, 9.81
+L_SHAPE = union(
+    [
+        [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],
+        [[0, 0.01], [0.01, 0.01], [0.01, 0.03], [0, 0.03]],
+    ]
+)
+TRIPOD = on_feet(disc(0.01), [[0.008, 0], [-0.004, 0.007], [-0.004, -0.007]])
+
+
+def waves(period, sine, cosine, count=256):
+    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
+    t = np.arange(count) * period / count
+    pose, twist, accel = np.zeros((3, count, 3))
+    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
+        w = 2 * np.pi * (j + 1) / period
+        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
+        pose += (-cos * a + sin * b) / w
+        twist += sin * a + cos * b
+        accel += (cos * a - sin * b) * w
+    return PlateCycle.from_samples(period, pose, twist, accel)
+
+
+def random_cycle(seed, scale=1.0):
+    sine, cosine = np.random.default_rng(seed).normal(size=(2, 2, 3)) * [0.1, 0.1, 0.7] * scale
+    return waves(0.05, sine, cosine)
+
+
+def about(centre, share, period, back=0.1, ramp=0.05, speed=1.0):
+    """Turn about each centre clockwise, slowly, for its share of time, and quickly back."""
+    t, rows = 0.0, [(0.0, *np.zeros(9))]
+    for c, k in zip(np.array(centre), np.abs(share) / np.abs(share).sum(), strict=True):
+        r = ramp * k * period
+        slow, fast = (1 - back) * k * period - 1.5 * r, back * k * period - 1.5 * r
+        home = speed * (r + slow) / (r + fast)
+        phi = w = 0.0
+        for h, v in [(r, -speed), (slow, -speed), (r, home), (fast, home), (r, 0.0)]:
+            phi, t, w = phi + 0.5 * h * (w + v), t + h, v
+            x, y = -np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]]) @ c
+            rows.append((t, c[0] + x, c[1] + y, phi, -w * y, w * x, w, -w * w * x, -w * w * y, 0))
+    rows = np.array(rows)
+    return PlateCycle.from_knots(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7:])
+
+
+def test_a_disc_that_spins_in_place_stops_on_time():
+    # Torque 2/3 mu m g R on an inertia m R^2 / 2
+    radius, spin = 0.02, 30.0
+    stop = 0.75 * radius * spin / (MU * G)
+    cycle = PlateCycle.rest(1.2 * stop)
+    run = simulate_bodies(
+        cycle, disc(radius, points=200), [[0, 0]], 0, [[0, 0]], spin, MU, G, 1, 600
+    )
+    assert run.time[np.argmax(run.spin[:, 0] == 0)] == pytest.approx(stop, rel=4e-3)
+    assert run.angle[-1, 0] == pytest.approx(0.5 * spin * stop, rel=2e-3)
+    assert run.spin[-1, 0] == 0
+    assert run.position == pytest.approx(0, abs=1e-12)
+
+
+def test_a_disc_that_slides_and_spins_agrees_with_scipy():
+    radius, start = 0.02, np.array([0.3, 20.0])
+    # Midpoints of cells of equal area, unlike the footprint's rule
+    ring = radius * np.sqrt((np.arange(40) + 0.5) / 40)
+    angle = 2 * np.pi * (np.arange(120) + 0.5) / 120
+    x, y = np.outer(ring, np.cos(angle)).ravel(), np.outer(ring, np.sin(angle)).ravel()
+
+    def slope(_, state):
+        u, v = state[1] - state[3] * y, state[3] * x
+        size = np.hypot(u, v)
+        return [
+            state[1], -MU * G * np.mean(u / size), state[3],
+            -MU * G * np.mean((x * v - y * u) / size) / (radius**2 / 2),
+        ]  # fmt: skip
+
+    truth = solve_ivp(slope, (0, 0.12), [0, start[0], 0, start[1]], rtol=1e-8, atol=1e-10)
+    x, v, phi, w = truth.y[:, -1]
+    run = simulate_bodies(
+        PlateCycle.rest(0.12), disc(radius, points=300), [[0, 0]], 0, [[start[0], 0]], start[1], MU
+    )
+    assert run.position[-1, 0] == pytest.approx([x, 0], rel=5e-4, abs=3e-6)
+    assert run.velocity[-1, 0] == pytest.approx([v, 0], rel=2e-3, abs=1e-4)
+    assert run.angle[-1, 0] == pytest.approx(phi, rel=1e-3)
+    assert run.spin[-1, 0] == pytest.approx(w, rel=5e-3)
+
+
+def test_sliding_and_spinning_end_together_at_a_known_ratio():
+    # v / (R spin) -> 0.653 for any start (Farkas, Bartels, Unger, Wolf, PRL 90, 248302, 2003).
+    radius = 0.02
+    run = simulate_bodies(
+        PlateCycle.rest(0.25), disc(radius, points=300), np.zeros((2, 2)), 0,
+        [[0.4, 0], [0.2, 0]], [15, 25], MU, samples=2000,
+    )  # fmt: skip
+    for i in range(2):
+        v, w = run.velocity[:, i, 0], run.spin[:, i]
+        late = np.argmin(np.abs(w - 0.05))
+        assert v[late] / (radius * w[late]) == pytest.approx(0.653, rel=0.03)
+    assert run.velocity[-1] == pytest.approx(0, abs=1e-9)
+    assert run.spin[-1] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_small_disc_moves_as_a_point():
+    cycle = random_cycle(3)
+    point = simulate(cycle, [[0.2, -0.1]], [[0.02, -0.03]], MU, cycles=4, tolerance=1e-9)
+    small = simulate_bodies(
+        cycle, disc(1e-6), [[0.2, -0.1]], 0.3, [[0.02, -0.03]], 0, MU, cycles=4, step=5e-5
+    )
+    assert small.position[-1] == pytest.approx(point.position[-1], abs=3e-8)
+    assert small.time == pytest.approx(point.time)
+
+
+@pytest.mark.parametrize(("gamma", "exact"), [(4, 4.997416048e-3), (20, 65.3462e-3)])
+def test_a_disc_on_a_line_travels_as_the_exact_point(gamma, exact):
+    # Sticking and reversals; translation alone does not turn it.
+    w = 60 * np.pi
+    phase = np.linspace(0, 2 * np.pi, 20001)
+    speed = gamma * MU * G / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
+    cycle = waves(1 / 30, [[speed, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.5 * speed, 0, 0]])
+    run = simulate_bodies(cycle, disc(0.008), [[0, 0.1]], 0, [[0, 0]], 0, MU, cycles=30)
+    assert run.position[-1, 0, 0] == pytest.approx(exact, rel=1e-3)
+    assert run.angle[-1, 0] == pytest.approx(0, abs=1e-9)
+
+
+def test_converges_in_second_order():
+    def end(step):
+        run = simulate_bodies(
+            random_cycle(3), bar(0.04, 0.008), [[0.2, -0.1]], 0.3, [[0.02, -0.03]], 0, MU,
+            cycles=4, samples=20, step=step,
+        )  # fmt: skip
+        return np.array([*run.position[-1, 0], run.angle[-1, 0]])
+
+    truth = end(1.25e-5 / 4)
+    errors = [np.abs(end(step) - truth) for step in (2e-4, 1e-4, 5e-5)]
+    for coarse, fine in pairwise(errors):
+        assert np.all(fine < coarse / 3.3)
+    assert np.all(errors[0] < [3e-7, 3e-7, 4e-6])
+
+
+@pytest.mark.parametrize("shape", [disc(0.01), bar(0.08, 0.005), L_SHAPE, TRIPOD])
+def test_no_energy_comes_from_a_still_plate(shape):
+    rng = np.random.default_rng(5)
+    count = 12
+    run = simulate_bodies(
+        PlateCycle.rest(0.1), shape, rng.normal(size=(count, 2)), rng.normal(size=count),
+        rng.normal(size=(count, 2)) * 0.2, rng.normal(size=count) * 10, MU, step=1e-3, samples=100,
+    )  # fmt: skip
+    energy = (run.velocity**2).sum(-1) + shape.gyration2 * run.spin**2
+    assert np.all(np.diff(energy, axis=0) <= 1e-12)
+    assert energy[-1].max() < energy[0].max()
+
+
+@pytest.mark.parametrize("shape", [disc(0.008), bar(0.08, 0.005), L_SHAPE, TRIPOD])
+def test_a_part_on_a_gently_shaken_plate_rides_with_it(shape):
+    cycle = random_cycle(7, 0.02)
+    start, angle = np.array([[0.2, 0.1]]), 0.4
+    pose, twist = cycle.pose(0)[0], cycle.twist(0)[0]
+    arm = start[0] - pose[:2]
+    velocity = twist[:2] + twist[2] * np.array([-arm[1], arm[0]])
+    run = simulate_bodies(cycle, shape, start, angle, [velocity], twist[2], MU, cycles=20)
+    poses = np.concatenate([np.tile(cycle.pose(run.time[:64])[:64], (20, 1)), [pose]])
+    inside = [to_plate(p, x)[0] for p, x in zip(poses, run.position, strict=True)]
+    assert np.ptp(inside, axis=0) == pytest.approx(0, abs=1e-12)
+    assert np.ptp(run.angle[:, 0] - poses[:, 2]) == pytest.approx(0, abs=1e-12)
+
+
+def test_turned_frame_and_order_of_parts():
+    sine, cosine = np.random.default_rng(2).normal(size=(2, 2, 3)) * [0.1, 0.1, 0.7]
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+    place, speed = np.array([[0.1, 0.02], [-0.2, 0.1]]), np.array([[0.05, 0], [0, 0.1]])
+    parts = [bar(0.05, 0.01), L_SHAPE]
+    angle = np.array([0.3, 1.0])
+    one = simulate_bodies(waves(0.05, sine, cosine), parts, place, angle, speed, 0, MU)
+    other = simulate_bodies(
+        waves(0.05, sine @ turn.T, cosine @ turn.T), parts[::-1], place[::-1] @ turn[:2, :2].T,
+        angle[::-1] + np.arctan2(0.8, 0.6), speed[::-1] @ turn[:2, :2].T, 0, MU,
+    )  # fmt: skip
+    assert other.position[-1, ::-1] == pytest.approx(one.position[-1] @ turn[:2, :2].T, abs=1e-9)
+    assert other.spin[-1, ::-1] == pytest.approx(one.spin[-1], abs=1e-6)
+
+
+def test_without_friction_a_part_flies_on():
+    run = simulate_bodies(random_cycle(1), disc(0.01), [[0, 0]], 0, [[1, 2]], 3, 0, cycles=2)
+    assert run.position[-1, 0] == pytest.approx([0.1, 0.2])
+    assert run.angle[-1, 0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("shape", [disc(0.02), bar(0.08, 0.01)])
+def test_whirlpool_turns_a_part_clockwise_in_place(shape):
+    # Section 3.1.3 with its weights K, on corners of our plate (0.3 times the paper's); strokes
+    # that are quick against mu g T, so that averages hold.
+    corners = 0.3 * np.array([[-1, -0.5], [1, -0.5], [1, 0.5]])
+    cycle = about(corners, [-0.59, -0.27, -0.53], 0.02)
+    run = simulate_bodies(cycle, shape, [[0.15, 0]], 0, [[0, 0]], 0, MU, cycles=100, samples=8)
+    half = len(run.time) // 2
+    rate = (run.angle[-1, 0] - run.angle[half, 0]) / (run.time[-1] - run.time[half])
+    drift = np.linalg.norm(run.position[-1, 0] - run.position[0, 0]) / run.time[-1]
+    assert -0.8 < rate < -0.3
+    assert drift < 3e-3
+    assert drift < 0.3 * abs(rate) * np.sqrt(2 * shape.gyration2)
+
+
+def test_coin_circles_at_constant_speed_and_moves_out():
+    # Section 5: theta' = W (sin wt + cos(2 wt) / 2). Its median is W / 2: the coin's rate if the
+    # plate is much quicker than mu g T, and less at our rig's 25 Hz.
+    spin, start = 1.1, [[0.1, 0]]
+    for frequency, least in ((25, 0.44 * spin), (400, 0.49 * spin)):
+        cycle = waves(1 / frequency, [[0, 0, spin], [0, 0, 0]], [[0, 0, 0], [0, 0, 0.5 * spin]])
+        count, samples = 4 * frequency, 16
+        coin = simulate_bodies(
+            cycle, disc(0.0095), start, 0, [[0, 0]], 0, MU, cycles=count, samples=samples
+        )
+        point = simulate(cycle, start, [[0, 0]], MU, G, count, samples, tolerance=1e-8)
+        rates, drifts = zip(
+            *(_circle(run, samples * frequency) for run in (coin, point)), strict=True
+        )
+        assert np.all((rates[0] > least) & (rates[0] < 0.5 * spin))
+        assert np.ptp(rates[0]) < 0.003 * rates[0].mean()
+        assert rates[0] == pytest.approx(rates[1], rel=2e-3)
+        assert np.all(drifts[0] > 5e-5)
+        assert drifts[0] == pytest.approx(drifts[1], rel=0.25)
+
+
+def _circle(run, second):
+    """Turning rate [rad/s] and outward drift [m/s] in every second but the first."""
+    x, y = run.position[second::second, 0].T
+    return np.diff(np.unwrap(np.arctan2(y, x))), np.diff(np.hypot(x, y))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cycle": None}, "cycle is a NoneType"),
+        ({"footprint": [disc(1)] * 3}, "list of 3, allowed: 2"),
+        ({"position": [[0, 0, 0]]}, "position has shape"),
+        ({"velocity": [[0, np.nan], [0, 0]]}, "part 0"),
+        ({"angle": [0, 0, 0]}, "angle has shape"),
+        ({"spin": [0, np.inf]}, "spin has values that are not finite"),
+        ({"friction": -1}, "friction is -1"),
+        ({"samples": 0}, "samples is 0"),
+        ({"cycles": 0.5}, "cycles is 0.5"),
+        ({"step": 0}, "step is 0"),
+    ],
+)
+def test_wrong_input_is_refused(change, message):
+    good = {
+        "cycle": PlateCycle.rest(0.1), "footprint": disc(0.01), "position": np.zeros((2, 2)),
+        "angle": 0, "velocity": np.zeros((2, 2)), "spin": 0, "friction": MU,
+    }  # fmt: skip
+    with pytest.raises(PlateError, match=message):
+        simulate_bodies(**{**good, **change})

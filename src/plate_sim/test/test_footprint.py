@@ -1,0 +1,106 @@
+"""Footprints: exact moments, measured error of the friction sum, and wrong shapes."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateError
+from plate_sim.footprint import bar, disc, friction_gap, on_feet, polygon, union
+
+L_SHAPE = [
+    [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],
+    [[0, 0.01], [0.01, 0.01], [0.01, 0.03], [0, 0.03]],
+]
+TRIANGLE = [[0, 0], [0.02, 0], [0, 0.02]]
+
+
+def feet(radius, count=3):
+    angle = 2 * np.pi * np.arange(count) / count
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@pytest.mark.parametrize("points", [6, 48, 200])
+@pytest.mark.parametrize(
+    ("shape", "gyration2"),
+    [
+        (lambda n: disc(0.01, points=n), 0.01**2 / 2),
+        (lambda n: bar(0.04, 0.005, points=n), (0.04**2 + 0.005**2) / 12),
+        (lambda n: polygon(TRIANGLE, points=n), 2 * 0.02**2 / 18),
+        # Two rectangles by the theorem of Steiner, about the centroid (11, 11) mm
+        (lambda n: union(L_SHAPE, points=n), 1.44667e-4),
+    ],
+)
+def test_moments_are_exact(shape, gyration2, points):
+    part = shape(points)
+    assert part.gyration2 == pytest.approx(gyration2, rel=1e-5)
+    assert part.weights.sum() == pytest.approx(1)
+    assert part.weights @ part.points == pytest.approx(0, abs=1e-12)
+    assert part.weights @ (part.points**2).sum(1) == pytest.approx(gyration2, rel=1e-5)
+
+
+@pytest.mark.parametrize("turn", [1.0, -3.0])
+def test_torque_of_a_disc_that_turns_in_place(turn):
+    for points, error in [(12, 0.02), (48, 0.005), (192, 0.0015)]:
+        force = disc(0.01, points=points).friction([0, 0, turn])[0]
+        assert force[:2] == pytest.approx(0, abs=1e-12)
+        assert force[2] == pytest.approx(np.sign(turn) * 2 / 3 * 0.01, rel=error)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda n: disc(0.008, points=n),
+        lambda n: bar(0.01, 0.01, points=n),
+        lambda n: bar(0.04, 0.005, points=n),
+        lambda n: union(L_SHAPE, points=n),
+        lambda n: polygon(TRIANGLE, points=n),
+    ],
+)
+def test_greatest_error_of_friction_falls_as_one_by_the_number_of_points(shape):
+    fine = shape(1500)
+    gap = {n: friction_gap(shape(n), fine, 200) for n in (12, 48, 192)}
+    assert gap[12] < 0.13
+    assert gap[48] < 0.035
+    assert gap[192] < 0.011
+
+
+def test_pressure_has_its_centre_below_the_centre_of_mass():
+    part = polygon(TRIANGLE, centre=[0.006, 0.0065])
+    assert part.weights @ part.points == pytest.approx(0, abs=1e-12)
+    assert part.weights.min() > 0
+    three = on_feet(disc(0.01), feet(0.008) + [0.001, -0.002])
+    assert three.weights @ three.points == pytest.approx(0, abs=1e-12)
+    assert three.gyration2 == disc(0.01).gyration2
+
+
+def test_mass_and_inertia():
+    assert disc(0.01, mass=0.5).inertia == pytest.approx(0.5 * 0.5 * 1e-4)
+    assert bar(0.1, 0.01, inertia=3e-6).inertia == 3e-6
+    assert len(disc(0.01, points=300).points) == pytest.approx(300, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: disc(-1), "radius is -1 m, allowed: a positive number"),
+        (lambda: disc(0.01, mass=np.nan), "mass is nan kg"),
+        (lambda: disc(0.01, points=3), "points is 3"),
+        (lambda: bar(0.1, 0), "width is 0 m"),
+        (lambda: polygon([[0, 0], [1, 0]]), "corners has shape"),
+        (lambda: polygon([[0, 0], [1, 0], [2, 0]]), "no area"),
+        (lambda: polygon([[0, 0], [1, 0], [0, np.inf]]), "finite"),
+        (lambda: polygon([[0, 0], [2, 0], [0.5, 0.5], [0, 2]]), r"not convex at \[0.5, 0.5\]"),
+        (lambda: polygon(feet(1, 5)[[0, 2, 4, 1, 3]]), "not convex"),
+        (lambda: union([]), "no polygons"),
+        (lambda: union([TRIANGLE, TRIANGLE]), "polygons 0 and 1 overlap"),
+        (lambda: polygon(TRIANGLE, centre=[0, 0]), "tips"),
+        (lambda: on_feet(disc(1), feet(1)[:2]), "feet has shape"),
+        (lambda: on_feet(disc(1), [[-1, 0], [0, 0], [1, 0]]), "on a line"),
+        (lambda: on_feet(disc(1), feet(1) + [0.9, 0]), "tips"),
+        (lambda: on_feet(disc(1), feet(1), [1, 1]), "weights have shape"),
+        (lambda: on_feet(disc(1), feet(1), [1, -1, 1]), "at least 0"),
+        (lambda: on_feet(disc(1), feet(1), [1, 1, 2]), "from the centre of mass"),
+    ],
+)
+def test_wrong_shapes_are_refused(make, message):
+    with pytest.raises(PlateError, match=message):
+        make()
