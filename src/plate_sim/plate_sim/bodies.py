@@ -33,6 +33,9 @@ HALVINGS = 9
 STEADY = 0.9
 """Least cosine of the slip's turn to the middle and the end of a step that is not halved."""
 
+END_SHARE = 1 / 16
+"""Share of a step, at its end, over which a stuck part must be held on its own."""
+
 STUCK = 1e-3
 """A slip below this share of mu g dt counts as none: it comes from rounding, not from sliding."""
 
@@ -186,11 +189,20 @@ def _advance(
         return True
     sx, sy, sc = _slip(table, t, x, y, vx, vy, spin)
     size2 = sx * sx + sy * sy + gyration2 * sc * sc
-    if size2 <= none * none and _ride(table, t, h, now, after):
-        ex, ey, ec = after[3] - vx, after[4] - vy, after[5] - spin
+    if size2 <= none * none:
+        # Held over the whole step, and also at its end, where it may come loose
+        _ride(table, t, (1 - END_SHARE) * h, now, after)
+        lx, ly, lc = after[3], after[4], after[5]
+        _ride(table, t, h, now, after)
         ex, ey, ec = _rub(
-            ex, ey, ec, angle, limit * h, gyration2, points, weights, blur, force
+            after[3] - lx, after[4] - ly, after[5] - lc, angle, END_SHARE * limit * h, gyration2,
+            points, weights, blur, force,
         )  # fmt: skip
+        if ex == 0 and ey == 0 and ec == 0:
+            ex, ey, ec = after[3] - vx, after[4] - vy, after[5] - spin
+            ex, ey, ec = _rub(
+                ex, ey, ec, angle, limit * h, gyration2, points, weights, blur, force
+            )  # fmt: skip
         if (ex == 0 and ey == 0 and ec == 0) or not last:
             return ex == 0 and ey == 0 and ec == 0
     else:
@@ -261,7 +273,7 @@ def _slip(table, t, x, y, vx, vy, spin):
 
 @njit(cache=True, nogil=True)
 def _ride(table, t, h, now, after):
-    """Set `after` to where a part stuck to the plate is after h [s]; always True."""
+    """Set `after` to where a part stuck to the plate is after h [s]."""
     t0, k = locate(table, t, 0)
     u = t0 - table[k, START]
     rx, ry = now[0] - place(table, k, X, u), now[1] - place(table, k, Y, u)
@@ -275,4 +287,3 @@ def _ride(table, t, h, now, after):
     after[2] = now[2] + turn
     after[3], after[4] = slope(table, k, X, u) - spin * qy, slope(table, k, Y, u) + spin * qx
     after[5] = spin
-    return True
