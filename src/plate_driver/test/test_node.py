@@ -106,7 +106,8 @@ class Peer:
         def found() -> list[JointTrajectory]:
             return [m for m in self.setpoints if nanoseconds(m.header.stamp) == stamp_ns]
 
-        assert self.until(lambda: len(found()) >= count), f"no answer to stamp {stamp_ns}"
+        if not self.until(lambda: len(found()) >= count):
+            pytest.fail(f"{len(found())} of {count} answers to stamp {stamp_ns}; {self.end()}")
         return found()[-1]
 
     def call(self, kind, name: str, request):
