@@ -69,7 +69,7 @@ def logged(transition: Transition) -> Transition:
             self.problem = str(error)
             self.get_logger().error(f"{transition.__name__}: {error}")
             return TransitionCallbackReturn.FAILURE
-        except Exception:
+        except Exception:  # whatever it is: unlogged, it would be an error state without a reason
             self.problem = traceback.format_exc()
             self.get_logger().error(f"{transition.__name__} failed:\n{self.problem}")
             return TransitionCallbackReturn.ERROR
