@@ -1,10 +1,10 @@
 """Point parts on the plate's exact motion, event by event, to a stated accuracy.
 
 A part slides, by Runge-Kutta 5(4) with steps that keep the estimated error small; or it is stuck
-to its place in the plate, exactly, until the surface's acceleration there exceeds mu g. Where the
-slip vanishes the time is found; then the part sticks if the surface can hold it, else it slides
-off along the surface's acceleration: on a line that is a reversal. Where the slip in the plane
-only dips, steps shrink with it, but never below what the tolerance can feel.
+to its place in the plate, exactly, until the surface's acceleration there exceeds what static
+friction gives. Where the slip vanishes the time is found; then the part sticks if the surface can
+hold it, else it slides off along the surface's acceleration: on a line that is a reversal. Where
+the slip in the plane only dips, steps shrink with it, but never below what the tolerance can feel.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from math import sqrt
 
 from numba import njit
 
-from .motion import END, START, TURNS, hold_bound, in_plate, riding, slip, surface_rate
-from .output import emit, emit_held
+from .motion import END, START, TURNS, WRAPS, hold_bound, in_plate, riding, slip, surface_rate
+from .output import emit, emit_held, fall
 from .sliding import landing, line_step, restart, runge_kutta
 
 STEP_SHARE = 0.1
@@ -49,15 +49,17 @@ SCAN = 6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_points(table, scales, limit, tolerance, cycles, path, speed):
+def run_points(table, scales, limit, static, tolerance, cycles, path, speed):
     """Fill path and speed (cycles * samples + 1, M, 2) from their first rows; return the steps.
 
     Parameters
     ----------
-    table, scales : (K, 23), (4,)
+    table, scales : (K, 24), (8,)
         The plate's motion, from `tabulate`.
     limit : (M,)
         mu g of each part [m/s2].
+    static : float
+        Static over dynamic friction.
     tolerance : float
         Of the displacement in one cycle [m].
     cycles : int
@@ -73,13 +75,16 @@ def run_points(table, scales, limit, tolerance, cycles, path, speed):
                     path[j, i, d] = path[0, i, d] + (path[j, twin, d] - path[0, twin, d])
                     speed[j, i, d] = speed[j, twin, d]
         elif limit[i] > LEAST:
-            steps += _run_part(table, scales, limit[i], tolerance, cycles, path[:, i], speed[:, i])
+            steps += _run_part(
+                table, scales, limit[i], static, tolerance, cycles, path[:, i], speed[:, i]
+            )
         else:
             dt = cycles * table[-1, END] / (len(path) - 1)
             for j in range(1, len(path)):
                 for d in range(2):
                     path[j, i, d] = path[0, i, d] + j * dt * speed[0, i, d]
                     speed[j, i, d] = speed[0, i, d]
+                fall(j * dt, scales[6:], path[j, i], speed[j, i])
     return steps
 
 
@@ -96,9 +101,9 @@ def _twin(table, limit, speed, i):
 
 
 @njit(cache=True, error_model="numpy")
-def _run_part(table, scales, limit, tolerance, cycles, path, speed):
+def _run_part(table, scales, limit, static, tolerance, cycles, path, speed):
     """As `run_points`, for one part: path and speed (cycles * samples + 1, 2)."""
-    period = table[-1, END]
+    period, wraps, hold, pull = table[-1, END], table[0, WRAPS] != 0, static * limit, scales[6:]
     grid = (period / ((len(path) - 1) // cycles), (len(path) - 1) // cycles)
     px, py, vx, vy = path[0, 0], path[0, 1], speed[0, 0], speed[0, 1]
     accel, pace = _scales(scales, px, py)
@@ -110,7 +115,8 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
     while done < cycles:
         steps += 1
         left = period - t
-        room = left if done == cycles - 1 else period
+        ends = done == cycles - 1 or not wraps
+        room = left if ends else period
         # Rounding of the state limits what a step can promise.
         size = abs(px) + abs(py) + period * (abs(vx) + abs(vy))
         allowed = max(STEP_SHARE * tolerance, 1e-15 * size)
@@ -118,7 +124,7 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
         a = sqrt(ax * ax + ay * ay)
         if not (stuck or crude) and _calm(r, limit, a, allowed, period):
             qx, qy = in_plate(table, t, k, px, py)
-            stuck = _holds(table, t + AHEAD * period, k, qx, qy, limit)
+            stuck = _holds(table, t + AHEAD * period, k, qx, qy, hold)
             if not stuck:
                 h, x, y, ux, uy, fx, fy, gx, gy = restart(
                     table, t, k, min(0.5 * reach, room), px, py, vx, vy, limit, allowed / period
@@ -139,22 +145,25 @@ def _run_part(table, scales, limit, tolerance, cycles, path, speed):
                 fx * ax + fy * ay, limit, a, allowed, period, accel, pace, crude, line,
             )  # fmt: skip
         if stuck:
-            until = _release(table, t + AHEAD * period, k, qx, qy, limit)
-            j = emit_held(table, t, until, k, qx, qy, done, grid, j, path, speed)
+            until = _release(table, t + AHEAD * period, k, qx, qy, hold)
+            j = emit_held(table, t, until, k, qx, qy, done, grid, pull, j, path, speed)
             h = until - t
             k, x, y, ux, uy, ax, ay = riding(table, until, k, qx, qy)
             stuck = until >= period
             hint = 0.1 * reach
         else:
             j = emit(
-                t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, j, path, speed
+                t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, pull, j, path, speed
             )  # fmt: skip
         px, py, vx, vy = x, y, ux, uy
         t += h
-        if t >= period or (h >= left and done == cycles - 1):
+        if t >= period or (h >= left and ends):
             t = max(0.0, t - period)
             done += 1
             k = 0
+            if not wraps:
+                px, py = px + 0.5 * period * period * pull[0], py + 0.5 * period * period * pull[1]
+                vx, vy = vx + period * pull[0], vy + period * pull[1]
         k, wx, wy, r = slip(table, t, k, px, py, vx, vy)
         ax, ay = surface_rate(table, t, k, px, py, vx, vy)
     path[-1, 0], path[-1, 1], speed[-1, 0], speed[-1, 1] = px, py, vx, vy

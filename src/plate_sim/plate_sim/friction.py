@@ -5,7 +5,9 @@ paper, with the plate's true pose and twist. Friction turns the part's velocity 
 mu g, and holds it once the two agree (section 2.1). Away from v = v_s a step takes the direction
 of friction at its middle: second order. Where |v_s - v| is so small that it may vanish within
 the step, the step is split, and each piece is the implicit Coulomb step
-v += clip_to_ball(v_s - v, mu g dt), which slips, sticks and reverses without overshooting.
+v += clip_to_ball(v_s - v, mu g dt), which slips, sticks and reverses without overshooting. Static
+friction may be greater: a part that sticks is held by it until the surface accelerates more. A
+tilted plate pulls parts; a step is made in the frame that falls with them from the step's start.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 from numba import njit
 
 from plate_core import PlateCycle, PlateError
+
+from .plate_motion import PlateMotion
 
 STEP = 5e-5
 """Default integration step [s]: travel within 0.05 % of exact at 4 to 20 times mu g."""
@@ -50,12 +54,12 @@ class Trajectory:
     velocity: np.ndarray
 
 
-def default_steps(cycle: PlateCycle, step: float = STEP) -> int:
+def default_steps(cycle: PlateCycle | PlateMotion, step: float = STEP) -> int:
     """Return how many equal steps of at most `step` [s] fill the cycle."""
     return max(1, int(np.ceil(cycle.period / step - 1e-9)))
 
 
-def surface_samples(cycle: PlateCycle, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def surface_samples(cycle: PlateCycle | PlateMotion, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Pose and twist (steps + 1, 3) of the plate at the ends of equal steps."""
     t = np.linspace(0, cycle.period, steps + 1)
     return np.ascontiguousarray(cycle.pose(t)), np.ascontiguousarray(cycle.twist(t))
@@ -97,18 +101,19 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
 
 
 @njit(cache=True, inline="always")
-def friction_step(px, py, vx, vy, pose, twist, k, step, limit):
+def friction_step(px, py, vx, vy, pose, twist, k, step, limit, static, pull_x, pull_y):
     """Advance one part from sample k to k + 1 of the plate's motion.
 
     Parameters are the part's position [m] and velocity [m/s], samples of the plate's pose and
-    twist (n, 3), k, the step [s] and mu g [m/s2]. Returns position and velocity.
+    twist (n, 3), k, the step [s], mu g [m/s2], static over dynamic friction, and the pull down the
+    tilt [m/s2]. Returns position and velocity.
     """
     kick = limit * step
     sx = twist[k, 0] - twist[k, 2] * (py - pose[k, 1])
     sy = twist[k, 1] + twist[k, 2] * (px - pose[k, 0])
     # Where the part will be to first order: v_s changes with that only by theta' dt^2.
-    ex = twist[k + 1, 0] - twist[k + 1, 2] * (py + step * vy - pose[k + 1, 1])
-    ey = twist[k + 1, 1] + twist[k + 1, 2] * (px + step * vx - pose[k + 1, 0])
+    ex = twist[k + 1, 0] - twist[k + 1, 2] * (py + step * vy - pose[k + 1, 1]) - step * pull_x
+    ey = twist[k + 1, 1] + twist[k + 1, 2] * (px + step * vx - pose[k + 1, 0]) - step * pull_y
     slip2 = (sx - vx) ** 2 + (sy - vy) ** 2
     slip2_end = (ex - vx) ** 2 + (ey - vy) ** 2
     # May the slip vanish within the step? Not if it is more than kick + |e - s| at both ends;
@@ -120,23 +125,35 @@ def friction_step(px, py, vx, vy, pose, twist, k, step, limit):
         wx, wy = vx + share * dx, vy + share * dy
         px, py = px + step * 0.5 * (vx + wx), py + step * 0.5 * (vy + wy)
         vx, vy = wx, wy
-    elif slip2 <= (STUCK * kick) ** 2 and slip2_end <= kick**2:
+    elif slip2 <= (STUCK * kick) ** 2 and slip2_end <= (static * kick) ** 2:
+        # Riding on, at the place where it then is: else rounding would look like a slip.
+        ex -= twist[k + 1, 2] * step * 0.5 * (ey - vy)
+        ey += twist[k + 1, 2] * step * 0.5 * (ex - vx)
         px, py = px + step * 0.5 * (vx + ex), py + step * 0.5 * (vy + ey)
         vx, vy = ex, ey
     else:
-        px, py, vx, vy = _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick)
-    return px, py, vx, vy
+        px, py, vx, vy = _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick, static)
+    fall = 0.5 * step * step
+    return px + fall * pull_x, py + fall * pull_y, vx + step * pull_x, vy + step * pull_y
 
 
 @njit(cache=True)
-def _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick):
+def _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick, static):
     """Advance one part while the surface goes from velocity s to e, linear in time."""
+    rx, ry = sx - vx, sy - vy
+    stuck = rx * rx + ry * ry <= (STUCK * kick) ** 2
     piece, kick = step / SPLIT, kick / SPLIT
+    grip2 = (static * kick) ** 2
+    held = ((ex - sx) / SPLIT) ** 2 + ((ey - sy) / SPLIT) ** 2 <= grip2
     for j in range(1, SPLIT + 1):
         dx = sx + (ex - sx) * (j / SPLIT) - vx
         dy = sy + (ey - sy) * (j / SPLIT) - vy
         slip2 = dx * dx + dy * dy
-        share = 1.0 if slip2 <= kick * kick else kick / sqrt(slip2)
+        stuck = slip2 <= (grip2 if stuck else kick * kick)
+        share = 1.0 if stuck else kick / sqrt(slip2)
+        if held and rx * dx + ry * dy < 0:  # the slip has vanished on the way
+            stuck, share = True, 1.0
+        rx, ry = (1 - share) * dx, (1 - share) * dy
         wx, wy = vx + share * dx, vy + share * dy
         px += piece * 0.5 * (vx + wx)
         py += piece * 0.5 * (vy + wy)
@@ -145,14 +162,14 @@ def _split_step(px, py, vx, vy, sx, sy, ex, ey, step, kick):
 
 
 @njit(cache=True)
-def run_steps(pose, twist, step, limit, path, speed):
+def run_steps(pose, twist, step, limit, static, pull, path, speed):
     """Fill path and speed (cycles * steps + 1, M, 2) from their first rows, step by step."""
     steps = len(pose) - 1
     for k in range(len(path) - 1):
         for i in range(path.shape[1]):
             px, py, vx, vy = friction_step(
                 path[k, i, 0], path[k, i, 1], speed[k, i, 0], speed[k, i, 1],
-                pose, twist, k % steps, step, limit[i],
+                pose, twist, k % steps, step, limit[i], static, pull[0], pull[1],
             )  # fmt: skip
             path[k + 1, i, 0] = px
             path[k + 1, i, 1] = py

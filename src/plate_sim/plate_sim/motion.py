@@ -1,12 +1,15 @@
-"""The plate's exact motion for compiled code: the quintic pieces of a PlateCycle in one table.
+"""The plate's exact motion for compiled code: the quintic pieces of a cycle in one table.
 
 The surface under a part at P has the velocity v_s = O' + theta' x (P - O), equation (2) of the
 paper; its rate along the part's path is O'' + theta'' x (P - O) + theta' x (v - O').
 
-A table (K, 23) has a row per piece between two knots: times of its start and end [s]; six powers
+On a tilted plate all this is told in a frame that falls freely down the tilt from the start of each
+cycle: there nothing pulls, and the plate's acceleration is O'' - pull. Slips are the same in both.
+
+A table (K, 24) has a row per piece between two knots: times of its start and end [s]; six powers
 of the time since its start of x, y [m] and theta [rad], each; what a riding part can feel (see
-`hold_bound`); and whether theta changes anywhere. One array, as compiled calls take few arguments
-quickly.
+`hold_bound`); whether theta changes anywhere; and whether the end of the cycle is its start. One
+array, as compiled calls take few arguments quickly.
 """
 
 from __future__ import annotations
@@ -18,50 +21,76 @@ from numba import njit
 
 from plate_core import PlateCycle
 
-START, END, X, Y, THETA, HOLD, TURNS, WIDTH = 0, 1, 2, 8, 14, 20, 22, 23
+from .plate_motion import PlateMotion
+
+START, END, X, Y, THETA, HOLD, TURNS, WRAPS, WIDTH = 0, 1, 2, 8, 14, 20, 22, 23, 24
 """Columns of a table."""
 
+STRAIGHT = 1e-14
+"""A motion is on a line if no coefficient is off it by more than this share: rounding."""
 
-def tabulate(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
-    """Return a cycle's table (K, 23), and its scales.
 
-    Scales are the greatest rates at the knots, (4,): of O' [m/s2], theta' [rad/s2], O'' [m/s3]
-    and theta'' [rad/s3]; then the direction (2,) of the greatest acceleration, 0 if the plate
-    turns.
+def tabulate(
+    cycle: PlateCycle | PlateMotion, pull: tuple[float, float] | np.ndarray = (0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a cycle's table (K, 24), and its scales (8,).
+
+    Scales are the greatest rates at the knots: of O' [m/s2], theta' [rad/s2], O'' [m/s3] and
+    theta'' [rad/s3]; the direction (2,) of the line on which the plate accelerates, 0 if there is
+    none; and the pull (2,) [m/s2].
     """
-    return _tabulate(cycle.times, cycle.coefficients)
+    closed = isinstance(cycle, PlateCycle)
+    return _tabulate(cycle.times, cycle.coefficients, float(pull[0]), float(pull[1]), closed)
 
 
 @njit(cache=True, error_model="numpy")
-def _tabulate(times, pieces):
-    table, scales = np.empty((len(pieces), WIDTH)), np.zeros(6)
+def _tabulate(times, pieces, pull_x, pull_y, closed):
+    table, scales = np.empty((len(pieces), WIDTH)), np.zeros(8)
     turns = 0.0
     for k in range(len(pieces)):
-        row, c = table[k], pieces[k]
-        row[START], row[END], row[HOLD] = times[k], times[k + 1], -1.0
+        row, c, t = table[k], pieces[k], times[k]
+        row[START], row[END], row[HOLD] = t, times[k + 1], -1.0
         for i in range(6):
             row[X + i], row[Y + i], row[THETA + i] = c[i, 0], c[i, 1], c[i, 2]
             if c[i, 2] != 0:
                 turns = 1.0
-        accel = 2 * sqrt(c[2, 0] * c[2, 0] + c[2, 1] * c[2, 1])
+        for i, fall in enumerate((0.5 * t * t, t, 0.5)):
+            row[X + i] -= pull_x * fall
+            row[Y + i] -= pull_y * fall
+        accel = 2 * sqrt(row[X + 2] * row[X + 2] + row[Y + 2] * row[Y + 2])
         if accel > scales[0]:
             scales[0] = accel
-            scales[4], scales[5] = 2 * c[2, 0] / accel, 2 * c[2, 1] / accel
+            scales[4], scales[5] = 2 * row[X + 2] / accel, 2 * row[Y + 2] / accel
         scales[1] = max(scales[1], 2 * abs(c[2, 2]))
         scales[2] = max(scales[2], 6 * sqrt(c[3, 0] * c[3, 0] + c[3, 1] * c[3, 1]))
         scales[3] = max(scales[3], 6 * abs(c[3, 2]))
     table[:, TURNS] = turns
-    if turns != 0:
-        scales[4:] = 0
+    table[:, WRAPS] = 1.0 if closed and pull_x == 0 and pull_y == 0 else 0.0
+    if turns != 0 or not _on_line(table, scales[4], scales[5]):
+        scales[4:6] = 0
+    scales[6], scales[7] = pull_x, pull_y
     return table, scales
 
 
 @njit(cache=True, error_model="numpy")
+def _on_line(table, nx, ny):
+    """Whether the plate accelerates along the unit vector n only."""
+    for k in range(len(table)):
+        for i in range(2, 6):
+            x, y = table[k, X + i], table[k, Y + i]
+            if abs(x * ny - y * nx) > STRAIGHT * (abs(x) + abs(y)):
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
 def locate(table, t, k):
-    """Wrap t [s] into the cycle, and return it with its piece: k, or sought from its share."""
+    """Wrap t [s] into a closed cycle, and return it with its piece: k, or sought from its share."""
     last = len(table) - 1
     period = table[last, END]
     if t >= period:
+        if table[0, WRAPS] == 0:
+            return t, last
         t -= period
     if t < table[k, START] or t >= table[k, END]:
         k = min(int(t / period * (last + 1)), last)

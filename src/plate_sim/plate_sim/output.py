@@ -1,7 +1,8 @@
 """Samples of a part's motion between the ends of integration steps.
 
 `grid` is the samples' distance [s] and their number per cycle, `done` the cycles already behind,
-and j the next sample; times t count from the start of the present cycle.
+and j the next sample; times t count from the start of the present cycle, and so does the fall of
+the frame by `pull` (2,) [m/s2] that is added (see `motion`).
 """
 
 from __future__ import annotations
@@ -12,19 +13,30 @@ from .motion import riding
 
 
 @njit(cache=True, error_model="numpy")
-def emit_held(table, t, until, k, qx, qy, done, grid, j, path, speed):
+def emit_held(table, t, until, k, qx, qy, done, grid, pull, j, path, speed):
     """Write the samples of a part stuck at q from t to `until`; return the next sample."""
     while j < len(path) - 1:
         at = (j - done * grid[1]) * grid[0]
         if at > until:
             break
         k, path[j, 0], path[j, 1], speed[j, 0], speed[j, 1], _, _ = riding(table, at, k, qx, qy)
+        fall(at, pull, path[j], speed[j])
         j += 1
     return j
 
 
 @njit(cache=True, error_model="numpy")
-def emit(t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, j, path, speed):
+def fall(t, pull, place, speed):
+    """Add to a place and velocity (2,) what a freely falling frame has gained after t [s]."""
+    for d in range(2):
+        place[d] += 0.5 * t * t * pull[d]
+        speed[d] += t * pull[d]
+
+
+@njit(cache=True, error_model="numpy")
+def emit(
+    t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, pull, j, path, speed
+):  # fmt: skip
     """Write the samples of a sliding step: the quintic through both ends' p, v and v'."""
     if j >= len(path) - 1 or (j - done * grid[1]) * grid[0] > t + h:
         return j
@@ -44,5 +56,6 @@ def emit(t, h, px, py, vx, vy, fx, fy, x, y, ux, uy, gx, gy, done, grid, j, path
         path[j, 1] = py + tau * (vy + 0.5 * tau * fy) + u * u * u * (y3 + u * (y4 + u * y5))
         speed[j, 0] = vx + tau * fx + cube * (3 * x3 + u * (4 * x4 + u * 5 * x5))
         speed[j, 1] = vy + tau * fy + cube * (3 * y3 + u * (4 * y4 + u * 5 * y5))
+        fall(t + tau, pull, path[j], speed[j])
         j += 1
     return j

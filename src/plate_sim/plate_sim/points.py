@@ -14,7 +14,9 @@ from plate_core import PlateCycle, PlateError
 
 from .exact import run_points
 from .friction import LARGEST, Trajectory, friction_accel, pairs, run_steps, surface_samples
+from .ground import LEVEL, Ground
 from .motion import tabulate
+from .plate_motion import PlateMotion
 
 TOLERANCE = 1e-7
 """Default error of the displacement in one cycle [m]: a ten-thousandth of a pixel."""
@@ -24,7 +26,7 @@ SAMPLES = 64
 
 
 def simulate(
-    cycle: PlateCycle,
+    cycle: PlateCycle | PlateMotion,
     position: np.ndarray,
     velocity: np.ndarray,
     friction: float | np.ndarray,
@@ -32,6 +34,8 @@ def simulate(
     cycles: int = 1,
     samples: int | None = None,
     tolerance: float | None = None,
+    *,
+    ground: Ground = LEVEL,
 ) -> Trajectory:
     """Integrate the stick-slip motion of point parts that never meet, on an endless plate.
 
@@ -40,8 +44,8 @@ def simulate(
 
     Parameters
     ----------
-    cycle : PlateCycle
-        Motion of the plate, repeated.
+    cycle : PlateCycle or PlateMotion
+        Motion of the plate, repeated; a PlateMotion, which need not close, runs once.
     position, velocity : (M, 2)
         Parts at the start of the first cycle [m], [m/s], plate_home.
     friction : float or (M,)
@@ -55,6 +59,8 @@ def simulate(
         by default `SAMPLES`.
     tolerance : float, optional
         Wanted error of the displacement in one cycle [m].
+    ground : Ground
+        Static friction and tilt.
 
     Returns
     -------
@@ -66,30 +72,35 @@ def simulate(
     PlateError
         If shapes disagree, a value is not finite, or a count or coefficient is out of range.
     """
-    if not isinstance(cycle, PlateCycle):
-        raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle")
+    if not isinstance(cycle, PlateCycle | PlateMotion):
+        raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
     position = pairs("position", position)
     velocity = pairs("velocity", velocity, len(position))
     limit = friction_accel(friction, gravity, len(position))
     exact = samples is None or tolerance is not None
-    samples = _count("samples", SAMPLES if samples is None else samples)
-    shape = (_count("cycles", cycles) * samples + 1, len(position), 2)
-    path, speed = np.empty(shape), np.empty(shape)
+    samples, cycles = (
+        _count("samples", SAMPLES if samples is None else samples),
+        _count("cycles", cycles),
+    )
+    if cycles > 1 and not isinstance(cycle, PlateCycle):
+        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
+    path, speed = np.empty((2, cycles * samples + 1, len(position), 2))
     path[0], speed[0] = position, velocity
+    pull, static = ground.pull(gravity), ground.static_ratio
     if exact:
         tolerance = _tolerance(TOLERANCE if tolerance is None else tolerance)
-        table, scales = tabulate(cycle)
-        if scales.max() > LARGEST:
+        table, scales = tabulate(cycle, pull)
+        if not scales.max() <= LARGEST:
             raise PlateError(f"cycle accelerates by {scales.max():g}, allowed: up to {LARGEST:g}")
-        run_points(table, scales, limit, tolerance, cycles, path, speed)
+        run_points(table, scales, limit, static, tolerance, cycles, path, speed)
     else:
         pose, twist = surface_samples(cycle, samples)
-        run_steps(pose, twist, cycle.period / samples, limit, path, speed)
+        run_steps(pose, twist, cycle.period / samples, limit, static, pull, path, speed)
     return Trajectory(np.arange(len(path)) * (cycle.period / samples), path, speed)
 
 
 def simulate_many(
-    cycle: PlateCycle | Sequence[PlateCycle],
+    cycle: PlateCycle | PlateMotion | Sequence[PlateCycle | PlateMotion],
     position: Sequence[np.ndarray] | np.ndarray,
     velocity: Sequence[np.ndarray] | np.ndarray,
     friction: float | Sequence[float | np.ndarray] | np.ndarray,
@@ -101,7 +112,7 @@ def simulate_many(
 
     Parameters
     ----------
-    cycle : PlateCycle or S of them
+    cycle : PlateCycle or PlateMotion, or S of them
         Motion of the plate, of all scenes or of each.
     position, velocity : (S, M, 2), or S arrays (M, 2)
         Parts of each scene [m], [m/s], plate_home.
@@ -110,7 +121,7 @@ def simulate_many(
     workers : int, optional
         Threads; by default as many as there are processors.
     **options
-        gravity, cycles, samples, tolerance: as for `simulate`, the same for all scenes.
+        gravity, cycles, samples, tolerance, ground: as for `simulate`, the same for all scenes.
 
     Returns
     -------
@@ -125,7 +136,7 @@ def simulate_many(
     count = len(position)
     alike = not isinstance(friction, Sequence) and np.ndim(friction) == 0
     scenes: dict[str, Any] = {
-        "cycle": [cycle] * count if isinstance(cycle, PlateCycle) else cycle,
+        "cycle": [cycle] * count if isinstance(cycle, PlateCycle | PlateMotion) else cycle,
         "position": position,
         "velocity": velocity,
         "friction": [friction] * count if alike else friction,

@@ -1,0 +1,269 @@
+"""Tilt, static friction and motions that do not close, in both integrators of point parts."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from plate_core import PlateCycle, PlateError
+from plate_core.frames import surface_velocity, to_plate
+from plate_sim import simulate
+from plate_sim.ground import Ground
+from plate_sim.plate_motion import PlateMotion
+
+MU, G = 0.25, 9.81
+LIMIT = MU * G
+STILL = np.zeros((1, 2))
+TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
+BOTH = pytest.mark.parametrize(
+    ("how", "error"), [({"tolerance": 1e-11}, 1e-10), ({"samples": 8000}, 2e-6)]
+)
+
+
+def waves(period, sine, cosine, count=256):
+    """Cycle with velocity sum_j sine[j] sin((j+1) w t) + cosine[j] cos(...); both (N, 3)."""
+    t = np.arange(count) * period / count
+    pose, twist, accel = np.zeros((3, count, 3))
+    for j, (a, b) in enumerate(zip(np.array(sine), np.array(cosine), strict=True)):
+        w = 2 * np.pi * (j + 1) / period
+        sin, cos = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
+        pose += (-cos * a + sin * b) / w
+        twist += sin * a + cos * b
+        accel += (cos * a - sin * b) * w
+    return PlateCycle.from_samples(period, pose, twist, accel)
+
+
+def steep(share, heading=0.0):
+    """Tilt whose pull is `share` of mu g, towards `heading` [rad]."""
+    return tuple(np.arcsin(share * MU * np.array([np.cos(heading), np.sin(heading)])))
+
+
+@BOTH
+@pytest.mark.parametrize("static", [1.0, 1.4])
+def test_a_part_slides_down_a_still_plate_only_if_static_friction_cannot_hold_it(
+    how, error, static
+):
+    for heading in (0.0, 2.0):
+        way = np.array([np.cos(heading), np.sin(heading)])
+        for share in (0.5, 0.999 * static, 1.001 * static, 1.8):
+            ground = Ground(static, steep(share, heading))
+            run = simulate(PlateCycle.rest(0.3), STILL, STILL, MU, G, 2, ground=ground, **how)
+            slid = 0.5 * (share - 1) * LIMIT * 0.6**2 if share > static else 0.0
+            assert run.position[-1, 0] == pytest.approx(slid * way, abs=max(error, 2e-3 * slid))
+            if slid == 0:
+                assert np.abs(run.position).max() < 1e-15
+
+
+@BOTH
+def test_a_part_pushed_up_the_tilt_stops_and_comes_back_if_it_is_steep(how, error):
+    for static, share, back in ((1.0, 0.6, False), (1.5, 1.3, False), (1.2, 1.3, True)):
+        ground = Ground(static, steep(share))
+        run = simulate(PlateCycle.rest(0.3), STILL, [[-0.5, 0]], MU, G, ground=ground, **how)
+        stop = 0.5 / ((1 + share) * LIMIT)
+        down = 0.5 * (share - 1) * LIMIT * (0.3 - stop) ** 2 if back else 0.0
+        assert stop < 0.3
+        assert run.position[-1, 0, 0] == pytest.approx(-0.25 * stop + down, abs=10 * error)
+        assert run.position[-1, 0, 1] == 0
+
+
+@BOTH
+def test_static_friction_holds_longer_and_then_lets_go(how, error):
+    # Acceleration 2 mu g sin wt: held up to sin wt = static/2, then mu g alone.
+    period, static = 0.5, 1.6
+    w, top = 2 * np.pi / period, 2 * LIMIT / (2 * np.pi / period)
+    cycle = waves(period, [[0, 0, 0]], [[-top, 0, 0]], 512)
+    release = np.arcsin(static / 2) / w
+    run = simulate(cycle, STILL, [[-top, 0]], MU, G, ground=Ground(static), **how)
+    t = run.time
+    v = np.where(t < release, -top * np.cos(w * t), -top * np.cos(w * release))
+    v += LIMIT * np.maximum(0, t - release)
+    before = t < 0.25 * period
+    assert run.velocity[before, 0, 0] == pytest.approx(v[before], abs=max(1e-9, 50 * error))
+    assert run.velocity[before][-1, 0, 0] < -0.01 * top
+
+
+class Scene:
+    """Velocity V (sin wt + 0.5 cos 2wt) along x at 30 Hz, tilted along x: what moves is known."""
+
+    def __init__(self, gamma, static, share):
+        self.w = 2 * np.pi * 30
+        self.top = gamma * LIMIT / self.w / 1.76
+        self.hold, self.pull = static * LIMIT, share * LIMIT
+        v = self.top
+        self.cycle = waves(1 / 30, [[v, 0, 0], [0, 0, 0]], [[0, 0, 0], [0.5 * v, 0, 0]])
+        self.ground = Ground(static, steep(share))
+
+    def velocity(self, t):
+        return self.top * (np.sin(self.w * t) + 0.5 * np.cos(2 * self.w * t))
+
+    def need(self, t):
+        """Acceleration that friction must give to hold the part."""
+        return self.top * self.w * (np.cos(self.w * t) - np.sin(2 * self.w * t)) - self.pull
+
+    def travel(self, end):
+        """Travel of a part from rest, phase by phase, and how often it stuck."""
+        t, x, v, stuck = 0.0, 0.0, 0.0, 0
+        while t < end:
+            slip = self.velocity(t) - v
+            sign = np.sign(slip)
+            if abs(slip) < 1e-11:
+                if abs(self.need(t)) <= self.hold:
+                    grid = t + np.linspace(0, 1 / 30, 4001)
+                    free = np.flatnonzero(np.abs(self.need(grid)) > self.hold)
+                    until, stuck = end, stuck + 1
+                    if len(free):
+                        until = brentq(
+                            lambda s: abs(self.need(s)) - self.hold,
+                            *grid[free[0] - 1 : free[0] + 1], xtol=1e-16,
+                        )  # fmt: skip
+                    until = min(end, until)
+                    ride = solve_ivp(lambda s, y: [self.velocity(s)], (t, until), [x], **TIGHT)
+                    t, x, v = until, ride.y[0, -1], self.velocity(until)
+                    if t >= end:
+                        break
+                sign = np.sign(self.need(t))
+
+            def meets(s, y):
+                return self.velocity(s) - y[1]
+
+            meets.terminal, meets.direction = True, -sign
+            rate = sign * LIMIT + self.pull
+            run = solve_ivp(
+                lambda s, y, f=rate: [y[1], f], (t, end), [x, v], events=meets, max_step=3e-4,
+                **TIGHT,
+            )  # fmt: skip
+            t, x, v = run.t[-1], *run.y[:, -1]
+        return x, stuck
+
+
+@pytest.mark.parametrize(
+    ("gamma", "static", "share"),
+    [(1.5, 1.2, 0.0), (2.5, 1.5, 0.3), (4, 1.3, -0.4), (4, 2.0, 0.0), (20, 1.5, 0.2), (3, 1, 0.5)],
+)
+def test_agrees_with_an_event_driven_truth(gamma, static, share):
+    scene = Scene(gamma, static, share)
+    truth, stuck = scene.travel(0.2)
+    assert stuck >= 1 or gamma == 20
+    options = {"cycles": 6, "ground": scene.ground}
+    for tolerance, error in ((1e-12, 3e-11), (1e-7, 6e-7)):
+        run = simulate(scene.cycle, STILL, STILL, MU, G, tolerance=tolerance, **options)
+        assert run.position[-1, 0, 0] == pytest.approx(truth, abs=error)
+    run = simulate(scene.cycle, STILL, STILL, MU, G, samples=16_000, **options)
+    assert run.position[-1, 0, 0] == pytest.approx(truth, abs=2e-6)
+
+
+def test_agrees_with_scipy_on_a_tilted_plate_that_turns():
+    rng = np.random.default_rng(3)
+    cycle = waves(0.05, *(rng.normal(size=(2, 2, 3)) * [0.1, 0.1, 0.7]))
+    ground = Ground(1.5, (0.1, -0.2))
+    pull = ground.pull(G)
+    assert pull == pytest.approx([G * np.sin(0.1), -G * np.sin(0.2)])
+    start = np.array([0.2, -0.1, 0.5, -0.6])
+
+    def rate(t, state):
+        t %= 0.05
+        slip = surface_velocity(cycle.pose(t)[0], cycle.twist(t)[0], state[:2]) - state[2:]
+        return np.concatenate([state[2:], LIMIT * slip / np.linalg.norm(slip) + pull])
+
+    truth = solve_ivp(rate, (0, 0.1), start, max_step=1e-3, **TIGHT).y[:, -1]
+    for how, error in (({"tolerance": 1e-13}, 1e-10), ({"samples": 8000}, 1e-6)):
+        run = simulate(cycle, start[None, :2], start[None, 2:], MU, G, 2, ground=ground, **how)
+        assert run.position[-1, 0] == pytest.approx(truth[:2], abs=error)
+        assert run.velocity[-1, 0] == pytest.approx(truth[2:], abs=30 * error)
+
+
+def test_both_integrators_agree_on_tilted_plates():
+    rng = np.random.default_rng(11)
+    for _ in range(15):
+        period, size = rng.uniform(0.02, 0.2), 10 ** rng.uniform(-2, 0)
+        cycle = waves(period, *(rng.normal(size=(2, 3, 3)) * [size, size, 7 * size]), 64)
+        position, velocity = rng.uniform(-0.3, 0.3, (2, 3, 2)) * [[[1.0]], [[0.3]]]
+        ground = Ground(1.0, tuple(rng.uniform(-0.1, 0.1, 2)))
+        exact, steps = (
+            simulate(cycle, position, velocity, MU, G, 2, ground=ground, **how)
+            for how in ({"samples": 1, "tolerance": 1e-9}, {"samples": 16_000})
+        )
+        assert steps.position[-1] == pytest.approx(exact.position[-1], abs=3e-6)
+
+
+def test_samples_on_a_tilted_plate_lie_on_one_motion():
+    cycle = waves(0.1, [[0.1, 0.05, 0.2]], [[0.02, 0.1, -0.1]])
+    run = simulate(
+        cycle, [[0.1, 0.2]], [[0.1, 0]], MU, G, 3, 2000, 1e-9, ground=Ground(1.3, (0.05, 0.1))
+    )
+    step = 0.1 / 2000
+    middle = 0.5 * (run.velocity[1:] + run.velocity[:-1]) * step
+    assert np.diff(run.position, axis=0) == pytest.approx(middle, abs=LIMIT * step**2)
+    assert np.abs(run.position[-1] - run.position[0]).max() > 1e-3
+
+
+@BOTH
+def test_held_parts_keep_their_place_on_a_tilted_plate_that_turns(how, error):
+    cycle = waves(0.2, [[0.02, 0.01, 0.1]], [[0, 0, 0]])
+    position = np.array([[0.25, 0.1], [-0.1, 0.05]])
+    speed = [surface_velocity(cycle.pose(0)[0], cycle.twist(0)[0], p) for p in position]
+    ground = Ground(2.5, steep(1.5, 0.7))  # more than dynamic friction could hold
+    run = simulate(cycle, position, speed, MU, G, 20, ground=ground, **how)
+    late = to_plate(cycle.pose(0)[0], run.position[-1])
+    assert late == pytest.approx(to_plate(cycle.pose(0)[0], position), abs=max(error, 1e-12))
+
+
+@BOTH
+def test_a_plate_that_runs_away_carries_or_leaves_its_part(how, error):
+    # From rest, x = a t^2/2: it never closes.
+    for share, static in ((0.9, 1.0), (1.2, 1.3), (1.4, 1.3), (5.0, 1.0)):
+        pieces = np.zeros((1, 6, 3))
+        pieces[0, 2, :2] = 0.3 * share * LIMIT, 0.4 * share * LIMIT
+        motion = PlateMotion(np.array([0.0, 0.2]), pieces)
+        run = simulate(motion, STILL, STILL, MU, G, ground=Ground(static), **how)
+        held = share if share <= static else 1.0
+        way = 0.5 * held * LIMIT * 0.2**2 * np.array([0.6, 0.8])
+        assert run.position[-1, 0] == pytest.approx(way, abs=20 * error)
+
+
+def test_a_cycle_done_as_commanded_moves_parts_as_the_cycle_does():
+    cycle = waves(0.1, [[0.1, 0.05, 0.2]], [[0.02, 0.1, -0.1]])
+    for how in ({"tolerance": 1e-9}, {"samples": 500}):
+        a, b = (
+            simulate(motion, [[0.1, 0.2]], [[0.1, 0]], MU, G, ground=Ground(1.3, (0.02, 0)), **how)
+            for motion in (cycle, PlateMotion.of_cycle(cycle))
+        )
+        assert np.array_equal(a.position, b.position)
+        assert np.array_equal(a.velocity, b.velocity)
+
+
+def test_a_motion_that_need_not_close_is_not_repeated():
+    motion = PlateMotion.of_cycle(PlateCycle.rest(0.1))
+    with pytest.raises(PlateError, match="cycles is 2, allowed: 1 for a PlateMotion"):
+        simulate(motion, STILL, STILL, MU, cycles=2)
+
+
+def test_a_part_without_friction_falls_down_the_tilt():
+    pull = Ground(1.0, (0.1, 0.2)).pull(G)
+    for how in ({}, {"samples": 50}):
+        run = simulate(
+            PlateCycle.rest(0.1),
+            STILL,
+            [[0.3, 0]],
+            0.0,
+            G,
+            2,
+            ground=Ground(1.0, (0.1, 0.2)),
+            **how,
+        )
+        assert run.position[-1, 0] == pytest.approx([0.06, 0] + 0.02 * pull, abs=1e-14)
+        assert run.velocity[-1, 0] == pytest.approx([0.3, 0] + 0.2 * pull, abs=1e-14)
+
+
+def test_motion_in_one_direction_for_a_while_is_not_taken_for_a_line():
+    # The plate speeds up along x, and only later along y.
+    times = np.array([0.0, 0.05, 0.1])
+    pieces = np.zeros((2, 6, 3))
+    pieces[0, 2, 0] = 0.5 * 10
+    pieces[1, :3, 0] = 0.5 * 10 * 0.05**2, 10 * 0.05, 0.5 * 1.0
+    pieces[1, 2, 1] = 0.5 * 8.0
+    motion = PlateMotion(times, pieces)
+    exact = simulate(motion, STILL, STILL, MU, G, tolerance=1e-10)
+    steps = simulate(motion, STILL, STILL, MU, G, samples=20_000)
+    assert exact.position[-1] == pytest.approx(steps.position[-1], abs=1e-7)
+    assert exact.position[-1, 0, 1] > 1e-4
