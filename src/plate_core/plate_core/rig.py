@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import RigError
+from .lens import Lens
 from .yaml_fields import Fields, read_yaml
 
 
@@ -75,12 +76,13 @@ class Motor:
 @dataclass(frozen=True)
 class Camera:
     """The camera: image size [px], exposure [s], image points of the plate's corners at rest
-    (4 pairs, order of `Plate.corners`) [px]."""
+    (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated."""
 
     width_px: int
     height_px: int
     exposure_s: float
     corners_px: tuple[tuple[float, float], ...]
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True)
@@ -247,6 +249,24 @@ def _camera(fields: Fields) -> Camera:
         height_px=height,
         exposure_s=fields.number("exposure_s", 0, 0.1),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
+        lens=_lens(fields, width, height),
     )
     fields.finish()
     return camera
+
+
+def _lens(fields: Fields, width: int, height: int) -> Lens | None:
+    if not any(fields.has(key) for key in ("focal_px", "centre_px", "distortion")):
+        return None
+    fx, fy = fields.array("focal_px", (2,), 1, 1e6)
+    cx, cy = fields.array("centre_px", (2,), -1e6, 1e6)
+    distortion = [0.0] * 5
+    if fields.has("distortion"):
+        distortion = fields.array("distortion", (5,), -100, 100).tolist()
+    k1, k2, p1, p2, k3 = distortion
+    lens = Lens((float(fx), float(fy)), (float(cx), float(cy)), (k1, k2, p1, p2, k3))
+    across, down = np.linspace(0, width - 1, 33), np.linspace(0, height - 1, 33)
+    image = np.stack(np.meshgrid(across, down), axis=-1)
+    if not np.all(np.isfinite(lens.straighten(image))):
+        raise fields.fail("distortion", "one that does not fold the image")
+    return lens

@@ -71,6 +71,9 @@ SPOILT = [
     (("camera", "width_px"), 640.5, "width_px is 640.5, allowed: a whole number from 16 to 16384"),
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
+    (("camera", "focal_px"), [0, 900], "focal_px is .*, allowed: 2 numbers from 1 to"),
+    (("camera", "distortion"), [0.1] * 4, "distortion is .*, allowed: 5 numbers from -100 to 100"),
+    (("camera", "distortion"), [-2, 0, 0, 0, 0], "allowed: one that does not fold the image"),
     (("extra",), 1, r"rig\.yaml: unknown key extra"),
 ]
 

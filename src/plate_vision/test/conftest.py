@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 WIDTH_PX, HEIGHT_PX = 640, 480
-CORNERS_PX = np.array([[22.0, 388.0], [618.0, 391.0], [613.0, 93.0], [27.0, 90.0]])
+CORNERS_PX = np.array([[21.01, 387.25], [617.82, 389.5], [614.33, 93.94], [26.86, 91.35]])
 PLATE, ROOM = 220.0, 70.0
 GREY_OF = {"black": 40.0, "grey": 130.0}
 SUB = 10

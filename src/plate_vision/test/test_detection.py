@@ -173,7 +173,7 @@ def test_what_is_beside_the_plate_does_not_count(draw, corners_px, rng):
 def test_margin(draw, corners_px, rng):
     """With the plate a little displaced, a part's centre may seem to be beside it."""
     moved = corners_px + (0.0, -2.0)
-    centre = np.array([[300.0, 90.7], [400.0, 240.0]])  # y of the edge at rest there: 91.4
+    centre = np.array([[300.0, 91.85], [400.0, 240.0]])  # y of the edge at rest there: 92.55
     frame = draw(centre, ["black", "grey"], rng, corners=moved)
     assert error_px(detect(frame, OPTIONS, corners_px), centre, ["black", "grey"]).max() < 0.2
     found = detect(frame, DetectorOptions(radius_px=RADIUS_PX, margin_px=0), corners_px)
