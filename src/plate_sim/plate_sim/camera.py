@@ -1,14 +1,17 @@
-"""What the camera over the plate sees: two greys of round parts, shading, blur and noise."""
+"""What the camera over the plate sees: parts of two greys, lens, shading, blur and noise."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from plate_core import PlateError, Rig
-from plate_core.frames import homography, to_plate
+from plate_core.frames import homography, to_home
+
+from .outlines import DISCS, Outline, prepare
+from .raster import draw_parts, draw_plate, expose, image_slopes, pixel_places
 
 BACKGROUND, PLATE = 60.0, 220.0
 """Grey values of the room and the plate at full light."""
@@ -31,6 +34,19 @@ BLUR_STEP_PX = 0.1
 BLUR_MOST = 16
 """Most positions averaged over one exposure."""
 
+MARK_PLACE, MARK_RADIUS = 0.5, 0.3
+"""Where on a disc the mark of its angle is, and how large [radii]."""
+
+STRIP_STEP = 0.002
+"""The strip along the plate's edge that is painted again is a multiple of this wide [m]: lists of
+its pixels are kept."""
+
+FAR = 1e6
+"""What a pixel looks at that no light reaches through the lens [m]: not the plate."""
+
+MARGIN_PX = 2.0
+"""Pixels looked at around a part, beyond where its edge should be."""
+
 
 def part_greys(classes: list[str]) -> np.ndarray:
     """Return the grey values (M,) of parts by their classes.
@@ -47,7 +63,9 @@ def part_greys(classes: list[str]) -> np.ndarray:
 
 
 class Camera:
-    """Renders images of one rig. Room and plate are drawn once and kept.
+    """Renders images of one rig. Room and plate at home are drawn once and kept, through the lens.
+
+    An instance works on one image at a time: threads need one each.
 
     Parameters
     ----------
@@ -59,10 +77,23 @@ class Camera:
     def __init__(self, rig: Rig, noise: float = NOISE) -> None:
         self._rig = rig
         self._noise = noise
+        self._lens = rig.camera.lens
+        if self._lens is not None and not self._lens.bends:
+            self._lens = None
         self._to_image = homography(rig)
-        self._to_home = np.linalg.inv(self._to_image)
-        self._light = _light(rig.camera.width_px, rig.camera.height_px)
-        self._empty = self._draw_plate(np.zeros(3))
+        height, width = rig.camera.height_px, rig.camera.width_px
+        self._light = _light(width, height)
+        self._places = self._look().reshape(height, width, 2)
+        corners = np.array(rig.camera.corners_px)
+        self._scale = float(np.linalg.norm(corners[1] - corners[0]) / rig.plate.length_m)
+        inside = np.min(rig.plate.half - np.abs(self._places), axis=2).ravel()
+        self._edge_distance = np.abs(inside)
+        self._edge: dict[int, np.ndarray] = {}
+        self._empty = np.empty((height, width), np.float32)
+        self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
+        self._canvas = np.empty_like(self._empty)
+        self._outline: Sequence[Outline | None] | None = None
+        self._polygons = DISCS
 
     def render(
         self,
@@ -71,50 +102,186 @@ class Camera:
         rng: np.random.Generator,
         velocity: np.ndarray | None = None,
         pose: np.ndarray | None = None,
+        *,
+        angle: np.ndarray | None = None,
+        outline: Sequence[Outline | None] | None = None,
     ) -> np.ndarray:
         """Return the image (height, width), uint8, of parts on the plate.
 
         Parameters
         ----------
-        position : (M, 2)
-            Parts when the exposure begins [m], plate_home.
+        position : (M, 2) or (s, M, 2)
+            Parts when the exposure begins [m], plate_home; or s times, equally spaced from the
+            exposure's beginning to its end.
         grey : (M,)
             Their grey values at full light.
         rng : numpy.random.Generator
             Picks the part of the noise bank that is used: one number per image.
         velocity : (M, 2), optional
-            Of the parts [m/s]: blurs them over the exposure. Zero if missing.
-        pose : (3,), optional
-            Of the plate [m, m, rad]; at home if missing, as at every start of a cycle.
+            Of the parts [m/s], if `position` is (M, 2): blurs them over the exposure. Zero if
+            missing.
+        pose : (3,) or (s, 3), optional
+            Of the plate [m, m, rad], once or s times over the exposure; at home if missing, as at
+            every start of a cycle that a rigid plate makes.
+        angle : (M,), optional
+            Of the parts [rad], counter-clockwise. Discs then carry a mark as bright as the plate,
+            in the direction of their angle.
+        outline : sequence of M, optional
+            What a part looks like, such as `Footprint.outline`; None for a disc of the rig's
+            radius. Prepared once as long as it is the same object.
+
+        Raises
+        ------
+        PlateError
+            If a value is not finite, or lengths disagree.
         """
-        canvas = self._empty.copy() if pose is None else self._draw_plate(np.asarray(pose, float))
-        position = np.array(position, float).reshape(-1, 2)
-        velocity = np.zeros_like(position) if velocity is None else np.asarray(velocity, float)
-        travel = velocity * self._rig.camera.exposure_s
-        if len(position):
-            _draw_discs(
-                canvas, self._light, self._to_image, self._to_home, position, travel,
-                np.asarray(grey, float), self._rig.parts.radius_m,
-            )  # fmt: skip
+        path = self._path(position, velocity)
+        count = path.shape[1]
+        grey = _checked("grey", grey, (count,))
+        canvas = self._canvas
+        np.copyto(canvas, self._empty)
+        if pose is not None and np.any(pose):
+            self._move_plate(canvas, _samples("pose", pose, (3,)))
+        if count:
+            turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
+            self._draw(canvas, path, grey, turns, angle is not None, outline)
         image = np.empty(canvas.shape, np.uint8)
         offset = rng.integers(NOISE_BANK)
-        _expose(canvas.ravel(), _noise_bank(), self._noise, offset, image.ravel())
+        bank = _noise_bank(canvas.size)[offset : offset + canvas.size]
+        expose(canvas.ravel(), bank, self._noise, image.ravel())
         return image
 
-    def _draw_plate(self, pose: np.ndarray) -> np.ndarray:
-        """Return room and plate without parts (height, width), float32."""
+    def _look(self) -> np.ndarray:
+        """Return the places (n, 2) [m, plate_home] that the pixels look at, row by row."""
         camera = self._rig.camera
-        v, u = np.mgrid[: camera.height_px, : camera.width_px]
-        pixels = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
-        home = self._to_home @ pixels
-        inside = self._rig.plate.half - np.abs(to_plate(pose, (home[:2] / home[2]).T))
-        scale = self._pixels_per_metre()
-        cover = np.prod(np.clip(inside * scale + 0.5, 0, 1), axis=1).reshape(u.shape)
-        return ((BACKGROUND + (PLATE - BACKGROUND) * cover) * self._light).astype(np.float32)
+        v, u = np.mgrid[: camera.height_px, : camera.width_px].astype(float)
+        pixel = np.stack([u.ravel(), v.ravel()], axis=1)
+        if self._lens is not None:
+            pixel = self._lens.straighten(pixel)
+        places = pixel_places(np.linalg.inv(self._to_image), pixel)
+        return np.nan_to_num(places, nan=FAR)
 
-    def _pixels_per_metre(self) -> float:
-        corners = np.array(self._rig.camera.corners_px)
-        return float(np.linalg.norm(corners[1] - corners[0]) / self._rig.plate.length_m)
+    def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
+        """Return positions (s, M, 2) [m], at least two, over the exposure."""
+        position = np.asarray(position, dtype=float)
+        if position.ndim == 3 and velocity is not None:
+            raise PlateError("velocity: allowed only with positions (M, 2), not over the exposure")
+        if position.ndim != 3:
+            position = position.reshape(1, -1, 2)
+        path = _samples("position", position, position.shape[1:])
+        if len(path) > 1:
+            return path
+        if velocity is None:
+            return np.concatenate([path, path])
+        velocity = _checked("velocity", velocity, path.shape[1:])
+        return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
+
+    def _draw(
+        self,
+        canvas: np.ndarray,
+        path: np.ndarray,
+        grey: np.ndarray,
+        angle: np.ndarray,
+        marked: bool,
+        outline: Sequence[Outline | None] | None,
+    ) -> None:
+        """Draw parts, and then the marks on those that are discs."""
+        if outline is not self._outline:
+            self._polygons = DISCS if outline is None else prepare(outline)
+            self._outline = outline
+        edges, pieces, first, reach = self._polygons
+        if outline is None:
+            first, reach = np.zeros(len(grey) + 1, np.int64), np.zeros(len(grey))
+        if len(reach) != len(grey):
+            raise PlateError(f"outline: {len(reach)} for {len(grey)} parts, allowed: as many")
+        disc = reach == 0
+        radius = np.where(disc, self._rig.parts.radius_m, reach)
+        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        if marked and np.any(disc):
+            there = path[:, disc] + MARK_PLACE * self._rig.parts.radius_m * turn[disc]
+            path = np.concatenate([path, there], axis=1)
+            grey = np.append(grey, np.full(there.shape[1], PLATE))
+            radius = np.append(radius, MARK_RADIUS * radius[disc])
+            turn = np.concatenate([turn, turn[disc]])
+            first = np.append(first, np.full(there.shape[1], first[-1]))
+        window, scale, copies = self._windows(path, radius)
+        draw_parts(
+            canvas, self._light, self._places, window, scale, copies, path, radius, turn, grey,
+            edges, pieces, first,
+        )  # fmt: skip
+
+    def _windows(
+        self, path: np.ndarray, radius: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where parts are in the image: rows and columns (n, 4), pixels per metre (n,), and
+        how many positions are averaged (n,)."""
+        middle = 0.5 * (path[0] + path[-1])
+        seen, slopes = np.empty(middle.shape), np.empty((len(middle), 2, 2))
+        image_slopes(self._to_image, middle, seen, slopes)
+        if self._lens is not None:
+            slopes = self._lens.slopes(seen) @ slopes
+            seen = self._lens.bend(seen)
+        area = np.abs(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
+        square = np.sum(slopes**2, axis=(1, 2))
+        longest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4 * area**2, 0))))
+        spread = np.linalg.norm(path - middle, axis=2).max(axis=0)
+        # A tenth more, as the scale changes across a part.
+        reach = 1.1 * longest * (radius + spread) + MARGIN_PX
+        size = np.array([self._rig.camera.width_px, self._rig.camera.height_px])
+        low = np.clip(seen - reach[:, None], 0, size).astype(int)
+        high = np.clip(seen + reach[:, None] + 1, 0, size).astype(int)
+        window = np.stack([low[:, 1], high[:, 1], low[:, 0], high[:, 0]], axis=1)
+        scale = np.sqrt(area)
+        length = np.linalg.norm(np.diff(path, axis=0), axis=2).sum(axis=0)
+        return window, scale, _copies(length * scale)
+
+    def _move_plate(self, canvas: np.ndarray, poses: np.ndarray) -> None:
+        """Paint what changes when the plate is not at home but at poses (s, 3)."""
+        corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
+        away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
+        travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
+        steps = int(np.ceil((away + 1 / self._scale) / STRIP_STEP))
+        if steps not in self._edge:
+            self._edge[steps] = np.flatnonzero(self._edge_distance <= steps * STRIP_STEP)
+        self._paint_plate(canvas, poses, self._edge[steps], float(travel))
+
+    def _paint_plate(
+        self, canvas: np.ndarray, poses: np.ndarray, pixels: np.ndarray, travel: float
+    ) -> None:
+        copies = int(_copies(np.array(travel * self._scale)))
+        draw_plate(
+            canvas.ravel(), self._light.ravel(), self._places.reshape(-1, 2), pixels, poses, copies,
+            travel, self._rig.plate.half, self._scale, BACKGROUND, PLATE,
+        )  # fmt: skip
+
+
+def _copies(length_px: np.ndarray) -> np.ndarray:
+    """Return how many positions are averaged along ways (n,) [px]."""
+    return np.minimum(BLUR_MOST, 1 + length_px / BLUR_STEP_PX).astype(int)
+
+
+def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return finite numbers of a shape, the first axis of which counts parts."""
+    array = np.ascontiguousarray(value, dtype=float)
+    if array.shape != shape:
+        raise PlateError(f"{name}: shape is {array.shape}, allowed: {shape}")
+    if not np.all(np.isfinite(array)):
+        part = int(np.argwhere(~np.isfinite(array))[0][0])
+        raise PlateError(f"{name}: of part {part} is {array[part]}, allowed: finite numbers")
+    return array
+
+
+def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return finite numbers (s, *shape), at least one sample; a single one may lack its axis."""
+    array = np.ascontiguousarray(value, dtype=float)
+    if array.shape == shape:
+        array = array[None]
+    if array.shape[1:] != shape or not len(array):
+        size = ", ".join(map(str, shape))
+        raise PlateError(f"{name}: shape is {array.shape}, allowed: ({size}) or (s, {size})")
+    if not np.all(np.isfinite(array)):
+        raise PlateError(f"{name}: not all are finite, allowed: finite numbers")
+    return array
 
 
 def _light(width: int, height: int) -> np.ndarray:
@@ -124,53 +291,9 @@ def _light(width: int, height: int) -> np.ndarray:
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2
 
 
-@lru_cache(maxsize=1)
-def _noise_bank() -> np.ndarray:
-    """Normal deviates (`NOISE_BANK`,), float32; the same in every run."""
-    return np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
-
-
-@njit(cache=True)
-def _expose(canvas, bank, noise, offset, image):
-    """Add noise to the canvas (n,) and round it to the image (n,)."""
-    noise = np.float32(noise)
-    for i in range(len(canvas)):
-        value = canvas[i] + noise * bank[(i + offset) & (NOISE_BANK - 1)] + np.float32(0.5)
-        image[i] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
-
-
-@njit(cache=True)
-def _draw_discs(canvas, light, to_image, to_home, position, travel, grey, radius):
-    """Blend discs into the canvas; each is averaged along its travel (2,) [m]."""
-    height, width = canvas.shape
-    for i in range(len(position)):
-        middle = position[i] + 0.5 * travel[i]
-        scale, u, v = _scale(to_image, middle)
-        length = np.sqrt(travel[i, 0] ** 2 + travel[i, 1] ** 2)
-        copies = int(min(BLUR_MOST, 1 + length * scale / BLUR_STEP_PX))
-        reach = scale * (radius + 0.5 * length) * 1.1 + 2
-        for row in range(max(0, int(v - reach)), min(height, int(v + reach) + 2)):
-            for col in range(max(0, int(u - reach)), min(width, int(u + reach) + 2)):
-                w = to_home[2, 0] * col + to_home[2, 1] * row + to_home[2, 2]
-                x = (to_home[0, 0] * col + to_home[0, 1] * row + to_home[0, 2]) / w
-                y = (to_home[1, 0] * col + to_home[1, 1] * row + to_home[1, 2]) / w
-                cover = 0.0
-                for k in range(copies):
-                    share = (k + 0.5) / copies
-                    dx = x - position[i, 0] - share * travel[i, 0]
-                    dy = y - position[i, 1] - share * travel[i, 1]
-                    inside = (radius - np.sqrt(dx * dx + dy * dy)) * scale
-                    cover += min(max(inside + 0.5, 0.0), 1.0) / copies
-                canvas[row, col] += cover * (grey[i] * light[row, col] - canvas[row, col])
-
-
-@njit(cache=True)
-def _scale(to_image, point):
-    """Pixels per metre at a point [m], from the area of its image, and the image (u, v)."""
-    a = to_image
-    w = a[2, 0] * point[0] + a[2, 1] * point[1] + a[2, 2]
-    u = (a[0, 0] * point[0] + a[0, 1] * point[1] + a[0, 2]) / w
-    v = (a[1, 0] * point[0] + a[1, 1] * point[1] + a[1, 2]) / w
-    ux, uy = (a[0, 0] - u * a[2, 0]) / w, (a[0, 1] - u * a[2, 1]) / w
-    vx, vy = (a[1, 0] - v * a[2, 0]) / w, (a[1, 1] - v * a[2, 1]) / w
-    return np.sqrt(abs(ux * vy - uy * vx)), u, v
+@lru_cache(maxsize=4)
+def _noise_bank(pixels: int) -> np.ndarray:
+    """Normal deviates (`NOISE_BANK` + pixels,), float32, the bank over and over again; the same
+    in every run."""
+    bank = np.random.default_rng(0).standard_normal(NOISE_BANK, dtype=np.float32)
+    return np.resize(bank, NOISE_BANK + pixels)
