@@ -150,7 +150,7 @@ class PlateCycle:
             array.setflags(write=False)
         pose, twist, accel = states
         with np.errstate(all="ignore"):
-            coefficients = _quintic(times, pose, twist, accel)
+            coefficients = quintic_pieces(times, pose, twist, accel)
         if not np.all(np.isfinite(coefficients)):
             raise CycleError("knots are too large, or too close in time, to compute a motion")
         return cls(times, pose, twist, accel, coefficients)
@@ -231,7 +231,7 @@ def _bezier(pieces: int) -> np.ndarray:
     return np.array(rows)
 
 
-def _quintic(
+def quintic_pieces(
     times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
 ) -> np.ndarray:
     """Coefficients (k, 6, 3) of the quintic that takes on both ends' value and derivatives."""

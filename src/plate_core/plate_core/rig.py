@@ -10,6 +10,7 @@ import numpy as np
 
 from .errors import RigError
 from .lens import Lens
+from .suspension import Suspension, read_suspension
 from .yaml_fields import Fields, read_yaml
 
 
@@ -87,7 +88,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Rig:
-    """All facts of one rig."""
+    """All facts of one rig; without a suspension the plate is rigid and does as commanded."""
 
     plate: Plate
     friction: Friction
@@ -95,6 +96,7 @@ class Rig:
     limits: Limits
     motors: tuple[Motor, ...]
     camera: Camera
+    suspension: Suspension | None = None
 
     @property
     def gamma(self) -> float:
@@ -155,13 +157,15 @@ def load_rig(path: str | Path | None = None) -> Rig:
         value and what is allowed.
     """
     fields = read_yaml(path or default_rig_path(), RigError)
+    plate = _plate(fields.child("plate"))
     rig = Rig(
-        plate=_plate(fields.child("plate")),
+        plate=plate,
         friction=_friction(fields.child("friction")),
         parts=_parts(fields.child("parts")),
         limits=_limits(fields.child("limits")),
         motors=_motors(fields.child("motors")),
         camera=_camera(fields.child("camera")),
+        suspension=_suspension(fields, plate),
     )
     fields.finish()
     if rig.gamma <= 1:
@@ -180,6 +184,13 @@ def _plate(fields: Fields) -> Plate:
     )
     fields.finish()
     return plate
+
+
+def _suspension(fields: Fields, plate: Plate) -> Suspension | None:
+    if not fields.has("suspension"):
+        return None
+    sides = (plate.length_m, plate.width_m)
+    return read_suspension(fields.child("suspension"), plate.mass_kg, sides)
 
 
 def _friction(fields: Fields) -> Friction:

@@ -1,0 +1,180 @@
+"""How the plate hangs and how its motors push: what a real rig adds to a rigid, obedient plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, pi
+
+import numpy as np
+
+from .errors import RigError
+from .yaml_fields import Fields
+
+Matrix = tuple[tuple[float, float, float], ...]
+
+STIFFEST = 1e9
+"""Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
+
+ASYMMETRY = 1e-6
+"""Greatest difference of entries that should mirror each other, as a share of the largest."""
+
+
+@dataclass(frozen=True)
+class Suspension:
+    """The plate on its flexures, and the motors' drive.
+
+    Matrices (3, 3) act on the pose x, y, theta [m, m, rad] in plate_home, and are symmetric; one
+    that is not diagonal couples the degrees of freedom.
+
+    Attributes
+    ----------
+    mass : matrix
+        [kg, kg m, kg m2], positive.
+    damping, stiffness : matrix
+        Of the flexures [N s/m, ...] and [N/m, ...], not negative.
+    feedforward : (3,)
+        Shares of the forces of mass, damping and stiffness that the drive supplies in advance for
+        the motion it is commanded: (1, 1, 1) knows the plate by heart, (1, 0, 0) takes it for free
+        and rigid, (0, 0, 1) for flexures without mass.
+    motor_gain : (4,)
+        Force of each motor over the force asked of it.
+    motor_bandwidth_hz : float
+        Corner [Hz] of the motors' first-order lag; inf: none.
+    servo : (2,)
+        Stiffness [N/m] and damping [N s/m] by which each motor follows its own setpoint.
+    """
+
+    mass: Matrix
+    damping: Matrix
+    stiffness: Matrix
+    feedforward: tuple[float, float, float]
+    motor_gain: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    motor_bandwidth_hz: float = inf
+    servo: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "damping", "stiffness"):
+            matrix = np.array(getattr(self, name), dtype=float)
+            object.__setattr__(self, name, _checked(name, matrix))
+        for name, size in (("feedforward", 3), ("motor_gain", 4), ("servo", 2)):
+            values = np.array(getattr(self, name), dtype=float)
+            if values.shape != (size,) or not np.all(np.isfinite(values) & (values >= 0)):
+                raise RigError(
+                    f"suspension: {name} is {getattr(self, name)!r}, "
+                    f"allowed: {size} numbers, not negative"
+                )
+            object.__setattr__(self, name, tuple(values.tolist()))
+        if not self.motor_bandwidth_hz > 0:
+            raise RigError(
+                f"suspension: motor_bandwidth_hz is {self.motor_bandwidth_hz!r}, "
+                "allowed: more than 0"
+            )
+
+
+def _checked(name: str, matrix: np.ndarray) -> Matrix:
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+        raise RigError(f"suspension: {name} is {matrix.tolist()!r}, allowed: 3 x 3 finite numbers")
+    size = float(np.max(np.abs(matrix)))
+    if np.max(np.abs(matrix - matrix.T)) > ASYMMETRY * size:
+        raise RigError(f"suspension: {name} is {matrix.tolist()!r}, allowed: a symmetric matrix")
+    matrix = (matrix + matrix.T) / 2
+    least = float(np.min(np.linalg.eigvalsh(matrix)))
+    if least < -1e-12 * size or (name == "mass" and least <= 0):
+        kind = "positive" if name == "mass" else "not negative"
+        raise RigError(
+            f"suspension: {name} has the eigenvalue {least:.3g}, allowed: a matrix that is {kind}"
+        )
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def mass_matrix(
+    mass_kg: float, inertia_kgm2: float, centre_of_mass_m: tuple[float, float] = (0.0, 0.0)
+) -> Matrix:
+    """Return the mass matrix of a plate for its pose at home.
+
+    Parameters
+    ----------
+    inertia_kgm2 : float
+        About the centre of mass.
+    centre_of_mass_m : (2,)
+        At rest [m, plate_home].
+    """
+    x, y = centre_of_mass_m
+    return (
+        (mass_kg, 0.0, -mass_kg * y),
+        (0.0, mass_kg, mass_kg * x),
+        (-mass_kg * y, mass_kg * x, inertia_kgm2 + mass_kg * (x * x + y * y)),
+    )
+
+
+def modal_matrices(
+    mass: Matrix, frequency_hz: np.ndarray, damping_ratio: np.ndarray
+) -> tuple[Matrix, Matrix]:
+    """Return damping and stiffness (3, 3) of flexures that do not couple x, y and theta.
+
+    Parameters
+    ----------
+    frequency_hz, damping_ratio : (3,)
+        Natural frequency [Hz] and damping ratio of x, y and theta, each with the others held.
+    """
+    diagonal = np.diag(np.array(mass))
+    omega = 2 * pi * np.asarray(frequency_hz)
+    damping = np.diag(2 * np.asarray(damping_ratio) * omega * diagonal)
+    stiffness = np.diag(omega**2 * diagonal)
+    return _checked("damping", damping), _checked("stiffness", stiffness)
+
+
+def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]) -> Suspension:
+    """Return the suspension that a rig file describes.
+
+    Parameters
+    ----------
+    mass_kg, sides_m : float, (2,)
+        The plate: its mass [kg] and sides [m], for the inertia of a uniform plate where none is
+        given.
+
+    Raises
+    ------
+    RigError
+        If a key is missing, unknown, or its value is out of range.
+    """
+    uniform = mass_kg * (sides_m[0] ** 2 + sides_m[1] ** 2) / 12
+    inertia = fields.number("inertia_kgm2", 1e-9, 1e6, default=uniform)
+    centre = _vector(fields, "centre_of_mass_m", (0.0, 0.0), -10, 10)
+    mass = mass_matrix(mass_kg, inertia, (centre[0], centre[1]))
+    if fields.has("stiffness") or fields.has("damping"):
+        damping = _matrix(fields, "damping")
+        stiffness = _matrix(fields, "stiffness")
+    else:
+        damping, stiffness = modal_matrices(
+            mass,
+            fields.array("frequency_hz", (3,), 0, 1e3),
+            fields.array("damping_ratio", (3,), 0, 2),
+        )
+    known = fields.child("feedforward")
+    shares = [known.number(key, 0, 2) for key in ("mass", "damping", "stiffness")]
+    known.finish()
+    gain = _vector(fields, "motor_gain", (1.0,) * 4, 0.1, 3)
+    bandwidth = fields.number("motor_bandwidth_hz", 1, 1e4, default=inf)
+    stiff, damped = 0.0, 0.0
+    if fields.has("servo"):
+        servo = fields.child("servo")
+        stiff, damped = servo.number("stiffness_npm", 0, 1e7), servo.number("damping_nspm", 0, 1e5)
+        servo.finish()
+    fields.finish()
+    return Suspension(
+        mass, damping, stiffness, (shares[0], shares[1], shares[2]),
+        (gain[0], gain[1], gain[2], gain[3]), bandwidth, (stiff, damped),
+    )  # fmt: skip
+
+
+def _vector(
+    fields: Fields, key: str, default: tuple[float, ...], low: float, high: float
+) -> tuple[float, ...]:
+    if not fields.has(key):
+        return default
+    return tuple(fields.array(key, (len(default),), low, high).tolist())
+
+
+def _matrix(fields: Fields, key: str) -> Matrix:
+    return _checked(key, fields.array(key, (3, 3), -STIFFEST, STIFFEST))
