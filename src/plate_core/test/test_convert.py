@@ -1,12 +1,19 @@
 """Messages: what goes out comes back, and what is wrong is named."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 
 from plate_core import CycleError, PartSet, PlateCycle, PlateError, load_rig
+from plate_core.frames import to_image
+from plate_core.lens import Lens
 
 pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
 
 from plate_core.ros import convert
 
@@ -150,3 +157,32 @@ def test_wrong_parts(change, message):
     change(msg)
     with pytest.raises(PlateError, match=message):
         convert.msg_to_parts(msg)
+
+
+def test_camera_info_tells_where_points_are_seen():
+    """Judged by OpenCV, from nothing but the message and the plate's corners in the image."""
+    lens = Lens((900.0, 910.0), (315.0, 244.0), (-0.3, 0.1, 1e-3, -1e-3, 0.02))
+    rotation, place = cv2.Rodrigues(np.array([3.09, 0.02, 0.01]))[0], np.array([0.01, 0.0, 0.92])
+    rays = (np.column_stack([RIG.plate.corners, np.zeros(4)]) @ rotation.T) + place
+    corners = lens.bend(lens.focal_px * (rays[:, :2] / rays[:, 2:]) + lens.centre_px)
+    camera = replace(RIG.camera, lens=lens, corners_px=tuple(map(tuple, corners.tolist())))
+    info = convert.camera_to_info(camera, Header(frame_id="camera"))
+    info = deserialize_message(serialize_message(info), CameraInfo)
+    assert (info.width, info.height, info.distortion_model) == (640, 480, "plumb_bob")
+    k, d, p = np.reshape(info.k, (3, 3)), np.array(info.d), np.reshape(info.p, (3, 4))
+    point = np.random.default_rng(0).uniform(-1, 1, (50, 2)) * RIG.plate.half
+    there = np.column_stack([point, np.zeros(50)])
+    seen = cv2.projectPoints(there, cv2.Rodrigues(rotation)[0], place, k, d)[0][:, 0]
+    assert np.allclose(to_image(replace(RIG, camera=camera), point), seen, atol=1e-6)
+    assert np.array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
+    straight = (there @ rotation.T + place) @ p[:, :3].T + p[:, 3]
+    assert np.allclose(straight[:, :2] / straight[:, 2:], lens.straighten(seen), atol=1e-6)
+
+
+def test_camera_info_of_a_camera_without_calibration():
+    """K[0] = 0, as sensor_msgs/CameraInfo wants it."""
+    info = convert.camera_to_info(replace(RIG.camera, lens=None), Header())
+    assert (info.width, info.height) == (640, 480)
+    assert not np.any(info.k)
+    assert not np.any(info.p)
+    assert len(info.d) == 0

@@ -18,6 +18,7 @@ from plate_core.limits import CycleUsage
 from plate_core.parts import part_class
 from plate_core.ros.convert import (
     array_to_image,
+    camera_to_info,
     msg_to_motors,
     nanoseconds,
     parts_to_msg,
@@ -196,21 +197,9 @@ class SimulatorNode(Node):
         if self._simulated_time:
             self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
         self._images.publish(self._image)
-        self._infos.publish(self._camera_info())
+        self._infos.publish(camera_to_info(self._rig.camera, self._image.header))
         if self._options.lockstep:
             self._repeat.reset()
-
-    def _camera_info(self) -> CameraInfo:
-        """Nominal pinhole without distortion: the rig's corners are the calibration."""
-        camera = self._rig.camera
-        focal, u, v = float(camera.width_px), camera.width_px / 2, camera.height_px / 2
-        info = CameraInfo(header=self._image.header, distortion_model="plumb_bob")
-        info.width, info.height = camera.width_px, camera.height_px
-        info.d = [0.0] * 5
-        info.k = [focal, 0.0, u, 0.0, focal, v, 0.0, 0.0, 1.0]
-        info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-        info.p = [focal, 0.0, u, 0.0, 0.0, focal, v, 0.0, 0.0, 0.0, 1.0, 0.0]
-        return info
 
     def _report(self) -> None:
         limits, used, dropped = self._rig.limits, self._usage, self._state.dropped

@@ -116,6 +116,7 @@ def test_lockstep_waits_and_asks_again():
         loop.answer = good
         assert loop.spin(lambda: len(loop.images) >= 3)
         assert (loop.infos[0].width, loop.infos[0].height) == (640, 480)
+        assert np.array_equal(np.reshape(loop.infos[0].k, (3, 3)), RIG.camera.lens.matrix)
 
 
 def spoilt(index, stamp):

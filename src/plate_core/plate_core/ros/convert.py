@@ -7,7 +7,7 @@ import array
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Transform, Twist, Wrench
-from sensor_msgs.msg import Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -15,7 +15,7 @@ from ..cycle import PlateCycle
 from ..errors import CycleError, PlateError
 from ..kinematics import motor_state, plate_state
 from ..parts import PartSet
-from ..rig import Rig
+from ..rig import Camera, Rig
 
 FRAME = "plate_home"
 PLATE_JOINTS = ["x", "y", "theta"]
@@ -214,3 +214,16 @@ def image_to_array(msg: Image) -> np.ndarray:
         raise PlateError(f"image: {len(msg.data)} bytes of data, allowed: {msg.step * msg.height}")
     pixels = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, :row]
     return pixels if channels == 1 else pixels.reshape(msg.height, msg.width, 3)
+
+
+def camera_to_info(camera: Camera, header: Header) -> CameraInfo:
+    """Return a rig's camera as a message: K, D and P zero if its lens is not known."""
+    info = CameraInfo(header=header, width=camera.width_px, height=camera.height_px)
+    info.distortion_model = "plumb_bob"
+    if camera.lens is not None:
+        matrix = camera.lens.matrix
+        info.d = list(camera.lens.distortion)
+        info.k = matrix.ravel().tolist()
+        info.r = np.eye(3).ravel().tolist()
+        info.p = np.column_stack([matrix, np.zeros(3)]).ravel().tolist()
+    return info
