@@ -1,14 +1,13 @@
 """Footprints: where a rigid part touches the plate, with what share of its weight, and its inertia.
 
 Friction acts all over a footprint, so a slip that differs from place to place also turns the part
-(section 3.1.2 of the paper). The integral over the footprint is a sum over quadrature points: a
-polar rule for discs, Gauss's rule for parallelograms, triangles of degree 2 for other polygons.
-All are exact for polynomials of degree 2: mass, centre and inertia have no quadrature error.
+(section 3.1.2 of the paper). For a disc that integral is known (`disc_friction`). For others it is
+a sum over quadrature points: Gauss's rule for parallelograms, triangles of degree 2 for the rest.
+Both are exact for polynomials of degree 2: mass, centre and inertia have no quadrature error.
 
 The friction force and torque are in error by at most, in mu m g (times the radius of gyration):
 
     points        12      24      48      96     192
-    disc       0.077   0.049   0.022   0.014   0.007
     square     0.077   0.041   0.020   0.011   0.005
     bar 8 : 1  0.098   0.036   0.020   0.009   0.005
     L-shape    0.121   0.048   0.022   0.012   0.005
@@ -22,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from numbers import Integral
 
 import numpy as np
@@ -29,6 +29,8 @@ import numpy as np
 from plate_core import PlateError
 
 from . import quadrature
+from .disc_friction import disc_force
+from .touching import corners_of
 
 POINTS = 48
 """Default number of quadrature points, about: friction within 3 % of mu m g at worst."""
@@ -60,14 +62,17 @@ class Footprint:
     inertia : float
         About the vertical axis through the centre of mass [kg m2].
     points : (n, 2)
-        Where the part presses on the plate [m].
+        Where the part presses on the plate [m]; none if it does so evenly, all over a disc.
     weights : (n,)
         Share of the part's weight on each point; their sum is 1.
     blur : (n,)
         Each point stands for a cell about so large [m]: in a part that turns by the slip c, the
         cell's mean slip is sqrt(|slip at the point|^2 + (c blur)^2). 0 for a real foot.
     outline : tuple of (k, 2)
-        Corners of the convex polygons that it consists of [m], counter-clockwise; to draw it.
+        Corners of the convex polygons that it consists of [m], counter-clockwise; of a disc, to
+        draw it only.
+    radius : float
+        Of a disc [m], whose rim is round; else 0.
     """
 
     mass: float
@@ -76,6 +81,25 @@ class Footprint:
     weights: np.ndarray
     blur: np.ndarray
     outline: tuple[np.ndarray, ...]
+    radius: float = 0.0
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """Corners (n, 5) of the outline as `touching` has them; none of a disc."""
+        return np.empty((0, 5)) if self.radius else corners_of(self.outline)
+
+    @cached_property
+    def reach(self) -> float:
+        """Greatest distance [m] of the rim from the centre of mass."""
+        return self.radius or float(max(np.hypot(*piece.T).max() for piece in self.outline))
+
+    @cached_property
+    def slim(self) -> float:
+        """About half the least width [m]: twice the area of the slimmest piece by its rim."""
+        return self.radius or min(
+            2 * quadrature.area(piece) / np.linalg.norm(piece - np.roll(piece, 1, 0), axis=1).sum()
+            for piece in self.outline
+        )
 
     @property
     def gyration2(self) -> float:
@@ -97,6 +121,8 @@ class Footprint:
             Force [mu m g] and torque about the centre of mass [mu m g times metre].
         """
         slip = np.asarray(slip, dtype=float).reshape(-1, 1, 3)
+        if not len(self.points):
+            return np.array([self._disc_friction(*row[0]) for row in slip]).reshape(-1, 3)
         x, y = self.points.T
         u, v = slip[..., 0] - slip[..., 2] * y, slip[..., 1] + slip[..., 2] * x
         turn = slip[..., 2] * self.blur**2
@@ -106,15 +132,23 @@ class Footprint:
             [(share * u).sum(1), (share * v).sum(1), (share * (x * v - y * u + turn)).sum(1)], 1
         )
 
+    def _disc_friction(self, u: float, v: float, c: float) -> tuple[float, float, float]:
+        s = float(np.hypot(u, v))
+        if s == 0 and c == 0:
+            return 0.0, 0.0, 0.0
+        force, turn = disc_force(s, self.radius * abs(c))
+        share = force / s if s > 0 else 0.0
+        return share * u, share * v, float(np.copysign(self.radius * turn, c))
 
-def disc(
-    radius: float, *, mass: float = MASS, points: int = POINTS, inertia: float | None = None
-) -> Footprint:
-    """Return a disc's footprint [m]: rings of points, by Gauss's rule with weight r in radius."""
-    place, area = quadrature.disc_rule(_positive("radius", radius, "m"), _points(points))
+
+def disc(radius: float, *, mass: float = MASS, inertia: float | None = None) -> Footprint:
+    """Return the footprint of a disc [m] that presses evenly on the plate."""
+    radius, mass = _positive("radius", radius, "m"), _positive("mass", mass, "kg")
     corner = 2 * np.pi * np.arange(CORNERS_OF_DISC) / CORNERS_OF_DISC
     outline = radius * np.column_stack([np.cos(corner), np.sin(corner)])
-    return _build(place, area, (outline,), mass, inertia, None)
+    inertia = 0.5 * mass * radius**2 if inertia is None else _positive("inertia", inertia, "kg m2")
+    none = np.empty(0)
+    return Footprint(mass, inertia, np.empty((0, 2)), none, none, (outline,), radius)
 
 
 def bar(
@@ -228,8 +262,9 @@ def on_feet(footprint: Footprint, feet: np.ndarray, weights: np.ndarray | None =
                 f"weights have their centre {off:.3g} m from the centre of mass, allowed: 0"
             )
     return Footprint(
-        footprint.mass, footprint.inertia, feet, share, np.zeros(len(feet)), footprint.outline
-    )
+        footprint.mass, footprint.inertia, feet, share, np.zeros(len(feet)), footprint.outline,
+        footprint.radius,
+    )  # fmt: skip
 
 
 def friction_gap(one: Footprint, other: Footprint, slips: int = 4000) -> float:

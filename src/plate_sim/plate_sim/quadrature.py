@@ -1,4 +1,4 @@
-"""Points and weights that integrate over discs and convex polygons, exact to degree 2 and more."""
+"""Points and weights that integrate over convex polygons, exact to degree 2 and more."""
 
 from __future__ import annotations
 
@@ -11,29 +11,6 @@ ALIKE = 1e-9
 
 NEAR, FAR = 1 / 6, 2 / 3
 """Barycentric coordinates of the rule of degree 2 on a triangle: three points of equal weight."""
-
-
-def disc_rule(radius: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return about `count` points (n, 2) [m] in a disc, and the areas (n,) [m2] they stand for.
-
-    Rings by Gauss's rule with the weight r on [0, 1] (Golub and Welsch 1969), turned against each
-    other; at least two, so the second moment is exact.
-    """
-    rings = max(2, round(np.sqrt(count / 6)))
-    share = max(3, round(count / rings))
-    # The rule for 1 + x on [-1, 1]: recurrence of the Jacobi polynomials (0, 1).
-    n = np.arange(rings)
-    diagonal = 1 / ((2 * n + 1) * (2 * n + 3))
-    m = n[1:]
-    beside = np.sqrt(m * (m + 1)) / (2 * m + 1)
-    values, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1))
-    place, area = [], []
-    for k in range(rings):
-        angle = 2 * np.pi * (np.arange(share) + k / rings) / share
-        r = 0.5 * (1 + values[k]) * radius
-        place.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
-        area.append(np.full(share, np.pi * radius**2 * vectors[0, k] ** 2 / share))
-    return np.concatenate(place), np.concatenate(area)
 
 
 def polygon_rule(corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

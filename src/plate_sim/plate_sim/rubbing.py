@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+import numpy as np
 from numba import njit
 
 SLACK = 1e-6
@@ -30,6 +31,9 @@ SNAP = 1e-3
 
 ITERATIONS = 30
 """1 to 12 are needed; on feet, once in 5000 cases where a foot is a pivot, this many do not do."""
+
+TINY = 1e-200
+"""Added to a squared slip [m2/s2], so that none is divided by 0."""
 
 ROUND = 1e-4
 """Share of kick below which a point's friction is rounded off, so that Newton's steps converge."""
@@ -131,6 +135,29 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
     if dx * dx + dy * dy + gyration2 * dc * dc <= (SNAP * kick) ** 2:
         return 0.0, 0.0, 0.0
     return fx - wx, fy - wy, fc - wc / gyration2
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
+def rub(dx, dy, dc, gyration2, points, weights, blur):
+    """Friction of a slip (u, v, c) in the part's axes that does not vanish at any point.
+
+    Returns
+    -------
+    ax, ay, ac : float
+        Force [mu m g], and torque by m gyration2 [mu g / m].
+    stiff : float
+        Bound of how it changes with the slip [mu g / (m/s)].
+    """
+    fx = fy = fc = stiff = 0.0
+    for i in range(len(weights)):
+        x, y, b = points[i, 0], points[i, 1], blur[i]
+        u, v, w = dx - dc * y, dy + dc * x, dc * b
+        share = weights[i] / np.sqrt(u * u + v * v + w * w + TINY)
+        fx += share * u
+        fy += share * v
+        fc += share * (x * v - y * u + b * w)
+        stiff += share * (gyration2 + x * x + y * y)
+    return fx, fy, fc / gyration2, stiff / gyration2
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,10 @@
 """Footprints: exact moments, measured error of the friction sum, and wrong shapes."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from plate_core import PlateError
 from plate_sim.footprint import bar, disc, friction_gap, on_feet, polygon, union
@@ -22,7 +25,6 @@ def feet(radius, count=3):
 @pytest.mark.parametrize(
     ("shape", "gyration2"),
     [
-        (lambda n: disc(0.01, points=n), 0.01**2 / 2),
         (lambda n: bar(0.04, 0.005, points=n), (0.04**2 + 0.005**2) / 12),
         (lambda n: polygon(TRIANGLE, points=n), 2 * 0.02**2 / 18),
         # Two rectangles by the theorem of Steiner, about the centroid (11, 11) mm
@@ -39,16 +41,34 @@ def test_moments_are_exact(shape, gyration2, points):
 
 @pytest.mark.parametrize("turn", [1.0, -3.0])
 def test_torque_of_a_disc_that_turns_in_place(turn):
-    for points, error in [(12, 0.02), (48, 0.005), (192, 0.0015)]:
-        force = disc(0.01, points=points).friction([0, 0, turn])[0]
-        assert force[:2] == pytest.approx(0, abs=1e-12)
-        assert force[2] == pytest.approx(np.sign(turn) * 2 / 3 * 0.01, rel=error)
+    force = disc(0.01).friction([0, 0, turn])[0]
+    assert force == pytest.approx([0, 0, np.sign(turn) * 2 / 3 * 0.01], rel=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 0.02, 0.4, 0.97, 1.0, 1.03, 3, 60, 1e6])
+def test_friction_of_a_disc_agrees_with_scipy_quadrature(ratio):
+    # Centre slips at `ratio` times the rim; in rings r, the mean over the angle by quad.
+    def ring(r, kind):
+        def share(p):
+            u, v = ratio - r * np.sin(p), r * np.cos(p)
+            size = np.hypot(u, v)
+            return (u if kind == "force" else r * np.cos(p) * v - r * np.sin(p) * u) / size
+
+        return quad(share, -np.pi / 2, np.pi / 2, epsabs=1e-11)[0] * 2 * r / np.pi
+
+    edges = sorted({0.0, min(ratio, 1.0), 1.0})
+    force = disc(0.01).friction([0.6 * ratio, 0.8 * ratio, 1 / 0.01])[0]
+    for kind, ours in (("force", force[:2] @ [0.6, 0.8]), ("torque", force[2] / 0.01)):
+        truth = sum(
+            quad(ring, a, b, (kind,), epsabs=1e-9, limit=200)[0] for a, b in pairwise(edges)
+        )
+        assert ours == pytest.approx(truth, rel=1e-7, abs=1e-9)
+    assert force[:2] @ [-0.8, 0.6] == pytest.approx(0, abs=1e-15)
 
 
 @pytest.mark.parametrize(
     "shape",
     [
-        lambda n: disc(0.008, points=n),
         lambda n: bar(0.01, 0.01, points=n),
         lambda n: bar(0.04, 0.005, points=n),
         lambda n: union(L_SHAPE, points=n),
@@ -75,7 +95,7 @@ def test_pressure_has_its_centre_below_the_centre_of_mass():
 def test_mass_and_inertia():
     assert disc(0.01, mass=0.5).inertia == pytest.approx(0.5 * 0.5 * 1e-4)
     assert bar(0.1, 0.01, inertia=3e-6).inertia == 3e-6
-    assert len(disc(0.01, points=300).points) == pytest.approx(300, rel=0.1)
+    assert len(bar(0.01, 0.02, points=300).points) == pytest.approx(300, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +103,7 @@ def test_mass_and_inertia():
     [
         (lambda: disc(-1), "radius is -1 m, allowed: a positive number"),
         (lambda: disc(0.01, mass=np.nan), "mass is nan kg"),
-        (lambda: disc(0.01, points=3), "points is 3"),
+        (lambda: bar(0.01, 0.01, points=3), "points is 3"),
         (lambda: bar(0.1, 0), "width is 0 m"),
         (lambda: polygon([[0, 0], [1, 0]]), "corners has shape"),
         (lambda: polygon([[0, 0], [1, 0], [2, 0]]), "no area"),
