@@ -15,10 +15,11 @@ from numba import njit
 from plate_core import PlateCycle, PlateError
 
 # numba does not see changes in these: delete the cache then
-from .crowd import LANES, advance, drift_apart, sample_motion
+from .crowd import LANES, advance, drift_apart, fall, sample_motion
 from .friction import LARGEST
 from .impacts import push_off, separate
 from .neighbours import SKIN, by_place, near_pairs
+from .plate_motion import PlateMotion
 
 START_OVERLAP = 0.1
 """Greatest overlap at the start, as a share of the radius: less is left of a pressed crowd."""
@@ -77,15 +78,15 @@ def check_found(found: tuple[int, int, int, float], ids: tuple[str, ...], radius
         )
 
 
-def motion_of(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray]:
+def motion_of(cycle: PlateCycle | PlateMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return knots (K + 1,) [s] and powers (K, 6, 3) of the plate's motion."""
     return cycle.times, cycle.coefficients
 
 
 @njit(cache=True)
 def run_discs(
-    times, pieces, steps, cycles, limit, radius, half, bounce, rub, walls, position, velocity,
-    on_plate, path, speed,
+    times, pieces, steps, cycles, limit, pull, ratio, radius, half, bounce, rub, walls, position,
+    velocity, on_plate, path, speed,
 ):  # fmt: skip
     """Advance discs through cycles of the plate, in place.
 
@@ -97,6 +98,8 @@ def run_discs(
         Equal steps in a cycle, and cycles.
     limit : (M,)
         mu g of each part [m/s2].
+    pull, ratio : (2,), float
+        Acceleration of parts without friction [m/s2], and static over dynamic friction.
     radius : float
         Of all parts [m]; 0 means that they never touch.
     half : (2,)
@@ -141,6 +144,7 @@ def run_discs(
     order = np.arange(count)
     pairs, hits = np.empty((4 * room, 2), np.uint32), np.empty((4 * room, 2), np.uint32)
     found = 0
+    tilted = pull[0] != 0 or pull[1] != 0
     gap = 0.0  # the least of all pairs when they were listed, at x0, y0 [m]
     x0, y0 = np.empty(room), np.empty(room)
     for k in range(cycles * steps):
@@ -155,7 +159,9 @@ def run_discs(
             worst, i, j = _deepest(x, y, radius, pairs, found)
             if worst > START_OVERLAP * radius:
                 return OVERLAPPING, who[i], who[j], worst
-        advance(discs, work, pose, twist, row, step)
+        advance(discs, work, pose, twist, row, step, pull, ratio)
+        if tilted:
+            fall(discs, pull, step)
         for d in range(3):
             edge[d], edge[3 + d] = pose[row + 2, d], twist[row + 2, d]
         edge[8], edge[9] = np.cos(edge[2]), np.sin(edge[2])

@@ -11,6 +11,7 @@ from plate_core.scenario import Scenario, start_positions
 
 from .contacts import INELASTIC, Contacts, check_found, motion_of, run_discs
 from .friction import STEP, Trajectory, default_steps, friction_accel, pairs
+from .ground import LEVEL
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,9 @@ def _advance(
     samples = cycles * steps + 1 if record else 0
     path, speed = np.empty((samples, count, 2)), np.empty((samples, count, 2))
     found = run_discs(
-        *motion_of(cycle), steps, cycles, limit, rig.parts.radius_m, rig.plate.half,
-        contacts.restitution, contacts.friction, contacts.walls, position, velocity, on_plate,
-        path, speed,
+        *motion_of(cycle), steps, cycles, limit, LEVEL.pull(rig.friction.gravity),
+        LEVEL.static_ratio, rig.parts.radius_m, rig.plate.half, contacts.restitution,
+        contacts.friction, contacts.walls, position, velocity, on_plate, path, speed,
     )  # fmt: skip
     check_found(found, state.ids, rig.parts.radius_m)
     time = np.arange(samples) * (cycle.period / steps)
