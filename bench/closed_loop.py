@@ -9,14 +9,13 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from loop import Setup, summary, with_settings
+from spread import cluster, processes, spread
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, Rig, load_rig
 from plate_core.scenario import load_scenario
 
 
@@ -32,30 +31,36 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     rows = []
-    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs")
-    for row in _rows(setups, args):
-        rows.append(row)
-        print(_line(row), flush=True)
-        if args.json:
-            args.json.parent.mkdir(parents=True, exist_ok=True)
-            args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
+    try:
+        for row in _rows(setups, rig, args):
+            rows.append(row)
+            print(_line(row), flush=True)
+            if args.json:
+                args.json.parent.mkdir(parents=True, exist_ok=True)
+                args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     print(_conclusion(rows))
     return 0
 
 
-def _rows(setups: list[Setup], args: argparse.Namespace) -> Iterator[dict[str, object]]:
-    """Yield a row per run, in the order of the seeds, whatever the number of workers."""
-    if args.workers == 1:
-        rig = load_rig(args.rig)
+def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[dict[str, object]]:
+    """Yield a row per run, in the order of the seeds, whoever does the work."""
+    if args.workers == 1 and args.scheduler is None:
         for setup in setups:
             yield summary(setup, rig)
         return
-    with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_summary, setups, [args.rig] * len(setups))
+    place = processes(args.workers) if args.scheduler is None else cluster(args.scheduler)
+    with place as pool:
+        yield from spread(pool, summary, [(setup, rig) for setup in setups], _note)
 
 
-def _summary(setup: Setup, rig_file: str) -> dict[str, object]:
-    return summary(setup, load_rig(rig_file))
+def _note(text: str) -> None:
+    """Say on a terminal how far the work is, in a line that the next one overwrites."""
+    if sys.stderr.isatty():
+        print(f"\r{text}\x1b[K", end="\r", file=sys.stderr, flush=True)
 
 
 def _line(row: dict) -> str:
@@ -107,7 +112,9 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")
-    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--workers", type=int, default=1, help="processes (1)")
+    place.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: see spread.py")
     args = parser.parse_args()
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -42,21 +44,51 @@ def bench(program, *arguments):
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """Rows of the same two seeds, twice: run by one process and by two."""
+def tiny(tmp_path_factory):
+    """Run the same two seeds in a place given by arguments: returns the rows."""
     folder = tmp_path_factory.mktemp("bench")
-    scenario = folder / "tiny.yaml"
+    scenario, file = folder / "tiny.yaml", folder / "rows.json"
     scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
-    rows = []
-    for number, workers in enumerate((1, 2)):
-        file = folder / f"rows_{number}.json"
+
+    def run(*place):
         done = bench(
-            "closed_loop.py", "--scenario", scenario, "--seeds", "3:5", "--workers", workers,
-            "--json", file,
-        )  # fmt: skip
+            "closed_loop.py", "--scenario", scenario, "--seeds", "3:5", *place, "--json", file
+        )
         assert done.returncode == 0, done.stderr
-        rows.append(json.loads(file.read_text(encoding="utf-8")))
-    return rows
+        return json.loads(file.read_text(encoding="utf-8"))
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def runs(tiny):
+    """Rows of the same two seeds, twice: run by one process and by two."""
+    return [tiny("--workers", workers) for workers in (1, 2)]
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+with LocalCluster(
+    processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
+) as cluster:
+    print(cluster.scheduler_address, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """Address of a Dask cluster of two processes, that know the same code."""
+    pytest.importorskip("distributed")
+    path = os.pathsep.join([str(BENCH), *filter(None, sys.path)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", CLUSTER], env={**os.environ, "PYTHONPATH": path}, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    with process:
+        yield process.stdout.readline().strip()
+        process.stdin.close()
 
 
 def without_timings(rows):
@@ -81,6 +113,37 @@ def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
     assert without_timings(runs[1]) == without_timings(runs[0])
 
 
+def test_a_cluster_gives_the_same_rows(runs, tiny, scheduler):
+    assert without_timings(tiny("--scheduler", scheduler)) == without_timings(runs[0])
+
+
+def test_a_scheduler_that_does_not_answer_is_told_in_one_line():
+    pytest.importorskip("distributed")
+    with socket.socket() as taken:  # bound, but it does not listen
+        taken.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        done = bench("closed_loop.py", "--seeds", "3", "--scheduler", address)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"error: scheduler is {address!r}: no answer (")
+    assert "allowed: the address of a running `dask scheduler`" in last
+
+
+def test_without_dask_it_is_told_how_to_get_it():
+    code = (
+        "import runpy, sys; sys.modules['distributed'] = None; "
+        f"sys.path.insert(0, {str(BENCH)!r}); sys.argv[1:] = ['--scheduler', 'tcp://x:1']; "
+        f"runpy.run_path({str(BENCH / 'closed_loop.py')!r}, run_name='__main__')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: a scheduler needs Dask, which is not installed")
+    assert "pip install -r requirements-bench.txt" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("program", "arguments", "words"),
     [
@@ -88,6 +151,7 @@ def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
         ("closed_loop.py", ["--set", "colour=blue"], ("'colour'", "allowed", "method")),
         ("closed_loop.py", ["--set", "noise"], ("'noise'", "allowed", "key=value")),
         ("closed_loop.py", ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
+        ("closed_loop.py", ["--workers", "2", "--scheduler", "x"], ("--scheduler", "not allowed")),
         ("run.py", ["simulator"], ("'simulator'", "allowed", "closed_loop")),
     ],
 )
