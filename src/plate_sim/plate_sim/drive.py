@@ -41,12 +41,25 @@ class PlateState:
     overtravel_m : float
         By how much a motor exceeded its stroke in the cycle that ended here [m]; 0 if none did.
         The simulated motion takes no notice: a real rig would hit its stops.
+
+    Raises
+    ------
+    PlateError
+        If a shape is wrong or a value is not finite.
     """
 
     pose: np.ndarray
     twist: np.ndarray
     force: np.ndarray
     overtravel_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, size in (("pose", 3), ("twist", 3), ("force", 4)):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != (size,) or not np.all(np.isfinite(value)):
+                raise PlateError(
+                    f"plate's {name} is {value.tolist()}, allowed: {size} finite numbers"
+                )
 
     @classmethod
     def at_rest(cls) -> PlateState:

@@ -334,3 +334,16 @@ def test_unequal_motors_at_resonance_miss_what_was_commanded_by_half():
 def test_a_plate_that_is_not_held_is_refused(changes, message):
     with pytest.raises(PlateError, match=message):
         realise(rig(**changes), PlateState.at_rest(), wild())
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((np.zeros(3), [0, np.nan, 0], np.zeros(4)), "plate's twist is .*nan.*, allowed: 3 finite"),
+        ((np.zeros(2), np.zeros(3), np.zeros(4)), "plate's pose is .*, allowed: 3 finite numbers"),
+        ((np.zeros(3), np.zeros(3), [0, 0, 0, np.inf]), "plate's force is .*, allowed: 4 finite"),
+    ],
+)
+def test_a_state_that_is_none_is_refused(values, message):
+    with pytest.raises(PlateError, match=message):
+        PlateState(*values)
