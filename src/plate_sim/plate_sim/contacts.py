@@ -16,7 +16,8 @@ from plate_core import PlateCycle, PlateError
 
 # numba does not see changes in these: delete the cache then
 from .crowd import LANES, advance, drift_apart, fall, sample_motion
-from .friction import LARGEST
+from .friction import LARGEST, Trajectory, friction_accel, pairs
+from .ground import LEVEL, Ground
 from .impacts import push_off, separate
 from .neighbours import SKIN, by_place, near_pairs
 from .plate_motion import PlateMotion
@@ -81,6 +82,74 @@ def check_found(found: tuple[int, int, int, float], ids: tuple[str, ...], radius
 def motion_of(cycle: PlateCycle | PlateMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return knots (K + 1,) [s] and powers (K, 6, 3) of the plate's motion."""
     return cycle.times, cycle.coefficients
+
+
+def simulate_discs(
+    cycle: PlateCycle | PlateMotion,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    friction: float | np.ndarray,
+    radius: float,
+    half: np.ndarray,
+    contacts: Contacts = INELASTIC,
+    *,
+    gravity: float = 9.81,
+    ground: Ground = LEVEL,
+    steps: int,
+    cycles: int = 1,
+    record: bool = True,
+) -> tuple[Trajectory, np.ndarray]:
+    """Move discs that meet, in equal steps.
+
+    Parameters
+    ----------
+    cycle : PlateCycle or PlateMotion
+        Motion of the plate, repeated; a PlateMotion is run once.
+    position, velocity : (M, 2)
+        At the start [m], [m/s], plate_home.
+    friction : float or (M,)
+        Friction coefficient mu of the plate, for all discs or each.
+    radius, half : float, (2,)
+        Of all discs, and half sides of the plate [m].
+    contacts : Contacts
+        How discs touch.
+    gravity, ground : float, Ground
+        [m/s2]; tilt and static friction.
+    steps, cycles : int
+        Steps in a cycle, and how often it is run.
+    record : bool
+        Whether all steps are wanted, or only the end.
+
+    Returns
+    -------
+    run, on_plate : Trajectory, (M,)
+        The start and every step, or the end alone; which discs are still on the plate.
+
+    Raises
+    ------
+    PlateError
+        If shapes disagree, a value is not finite or out of range, or discs overlap at the start.
+    """
+    if min(steps, cycles) < 1 or (cycles > 1 and not isinstance(cycle, PlateCycle)):
+        raise PlateError(
+            f"steps is {steps!r}, cycles is {cycles!r}, allowed: at least 1; 1 cycle of a motion "
+            "that need not close"
+        )
+    position = pairs("position", position)
+    velocity = pairs("velocity", velocity, len(position))
+    limit = friction_accel(friction, gravity, len(position))
+    on_plate = np.ones(len(position), bool)
+    path, speed = np.empty((2, cycles * steps + 1 if record else 0, *position.shape))
+    found = run_discs(
+        *motion_of(cycle), steps, cycles, limit, ground.pull(gravity), ground.static_ratio, radius,
+        half, contacts.restitution, contacts.friction, contacts.walls, position, velocity,
+        on_plate, path, speed,
+    )  # fmt: skip
+    check_found(found, tuple(str(i) for i in range(len(position))), radius)
+    if not record:
+        run = Trajectory(np.array([cycles * cycle.period]), position[None], velocity[None])
+        return run, on_plate
+    return Trajectory(np.arange(len(path)) * (cycle.period / steps), path, speed), on_plate
 
 
 @njit(cache=True)
