@@ -1,6 +1,7 @@
 """The closed loop without ROS: the same cores as the nodes, composed in one process.
 
-Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph.
+Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. Where an
+image is missed, the plate repeats what it did.
 """
 
 from __future__ import annotations
@@ -12,19 +13,27 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
-from plate_core.parts import part_class
 from plate_core.scenario import FollowTask, Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
 from plate_planner.following import Follower
 from plate_planner.planner import PlannerState
 from plate_planner.progress import Progress
-from plate_sim.camera import NOISE, Camera, part_greys
-from plate_sim.world import WorldState, run_cycle
+from plate_sim.camera import NOISE
+from plate_sim.dirt import CLEAN, Dirt
+from plate_sim.ladder import check_model
+from plate_sim.models import AUTO
+from plate_sim.playback import Playback, next_playback
+from plate_sim.simulation import Simulation
+from plate_sim.world import WorldState
 from plate_solver import Controller
 from plate_solver.controller import METHODS, Answer
 from plate_vision.tracking import Tracker
 from plate_vision.vision import look, make_vision
+
+HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
+"""Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
+node's."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,10 @@ class Setup:
         Image noise [grey levels].
     mu_scale : float
         True friction over the rig's.
+    model : str
+        Of the simulator's parts.
+    dirt : Dirt
+        Of the world.
     planner : PlannerOptions
     """
 
@@ -51,26 +64,34 @@ class Setup:
     method: str = "sinusoids"
     noise: float = NOISE
     mu_scale: float = 1.0
+    model: str = AUTO
+    dirt: Dirt = CLEAN
     planner: PlannerOptions = field(default_factory=PlannerOptions)
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     """Return the setup with settings `key=value` of the command line.
 
-    Keys are fields of `Setup`, `SortOptions` and `FollowOptions`.
+    Keys are fields of `Setup`, `Dirt`, `SortOptions` and `FollowOptions`.
 
     Raises
     ------
     PlateError
         If a key is unknown or a value does not fit.
     """
-    sort, follow = setup.planner.sort, setup.planner.follow
+    sort, follow, dirt = setup.planner.sort, setup.planner.follow, setup.dirt
     for key, text in settings.items():
         try:
             if key == "method":
                 setup = replace(setup, method=_method(text))
+            elif key == "model":
+                setup = replace(setup, model=check_model(text))
             elif key in ("noise", "mu_scale"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
+            elif key == "blur":
+                dirt = replace(dirt, blur=_flag(text))
+            elif key in {f.name for f in fields(Dirt)}:
+                dirt = replace(dirt, **{key: float(text)})
             elif key in {f.name for f in fields(SortOptions)}:
                 sort = replace(sort, **{key: float(text)})
             elif key in {f.name for f in fields(FollowOptions)}:
@@ -78,15 +99,22 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "noise", "mu_scale"]
-            known += [f.name for kind in (SortOptions, FollowOptions) for f in fields(kind)]
+            known = ["method", "model", "noise", "mu_scale"]
+            known += [f.name for kind in (Dirt, SortOptions, FollowOptions) for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
             raise PlateError(f"setting {key!r}, allowed: {names}") from None
         except PlateError:
             raise
         except ValueError:
             raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
-    return replace(setup, planner=replace(setup.planner, sort=sort, follow=follow))
+    planner = replace(setup.planner, sort=sort, follow=follow)
+    return replace(setup, dirt=dirt, planner=planner)
+
+
+def _flag(text: str) -> bool:
+    if text not in ("true", "false"):
+        raise PlateError(f"setting is {text!r}, allowed: true or false")
+    return text == "true"
 
 
 def _method(name: str) -> str:
@@ -118,6 +146,8 @@ class Moment:
         Time the answer took [s].
     limit_share : float
         Greatest share of a limit that the motors' table uses.
+    models : mapping of str to int
+        Cycles so far by the model that the simulator used.
     error_m : (P,)
         True distance of each seen part from its reference [m]; empty for other tasks.
     """
@@ -131,43 +161,46 @@ class Moment:
     image: np.ndarray
     solve_s: float
     limit_share: float
+    models: Mapping[str, int]
     error_m: np.ndarray
 
 
 def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
-    """Run the loop until the task has ended; yields every cycle."""
+    """Run the loop until the task has ended; yields every cycle with an image."""
     rig = rig or load_rig()
     scenario = load_scenario(setup.scenario)
-    layout, noise = np.random.default_rng(setup.seed).spawn(2)
-    world = WorldState.of_scenario(scenario, rig, layout)
-    grey = part_greys([part_class(name) for name in world.ids])
-    camera = Camera(rig, setup.noise)
+    simulation = Simulation(
+        rig, scenario, setup.seed, setup.dirt, noise=setup.noise, mu_scale=setup.mu_scale,
+        model=setup.model,
+    )  # fmt: skip
     vision, tracker = make_vision(rig), Tracker()
     planner = Planner(rig, scenario, setup.planner)
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, seed=setup.seed)
-    running = next_cycle = PlateCycle.rest(0.1)
+    playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None
     t = 0.0
     while True:
-        running = next_cycle
-        on = world.on_plate
-        image = camera.render(world.position[on], grey[on], noise, world.velocity[on])
-        tracker = look(vision, tracker, image, t)
-        state, asked, progress = planner.plan(state, tracker.parts, t)
-        began = time.perf_counter()
-        answer = controller.answer(asked, running)
-        solve_s = time.perf_counter() - began
-        table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
-        next_cycle = table.cycle
-        error = _true_error(scenario, rig, state, tracker.parts, world, t)
-        yield Moment(
-            t, world, tracker.parts, asked, answer, progress, image, solve_s,
-            fitted.usage.worst, error,
-        )  # fmt: skip
-        if progress.phase in ("done", "failed"):
-            return
-        world = run_cycle(world, running, rig, rig.friction.mu * setup.mu_scale)
-        t += running.period
+        playback = next_playback(playback, newest, HOLD_CYCLES, IDLE_PERIOD)
+        newest = None
+        world = simulation.state
+        image = simulation.look()
+        if image is not None:
+            tracker = look(vision, tracker, image, t)
+            state, asked, progress = planner.plan(state, tracker.parts, t)
+            began = time.perf_counter()
+            answer = controller.answer(asked, playback.cycle)
+            solve_s = time.perf_counter() - began
+            table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
+            newest = table.cycle
+            error = _true_error(scenario, rig, state, tracker.parts, world, t)
+            yield Moment(
+                t, world, tracker.parts, asked, answer, progress, image, solve_s,
+                fitted.usage.worst, simulation.used, error,
+            )  # fmt: skip
+            if progress.phase in ("done", "failed"):
+                return
+        simulation.run(playback.cycle)
+        t += playback.cycle.period
 
 
 def _true_error(
@@ -203,6 +236,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         shares.append(moment.limit_share)
         errors.append(moment.error_m)
     error = np.concatenate(errors)
+    cycles = max(1, sum(moment.models.values()))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
     return {
         "scenario": setup.scenario,
@@ -220,4 +254,5 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),
         "limit_share_max": float(np.max(shares)),
         "gamma": round(rig.gamma, 2),
+        "models": {name: round(n / cycles, 3) for name, n in sorted(moment.models.items())},
     }

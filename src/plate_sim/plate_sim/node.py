@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,7 +16,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
 from plate_core.limits import CycleUsage
-from plate_core.parts import part_class
 from plate_core.ros.convert import (
     array_to_image,
     camera_to_info,
@@ -29,9 +29,12 @@ from plate_core.ros.params import declare, parameter
 from plate_core.ros.qos import DATA, IMAGE
 from plate_core.scenario import load_scenario
 
-from .camera import NOISE, Camera, part_greys
+from .camera import NOISE, Camera
+from .dirt import RANGES, Dirt
+from .models import AUTO, BODIES, DISCS, MODELS, POINTS
 from .playback import Playback, check_table, next_playback
-from .world import WorldState, run_cycle
+from .simulation import Simulation
+from .world import run_cycle
 
 START_NS = 1_000_000_000
 """Simulated time of the first image [ns]: a zero stamp would mean "no time"."""
@@ -48,6 +51,11 @@ QUIET_S = 2.0
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
+def _dirt(name: str, description: str) -> Any:
+    """Return the parameter of one kind of dirt."""
+    return parameter(getattr(Dirt, name), description, *RANGES[name])
+
+
 @dataclass(frozen=True)
 class Options:
     """Parameters of the simulator."""
@@ -61,31 +69,54 @@ class Options:
     mu_scale: float = parameter(1.0, "True friction over the rig file's.", 0.1, 10)
     hold_cycles: int = parameter(5, "Repetitions of a table when no new one comes.", 0, 1000)
     idle_period: float = parameter(0.1, "Length of a cycle while at rest [s].", 0.01, 10)
+    model: str = parameter(
+        AUTO, "What is computed of parts; auto: the least that will do.", choices=MODELS
+    )
+    friction_spread: float = _dirt("friction_spread", "Friction differs between parts by [share].")
+    friction_patches: float = _dirt(
+        "friction_patches", "Friction varies over the plate by [share]."
+    )
+    static_ratio: float = _dirt("static_ratio", "Static over dynamic friction [-].")
+    tilt_x: float = _dirt("tilt_x", "Parts are pulled along +x by this lean of the plate [rad].")
+    tilt_y: float = _dirt("tilt_y", "Parts are pulled along +y by this lean of the plate [rad].")
+    latency: float = _dirt("latency", "Age of an image when it is published and stamped [s].")
+    blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.")
+    missed_images: float = _dirt("missed_images", "Share of images that are never published.")
+    missed_parts: float = _dirt("missed_parts", "Share of parts that an image does not show.")
+    false_parts: float = _dirt("false_parts", "False parts in an image [share of true ones].")
+
+    @property
+    def dirt(self) -> Dirt:
+        """Return what is asked for of the real world's dirt."""
+        return Dirt(**{f.name: getattr(self, f.name) for f in fields(Dirt)})
 
 
 class SimulatorNode(Node):
     """Node `simulator`: subscribes motor_setpoints; publishes image_raw, camera_info, diagnostics
-    and, unless it runs in real time, /clock. `ground_truth` (parts on the plate with true names
-    and velocities) is for judging a run: no stage may subscribe to it.
+    and, unless it runs in real time, /clock. `ground_truth` (parts on the plate with true names,
+    angles, velocities and spins) is for judging a run: no stage may subscribe to it.
 
     Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
     are moved to t_k+1. In real time the next cycle begins on schedule; in lockstep as soon as a
-    table with the stamp of image k has come.
+    table with the stamp of image k has come, or at once if image k is missed: there will be none.
     """
 
     def __init__(self) -> None:
         super().__init__("simulator")
         self._options = options = declare(self, Options)
         self._rig = load_rig(options.rig_file)
-        layout, self._noise = np.random.default_rng(options.seed).spawn(2)
-        self._state = WorldState.of_scenario(load_scenario(options.scenario), self._rig, layout)
-        self._grey = part_greys([part_class(name) for name in self._state.ids])
-        self._camera = Camera(self._rig, options.noise)
-        self._mu = self._rig.friction.mu * options.mu_scale
+        self._simulation = Simulation(
+            self._rig, load_scenario(options.scenario), options.seed, options.dirt,
+            noise=options.noise, mu_scale=options.mu_scale, model=options.model,
+        )  # fmt: skip
         self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
         self._newest: PlateCycle | None = None
         self._usage = NO_USE
-        self._count = {"cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0}
+        self._count = {
+            "cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0,
+            "missed images": 0,
+        }  # fmt: skip
+        self._told = ""  # the model that was logged last
         self._simulated_time = options.lockstep or options.rate != 1
         self._compile()
         self._connect()
@@ -93,8 +124,11 @@ class SimulatorNode(Node):
 
     def _compile(self) -> None:
         """Have everything compiled before time starts."""
-        run_cycle(self._state, self._playback.cycle, self._rig)
-        self._camera.render(self._state.position, self._grey, np.random.default_rng(0))
+        state = self._simulation.state
+        for model in (POINTS, DISCS, BODIES):
+            run_cycle(state, self._playback.cycle, self._rig, model=model)
+        run_cycle(state, self._playback.cycle, self._rig)
+        Camera(self._rig).render(state.position, np.zeros(len(state.ids)), np.random.default_rng(0))
 
     def _connect(self) -> None:
         self._images = self.create_publisher(Image, "image_raw", IMAGE)
@@ -124,22 +158,43 @@ class SimulatorNode(Node):
     # Time
 
     def _begin_cycle(self) -> None:
-        """Begin the next cycle: choose its table, take the image, move the parts to its end."""
+        """Begin the next cycle; in lockstep also those after it until one has an image."""
+        while not self._run_cycle() and self._options.lockstep:
+            pass
+        if not self._options.lockstep:
+            self._set_alarm()
+
+    def _run_cycle(self) -> bool:
+        """Choose a cycle's table, take its image, move the parts to its end.
+
+        Returns whether there was an image.
+        """
         self._time_ns = self._next_ns
         options = self._options
         self._playback = next_playback(
             self._playback, self._newest, options.hold_cycles, options.idle_period
         )
         self._newest = None
-        self._take_image()
+        seen = self._take_image()
         period_ns = round(self._playback.cycle.period * 1e9)
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
-        self._state = run_cycle(self._state, self._playback.cycle, self._rig, self._mu)
+        self._simulation.run(self._playback.cycle)
         self._count["cycles"] += 1
         self._count["held cycles"] += self._playback.repeats > 0
-        if not options.lockstep:
-            self._set_alarm()
+        self._count["missed images"] += not seen
+        self._tell_model()
+        return seen
+
+    def _tell_model(self) -> None:
+        """Log which model runs, and why, when it changes."""
+        choice = self._simulation.state.choice
+        if choice is None or choice.model == self._told:
+            return
+        if self.get_logger().info(
+            f"model {choice.model}: {choice.reason}", throttle_duration_sec=QUIET_S
+        ):
+            self._told = choice.model
 
     def _set_alarm(self) -> None:
         self._alarm.timer_period_ns = max(1, self._due_ns - time.monotonic_ns())
@@ -180,17 +235,25 @@ class SimulatorNode(Node):
 
     # Messages
 
-    def _take_image(self) -> None:
-        state = self._state
-        on, stamp = state.on_plate, to_time(self._time_ns)
-        pixels = self._camera.render(
-            state.position[on], self._grey[on], self._noise, state.velocity[on]
-        )
-        self._image = array_to_image(pixels, stamp)
-        self._publish_image()
+    def _take_image(self) -> bool:
+        """Publish image and truth; returns whether there is an image."""
+        stamp, state = to_time(self._time_ns), self._simulation.state
+        pixels = self._simulation.look()
+        if pixels is not None:
+            self._image = array_to_image(pixels, stamp)
+            self._publish_image()
+        elif self._simulated_time:
+            self._clocks.publish(ClockMsg(clock=stamp))
+        on = state.on_plate
         ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
-        truth = PartSet.make(ids, state.position[on], state.velocity[on])
-        self._truths.publish(parts_to_msg(truth, stamp))
+        truth = PartSet.make(
+            ids, state.position[on], state.velocity[on], angle=state.angle[on]
+        )  # fmt: skip
+        msg = parts_to_msg(truth, stamp)
+        for twist, spin in zip(msg.twist, state.spin[on], strict=True):
+            twist.angular.z = float(spin)
+        self._truths.publish(msg)
+        return pixels is not None
 
     def _publish_image(self) -> None:
         """Publish the last image; in lockstep again and again until it is answered."""
@@ -202,7 +265,8 @@ class SimulatorNode(Node):
             self._repeat.reset()
 
     def _report(self) -> None:
-        limits, used, dropped = self._rig.limits, self._usage, self._state.dropped
+        limits, used, dropped = self._rig.limits, self._usage, self._simulation.state.dropped
+        mu, choice = self._simulation.mu, self._simulation.state.choice
         troubles = [f"parts dropped: {dropped}"] if dropped else []
         if self._count["late cycles"]:
             troubles.append(f"late cycles: {self._count['late cycles']}")
@@ -212,7 +276,10 @@ class SimulatorNode(Node):
             "stroke used": f"{used.stroke_m / limits.stroke_m:.3f}",
             "speed used": f"{used.speed / limits.speed:.3f}",
             "acceleration used": f"{used.accel / limits.accel:.3f}",
-            "true friction": f"{self._mu:g}",
+            "true friction": f"{np.min(mu, initial=np.inf):.3g} to {np.max(mu, initial=0):.3g}",
+            "dirt": self._simulation.dirt.told,
+            **{f"cycles as {name}": count for name, count in self._simulation.used.items()},
+            **({"model": choice.model, "reason": choice.reason} if choice else {}),
         }
         status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="simulation")
         status.level = DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK

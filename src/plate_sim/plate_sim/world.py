@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.scenario import Scenario, start_positions
 
-from .contacts import INELASTIC, Contacts, check_found, motion_of, run_discs
-from .friction import STEP, Trajectory, default_steps, friction_accel, pairs
-from .ground import LEVEL
+from .contacts import INELASTIC, Contacts
+from .friction import Trajectory, friction_accel, pairs
+from .ground import LEVEL, Ground
+from .ladder import Choice, check_model, climb
+from .models import AUTO, Outcome, Scene, run_model
+from .plate_motion import PlateMotion
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,24 @@ class WorldState:
         [m/s], plate_home.
     on_plate : (M,)
         Whether the part is still there.
+    angle, spin : (M,)
+        [rad] (not wrapped), [rad/s]; counter-clockwise, zero if left out.
+    choice : Choice or None
+        Model by which the last cycle was run, and why; None before the first.
     """
 
     ids: tuple[str, ...]
     position: np.ndarray
     velocity: np.ndarray
     on_plate: np.ndarray
+    angle: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    spin: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    choice: Choice | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("angle", "spin"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.ids)))
 
     @classmethod
     def at_rest(cls, ids: tuple[str, ...], position: np.ndarray) -> WorldState:
@@ -65,89 +80,134 @@ class WorldState:
 
 def run_cycle(
     state: WorldState,
-    cycle: PlateCycle,
+    cycle: PlateCycle | PlateMotion,
     rig: Rig,
     mu: float | np.ndarray | None = None,
-    step: float = STEP,
+    step: float | None = None,
     *,
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
+    ground: Ground = LEVEL,
+    model: str = AUTO,
 ) -> WorldState:
     """Return the state after a plate cycle.
 
     Parameters
     ----------
+    cycle : PlateCycle or PlateMotion
+        Motion of the plate; only a PlateCycle can be repeated.
     mu : float or (M,), optional
         True friction coefficient, of all parts or of each; the rig's if missing.
-    step : float
-        Longest integration step [s].
+    step : float, optional
+        Longest integration step [s]; if missing, the model's own.
     contacts : Contacts
         How parts touch each other, and whether walls keep them on the plate.
     cycles : int
         How often the cycle is run.
+    ground : Ground
+        Static friction and tilt.
+    model : str
+        `points`, `discs`, `bodies`, or `auto`: the cheapest of them that will do (`ladder`), chosen
+        anew for each cycle. Points and discs keep their angles; with `auto` these turn as far as
+        friction turns a disc.
 
     Raises
     ------
     PlateError
-        If a state is not finite, parts overlap at the start, or a coefficient or count is out of
-        range.
+        If a state is not finite, parts overlap at the start, or a coefficient, count or name is out
+        of range.
     """
-    return _advance(state, cycle, rig, mu, step, contacts, cycles, record=False)[0]
+    return _advance(state, cycle, rig, mu, step, contacts, cycles, ground, model, False)[0]
 
 
 def record_cycle(
     state: WorldState,
-    cycle: PlateCycle,
+    cycle: PlateCycle | PlateMotion,
     rig: Rig,
     mu: float | np.ndarray | None = None,
-    step: float = STEP,
+    step: float | None = None,
     *,
     contacts: Contacts = INELASTIC,
     cycles: int = 1,
+    ground: Ground = LEVEL,
+    model: str = AUTO,
 ) -> tuple[WorldState, Trajectory]:
-    """Return what `run_cycle` does, and the motion at every step."""
-    return _advance(state, cycle, rig, mu, step, contacts, cycles, record=True)
+    """Return what `run_cycle` does, and the motion at every step of the model used."""
+    state, runs = _advance(state, cycle, rig, mu, step, contacts, cycles, ground, model, True)
+    starts = [k * cycle.period for k in range(cycles)]
+    # A cycle's last sample is the next one's first.
+    time, position, velocity = (
+        np.concatenate([part[:-1] for part in parts] + [parts[-1][-1:]])
+        for parts in (
+            [run.time + start for run, start in zip(runs, starts, strict=True)],
+            [run.position for run in runs],
+            [run.velocity for run in runs],
+        )
+    )
+    return state, Trajectory(time, position, velocity)
 
 
 def _advance(
     state: WorldState,
-    cycle: PlateCycle,
+    cycle: PlateCycle | PlateMotion,
     rig: Rig,
     mu: float | np.ndarray | None,
-    step: float,
+    step: float | None,
     contacts: Contacts,
     cycles: int,
+    ground: Ground,
+    model: str,
     record: bool,
-) -> tuple[WorldState, Trajectory]:
-    count = len(state.ids)
-    if not step > 0:
+) -> tuple[WorldState, list[Trajectory]]:
+    if step is not None and not step > 0:
         raise PlateError(f"step is {step!r} s, allowed: more than 0")
     if cycles < 1:
         raise PlateError(f"cycles is {cycles!r}, allowed: at least 1")
-    steps = default_steps(cycle, step)
-    limit = friction_accel(rig.friction.mu if mu is None else mu, rig.friction.gravity, count)
-    position, velocity = (_rows(name, getattr(state, name), count) for name in _MOVING)
-    on_plate = np.array(state.on_plate, dtype=bool)
-    if on_plate.shape != (count,):
-        raise PlateError(f"on_plate has shape {on_plate.shape}, allowed: ({count},)")
-    samples = cycles * steps + 1 if record else 0
-    path, speed = np.empty((samples, count, 2)), np.empty((samples, count, 2))
-    found = run_discs(
-        *motion_of(cycle), steps, cycles, limit, LEVEL.pull(rig.friction.gravity),
-        LEVEL.static_ratio, rig.parts.radius_m, rig.plate.half, contacts.restitution,
-        contacts.friction, contacts.walls, position, velocity, on_plate, path, speed,
-    )  # fmt: skip
-    check_found(found, state.ids, rig.parts.radius_m)
-    time = np.arange(samples) * (cycle.period / steps)
-    return WorldState(state.ids, position, velocity, on_plate), Trajectory(time, path, speed)
+    if cycles > 1 and not isinstance(cycle, PlateCycle):
+        raise PlateError(f"cycles is {cycles!r}, allowed: 1 for a PlateMotion: it need not close")
+    check_model(model)
+    count, gravity = len(state.ids), rig.friction.gravity
+    limit = friction_accel(rig.friction.mu if mu is None else mu, gravity, count)
+    pull, half = ground.pull(gravity), rig.plate.half
+    runs = []
+    for _ in range(cycles):
+        scene = Scene(
+            state.ids, cycle, limit, pull, ground.static_ratio, rig.parts.radius_m, half, contacts,
+            step, **{name: _checked(name, getattr(state, name), count) for name in _MOVING},
+            on_plate=_on_plate(state.on_plate, count),
+        )  # fmt: skip
+        outcome, choice = _run(scene, model, record)
+        state = WorldState(
+            state.ids, outcome.position, outcome.velocity, outcome.on_plate, outcome.angle,
+            outcome.spin, choice,
+        )  # fmt: skip
+        runs.append(outcome.run)
+    return state, runs
 
 
-_MOVING = ("position", "velocity")
+def _run(scene: Scene, model: str, record: bool) -> tuple[Outcome, Choice]:
+    if model == AUTO:
+        return climb(scene, record)
+    return run_model(scene, model, record), Choice(model, "as asked for")
 
 
-def _rows(name: str, array: np.ndarray, count: int) -> np.ndarray:
-    """Return a float copy (count, 2); its values are checked where they are used."""
+_MOVING = {"position": (2,), "velocity": (2,), "angle": (), "spin": ()}
+"""What moves, and its shape for one part."""
+
+
+def _checked(name: str, array: np.ndarray, count: int) -> np.ndarray:
+    """Return a float copy; values of position and velocity are checked where they are used."""
     array = np.array(array, dtype=float, order="C")
-    if array.shape != (count, 2):
-        raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
+    shape = (count, *_MOVING[name])
+    if array.shape != shape:
+        raise PlateError(f"{name} has shape {array.shape}, allowed: {shape}")
+    if array.ndim == 1 and not np.isfinite(array).all():
+        raise PlateError(f"{name} has values that are not finite: {array.tolist()}")
+    return array
+
+
+def _on_plate(array: np.ndarray, count: int) -> np.ndarray:
+    array = np.array(array, dtype=bool)
+    if array.shape != (count,):
+        raise PlateError(f"on_plate has shape {array.shape}, allowed: ({count},)")
     return array

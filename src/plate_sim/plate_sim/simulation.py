@@ -1,0 +1,133 @@
+"""One run of the world as node and bench see it: images out, plate cycles in, with its dirt."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+from plate_core.parts import part_class
+from plate_core.scenario import Scenario
+
+from .camera import NOISE, Camera, part_greys
+from .contacts import INELASTIC, Contacts
+from .dirt import CLEAN, Dirt, Surface
+from .drive import PlateState
+from .ladder import check_model
+from .models import AUTO
+from .past import Passage, Past
+from .plate_motion import PlateMotion
+from .suspension import realise
+from .world import WorldState, record_cycle, run_cycle
+
+EXPOSURES = 5
+"""Times during an exposure of the past at which parts and plate are looked up: the plate turns
+round in no less than 20 ms, an exposure takes a few."""
+
+
+class Simulation:
+    """A scenario's parts on a rig's plate.
+
+    Parameters
+    ----------
+    rig : Rig
+        What all stages believe of the rig; with a suspension the plate does not quite obey.
+    scenario : Scenario
+        Gives the parts.
+    seed : int
+        Of all chance; what one kind of dirt draws does not depend on the others.
+    dirt : Dirt
+        What is unlike the rig's facts.
+    noise : float
+        Standard deviation of a pixel [grey values].
+    mu_scale : float
+        True friction over the rig's.
+    model : str
+        As `run_cycle`.
+    contacts : Contacts
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        scenario: Scenario,
+        seed: int = 0,
+        dirt: Dirt = CLEAN,
+        *,
+        noise: float = NOISE,
+        mu_scale: float = 1.0,
+        model: str = AUTO,
+        contacts: Contacts = INELASTIC,
+    ) -> None:
+        layout, self._pixels, ground, self._luck, self._sight = np.random.default_rng(seed).spawn(5)
+        self.state = WorldState.of_scenario(scenario, rig, layout)
+        self.plate = PlateState.at_rest()
+        self.dirt = dirt
+        self.used: dict[str, int] = {}
+        """Cycles by the model they were run with."""
+        self._rig, self._model, self._contacts = rig, check_model(model), contacts
+        self._mu = rig.friction.mu * mu_scale
+        self._surface = Surface.draw(dirt, len(self.state.ids), ground)
+        self._camera = Camera(rig, noise)
+        self._grey = part_greys([part_class(name) for name in self.state.ids])
+        self._past = Past()
+
+    @property
+    def mu(self) -> np.ndarray:
+        """True friction coefficients (M,) now."""
+        return self._surface.friction(self._mu, self.state.position, self.plate.pose)
+
+    def look(self) -> np.ndarray | None:
+        """Return the image (height, width), uint8, that is delivered now; None if it is missed."""
+        missed = self._luck.random() < self.dirt.missed_images
+        hidden = self._sight.random(len(self._grey)) < self.dirt.missed_parts
+        false = self._sight.binomial(len(self._grey), self.dirt.false_parts)
+        place = self._rig.plate.half * self._sight.uniform(-1, 1, (false, 2))
+        grey = self._sight.choice(self._grey, false)
+        if missed:
+            return None
+        path, seen, pose = self._view()
+        seen = seen & ~hidden
+        spots = np.broadcast_to(place, (len(path), false, 2))
+        return self._camera.render(
+            np.concatenate([path[:, seen], spots], axis=1),
+            np.concatenate([self._grey[seen], grey]),
+            self._pixels,
+            pose=pose,
+        )
+
+    def run(self, cycle: PlateCycle) -> None:
+        """Command a cycle, and move the parts to its end."""
+        motion: PlateCycle | PlateMotion = cycle
+        mu, ground = self.mu, self.dirt.ground
+        if self._rig.suspension is not None:
+            motion, self.plate = realise(self._rig, self.plate, cycle)
+        world: dict[str, Any] = {"contacts": self._contacts, "ground": ground, "model": self._model}
+        if self.dirt.latency == 0:
+            self.state = run_cycle(self.state, motion, self._rig, mu, **world)
+        else:
+            self.state, run = record_cycle(self.state, motion, self._rig, mu, **world)
+            plate = PlateMotion(motion.times, motion.coefficients)
+            self._past = self._past.after(
+                Passage(plate, run, self.state.on_plate), self.dirt.latency
+            )
+        if self.state.choice is not None:
+            model = self.state.choice.model
+            self.used[model] = self.used.get(model, 0) + 1
+
+    def _view(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return positions over the exposure (s, M, 2), which parts are there, and the plate's
+        poses (s, 3); None if it is at home."""
+        state, latency = self.state, self.dirt.latency
+        exposure = self._rig.camera.exposure_s if self.dirt.blur else 0.0
+        if latency > 0 and self._past.passages:
+            ages = latency - exposure * np.linspace(0, 1, EXPOSURES)
+            views = [self._past.ago(age) for age in ages]
+            path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
+            return path, views[0].on_plate, pose
+        later = np.array([0.0, exposure])[:, None]
+        path = state.position + later[:, None] * state.velocity
+        if self._rig.suspension is None:
+            return path, state.on_plate, None
+        return path, state.on_plate, self.plate.pose + later * self.plate.twist
