@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from .brightness import fit_brightness
 from .errors import ImageError, OptionError
 from .measure import RIM_PX, Discs, cut_windows, fit_discs, measure_alone, neighbour_pairs
-from .region import SEAM_PX, Region, check_quadrilateral, make_region
+from .region import SEAM_PX, Region, check_region, make_region
 from .seeds import find_seeds
 
 CLASSES = ("black", "grey")
@@ -82,6 +83,7 @@ def detect(
     image: np.ndarray,
     options: DetectorOptions | None = None,
     region_px: np.ndarray | None = None,
+    size: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Find round parts, darker than the plate, in one image.
 
@@ -91,9 +93,13 @@ def detect(
         Grey levels. Of a colour image the middle channel is used: green, in either order.
     options : DetectorOptions, optional
         What a part looks like.
-    region_px : (4, 2), optional
-        Corners of the plate in the image [px], in order around it; the whole image if None. The
-        centre of the first pixel is (0, 0), x to the right, y down.
+    region_px : (4, 2) or (4, n, 2), optional
+        Corners of the plate in the image [px], in order around it; or, where a lens bends the
+        edges, points of each edge from its first corner to just before the next. The whole image
+        if None. The centre of the first pixel is (0, 0), x to the right, y down.
+    size : callable, optional
+        Gives for image points (n, 2) [px] the radius that a part has there, as a share (n,) of the
+        options' radius. Everywhere 1 if None.
 
     Returns
     -------
@@ -107,12 +113,8 @@ def detect(
     """
     options = options or DetectorOptions()
     grey = _grey(image)
-    corners = None
-    if region_px is not None:
-        array = check_quadrilateral(np.asarray(region_px, dtype=float), "region_px")
-        corners = tuple((x, y) for x, y in array.tolist())
-    region = make_region(*grey.shape, corners)
-    discs = _find_discs(grey, region, options)
+    region = make_region(*grey.shape, None if region_px is None else check_region(region_px))
+    discs = _find_discs(grey, region, options, size)
     found = np.zeros(len(discs.radius), DETECTION)
     found["x_px"], found["y_px"] = discs.centre.T
     found["radius_px"] = discs.radius
@@ -132,7 +134,12 @@ def _grey(image: np.ndarray) -> np.ndarray:
     return image
 
 
-def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> Discs:
+def _find_discs(
+    grey: np.ndarray,
+    region: Region,
+    options: DetectorOptions,
+    size: Callable[[np.ndarray], np.ndarray] | None,
+) -> Discs:
     """Seeds, then measurement, then a check of what was measured."""
     radius = options.radius_px
     brightness = fit_brightness(grey, region, options.min_plate_grey)
@@ -153,13 +160,16 @@ def _find_discs(grey: np.ndarray, region: Region, options: DetectorOptions) -> D
         beside = cut_windows(grey, brightness, seeds[rest], radius)
         fitted = fit_discs(beside, seeds[rest], radius, region, (height, width))
         discs = discs.select(np.flatnonzero(~shared)).join(fitted)
-    return discs.select(np.flatnonzero(_is_part(discs, region, options)))
+    expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)
+    return discs.select(np.flatnonzero(_is_part(discs, region, options, expected)))
 
 
-def _is_part(discs: Discs, region: Region, options: DetectorOptions) -> np.ndarray:
-    """Tell which discs (n,) look like a part on the plate."""
+def _is_part(
+    discs: Discs, region: Region, options: DetectorOptions, radius: np.ndarray
+) -> np.ndarray:
+    """Tell which discs (n,) look like a part on the plate; `radius` (n,) [px] is its there."""
     return (
-        (np.abs(discs.radius / options.radius_px - 1) <= options.radius_tolerance)
+        (np.abs(discs.radius / radius - 1) <= options.radius_tolerance)
         & (discs.darkness > 1 - options.threshold)
         & (discs.misfit < MAX_MISFIT)
         & (region.depth(*discs.centre.T) >= -options.margin_px)

@@ -110,8 +110,8 @@ class DetectorNode(Node):
     """Node `detector`: subscribes image_raw and camera_info, publishes parts.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
-    image's stamp. Of camera_info only the lens distortion is used: where the plate is in the image
-    says the rig file.
+    image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
+    is in the image says the rig file.
     """
 
     def __init__(self) -> None:
@@ -154,7 +154,7 @@ class DetectorNode(Node):
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
-    """Return the lens of a camera; None if it is not calibrated or has no distortion.
+    """Return the lens of a camera; None if it is not calibrated: K[0] is 0.
 
     Raises
     ------
@@ -165,13 +165,14 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
         raise ImageError(
             f"size is {msg.width} x {msg.height} px, allowed: {size_px[0]} x {size_px[1]} px"
         )
-    if not any(msg.d) or not any(msg.k):
+    if msg.k[0] == 0:
         return None
-    if msg.distortion_model not in LENS_MODELS:
+    if any(msg.d) and msg.distortion_model not in LENS_MODELS:
         raise CalibrationError(
             f"distortion_model is {msg.distortion_model!r}, allowed: {', '.join(LENS_MODELS)}"
         )
-    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), np.array(msg.d, dtype=float))
+    distortion = np.array(msg.d, dtype=float) if len(msg.d) else np.zeros(5)
+    return Lens(np.array(msg.k, dtype=float).reshape(3, 3), distortion)
 
 
 def main() -> None:

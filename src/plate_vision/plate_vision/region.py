@@ -1,4 +1,4 @@
-"""Where the plate is in the image: a convex quadrilateral, or the whole image.
+"""Where the plate is in the image: a quadrilateral, with edges that a lens may bend; or all of it.
 
 Image coordinates everywhere in this package: x_px to the right, y_px down, the centre of the first
 pixel is (0, 0), as in OpenCV.
@@ -19,6 +19,14 @@ MIN_AREA_PX2 = 100.0
 SEAM_PX = 1.0
 """Pixels nearer than this [px] to the plate's edge mix plate and background: they are not used."""
 
+BOW_DEGREE = 4
+"""Degree of the polynomial for a bent edge: within 0.05 px of one that bulges by 20 px."""
+
+BOW_REACH = 1.05
+"""How far beyond its ends, in half lengths, a bent edge is followed."""
+
+Points = tuple[tuple[float, float], ...]
+
 
 @dataclass(frozen=True, eq=False)  # equal only to itself: so it can be the key of a cache
 class Region:
@@ -32,11 +40,16 @@ class Region:
         Distance of the image's origin from the edges [px], positive inside.
     box : (x0, y0, x1, y1)
         Pixel ranges [px] that hold the region, half open.
+    bows : (4, BOW_DEGREE + 3), optional
+        Of edges that a lens bends: three numbers by which 1, x, y give the place along the straight
+        edge, -1 and 1 at its ends; then the polynomial of that place which gives how far the edge
+        is inside the straight one [px], highest power first.
     """
 
     normals: np.ndarray
     offsets: np.ndarray
     box: tuple[int, int, int, int]
+    bows: np.ndarray | None = None
 
     def depth(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
         """Distance from the nearest edge of the plate [px], negative outside.
@@ -47,37 +60,40 @@ class Region:
             Image points [px]; they broadcast.
         """
         depth = np.full(np.broadcast_shapes(np.shape(x_px), np.shape(y_px)), np.inf)
-        for (nx, ny), offset in zip(self.normals, self.offsets, strict=True):
-            depth = np.minimum(depth, nx * x_px + ny * y_px + offset)
+        for edge, ((nx, ny), offset) in enumerate(zip(self.normals, self.offsets, strict=True)):
+            inside = nx * x_px + ny * y_px + offset
+            if self.bows is not None:
+                at, along_x, along_y = self.bows[edge, :3]
+                place = np.clip(at + along_x * x_px + along_y * y_px, -BOW_REACH, BOW_REACH)
+                inside = inside - np.polyval(self.bows[edge, 3:], place)
+            depth = np.minimum(depth, inside)
         return depth
 
 
 @lru_cache(maxsize=16)
-def make_region(
-    height_px: int,
-    width_px: int,
-    corners: tuple[tuple[float, float], ...] | None,
-) -> Region:
+def make_region(height_px: int, width_px: int, edges: tuple[Points, ...] | None) -> Region:
     """Build the region of an image.
 
     Parameters
     ----------
     height_px, width_px : int
         Image size [px].
-    corners : four pairs, optional
-        Corners of the plate in the image [px], checked by `check_quadrilateral`, in either sense
-        of rotation; the whole image if None.
+    edges : four times n pairs, optional
+        Points [px] of the plate's edges in the image, each edge from one corner to just before the
+        next, in either sense of rotation: the corners alone if the edges are straight. Checked by
+        `check_region`. The whole image if None.
 
     Raises
     ------
     ImageError
         If the corners are outside the image.
     """
-    if corners is None:
+    if edges is None:
         return Region(np.empty((0, 2)), np.empty(0), (0, 0, width_px, height_px))
-    polygon = np.array(corners, dtype=float)
-    low = np.maximum(np.floor(polygon.min(axis=0)).astype(int), 0)
-    high = np.ceil(polygon.max(axis=0)).astype(int) + 1
+    points = np.array(edges, dtype=float)
+    polygon = points[:, 0]
+    low = np.maximum(np.floor(points.min(axis=(0, 1))).astype(int), 0)
+    high = np.ceil(points.max(axis=(0, 1))).astype(int) + 1
     high = np.minimum(high, (width_px, height_px))
     if np.any(high - low < 2):
         raise ImageError(
@@ -85,13 +101,45 @@ def make_region(
             f"y {polygon[:, 1].min():g} to {polygon[:, 1].max():g} px, "
             f"allowed: inside the image of {width_px} x {height_px} px"
         )
-    edges = np.roll(polygon, -1, axis=0) - polygon
-    sense = np.sign(_cross(edges, np.roll(edges, -1, axis=0))[0])
-    normals = sense * np.stack([-edges[:, 1], edges[:, 0]], axis=1)
-    normals /= np.linalg.norm(edges, axis=1)[:, None]
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    sense = np.sign(_cross(sides, np.roll(sides, -1, axis=0))[0])
+    length = np.linalg.norm(sides, axis=1)[:, None]
+    normals = sense * np.stack([-sides[:, 1], sides[:, 0]], axis=1) / length
     offsets = -np.sum(normals * polygon, axis=1)
     box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-    return Region(normals, offsets, box)
+    bows = _bows(points, normals, offsets) if points.shape[1] > 1 else None
+    return Region(normals, offsets, box, bows)
+
+
+def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Fit `Region.bows` to points (4, n, 2) [px] of the edges."""
+    bows = []
+    corners = np.roll(points[:, 0], -1, axis=0)
+    for edge, end, normal, offset in zip(points, corners, normals, offsets, strict=True):
+        line = np.concatenate([edge, end[None]])
+        along = 2 * (end - edge[0]) / np.sum((end - edge[0]) ** 2)
+        at = -1 - along @ edge[0]
+        bow = np.polyfit(at + line @ along, line @ normal + offset, min(BOW_DEGREE, len(edge)))
+        bows.append([at, *along, *np.zeros(BOW_DEGREE + 1 - len(bow)), *bow])
+    return np.array(bows)
+
+
+def check_region(region_px: np.ndarray) -> tuple[Points, ...]:
+    """Return corners (4, 2) or points of edges (4, n, 2) [px] as `make_region` takes them.
+
+    Raises
+    ------
+    ImageError
+        If the corners are not those of a convex quadrilateral, or a value is not finite.
+    """
+    points = np.asarray(region_px, dtype=float)
+    if points.ndim == 3 and points.shape[0] == 4 and points.shape[1] > 0 and points.shape[2] == 2:
+        if not np.all(np.isfinite(points)):
+            raise ImageError("region_px: not all points are finite, allowed: finite pairs (x, y)")
+        check_quadrilateral(points[:, 0], "region_px")
+    else:
+        points = check_quadrilateral(points, "region_px")[:, None]
+    return tuple(tuple((x, y) for x, y in edge) for edge in points.tolist())
 
 
 def check_quadrilateral(polygon: np.ndarray, name: str) -> np.ndarray:

@@ -13,6 +13,9 @@ from .detection import DetectorOptions, detect
 from .errors import ImageError
 from .tracking import Tracker, step
 
+EDGE_POINTS = 8
+"""Points by which every bent edge of the plate is known: twice what its polynomial needs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Vision:
@@ -22,18 +25,26 @@ class Vision:
     ----------
     calibration : Calibration
         Between image and plate_home.
-    region_px : (4, 2)
-        The plate's corners in the image [px].
+    region_px : (4, 2) or (4, n, 2)
+        The plate's corners in the image [px]; points of its edges if a lens bends them.
     size_px : (int, int)
         Width and height of the images [px].
     options : DetectorOptions
         What a part looks like.
+    radius : float
+        Of the parts [m].
     """
 
     calibration: Calibration
     region_px: np.ndarray
     size_px: tuple[int, int]
     options: DetectorOptions
+    radius: float
+
+    def size(self, point_px: np.ndarray) -> np.ndarray:
+        """Radius (n,) of a part seen at points (n, 2) [px], as a share of the options' radius."""
+        scale = self.calibration.scale(self.calibration.to_home(point_px))
+        return np.asarray(self.radius * scale / self.options.radius_px)
 
 
 def make_vision(
@@ -45,17 +56,30 @@ def make_vision(
     ----------
     rig : Rig
     options : DetectorOptions, optional
-        Its radius is replaced by the rig's, as it is seen in the middle of the plate.
+        Its radius is replaced by the rig's, as it is seen in the middle of the plate; under a lens
+        that bends, halfway between the smallest and the largest seen on the plate.
     lens : Lens, optional
-        If the camera's distortion is known.
+        That of camera_info; the rig's if None.
     """
     calibration = calibrate_by_rig(rig, lens)
-    radius_px = rig.parts.radius_m * float(calibration.scale(np.zeros((1, 2)))[0])
+    region_px = np.array(rig.camera.corners_px)
+    places = np.zeros((1, 2))
+    if calibration.lens is not None:
+        corners = rig.plate.corners
+        share = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
+        sides = np.roll(corners, -1, axis=0) - corners
+        places = np.concatenate(
+            [places, (corners[:, None] + share * sides[:, None]).reshape(-1, 2)]
+        )
+        region_px = calibration.to_image(places[1:]).reshape(4, EDGE_POINTS, 2)
+    scale = calibration.scale(places)
+    radius_px = rig.parts.radius_m * float(np.sqrt(scale.min() * scale.max()))
     return Vision(
         calibration,
-        np.array(rig.camera.corners_px),
+        region_px,
         (rig.camera.width_px, rig.camera.height_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
+        rig.parts.radius_m,
     )
 
 
@@ -85,6 +109,8 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
             f"image: size is {seen} px, allowed: {width} x {height} px, the size in the rig file "
             "for which its corners_px hold"
         )
-    found = detect(image, vision.options, vision.region_px)
-    centre = vision.calibration.to_home(np.stack([found["x_px"], found["y_px"]], axis=1))
+    size = None if vision.calibration.lens is None else vision.size
+    found = detect(image, vision.options, vision.region_px, size)
+    centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
+    centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
     return step(tracker, stamp, centre, found["label"])

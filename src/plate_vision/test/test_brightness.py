@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from plate_vision.brightness import fit_brightness
-from plate_vision.region import make_region
+from plate_vision.region import check_region, make_region
 
 X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
 
 
 @pytest.fixture
 def region(corners_px):
-    return make_region(480, 640, tuple(map(tuple, corners_px.tolist())))
+    return make_region(480, 640, check_region(corners_px))
 
 
 def truth(x, y):
