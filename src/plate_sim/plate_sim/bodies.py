@@ -220,29 +220,27 @@ def _run(motion, footprint, limit, pull, static_ratio, contacts, half, state, he
     if cycles > 1 and not isinstance(motion, PlateCycle):
         raise PlateError(f"cycles is {cycles}, allowed: 1, as a PlateMotion need not close")
     order = np.lexsort((position[:, 1], position[:, 0]))
-    shapes = Shapes.of([parts[i] for i in order])
-    shapes.facts[:, 0] = limit[order]
+    shapes = Shapes.of([parts[i] for i in order], limit[order])
+    shapes.parts[:, :6] = np.column_stack([position, angle, velocity, spin])[order]
     table, _ = tabulate(motion)
-    bodies = np.column_stack([position, angle, velocity, spin])[order]
     record = np.empty((cycles * steps // every + 1 if every else 0, count, 6))
     there = here[order]
+    rules = (0.0, 0.0) if contacts is None else (contacts.restitution, contacts.friction)
     i, j, depth = run(
-        table, steps, cycles, max(every, 1), shapes.facts, np.array([*pull, static_ratio], float),
-        shapes.spans, shapes.points, shapes.weights, shapes.blur, shapes.pieces, shapes.corners,
-        contacts is not None, np.array([contacts.restitution, contacts.friction])
-        if contacts is not None else np.zeros(2), half, contacts is not None and contacts.walls,
-        there, bodies, record,
+        table, steps, cycles, max(every, 1), np.array([*pull, static_ratio], float), shapes.parts,
+        shapes.mesh, shapes.pieces, shapes.corners, contacts is not None, np.array(rules), half,
+        contacts is not None and contacts.walls, there, record,
     )  # fmt: skip
     if depth > 0:
         first, second = sorted((names[order[i]], names[order[j]]))
-        most = START_OVERLAP * min(shapes.facts[i, 5], shapes.facts[j, 5])
+        most = START_OVERLAP * min(parts[order[i]].slim, parts[order[j]].slim)
         raise PlateError(
             f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
             f"allowed: at most {1e3 * most:.3g} mm"
         )
     back = np.argsort(order)
     time = np.arange(len(record)) * (motion.period / steps * every)
-    end = BodyTrajectory.of_states(np.array(motion.period * cycles), bodies[back])
+    end = BodyTrajectory.of_states(np.array(motion.period * cycles), shapes.parts[back, :6])
     return (end, there[back]), BodyTrajectory.of_states(time, record[:, back])
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numba import njit
 
 # numba does not see changes in these: delete the cache then
-from .body_step import advance, piece_at
+from .body_step import AFTER, GROUND, WIDTH, advance, plate_at
 from .footprint import Footprint
 from .meetings import moved, near_pairs, overlapping, settle
-from .motion import END, START, THETA, X, Y, place, slope
+from .motion import END
 from .touching import SIZE
 
 START_OVERLAP = 0.1
@@ -22,58 +22,55 @@ START_OVERLAP = 0.1
 
 @dataclass(frozen=True)
 class Shapes:
-    """Footprints of M parts as flat arrays for compiled code.
+    """M parts and their footprints as flat arrays for compiled code.
 
     Attributes
     ----------
-    facts : (M, 6)
-        Columns as in `body_step`; mu g is filled in later.
-    spans : (M, 4)
-        Each part's first piece, its last + 1; first point, its last + 1.
-    points, weights, blur : (n, 2), (n,), (n,)
-        Of all footprints.
+    parts : (M, 22)
+        Columns as in `body_step`; states are filled in later.
+    mesh : (n, 7)
+        Points of all footprints, columns as in `rubbing`.
     pieces : (P, 2)
-        Each piece's first corner, its last + 1.
+        Each convex piece's first corner, its last + 1.
     corners : (C, 5)
         Of all pieces, columns as in `touching`.
     """
 
-    facts: np.ndarray
-    spans: np.ndarray
-    points: np.ndarray
-    weights: np.ndarray
-    blur: np.ndarray
+    parts: np.ndarray
+    mesh: np.ndarray
     pieces: np.ndarray
     corners: np.ndarray
 
     @classmethod
-    def of(cls, parts: Sequence[Footprint]) -> Shapes:
-        """Put footprints one after the other."""
-        facts, spans = np.empty((len(parts), 6)), np.empty((len(parts), 4), np.int64)
-        pieces, first = [np.empty((0, 2), np.int64)], 0
-        for i, part in enumerate(parts):
-            facts[i] = 0, part.gyration2, part.radius, part.reach, 1 / part.mass, part.slim
-            ends = first + np.cumsum([0, *(0 if part.radius else len(p) for p in part.outline)])
-            rows = np.column_stack([ends[:-1], ends[1:]])[: 0 if part.radius else None]
-            spans[i, :2] = sum(map(len, pieces)) + np.array([0, len(rows)])
-            pieces.append(rows)
-            first = ends[-1]
-        end = np.cumsum([len(part.weights) for part in parts])
-        spans[:, 3] = end
-        spans[:, 2] = end - [len(part.weights) for part in parts]
-        return cls(
-            facts, spans,
-            np.concatenate([np.empty((0, 2)), *(part.points for part in parts)]),
-            np.concatenate([np.empty(0), *(part.weights for part in parts)]),
-            np.concatenate([np.empty(0), *(part.blur for part in parts)]),
-            np.concatenate(pieces),
-            np.concatenate([np.empty((0, 5)), *(part.corners for part in parts)]),
-        )  # fmt: skip
+    def of(cls, footprints: Sequence[Footprint], limit: np.ndarray) -> Shapes:
+        """Put footprints one after the other, of parts with mu g of `limit` (M,) [m/s2]."""
+        parts = np.zeros((len(footprints), WIDTH))
+        mesh, corners, pieces = [np.empty((0, 7))], [np.empty((0, 5))], [np.empty((0, 2), np.int64)]
+        point = piece = corner = 0
+        for i, part in enumerate(footprints):
+            count = 0 if part.radius else len(part.outline)
+            parts[i, AFTER:] = (
+                *np.zeros(6), limit[i], part.gyration2, part.radius, point,
+                point + len(part.points), part.reach, 1 / part.mass, part.slim, piece,
+                piece + count,
+            )  # fmt: skip
+            ends = corner + np.cumsum([0, *(len(p) for p in part.outline[:count])])
+            pieces.append(np.column_stack([ends[:-1], ends[1:]]))
+            mesh.append(
+                np.column_stack(
+                    [part.points, part.weights, part.blur, np.zeros((len(part.blur), 3))]
+                )
+            )
+            corners.append(part.corners)
+            point, piece, corner = point + len(part.points), piece + count, ends[-1]
+        return cls(parts, *(np.concatenate(rows) for rows in (mesh, pieces, corners)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run(table, steps, cycles, every, facts, ground, spans, points, weights, blur, pieces, corners,
-        meets, rules, half, walls, here, bodies, record):  # fmt: skip
+def run(
+    table, steps, cycles, every, ground, parts, mesh, pieces, corners, meets, rules, half, walls,
+    here, record,
+):  # fmt: skip
     """Advance parts through cycles of the plate, in place.
 
     Parameters
@@ -82,18 +79,16 @@ def run(table, steps, cycles, every, facts, ground, spans, points, weights, blur
         The plate's motion as `motion.tabulate` makes it; equal steps in a cycle; cycles.
     every : int
         Steps from one recorded state to the next.
-    facts, spans, points, weights, blur, pieces, corners
-        As in `Shapes`.
     ground : (3,)
         Pull x, y [m/s2], static over dynamic friction.
+    parts, mesh, pieces, corners
+        As in `Shapes`; states of parts are changed.
     meets, rules, walls : bool, (2,), bool
         Whether parts touch each other, their restitution and friction, whether there are walls.
     half : (2,)
         Half sides of the plate [m]; infinite if it is endless.
     here : (M,)
         Which parts are on the plate; changed.
-    bodies : (M, 6)
-        x, y [m], angle [rad] and their rates, plate_home; changed.
     record : (cycles * steps / every + 1, M, 6) or (0, M, 6)
         Filled, unless empty.
 
@@ -103,67 +98,54 @@ def run(table, steps, cycles, every, facts, ground, spans, points, weights, blur
         Parts that overlap too far [m] at the start: then nothing has moved. Else -1, -1, 0.
     """
     step = table[-1, END] / steps
-    force, after = np.zeros((len(weights), 3)), np.empty(6)
     touch, arms, world = np.zeros((2, SIZE)), np.empty((2, 4)), np.empty_like(corners)
-    pairs, marks = np.empty((4 * len(bodies), 2), np.int64), np.empty((len(bodies), 2))
-    plate = np.empty(6)
+    pairs, marks = np.empty((4 * len(parts), 2), np.int64), np.empty((len(parts), 2))
+    plate = np.empty((7, 6))
+    plate[GROUND, :3] = ground
     found, skin, gap = 0, np.inf, np.inf
     if meets:
-        pairs, found, skin, gap = near_pairs(bodies, facts, here, pairs, marks)
+        pairs, found, skin, gap = near_pairs(parts, here, pairs, marks)
         i, j, depth = overlapping(
-            bodies, facts, spans, pieces, corners, world, pairs, found, START_OVERLAP, touch, arms
+            parts, pieces, corners, world, pairs, found, START_OVERLAP, touch, arms
         )  # fmt: skip
         if depth > 0:
             return i, j, depth
     for k in range(cycles * steps):
         if len(record) and k % every == 0:
-            record[k // every] = bodies
+            record[k // every] = parts[:, :6]
         start = (k % steps) * step
-        for i in range(len(bodies)):
+        for row in range(3):
+            plate_at(table, start + 0.5 * row * step, plate, row)
+        for i in range(len(parts)):
             if here[i]:
-                a, b = spans[i, 2], spans[i, 3]
-                advance(
-                    table, start, step, facts[i], ground, points[a:b], weights[a:b], blur[a:b],
-                    force[a:b], bodies[i], after,
-                )  # fmt: skip
-        _plate_at(table, start + step, plate)
+                advance(table, start, step, plate, parts, i, mesh)
         if meets:
-            drift = moved(bodies, here, marks)
+            drift = moved(parts, here, marks)
             if drift >= skin:
-                pairs, found, skin, gap = near_pairs(bodies, facts, here, pairs, marks)
+                pairs, found, skin, gap = near_pairs(parts, here, pairs, marks)
                 drift = 0.0
             close = found if drift >= gap else 0
             if close or walls:
                 settle(
-                    bodies, facts, spans, pieces, corners, world, pairs, close, rules, step, touch,
-                    arms, plate, half, walls, here,
+                    parts, pieces, corners, world, pairs, close, rules, step, touch, arms, plate[2],
+                    half, walls, here,
                 )  # fmt: skip
-        if not walls and _drop(bodies, here, plate, half) and meets:
-            pairs, found, skin, gap = near_pairs(bodies, facts, here, pairs, marks)
+        if not walls and _drop(parts, here, plate[2], half) and meets:
+            pairs, found, skin, gap = near_pairs(parts, here, pairs, marks)
     if len(record):
-        record[-1] = bodies
+        record[-1] = parts[:, :6]
     return -1, -1, 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _plate_at(table, t, plate):
-    """Set the plate's pose and twist (6,) at time t [s]."""
-    k = piece_at(table, t)
-    u = t - table[k, START]
-    plate[0], plate[1] = place(table, k, X, u), place(table, k, Y, u)
-    plate[2], plate[5] = place(table, k, THETA, u), slope(table, k, THETA, u)
-    plate[3], plate[4] = slope(table, k, X, u), slope(table, k, Y, u)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _drop(bodies, here, plate, half):
+def _drop(parts, here, plate, half):
     """Take parts whose centre is beyond the plate's edge away; return whether there were any."""
     c, s = cos(plate[2]), sin(plate[2])
     any_left = False
-    for i in range(len(bodies)):
-        rx, ry = bodies[i, 0] - plate[0], bodies[i, 1] - plate[1]
+    for i in range(len(parts)):
+        rx, ry = parts[i, 0] - plate[0], parts[i, 1] - plate[1]
         if here[i] and (abs(c * rx + s * ry) > half[0] or abs(c * ry - s * rx) > half[1]):
             here[i] = False
-            bodies[i, 3:] = 0.0
+            parts[i, 3:6] = 0.0
             any_left = True
     return any_left

@@ -15,21 +15,27 @@ from numba import njit
 
 # numba does not see changes in these: delete the cache then
 from .disc_friction import disc_force, disc_slip_after
-from .motion import END, START, THETA, X, Y, place, slope
+from .motion import END as UNTIL
+from .motion import START, THETA, X, Y, place, slope
 from .rubbing import rub, slip_after
 
-LIMIT, GYRATION2, RADIUS, REACH, LIGHTNESS, SLIM = 0, 1, 2, 3, 4, 5
-"""Columns of the parts' facts: mu g [m/s2]; inertia by mass [m2]; radius of a disc, else 0 [m];
-greatest distance of the rim from the centre of mass [m]; 1/mass [1/kg]; half the least width [m]."""
+AFTER, LIMIT, GYRATION2, RADIUS, FIRST, END = 6, 12, 13, 14, 15, 16
+REACH, LIGHTNESS, SLIM, FIRST_PIECE, END_PIECE, WIDTH = 17, 18, 19, 20, 21, 22
+"""Columns of a part, one array, as compiled calls take few arguments quickly. First x, y [m], angle
+[rad] and their rates, in plate_home; room for the state after a step; mu g [m/s2]; inertia by mass
+[m2]; radius of a disc, else 0 [m]; its first point in the mesh, its last + 1; greatest distance of
+the rim from the centre of mass [m]; 1/mass [1/kg]; about half the least width [m]; its first convex
+piece, its last + 1."""
+
+INNER, GROUND = 3, 6
+"""Rows of the plate's motion: pose and twist at the start, middle and end of a step; the same of a
+shorter step within; then pull x, y [m/s2], and static over dynamic friction."""
 
 HALVINGS = 9
 """How often a step is halved where the slip turns: friction reverses on time to 1/512 of it."""
 
 STEADY = 0.9
 """Least cosine of the slip's turn to the middle and the end of a step that is not halved."""
-
-END_SHARE = 1 / 16
-"""Share of a step, at its end, over which a stuck part must be held on its own."""
 
 STUCK = 1e-3
 """A slip below this share of mu g dt counts as none: it comes from rounding, not from sliding."""
@@ -42,122 +48,117 @@ DISC_STIFF = 3.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance(table, start, step, facts, ground, points, weights, blur, force, now, after):
-    """Advance a part by a step [s] that begins at `start` [s] in the cycle, in place.
+def advance(table, start, step, plate, parts, i, mesh):
+    """Advance part i by a step [s] that begins at `start` [s] in the cycle, in place.
 
     Parameters
     ----------
-    table : (K, 23)
-        The plate's motion, as `motion.tabulate` makes it.
-    facts : (6,)
-        The part's row.
-    ground : (3,)
-        Pull x, y [m/s2], and static over dynamic friction.
-    points, weights, blur : (n, 2), (n,), (n,)
-        Of its footprint; none for a disc that presses evenly.
-    force : (n, 3)
-        Room to work in, finite.
-    now, after : (6,)
-        x, y [m], angle [rad] and their rates, plate_home; changed. Room to work in.
+    table, plate : (K, 23), (7, 6)
+        The plate's motion as `motion.tabulate` makes it, and rows of it as described above.
+    parts : (M, 22)
+        Columns as above.
+    mesh : (n, 7)
+        Columns as in `rubbing`.
     """
+    none = STUCK * parts[i, LIMIT] * step
+    if _try(plate, 0, step, False, none, parts, i, mesh):
+        for d in range(6):
+            parts[i, d] = parts[i, AFTER + d]
+        return
     finest = 1 << HALVINGS
-    none = STUCK * facts[LIMIT] * step
-    done, size = 0, finest
+    done, size = 0, finest >> 1
     while done < finest:
         t, h = start + done * step / finest, step * size / finest
-        fits = _try(
-            table, t, h, size == 1, none, facts, ground, points, weights, blur, force, now, after
-        )  # fmt: skip
-        if not fits:
-            size //= 2
+        for k in range(3):
+            plate_at(table, t + 0.5 * k * h, plate, INNER + k)
+        if not _try(plate, INNER, h, size == 1, none, parts, i, mesh):
+            size >>= 1
             continue
-        now[:] = after
+        for d in range(6):
+            parts[i, d] = parts[i, AFTER + d]
         done += size
-        if size < finest and done % (2 * size) == 0:
+        if done % (2 * size) == 0:
             size *= 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _try(table, t, h, last, none, facts, ground, points, weights, blur, force, now, after):
-    """Make one step of h [s] from `now` to `after` (6,); return whether it is fine enough.
+def _try(plate, row, h, last, none, parts, i, mesh):
+    """Make one step of h [s]; return whether it is fine enough.
 
-    `last`: it has to be. `none`: slip [m/s] that counts as none.
+    `row`: of its start. `last`: it has to be. `none`: slip [m/s] that counts as none.
     """
-    x, y, angle, vx, vy, spin = now[0], now[1], now[2], now[3], now[4], now[5]
-    limit, gyration2 = facts[LIMIT], facts[GYRATION2]
-    px, py = h * ground[0], h * ground[1]
-    kick = limit * h
+    x, y, angle = parts[i, 0], parts[i, 1], parts[i, 2]
+    vx, vy, spin = parts[i, 3], parts[i, 4], parts[i, 5]
+    gyration2, kick = parts[i, GYRATION2], parts[i, LIMIT] * h
+    px, py, ratio = h * plate[GROUND, 0], h * plate[GROUND, 1], plate[GROUND, 2]
     if kick <= 0:
-        _move(now, after, h, vx + px, vy + py, spin)
+        _move(parts, i, h, vx + px, vy + py, spin)
         return True
-    sx, sy, sc = _slip(table, t, x, y, vx, vy, spin)
-    size2 = sx * sx + sy * sy + gyration2 * sc * sc
-    if size2 <= none * none:
-        if _rides(table, t, h, facts, ground, points, weights, blur, force, now, after):
+    sx, sy, sc = _slip(plate, row, x, y, vx, vy, spin)
+    if sx * sx + sy * sy + gyration2 * sc * sc <= none * none:
+        if _rides(plate, row, px, py, ratio * kick, parts, i, mesh):
             return True
     else:
-        ux, uy, uc, mx, my, mc = _middle(
-            table, t, h, facts, ground, points, weights, blur, force, now, sx, sy, sc
+        mx, my, mc = _slip(
+            plate, row + 1, x + 0.5 * h * vx, y + 0.5 * h * vy, vx + 0.5 * px, vy + 0.5 * py, spin
         )  # fmt: skip
-        _move(now, after, h, vx + ux, vy + uy, spin + uc)
-        ex, ey, ec = _slip(table, t + h, after[0], after[1], after[3], after[4], after[5])
-        steady = _alike(sx, sy, sc, mx, my, mc, gyration2)
+        ax, ay, ac, stiff = _rub(sx, sy, sc, angle, parts, i, mesh)
+        hx, hy, hc = mx - 0.5 * kick * ax, my - 0.5 * kick * ay, mc - 0.5 * kick * ac
+        gentle, turn = kick * stiff <= GENTLE, angle + 0.5 * h * spin
+        if gentle:
+            ax, ay, ac, stiff = _rub(hx, hy, hc, turn, parts, i, mesh)
+            ax, ay, ac, gentle = kick * ax, kick * ay, kick * ac, kick * stiff <= GENTLE
+        if not gentle:
+            hx, hy, hc = _slip_after(mx, my, mc, turn, 0.5 * kick, parts, i, mesh)
+            ax, ay, ac = 2 * (mx - hx), 2 * (my - hy), 2 * (mc - hc)
+        _move(parts, i, h, vx + px + ax, vy + py + ay, spin + ac)
+        ex, ey, ec = _slip(
+            plate, row + 2, parts[i, AFTER], parts[i, AFTER + 1], parts[i, AFTER + 3],
+            parts[i, AFTER + 4], parts[i, AFTER + 5],
+        )  # fmt: skip
+        steady = _alike(sx, sy, sc, hx, hy, hc, gyration2)
         if steady and _alike(sx, sy, sc, ex, ey, ec, gyration2):
             return True
-    if not last:
-        return False
-    fx, fy, fc = _slip(table, t + h, x + h * vx, y + h * vy, vx + px, vy + py, spin)
-    turn = angle + h * spin
-    ex, ey, ec = _slip_after(
-        fx, fy, fc, turn, ground[2] * kick, facts, points, weights, blur, force
-    )  # fmt: skip
-    if ground[2] > 1 and (ex != 0 or ey != 0 or ec != 0):
-        ex, ey, ec = _slip_after(fx, fy, fc, turn, kick, facts, points, weights, blur, force)
-    _move(now, after, h, vx + px + fx - ex, vy + py + fy - ey, spin + fc - ec)
-    return True
+    if last:
+        fx, fy, fc = _slip(plate, row + 2, x + h * vx, y + h * vy, vx + px, vy + py, spin)
+        turn = angle + h * spin
+        ex, ey, ec = _slip_after(fx, fy, fc, turn, ratio * kick, parts, i, mesh)
+        if ratio > 1 and (ex != 0 or ey != 0 or ec != 0):
+            ex, ey, ec = _slip_after(fx, fy, fc, turn, kick, parts, i, mesh)
+        _move(parts, i, h, vx + px + fx - ex, vy + py + fy - ey, spin + fc - ec)
+    return last
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rides(table, t, h, facts, ground, points, weights, blur, force, now, after):
-    """Let a stuck part ride for h [s]; return whether friction can hold it."""
-    angle, most = now[2], ground[2] * facts[LIMIT]
-    # Over the whole step, and also at its end, where it may come loose
-    _ride(table, t, (1 - END_SHARE) * h, now, after)
-    lx, ly, lc = after[3], after[4], after[5]
-    _ride(table, t, h, now, after)
-    tail = END_SHARE * h
-    ex, ey, ec = _slip_after(
-        after[3] - lx - tail * ground[0], after[4] - ly - tail * ground[1], after[5] - lc, angle,
-        tail * most, facts, points, weights, blur, force,
-    )  # fmt: skip
+def _rides(plate, row, px, py, kick, parts, i, mesh):
+    """Let a stuck part ride through a step; return whether friction can hold it.
+
+    p [m/s]: what the pull gives in the step. kick [m/s]: what static friction can give.
+    """
+    end = row + 2
+    turn = plate[end, 2] - plate[row, 2]
+    rx, ry = parts[i, 0] - plate[row, 0], parts[i, 1] - plate[row, 1]
+    qx, qy = cos(turn) * rx - sin(turn) * ry, sin(turn) * rx + cos(turn) * ry
+    parts[i, AFTER], parts[i, AFTER + 1] = plate[end, 0] + qx, plate[end, 1] + qy
+    parts[i, AFTER + 2], parts[i, AFTER + 5] = parts[i, 2] + turn, plate[end, 5]
+    parts[i, AFTER + 3] = plate[end, 3] - plate[end, 5] * qy
+    parts[i, AFTER + 4] = plate[end, 4] + plate[end, 5] * qx
+    ux, uy = parts[i, AFTER + 3] - parts[i, 3], parts[i, AFTER + 4] - parts[i, 4]
+    uc = parts[i, AFTER + 5] - parts[i, 5]
+    ex, ey, ec = _slip_after(ux - px, uy - py, uc, parts[i, 2], kick, parts, i, mesh)
     if ex != 0 or ey != 0 or ec != 0:
         return False
+    # Also at the end of the step, where it may come loose: the velocity is about a parabola.
+    turn = plate[row + 1, 2] - plate[row, 2]
+    mx, my, mc = _slip(
+        plate, row + 1, plate[row + 1, 0] + rx - turn * ry, plate[row + 1, 1] + ry + turn * rx,
+        parts[i, 3], parts[i, 4], parts[i, 5],
+    )  # fmt: skip
     ex, ey, ec = _slip_after(
-        after[3] - now[3] - h * ground[0], after[4] - now[4] - h * ground[1], after[5] - now[5],
-        angle, h * most, facts, points, weights, blur, force,
+        3 * ux - 4 * mx - px, 3 * uy - 4 * my - py, 3 * uc - 4 * mc, parts[i, 2], kick, parts, i,
+        mesh,
     )  # fmt: skip
     return ex == 0 and ey == 0 and ec == 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _middle(table, t, h, facts, ground, points, weights, blur, force, now, sx, sy, sc):
-    """Change of a sliding part's velocity over h [s], and its slip in the middle, whose friction
-    does that."""
-    x, y, angle, vx, vy, spin = now[0], now[1], now[2], now[3], now[4], now[5]
-    px, py, half, kick = h * ground[0], h * ground[1], 0.5 * h, facts[LIMIT] * h
-    mx, my, mc = _slip(
-        table, t + half, x + half * vx, y + half * vy, vx + 0.5 * px, vy + 0.5 * py, spin
-    )  # fmt: skip
-    ax, ay, ac, stiff = _rub(sx, sy, sc, angle, facts, points, weights, blur)
-    if kick * stiff <= GENTLE:
-        hx, hy, hc = mx - 0.5 * kick * ax, my - 0.5 * kick * ay, mc - 0.5 * kick * ac
-        ax, ay, ac, stiff = _rub(hx, hy, hc, angle + half * spin, facts, points, weights, blur)
-        if kick * stiff <= GENTLE:
-            return px + kick * ax, py + kick * ay, kick * ac, hx, hy, hc
-    hx, hy, hc = _slip_after(
-        mx, my, mc, angle + half * spin, 0.5 * kick, facts, points, weights, blur, force
-    )  # fmt: skip
-    return px + 2 * (mx - hx), py + 2 * (my - hy), 2 * (mc - hc), hx, hy, hc
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -170,11 +171,11 @@ def _alike(ax, ay, ac, bx, by, bc, gyration2):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rub(dx, dy, dc, angle, facts, points, weights, blur):
+def _rub(dx, dy, dc, angle, parts, i, mesh):
     """As `rubbing.rub`, in plate_home, for a part at `angle` [rad]; also for discs."""
-    gyration2 = facts[GYRATION2]
-    if len(weights) == 0:
-        s2, radius = dx * dx + dy * dy, facts[RADIUS]
+    gyration2, first, end = parts[i, GYRATION2], int(parts[i, FIRST]), int(parts[i, END])
+    if first == end:
+        s2, radius = dx * dx + dy * dy, parts[i, RADIUS]
         size2 = s2 + gyration2 * dc * dc
         if size2 <= 0:
             return 0.0, 0.0, 0.0, np.inf
@@ -184,71 +185,52 @@ def _rub(dx, dy, dc, angle, facts, points, weights, blur):
         turn *= radius / gyration2
         return share * dx, share * dy, turn if dc > 0 else -turn, DISC_STIFF / sqrt(size2)
     c, s = cos(angle), sin(angle)
-    ax, ay, ac, stiff = rub(
-        c * dx + s * dy, c * dy - s * dx, dc, gyration2, points, weights, blur
-    )  # fmt: skip
+    ax, ay, ac, stiff = rub(c * dx + s * dy, c * dy - s * dx, dc, gyration2, mesh, first, end)
     return c * ax - s * ay, s * ax + c * ay, ac, stiff
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slip_after(dx, dy, dc, angle, kick, facts, points, weights, blur, force):
+def _slip_after(dx, dy, dc, angle, kick, parts, i, mesh):
     """As `rubbing.slip_after`, in plate_home, for a part at `angle` [rad]; also for discs."""
-    if len(weights) == 0:
-        return disc_slip_after(dx, dy, dc, kick, facts[GYRATION2], facts[RADIUS])
+    gyration2, first, end = parts[i, GYRATION2], int(parts[i, FIRST]), int(parts[i, END])
+    if first == end:
+        return disc_slip_after(dx, dy, dc, kick, gyration2, parts[i, RADIUS])
     c, s = cos(angle), sin(angle)
     ex, ey, ec = slip_after(
-        c * dx + s * dy, c * dy - s * dx, dc, kick, facts[GYRATION2], points, weights, blur, force
+        c * dx + s * dy, c * dy - s * dx, dc, kick, gyration2, mesh, first, end
     )  # fmt: skip
     return c * ex - s * ey, s * ex + c * ey, ec
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _move(now, after, h, ux, uy, uc):
+def _move(parts, i, h, ux, uy, uc):
     """Go on for h [s] while the velocity changes evenly to (ux, uy, uc)."""
-    after[0] = now[0] + 0.5 * h * (now[3] + ux)
-    after[1] = now[1] + 0.5 * h * (now[4] + uy)
-    after[2] = now[2] + 0.5 * h * (now[5] + uc)
-    after[3], after[4], after[5] = ux, uy, uc
+    parts[i, AFTER] = parts[i, 0] + 0.5 * h * (parts[i, 3] + ux)
+    parts[i, AFTER + 1] = parts[i, 1] + 0.5 * h * (parts[i, 4] + uy)
+    parts[i, AFTER + 2] = parts[i, 2] + 0.5 * h * (parts[i, 5] + uc)
+    parts[i, AFTER + 3], parts[i, AFTER + 4], parts[i, AFTER + 5] = ux, uy, uc
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def piece_at(table, t):
-    """Piece of the motion at time t [s]; the first and the last go on beyond the cycle's ends."""
-    last = len(table) - 1
-    k = min(max(int(t / table[last, END] * (last + 1)), 0), last)
-    while k > 0 and t < table[k, START]:
-        k -= 1
-    while k < last and t >= table[k, END]:
-        k += 1
-    return k
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slip(table, t, x, y, vx, vy, spin):
+def _slip(plate, row, x, y, vx, vy, spin):
     """Twist of the plate at (x, y) less that of a part: equation (2)."""
-    k = piece_at(table, t)
-    u = t - table[k, START]
-    turn = slope(table, k, THETA, u)
     return (
-        slope(table, k, X, u) - turn * (y - place(table, k, Y, u)) - vx,
-        slope(table, k, Y, u) + turn * (x - place(table, k, X, u)) - vy,
-        turn - spin,
+        plate[row, 3] - plate[row, 5] * (y - plate[row, 1]) - vx,
+        plate[row, 4] + plate[row, 5] * (x - plate[row, 0]) - vy,
+        plate[row, 5] - spin,
     )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ride(table, t, h, now, after):
-    """Set `after` to where a part stuck to the plate is after h [s]."""
-    k = piece_at(table, t)
+def plate_at(table, t, plate, row):
+    """Set a row of the plate's motion at time t [s]; before and after the cycle it goes on."""
+    last = len(table) - 1
+    k = min(max(int(t / table[last, UNTIL] * (last + 1)), 0), last)
+    while k > 0 and t < table[k, START]:
+        k -= 1
+    while k < last and t >= table[k, UNTIL]:
+        k += 1
     u = t - table[k, START]
-    rx, ry = now[0] - place(table, k, X, u), now[1] - place(table, k, Y, u)
-    before = place(table, k, THETA, u)
-    k = piece_at(table, t + h)
-    u = t + h - table[k, START]
-    turn = place(table, k, THETA, u) - before
-    qx, qy = cos(turn) * rx - sin(turn) * ry, sin(turn) * rx + cos(turn) * ry
-    spin = slope(table, k, THETA, u)
-    after[0], after[1] = place(table, k, X, u) + qx, place(table, k, Y, u) + qy
-    after[2] = now[2] + turn
-    after[3], after[4] = slope(table, k, X, u) - spin * qy, slope(table, k, Y, u) + spin * qx
-    after[5] = spin
+    plate[row, 0], plate[row, 1] = place(table, k, X, u), place(table, k, Y, u)
+    plate[row, 2], plate[row, 5] = place(table, k, THETA, u), slope(table, k, THETA, u)
+    plate[row, 3], plate[row, 4] = slope(table, k, X, u), slope(table, k, Y, u)

@@ -33,16 +33,14 @@ RANK = 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def knock(first, second, facts1, facts2, touch, rules, step, arms):
+def knock(first, second, touch, rules, step, arms):
     """Let two parts, or a part and a wall, meet; return the closing speed [m/s] there was.
 
     Parameters
     ----------
-    first, second : (6,)
-        x, y [m], angle [rad] and their rates, in plate_home; changed. A wall is the plate, with its
-        pose and twist. A disc that touches a piece is the first.
-    facts1, facts2 : (6,)
-        As in `body_step`; a wall has no `LIGHTNESS` and no `RADIUS`.
+    first, second : (22,)
+        Columns as in `body_step`; states are changed. A disc that touches a piece is the first. A
+        wall has the plate's pose and twist, no `LIGHTNESS` and no `RADIUS`.
     touch : (9,)
         As in `touching`; of discs, its normal is turned to when they touched.
     rules : (2,)
@@ -52,15 +50,15 @@ def knock(first, second, facts1, facts2, touch, rules, step, arms):
     arms : (2, 4)
         Room to work in.
     """
-    if facts1[RADIUS] > 0 and facts2[RADIUS] > 0:
-        ago = _discs_touched(first, second, facts1[RADIUS] + facts2[RADIUS], touch, step)
+    if first[RADIUS] > 0 and second[RADIUS] > 0:
+        ago = _discs_touched(first, second, first[RADIUS] + second[RADIUS], touch, step)
     else:
         ago = _touched(first, second, touch, step)
     count, n = int(touch[COUNT]), (touch[NORMAL], touch[NORMAL + 1])
-    _reach(first, second, facts1[RADIUS], facts2[LIGHTNESS] == 0, touch, ago, arms)
+    _reach(first, second, first[RADIUS], second[LIGHTNESS] == 0, touch, ago, arms)
     masses = (
-        facts1[LIGHTNESS], facts1[LIGHTNESS] / facts1[GYRATION2],
-        facts2[LIGHTNESS], facts2[LIGHTNESS] / facts2[GYRATION2],
+        first[LIGHTNESS], first[LIGHTNESS] / first[GYRATION2],
+        second[LIGHTNESS], second[LIGHTNESS] / second[GYRATION2],
     )  # fmt: skip
     before = (first[3], first[4], first[5], second[3], second[4], second[5])
     v0 = _speed(first, second, arms[0], n)

@@ -32,6 +32,9 @@ SNAP = 1e-3
 ITERATIONS = 30
 """1 to 12 are needed; on feet, once in 5000 cases where a foot is a pivot, this many do not do."""
 
+AT, WEIGHT, BLUR, FORCE, WIDTH = 0, 2, 3, 4, 7
+"""Columns of a mesh: points of footprints."""
+
 TINY = 1e-200
 """Added to a squared slip [m2/s2], so that none is divided by 0."""
 
@@ -40,7 +43,7 @@ ROUND = 1e-4
 
 
 @njit(cache=True, nogil=True)
-def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
+def slip_after(fx, fy, fc, kick, gyration2, mesh, first, end):
     """Return the slip (u, v, c) after a step, in the part's axes; zeros if the part sticks.
 
     Parameters
@@ -51,17 +54,17 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
         mu g dt [m/s], above 0.
     gyration2 : float
         [m2].
-    points, weights, blur : (n, 2), (n,), (n,)
-        As in a `Footprint`.
-    force : (n, 3)
-        Workspace: the points' forces [p_i mu m g] (x, y, and of the blur); a guess is welcome.
+    mesh, first, end : (n, 7), int, int
+        The part's points are the rows `first` to `end` - 1: columns `AT`, `WEIGHT` and `BLUR` as in
+        a `Footprint`, and `FORCE`, to work in: x, y, and of the blur [p_i mu m g]; a guess is
+        welcome.
     """
     far2 = 0.0
     spread = 0.0
-    for i in range(len(points)):
-        r2 = points[i, 0] ** 2 + points[i, 1] ** 2
+    for i in range(first, end):
+        r2 = mesh[i, AT] ** 2 + mesh[i, AT + 1] ** 2
         far2 = max(far2, r2)
-        spread += weights[i] * r2
+        spread += mesh[i, WEIGHT] * r2
     # It sticks if a force that is linear over the footprint is enough: nearly always when it does.
     push = fc * gyration2 / spread
     if sqrt(fx * fx + fy * fy) + abs(push) * sqrt(far2) <= kick:
@@ -71,7 +74,7 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
     if size2 > 16 * kick * kick:
         # It slides on, so the forces point along the slip.
         share = 1 - kick / sqrt(size2)
-        _directions(share * fx, share * fy, share * fc, kick, points, blur, force)
+        _directions(share * fx, share * fy, share * fc, kick, mesh, first, end)
         dx, dy, dc = share * fx, share * fy, share * fc
     round2 = (ROUND * kick) ** 2
     enough = 0.5 * (SLACK * kick) ** 2 + ROUNDING * kick * sqrt(size2)
@@ -82,14 +85,14 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
         gap = 0.0
         hxx = hyy = hxy = hxc = hyc = 0.0
         hcc = 0.0
-        for i in range(len(points)):
-            x, y, b = points[i, 0], points[i, 1], blur[i]
+        for i in range(first, end):
+            x, y, b = mesh[i, AT], mesh[i, AT + 1], mesh[i, BLUR]
             u, v, w = dx - dc * y, dy + dc * x, dc * b
             norm = sqrt(u * u + v * v + w * w + round2)
             inverse = 1 / norm
             nx, ny, nb = u * inverse, v * inverse, w * inverse
-            p = kick * weights[i]
-            zx, zy, zb = force[i, 0], force[i, 1], force[i, 2]
+            p = kick * mesh[i, WEIGHT]
+            zx, zy, zb = mesh[i, FORCE], mesh[i, FORCE + 1], mesh[i, FORCE + 2]
             inner = sqrt(max(0.0, 1 - zx * zx - zy * zy - zb * zb))
             gap += p * (norm - zx * u - zy * v - zb * w - ROUND * kick * inner)
             wx += p * zx
@@ -119,18 +122,18 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
             1 + hxx, hxy, hxc, 1 + hyy, hyc, gyration2 + hcc,
             fx - dx - gx, fy - dy - gy, gyration2 * (fc - dc) - gc,
         )  # fmt: skip
-        for i in range(len(points)):
-            x, y, b = points[i, 0], points[i, 1], blur[i]
+        for i in range(first, end):
+            x, y, b = mesh[i, AT], mesh[i, AT + 1], mesh[i, BLUR]
             u, v, w = dx - dc * y, dy + dc * x, dc * b
             inverse = 1 / sqrt(u * u + v * v + w * w + round2)
             nx, ny, nb = u * inverse, v * inverse, w * inverse
             tu, tv, tw = (sx - sc * y) * inverse, (sy + sc * x) * inverse, sc * b * inverse
             along = nx * tu + ny * tv + nb * tw
-            zx = nx + tu - force[i, 0] * along
-            zy = ny + tv - force[i, 1] * along
-            zb = nb + tw - force[i, 2] * along
+            zx = nx + tu - mesh[i, FORCE] * along
+            zy = ny + tv - mesh[i, FORCE + 1] * along
+            zb = nb + tw - mesh[i, FORCE + 2] * along
             size = max(1.0, sqrt(zx * zx + zy * zy + zb * zb))
-            force[i, 0], force[i, 1], force[i, 2] = zx / size, zy / size, zb / size
+            mesh[i, FORCE], mesh[i, FORCE + 1], mesh[i, FORCE + 2] = zx / size, zy / size, zb / size
         dx, dy, dc = dx + sx, dy + sy, dc + sc
     if dx * dx + dy * dy + gyration2 * dc * dc <= (SNAP * kick) ** 2:
         return 0.0, 0.0, 0.0
@@ -138,8 +141,8 @@ def slip_after(fx, fy, fc, kick, gyration2, points, weights, blur, force):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
-def rub(dx, dy, dc, gyration2, points, weights, blur):
-    """Friction of a slip (u, v, c) in the part's axes that does not vanish at any point.
+def rub(dx, dy, dc, gyration2, mesh, first, end):
+    """Friction of a slip (u, v, c) in the part's axes, of the points `first` to `end` - 1.
 
     Returns
     -------
@@ -149,10 +152,10 @@ def rub(dx, dy, dc, gyration2, points, weights, blur):
         Bound of how it changes with the slip [mu g / (m/s)].
     """
     fx = fy = fc = stiff = 0.0
-    for i in range(len(weights)):
-        x, y, b = points[i, 0], points[i, 1], blur[i]
+    for i in range(first, end):
+        x, y, b = mesh[i, AT], mesh[i, AT + 1], mesh[i, BLUR]
         u, v, w = dx - dc * y, dy + dc * x, dc * b
-        share = weights[i] / np.sqrt(u * u + v * v + w * w + TINY)
+        share = mesh[i, WEIGHT] / np.sqrt(u * u + v * v + w * w + TINY)
         fx += share * u
         fy += share * v
         fc += share * (x * v - y * u + b * w)
@@ -161,12 +164,16 @@ def rub(dx, dy, dc, gyration2, points, weights, blur):
 
 
 @njit(cache=True, nogil=True)
-def _directions(dx, dy, dc, kick, points, blur, force):
+def _directions(dx, dy, dc, kick, mesh, first, end):
     """Point the forces (n, 3) along the slips."""
-    for i in range(len(points)):
-        u, v, w = dx - dc * points[i, 1], dy + dc * points[i, 0], dc * blur[i]
+    for i in range(first, end):
+        u, v, w = dx - dc * mesh[i, AT + 1], dy + dc * mesh[i, AT], dc * mesh[i, BLUR]
         inverse = 1 / sqrt(u * u + v * v + w * w + (ROUND * kick) ** 2)
-        force[i, 0], force[i, 1], force[i, 2] = u * inverse, v * inverse, w * inverse
+        mesh[i, FORCE], mesh[i, FORCE + 1], mesh[i, FORCE + 2] = (
+            u * inverse,
+            v * inverse,
+            w * inverse,
+        )
 
 
 @njit(cache=True, nogil=True)

@@ -1,9 +1,9 @@
 """Where two rigid parts touch: discs and convex pieces, in the plane.
 
 A touch is an array (9,): how many points it has, 0 to 2; the unit normal from the second part to
-the first; x, y [m] of each point, midway in the overlap; and the overlap's depth [m] at each. Convex
-pieces touch along the side that separates them most (separating axes: Gottschalk, Lin and Manocha
-1996), with the other's nearest side clipped to it.
+the first; x, y [m] of each point, midway in the overlap; and the overlap's depth [m] at each.
+Convex pieces touch along the side that separates them most (separating axes: Gottschalk, Lin and
+Manocha 1996), with the other's nearest side clipped to it.
 """
 
 from __future__ import annotations
