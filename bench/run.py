@@ -21,6 +21,7 @@ MEASUREMENTS = {
     "solver": "Plate motions for wanted average forces, from a cold start",
     "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
     "vision": "Finding discs in an image: time, misses, error of the centres",
+    "camera": "The simulated camera: time for one image, error of the centres",
     "stages": "What each stage of the loop costs for one image",
     "tracking": "Two parts on rectangles: tracking error against speed",
     "closed_loop": "Whole tasks in the closed loop",
