@@ -31,6 +31,9 @@ NOISE_BANK = 1 << 20
 BLUR_STEP_PX = 0.1
 """Distance between two positions averaged over the exposure; finer is not to be seen."""
 
+EDGE_STEP_PX = 0.25
+"""The same for the plate's edges, of which there are many pixels: a quarter of an edge's width."""
+
 BLUR_MOST = 16
 """Most positions averaged over one exposure."""
 
@@ -248,16 +251,16 @@ class Camera:
     def _paint_plate(
         self, canvas: np.ndarray, poses: np.ndarray, pixels: np.ndarray, travel: float
     ) -> None:
-        copies = int(_copies(np.array(travel * self._scale)))
+        copies = int(_copies(np.array(travel * self._scale), EDGE_STEP_PX))
         draw_plate(
             canvas.ravel(), self._light.ravel(), self._places.reshape(-1, 2), pixels, poses, copies,
             travel, self._rig.plate.half, self._scale, BACKGROUND, PLATE,
         )  # fmt: skip
 
 
-def _copies(length_px: np.ndarray) -> np.ndarray:
+def _copies(length_px: np.ndarray, step_px: float = BLUR_STEP_PX) -> np.ndarray:
     """Return how many positions are averaged along ways (n,) [px]."""
-    return np.minimum(BLUR_MOST, 1 + length_px / BLUR_STEP_PX).astype(int)
+    return np.minimum(BLUR_MOST, 1 + length_px / step_px).astype(int)
 
 
 def _checked(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
