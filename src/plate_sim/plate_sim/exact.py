@@ -13,7 +13,8 @@ from math import sqrt
 
 from numba import njit
 
-from .motion import END, START, TURNS, WRAPS, hold_bound, in_plate, riding, slip, surface_rate
+from .line import aligned, run_line
+from .motion import END, START, WRAPS, hold_bound, in_plate, riding, slip, surface_rate
 from .output import emit, emit_held, fall
 from .sliding import landing, line_step, restart, runge_kutta
 
@@ -35,27 +36,24 @@ FLOOR = 1e-13
 BUDGET, COARSE = 50_000, 2000
 """Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked."""
 
-TWINS = 100
-"""Parts among which one that moves alike is sought: more would cost more than they save."""
-
 FINE = 1e-3
 """Share of a slip that counts as none, to which roots are found and lines kept."""
 
 LEAST = 1e-60
 """Friction [m/s2] below this moves nothing; its directions would drown in rounding."""
 
-SCAN = 6
-"""Looks per piece for the release of a stuck part: its acceleration there is nearly a cubic."""
+SCAN, LOOKS = 3, 100
+"""Least numbers of looks, per piece and per period, for the release of a stuck part."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run_points(table, scales, limit, static, tolerance, cycles, path, speed):
+def run_points(table, line, scales, limit, static, tolerance, cycles, path, speed, checked):
     """Fill path and speed (cycles * samples + 1, M, 2) from their first rows; return the steps.
 
     Parameters
     ----------
-    table, scales : (K, 24), (8,)
-        The plate's motion, from `tabulate`.
+    table, line, scales : (K, 24), (K, 13) or (0, 13), (8,)
+        The plate's motion, from `tabulate` and `tabulate_line`.
     limit : (M,)
         mu g of each part [m/s2].
     static : float
@@ -65,39 +63,27 @@ def run_points(table, scales, limit, static, tolerance, cycles, path, speed):
     cycles : int
     path, speed : (cycles * samples + 1, M, 2)
         Positions [m] and velocities [m/s], plate_home.
+    checked : (M,)
+        Filled with whether a part's motion was found within the budgets.
     """
     steps = 0
     for i in range(path.shape[1]):
-        twin = _twin(table, limit, speed, i)
-        if twin < i:
-            for j in range(1, len(path)):
-                for d in range(2):
-                    path[j, i, d] = path[0, i, d] + (path[j, twin, d] - path[0, twin, d])
-                    speed[j, i, d] = speed[j, twin, d]
-        elif limit[i] > LEAST:
-            steps += _run_part(
-                table, scales, limit[i], static, tolerance, cycles, path[:, i], speed[:, i]
-            )
-        else:
+        place, velocity, checked[i] = path[:, i], speed[:, i], True
+        if limit[i] <= LEAST:
             dt = cycles * table[-1, END] / (len(path) - 1)
             for j in range(1, len(path)):
                 for d in range(2):
-                    path[j, i, d] = path[0, i, d] + j * dt * speed[0, i, d]
-                    speed[j, i, d] = speed[0, i, d]
-                fall(j * dt, scales[6:], path[j, i], speed[j, i])
+                    place[j, d] = place[0, d] + j * dt * velocity[0, d]
+                    velocity[j, d] = velocity[0, d]
+                fall(j * dt, scales[6:], place[j], velocity[j])
+        elif len(line) and aligned(table, scales, velocity[0]):
+            hold = static * limit[i]
+            checked[i] = run_line(line, scales, limit[i], hold, cycles, place, velocity)
+        else:
+            made = _run_part(table, scales, limit[i], static, tolerance, cycles, place, velocity)
+            checked[i] = made <= BUDGET * cycles
+            steps += made
     return steps
-
-
-@njit(cache=True, error_model="numpy")
-def _twin(table, limit, speed, i):
-    """Return an earlier part that moves as part i does, else i: where nothing turns, the place
-    of a part does not matter."""
-    if table[0, TURNS] == 0:
-        for j in range(min(i, TWINS)):
-            alike = speed[0, j, 0] == speed[0, i, 0] and speed[0, j, 1] == speed[0, i, 1]
-            if alike and limit[j] == limit[i]:
-                return j
-    return i
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,7 +93,7 @@ def _run_part(table, scales, limit, static, tolerance, cycles, path, speed):
     grid = (period / ((len(path) - 1) // cycles), (len(path) - 1) // cycles)
     px, py, vx, vy = path[0, 0], path[0, 1], speed[0, 0], speed[0, 1]
     accel, pace = _scales(scales, px, py)
-    reach = period if pace * period < 0.5 else max(1 / pace, period / COARSE)
+    reach = period if pace * period < 0.5 else max(1 / pace, period / max(COARSE, len(table)))
     stuck, done, steps, k, j = False, 0, 0, 0, 1
     t, hint, qx, qy = 0.0, 0.25 * reach, 0.0, 0.0
     _, wx, wy, r = slip(table, t, k, px, py, vx, vy)
@@ -196,8 +182,7 @@ def _zero(limit, a, allowed, period):
 @njit(cache=True, error_model="numpy")
 def _holds(table, t, k, qx, qy, limit):
     """Whether the surface can carry a part at q [m, in the plate] along."""
-    _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
-    return ax * ax + ay * ay <= limit * limit
+    return _felt(table, t, k, qx, qy) <= limit * limit
 
 
 @njit(cache=True, error_model="numpy")
@@ -285,18 +270,46 @@ def _release(table, t, k, qx, qy, limit):
         low, end = max(t, table[piece, START]), table[piece, END]
         if low >= end or hold_bound(table, piece, radius) <= limit:
             continue
-        width = (end - table[piece, START]) / SCAN
+        width = min((end - table[piece, START]) / SCAN, period / LOOKS)
         while low < end:
             high = min(low + width, end)
-            if not _holds(table, high, piece, qx, qy, limit) and high < period:
-                while high - low > 1e-15 * period:
-                    middle = 0.5 * (low + high)
-                    if not low < middle < high:
+            free = _first_free(table, low, high, piece, qx, qy, limit)
+            if free >= 0:
+                while free - low > 1e-15 * period:
+                    middle = 0.5 * (low + free)
+                    if not low < middle < free:
                         break
-                    if _holds(table, middle, piece, qx, qy, limit):
+                    if _felt(table, middle, piece, qx, qy) <= limit * limit:
                         low = middle
                     else:
-                        high = middle
+                        free = middle
                 return low
             low = high
     return period
+
+
+@njit(cache=True, error_model="numpy")
+def _first_free(table, low, high, k, qx, qy, limit):
+    """A time [s] at which the surface cannot hold the part, looked for up to `high`; else -1.
+
+    Looked at are the middle, the end, and the peak of the parabola through both and the start.
+    """
+    middle = 0.5 * (low + high)
+    a = _felt(table, low, k, qx, qy)
+    b = _felt(table, middle, k, qx, qy)
+    c = _felt(table, high, k, qx, qy)
+    if b > limit * limit:
+        return middle
+    bend = a - 2 * b + c
+    if bend < 0 and abs(a - c) < -2 * bend:
+        peak = middle + 0.25 * (high - low) * (a - c) / bend
+        if _felt(table, peak, k, qx, qy) > limit * limit:
+            return peak
+    return high if c > limit * limit else -1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _felt(table, t, k, qx, qy):
+    """Square of the acceleration [m2/s4] of a place in the plate."""
+    _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
+    return ax * ax + ay * ay

@@ -47,11 +47,15 @@ class Trajectory:
         Positions [m].
     velocity : (k, M, 2)
         Velocities [m/s].
+    unchecked : tuple of int
+        Parts whose motion was too restless for the wanted tolerance: it was finished in coarse
+        steps, with an error that is not known. Empty for all but freak motions.
     """
 
     time: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
+    unchecked: tuple[int, ...] = ()
 
 
 def default_steps(cycle: PlateCycle | PlateMotion, step: float = STEP) -> int:
@@ -84,10 +88,12 @@ def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
 
 def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> np.ndarray:
     """Greatest acceleration mu g (count,) [m/s2] that friction gives each part."""
-    mu = np.asarray(friction, dtype=float)
+    mu = np.array(friction, dtype=float)
     if mu.shape not in ((), (count,)):
         raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
-    usable = (mu >= 0) & (mu <= LARGEST)
+    if not 0 <= gravity <= LARGEST:
+        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
+    usable = (mu >= 0) & (mu <= LARGEST)  # a NaN is not
     if not usable.all():
         part = int(np.argmin(usable))
         which = f" for part {part}" if mu.ndim else ""
@@ -95,9 +101,7 @@ def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> 
             f"friction is {mu.flat[part]:g}{which}, allowed: finite and at least 0, "
             f"up to {LARGEST:g}"
         )
-    if not 0 <= gravity <= LARGEST:
-        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
-    return np.broadcast_to(mu * gravity, (count,)).copy()
+    return mu * gravity if mu.ndim else np.full(count, float(mu) * gravity)
 
 
 @njit(cache=True, inline="always")

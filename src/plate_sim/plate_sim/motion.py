@@ -26,8 +26,8 @@ from .plate_motion import PlateMotion
 START, END, X, Y, THETA, HOLD, TURNS, WRAPS, WIDTH = 0, 1, 2, 8, 14, 20, 22, 23, 24
 """Columns of a table."""
 
-STRAIGHT = 1e-14
-"""A motion is on a line if no coefficient is off it by more than this share: rounding."""
+STRAIGHT = 1e-11
+"""A motion is on a line if it accelerates across it by no more than this share: rounding."""
 
 
 def tabulate(
@@ -35,7 +35,7 @@ def tabulate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a cycle's table (K, 24), and its scales (8,).
 
-    Scales are the greatest rates at the knots: of O' [m/s2], theta' [rad/s2], O'' [m/s3] and
+    Scales are bounds of the rates: of O' [m/s2], theta' [rad/s2], O'' [m/s3] and
     theta'' [rad/s3]; the direction (2,) of the line on which the plate accelerates, 0 if there is
     none; and the pull (2,) [m/s2].
     """
@@ -49,7 +49,7 @@ def _tabulate(times, pieces, pull_x, pull_y, closed):
     turns = 0.0
     for k in range(len(pieces)):
         row, c, t = table[k], pieces[k], times[k]
-        row[START], row[END], row[HOLD] = t, times[k + 1], -1.0
+        row[START], row[END] = t, times[k + 1]
         for i in range(6):
             row[X + i], row[Y + i], row[THETA + i] = c[i, 0], c[i, 1], c[i, 2]
             if c[i, 2] != 0:
@@ -57,29 +57,25 @@ def _tabulate(times, pieces, pull_x, pull_y, closed):
         for i, fall in enumerate((0.5 * t * t, t, 0.5)):
             row[X + i] -= pull_x * fall
             row[Y + i] -= pull_y * fall
-        accel = 2 * sqrt(row[X + 2] * row[X + 2] + row[Y + 2] * row[Y + 2])
-        if accel > scales[0]:
-            scales[0] = accel
-            scales[4], scales[5] = 2 * row[X + 2] / accel, 2 * row[Y + 2] / accel
-        scales[1] = max(scales[1], 2 * abs(c[2, 2]))
-        scales[2] = max(scales[2], 6 * sqrt(c[3, 0] * c[3, 0] + c[3, 1] * c[3, 1]))
-        scales[3] = max(scales[3], 6 * abs(c[3, 2]))
+        _bound(table, k, scales)
     table[:, TURNS] = turns
     table[:, WRAPS] = 1.0 if closed and pull_x == 0 and pull_y == 0 else 0.0
-    if turns != 0 or not _on_line(table, scales[4], scales[5]):
+    if turns != 0 or not _on_line(table, scales[4], scales[5], scales[0]):
         scales[4:6] = 0
     scales[6], scales[7] = pull_x, pull_y
     return table, scales
 
 
 @njit(cache=True, error_model="numpy")
-def _on_line(table, nx, ny):
-    """Whether the plate accelerates along the unit vector n only."""
+def _on_line(table, nx, ny, accel):
+    """Whether the plate accelerates, by `accel` [m/s2] at most, along the unit vector n only."""
     for k in range(len(table)):
-        for i in range(2, 6):
-            x, y = table[k, X + i], table[k, Y + i]
-            if abs(x * ny - y * nx) > STRAIGHT * (abs(x) + abs(y)):
-                return False
+        h = table[k, END] - table[k, START]
+        across = abs(ny * table[k, X + 5] - nx * table[k, Y + 5])
+        for i in range(4, 1, -1):
+            across = abs(ny * table[k, X + i] - nx * table[k, Y + i]) + h * across
+        if across > STRAIGHT * accel:
+            return False
     return True
 
 
@@ -189,21 +185,34 @@ def in_plate(table, t, k, px, py):
 
 @njit(cache=True, error_model="numpy")
 def hold_bound(table, k, radius):
-    """Return what a part riding at `radius` [m] feels at most [m/s2] during piece k.
-
-    A cubic never leaves the hull of its Bezier points, so their greatest norm bounds O'' and
-    theta''; theta' is bounded from its ends. Both bounds are kept in the table.
-    """
-    if table[k, HOLD] < 0:
-        h = table[k, END] - table[k, START]
-        line = push = 0.0
-        for i in range(4):
-            bx, by = _bezier(table, k, X, h, i), _bezier(table, k, Y, h, i)
-            line = max(line, sqrt(bx * bx + by * by))
-            push = max(push, abs(_bezier(table, k, THETA, h, i)))
-        spin = max(abs(table[k, THETA + 1]), abs(slope(table, k, THETA, h))) + 0.5 * h * push
-        table[k, HOLD], table[k, HOLD + 1] = line, push + spin * spin
+    """Return what a part riding at `radius` [m] feels at most [m/s2] during piece k."""
     return table[k, HOLD] + radius * table[k, HOLD + 1]
+
+
+@njit(cache=True, error_model="numpy")
+def _bound(table, k, scales):
+    """Write what bounds riding parts in piece k, and update the scales, by Bezier points.
+
+    A cubic never leaves the hull of its points: so their greatest norm bounds O'' and theta'',
+    their greatest difference the rates of those; theta' is bounded from its ends.
+    """
+    h = table[k, END] - table[k, START]
+    line = push = 0.0
+    last_x = last_y = last = 0.0
+    for i in range(4):
+        bx, by = _bezier(table, k, X, h, i), _bezier(table, k, Y, h, i)
+        b = _bezier(table, k, THETA, h, i)
+        norm = sqrt(bx * bx + by * by)
+        line, push = max(line, norm), max(push, abs(b))
+        if norm > scales[0]:
+            scales[0], scales[4], scales[5] = norm, bx / norm, by / norm
+        if i > 0:
+            rate = 3 / h * sqrt((bx - last_x) ** 2 + (by - last_y) ** 2)
+            scales[2], scales[3] = max(scales[2], rate), max(scales[3], 3 / h * abs(b - last))
+        last_x, last_y, last = bx, by, b
+    scales[1] = max(scales[1], push)
+    spin = max(abs(table[k, THETA + 1]), abs(slope(table, k, THETA, h))) + 0.5 * h * push
+    table[k, HOLD], table[k, HOLD + 1] = line, push + spin * spin
 
 
 @njit(cache=True, error_model="numpy")

@@ -15,6 +15,7 @@ from plate_core import PlateCycle, PlateError
 from .exact import run_points
 from .friction import LARGEST, Trajectory, friction_accel, pairs, run_steps, surface_samples
 from .ground import LEVEL, Ground
+from .line import tabulate_line
 from .motion import tabulate
 from .plate_motion import PlateMotion
 
@@ -87,16 +88,34 @@ def simulate(
     path, speed = np.empty((2, cycles * samples + 1, len(position), 2))
     path[0], speed[0] = position, velocity
     pull, static = ground.pull(gravity), ground.static_ratio
+    checked = np.ones(len(position), bool)
     if exact:
         tolerance = _tolerance(TOLERANCE if tolerance is None else tolerance)
-        table, scales = tabulate(cycle, pull)
-        if not scales.max() <= LARGEST:
-            raise PlateError(f"cycle accelerates by {scales.max():g}, allowed: up to {LARGEST:g}")
-        run_points(table, scales, limit, static, tolerance, cycles, path, speed)
+        tables = _tables(cycle, pull)
+        run_points(*tables, limit, static, tolerance, cycles, path, speed, checked)
     else:
         pose, twist = surface_samples(cycle, samples)
         run_steps(pose, twist, cycle.period / samples, limit, static, pull, path, speed)
-    return Trajectory(np.arange(len(path)) * (cycle.period / samples), path, speed)
+    unchecked = () if checked.all() else tuple(np.flatnonzero(~checked).tolist())
+    return Trajectory(np.arange(len(path)) * (cycle.period / samples), path, speed, unchecked)
+
+
+def _tables(
+    cycle: PlateCycle | PlateMotion, pull: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the tables of a motion for `run_points`; those of the last one are kept."""
+    global _kept
+    of, under, tables = _kept  # at once: another thread may replace it
+    if of is not cycle or under[0] != pull[0] or under[1] != pull[1]:
+        table, scales = tabulate(cycle, pull)
+        if not scales.max() <= LARGEST:
+            raise PlateError(f"cycle accelerates by {scales.max():g}, allowed: up to {LARGEST:g}")
+        tables = table, tabulate_line(table, scales), scales
+        _kept = cycle, pull, tables
+    return tables
+
+
+_kept: tuple[Any, ...] = (None, None, None)
 
 
 def simulate_many(

@@ -155,9 +155,10 @@ def test_error_falls_with_the_fifth_power_of_the_steps():
     for tolerance in (1e-7, 1e-8, 1e-9, 1e-10, 1e-11):
         path, speed = np.empty((2, 2, 1, 2))
         path[0], speed[0] = position, velocity
-        steps.append(
-            run_points(*tabulate(cycle), np.array([MU * G]), 1.0, tolerance, 1, path, speed)
-        )
+        table, scales = tabulate(cycle)
+        motion = table, np.empty((0, 13)), scales  # on no line
+        how = np.array([MU * G]), 1.0, tolerance, 1
+        steps.append(run_points(*motion, *how, path, speed, np.empty(1, bool)))
         errors.append(np.linalg.norm(path[-1, 0] - truth))
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert order > 4.7

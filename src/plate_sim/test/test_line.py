@@ -1,0 +1,130 @@
+"""Parts that slip along one line: against other methods, and where a motion is too restless."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle
+from plate_sim import simulate
+from plate_sim.ground import Ground
+from plate_sim.line import aligned, tabulate_line
+from plate_sim.motion import tabulate
+
+MU, G = 0.25, 9.81
+STILL = np.zeros((1, 2))
+
+
+def on_a_line(rng, period, size, heading, knots=128, harmonics=4):
+    """Cycle of random velocity along a direction [rad]."""
+    t = np.arange(knots) * period / knots
+    states = np.zeros((3, knots, 3))
+    way = np.array([np.cos(heading), np.sin(heading), 0])
+    for j in range(1, harmonics + 1):
+        w = 2 * np.pi * j / period
+        a, b = size * rng.normal(size=2)
+        sin, cos = np.sin(w * t)[:, None] * way, np.cos(w * t)[:, None] * way
+        states[0] += (-a * cos + b * sin) / w
+        states[1] += a * sin + b * cos
+        states[2] += (a * cos - b * sin) * w
+    return PlateCycle.from_samples(period, *states), way[:2]
+
+
+def is_on_line(cycle, velocity, pull=(0, 0)):
+    table, scales = tabulate(cycle, pull)
+    return len(tabulate_line(table, scales)) > 0 and aligned(table, scales, np.array(velocity))
+
+
+def scenes(seed, count):
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        heading = (0.0, np.pi / 2, rng.uniform(0, 7))[i % 3]
+        knots = (3, 8, 128)[rng.integers(3)]  # long pieces hold several zeros of the slip
+        cycle, way = on_a_line(
+            rng, rng.uniform(0.02, 0.2), 10 ** rng.uniform(-1.5, 0), heading, knots
+        )
+        velocity = rng.uniform(-0.5, 0.5, (3, 1)) * way
+        pull = rng.uniform(-1, 1) * (i % 2) * way
+        ground = Ground(1 + 0.5 * (i % 4 == 3), tuple(np.arcsin(pull / G)))
+        yield cycle, velocity, rng.uniform(0.05, 0.8, 3), ground, way
+
+
+def test_agrees_with_the_first_order_steps():
+    sliding = 0
+    for cycle, velocity, mu, ground, _ in scenes(0, 24):
+        options = {"cycles": 3, "ground": ground}
+        exact = simulate(
+            cycle, np.zeros((3, 2)), velocity, mu, samples=1, tolerance=1e-7, **options
+        )
+        steps = simulate(cycle, np.zeros((3, 2)), velocity, mu, samples=20_000, **options)
+        assert steps.position[-1] == pytest.approx(exact.position[-1], abs=5e-6)
+        sliding += is_on_line(cycle, velocity[0], ground.pull(G))
+    assert sliding > 20
+
+
+def test_agrees_with_the_integration_in_the_plane():
+    # A slip across the line by far less than matters, and the plane's steps do the work.
+    for cycle, velocity, mu, ground, way in scenes(1, 24):
+        across = 1e-11 * np.array([-way[1], way[0]])
+        assert not is_on_line(cycle, velocity[0] + across, ground.pull(G))
+        line, plane = (
+            simulate(cycle, np.zeros((3, 2)), v, mu, G, 3, 1, 1e-11, ground=ground).position[-1]
+            for v in (velocity, velocity + across)
+        )
+        assert plane == pytest.approx(line, abs=1e-9)
+
+
+def test_does_not_depend_on_the_tolerance():
+    for cycle, velocity, mu, ground, _ in scenes(2, 6):
+        loose, tight = (
+            simulate(cycle, np.zeros((3, 2)), velocity, mu, samples=1, tolerance=e, ground=ground)
+            for e in (1e-2, 1e-12)
+        )
+        if is_on_line(cycle, velocity[0], ground.pull(G)):
+            assert np.array_equal(loose.position, tight.position)
+
+
+def test_motions_in_the_plane_are_on_no_line():
+    rng = np.random.default_rng(3)
+    cycle, way = on_a_line(rng, 0.1, 0.2, 0.3)
+    assert is_on_line(cycle, way)
+    assert is_on_line(cycle, [0, 0])
+    assert not is_on_line(cycle, [0.1, 0])
+    assert not is_on_line(cycle, way, (0, 0.1))  # pulled off it
+    for column in (1, 2):
+        pose = cycle.knot_pose.copy()
+        pose[5, column] += 1e-9
+        bent = PlateCycle.from_knots(cycle.times, pose, cycle.knot_twist, cycle.knot_accel)
+        assert not is_on_line(bent, way)
+
+
+def test_samples_lie_on_one_motion():
+    for cycle, velocity, _, ground, _ in scenes(4, 8):
+        start = np.ones((3, 2))
+        few, many = (
+            simulate(cycle, start, velocity, MU, G, 2, count, 1e-7, ground=ground)
+            for count in (3, 3000)
+        )
+        assert many.position[::1000] == pytest.approx(few.position, abs=1e-13)
+        assert many.velocity[::1000] == pytest.approx(few.velocity, abs=1e-12)
+        step = cycle.period / 3000
+        middle = 0.5 * (many.velocity[1:] + many.velocity[:-1]) * step
+        assert np.diff(many.position, axis=0) == pytest.approx(middle, abs=10 * MU * G * step**2)
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.02])
+def test_a_motion_too_restless_is_finished_and_told(turning):
+    # The plate jumps to and fro at every one of 120 000 knots; the part cannot follow.
+    count, period = 120_000, 1.0
+    pose = np.zeros((count, 3))
+    pose[::2, 0] = 1e-7
+    pose[::2, 2] = turning * 1e-7
+    cycle = PlateCycle.from_samples(period, pose, 0 * pose, 0 * pose)
+    run = simulate(
+        cycle, [[0, 0], [0, 0.1]], [[0, 0], [5.0, 0]], [MU, 1e-70], samples=4, tolerance=1e-7
+    )
+    assert run.unchecked == (0,)
+    assert np.all(np.isfinite(run.position))
+    assert np.abs(run.position[:, 0]).max() < 1e-3
+    assert run.position[-1, 1] == pytest.approx([5.0, 0.1])
+    calm = simulate(PlateCycle.rest(1.0), STILL, STILL, MU)
+    assert calm.unchecked == ()
+    assert simulate(cycle, STILL, STILL, MU, samples=50).unchecked == ()  # steps promise nothing
