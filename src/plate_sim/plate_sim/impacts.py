@@ -10,7 +10,7 @@ overlap a crowd leaves is ended by moving its parts apart, without speed.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import copysign, sqrt
 
 import numpy as np
 from numba import njit
@@ -25,9 +25,8 @@ MARGIN = 0.02
 """Pairs apart by less than this share of the radius take part in the passes: others may push
 them into each other."""
 
-MINOR = 4e-4
-"""A relative motion below this share of the radius since the touch does not turn the line of
-centres, to 2e-4 rad."""
+ROUNDING = 1e-12
+"""Share of a squared distance that is none: discs at rest side by side do not touch each step."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -50,29 +49,22 @@ def separate(discs, count, radius, pairs, found, hits, edge, walls, bounce, rub,
         [s].
     """
     x, y, u, v = discs[0], discs[1], discs[2], discs[3]
-    size2, reach2 = 4 * radius * radius, ((2 + MARGIN) * radius) ** 2
-    bounds, touched, pushed = (radius, MINOR * radius, bounce, rub, step), 0, np.inf
+    size2 = 4 * radius * radius
+    bounds = (radius, bounce, rub, step)
+    touched, pushed = 0, np.inf
     for sweep in range(SWEEPS):
-        # All pairs at first, and where parts are pushed far; else those close to touching.
-        whole = pushed > 0.5 * MARGIN * radius
-        rows = found if whole else touched
-        if whole:
-            touched, pushed = 0, 0.0
+        if pushed > 0.5 * MARGIN * radius:
+            touched, pushed = _close(x, y, radius, pairs, found, hits), 0.0
         deepest = 0.0
-        for k in range(rows):
+        for k in range(touched):
             # Forth and back: pushes then travel both ways through a crowd.
-            row = k if sweep % 2 == 0 else rows - 1 - k
-            i, j = (pairs[row, 0], pairs[row, 1]) if whole else (hits[row, 0], hits[row, 1])
+            row = k if sweep % 2 == 0 else touched - 1 - k
+            i, j = hits[row, 0], hits[row, 1]
             dx, dy = x[i] - x[j], y[i] - y[j]
-            distance2 = dx * dx + dy * dy
-            if distance2 >= reach2:
+            lack = size2 - (dx * dx + dy * dy)
+            if lack <= ROUNDING * size2:
                 continue
-            if whole:
-                hits[touched, 0], hits[touched, 1] = i, j
-                touched += 1
-            if distance2 >= size2:
-                continue
-            depth, jx, jy, px, py = _meet(dx, dy, distance2, u[i] - u[j], v[i] - v[j], bounds)
+            jx, jy, px, py = _meet(dx, dy, lack, u[i] - u[j], v[i] - v[j], bounds)
             x[i] += px
             y[i] += py
             u[i] += jx
@@ -81,7 +73,7 @@ def separate(discs, count, radius, pairs, found, hits, edge, walls, bounce, rub,
             y[j] -= py
             u[j] -= jx
             v[j] -= jy
-            deepest = max(deepest, depth)
+            deepest = max(deepest, lack / (4 * radius))
             pushed = max(pushed, abs(px), abs(py))
         if walls:
             deepest = max(deepest, push_off(discs, count, radius, edge, bounce, rub, step))
@@ -89,43 +81,65 @@ def separate(discs, count, radius, pairs, found, hits, edge, walls, bounce, rub,
             break
 
 
+@njit(cache=True, error_model="numpy")
+def _close(x, y, radius, pairs, found, hits):
+    """List the pairs close to touching in `hits`; returns how many."""
+    reach2, touched = ((2 + MARGIN) * radius) ** 2, 0
+    for k in range(found):
+        i, j = pairs[k, 0], pairs[k, 1]
+        dx, dy = x[i] - x[j], y[i] - y[j]
+        # No branch: whether a pair is close cannot be foretold.
+        hits[touched, 0], hits[touched, 1] = i, j
+        touched += dx * dx + dy * dy < reach2
+    return touched
+
+
 @njit(cache=True, inline="always", error_model="numpy")
-def _meet(dx, dy, distance2, wx, wy, bounds):
+def _meet(dx, dy, lack, wx, wy, bounds):
     """Let two discs meet that are (dx, dy) [m] apart and move at (wx, wy) [m/s] to each other.
 
-    `bounds` are the radius, `MINOR` [m], restitution, friction, and the step [s]. Returns their
-    overlap [m], and how the speed and the place of the first change.
+    `lack` is by how much their squared distance is too small [m2]; `bounds` are the radius,
+    restitution, friction, and the step [s]. Returns how the speed and the place of the first
+    change.
     """
-    radius, minor, bounce, rub, step = bounds
-    distance = sqrt(distance2)
-    depth = 2 * radius - distance
-    share = 1 / distance if distance > 0 else 0.0
-    # Two centres in one point have no line; any direction will do.
-    nx, ny = (dx * share, dy * share) if distance > 0 else (1.0, 0.0)
+    radius, bounce, rub, step = bounds
+    # They touched tau ago: |d - tau w| = 2 r
+    ahead = -(wx * dx + wy * dy)
+    reach = ahead + sqrt(ahead * ahead + (wx * wx + wy * wy) * lack)
+    if ahead <= 0 or lack > step * reach:
+        return _part(dx, dy, wx, wy, bounds)
+    tau = lack / reach
+    nx, ny = (dx - tau * wx) / (2 * radius), (dy - tau * wy) / (2 * radius)
+    jx, jy = _impulse(nx, ny, wx, wy, bounce, rub)
+    return jx, jy, tau * jx, tau * jy
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _impulse(nx, ny, wx, wy, bounce, rub):
+    """How the speed of the first of two discs changes; the normal n points at it."""
     closing = -(wx * nx + wy * ny)
-    if closing <= 0:
-        return depth, 0.0, 0.0, 0.5 * depth * nx, 0.5 * depth * ny
-    w2 = wx * wx + wy * wy
-    tau = min(depth / closing, step)
-    if w2 * tau * tau > minor * minor:
-        # When they touched: |d - tau w| = 2 r
-        ahead = closing * distance
-        root = sqrt(ahead * ahead + w2 * depth * (2 * radius + distance))
-        tau = min((root - ahead) / w2, step)
-        nx, ny = dx - tau * wx, dy - tau * wy
-        far = sqrt(nx * nx + ny * ny)
-        nx, ny = nx / far, ny / far
-        closing = -(wx * nx + wy * ny)
     hit = 0.5 * (1 + bounce) * closing
     across = wy * nx - wx * ny
-    drag = min(rub * hit, 0.5 * abs(across))
-    drag = -drag if across > 0 else drag
-    jx, jy = hit * nx - drag * ny, hit * ny + drag * nx
-    px, py = tau * jx, tau * jy
-    left = 0.5 * depth - tau * hit
-    if left > 0:
-        px, py = px + left * nx, py + left * ny
-    return depth, jx, jy, px, py
+    drag = -copysign(min(rub * hit, 0.5 * abs(across)), across)
+    return hit * nx - drag * ny, hit * ny + drag * nx
+
+
+@njit(cache=True, error_model="numpy")
+def _part(dx, dy, wx, wy, bounds):
+    """As `_meet`, for two that part already, or overlap since before the step."""
+    radius, bounce, rub, step = bounds
+    distance = sqrt(dx * dx + dy * dy)
+    left = radius - 0.5 * distance
+    # Two centres in one point have no line; any direction will do.
+    nx, ny = (dx / distance, dy / distance) if distance > 0 else (1.0, 0.0)
+    if wx * nx + wy * ny >= 0:
+        return 0.0, 0.0, left * nx, left * ny
+    ex, ey = dx - step * wx, dy - step * wy
+    far = sqrt(ex * ex + ey * ey)
+    nx, ny = ex / far, ey / far
+    jx, jy = _impulse(nx, ny, wx, wy, bounce, rub)
+    left = max(0.0, left - step * (jx * nx + jy * ny))
+    return jx, jy, step * jx + left * nx, step * jy + left * ny
 
 
 @njit(cache=True, error_model="numpy")
@@ -139,6 +153,8 @@ def push_off(discs, count, radius, edge, bounce, rub, step):
     x, y = discs[0], discs[1]
     ox, oy, c, s = edge[0], edge[1], edge[8], edge[9]
     reach_x, reach_y = edge[6] - radius, edge[7] - radius
+    if _beyond(x, y, count, ox, oy, c, s, reach_x, reach_y) <= 0:
+        return 0.0
     deepest = 0.0
     for i in range(count):
         rx, ry = x[i] - ox, y[i] - oy
@@ -153,6 +169,16 @@ def push_off(discs, count, radius, edge, bounce, rub, step):
             _meet_wall(discs, i, deep_y, -sign * s, sign * c, radius, edge, bounce, rub, step)
             deepest = max(deepest, deep_y)
     return deepest
+
+
+@njit(cache=True, fastmath={"nsz", "nnan"}, error_model="numpy")
+def _beyond(x, y, count, ox, oy, c, s, reach_x, reach_y):
+    """Greatest distance [m] of a centre beyond its reach from (ox, oy); negative inside."""
+    worst = -np.inf
+    for i in range(count):
+        rx, ry = x[i] - ox, y[i] - oy
+        worst = max(worst, abs(c * rx + s * ry) - reach_x, abs(c * ry - s * rx) - reach_y)
+    return worst
 
 
 @njit(cache=True, error_model="numpy")
