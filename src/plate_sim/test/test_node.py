@@ -119,6 +119,44 @@ def test_lockstep_waits_and_asks_again():
         assert np.array_equal(np.reshape(loop.infos[0].k, (3, 3)), RIG.camera.lens.matrix)
 
 
+def missed_run(seed, count=8):
+    options = {"lockstep": True, "missed_images": 0.5, "seed": seed, "hold_cycles": 2}
+    with Loop(good, **options) as loop:
+        assert loop.spin(lambda: len(loop.images) >= count)
+        loop.answer = None
+        loop.reports.clear()
+        assert loop.spin(lambda: bool(loop.reports))
+        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
+        return loop.stamps[:count], values
+
+
+def test_lockstep_goes_on_where_an_image_is_missed_as_real_time_does():
+    stamps, values = missed_run(seed=4)
+    # A cycle takes 50 ms where a table is played or held, 100 ms where the plate rests.
+    steps = np.diff(stamps) // 50_000_000
+    assert np.all(np.diff(stamps) % 50_000_000 == 0)
+    assert np.all(steps[1:] >= 1)
+    assert steps.max() > 1
+    assert int(values["missed images"]) >= np.count_nonzero(steps[1:] > 1) > 0
+    assert int(values["held cycles"]) >= 1
+    assert values["dirt"] == "missed_images 0.5"
+    assert missed_run(seed=4)[0] == stamps
+
+
+def test_the_model_and_its_reason_are_told():
+    with Loop(good, lockstep=True) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 3 and bool(loop.reports))
+        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
+        assert values["model"] == "points"
+        assert " stay " in values["reason"]
+        assert int(values["cycles as points"]) == int(values["cycles"])
+    with Loop(good, lockstep=True, model="bodies", latency=0.02) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 3 and bool(loop.reports))
+        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
+        assert (values["model"], values["reason"]) == ("bodies", "as asked for")
+        assert values["dirt"] == "latency 0.02"
+
+
 def spoilt(index, stamp):
     """Answers of which none may be played."""
     msg = motors_to_msg(RIG, push(), stamp)

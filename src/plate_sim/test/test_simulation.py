@@ -1,0 +1,194 @@
+"""The world as the camera shows it: latency, blur, what is missed and what is not there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, load_rig
+from plate_core.frames import to_image
+from plate_core.scenario import load_scenario
+from plate_core.suspension import Suspension
+from plate_sim import Camera, part_greys, simulate
+from plate_sim.camera import PLATE
+from plate_sim.dirt import CLEAN, Dirt
+from plate_sim.simulation import Simulation
+
+RIG = load_rig()
+SORT_4 = load_scenario("sort_4")
+DARK = 0.8 * PLATE
+
+
+def shaking(period=0.1, seed=2):
+    """Along x and y: then points are exact."""
+    rng = np.random.default_rng(seed)
+    return PlateCycle.from_samples(period, 1.5e-3 * rng.normal(size=(12, 3)) * [1, 1, 0])
+
+
+def blank(simulation, rig=RIG, noise=0.0):
+    camera = Camera(rig, noise)
+    grey = part_greys([name.split("_")[0] for name in simulation.state.ids])
+    return lambda position, pose: camera.render(position, grey, np.random.default_rng(0), pose=pose)
+
+
+def gap(one, other):
+    """Greatest difference of grey values of two images."""
+    return int(np.abs(one.astype(int) - other.astype(int)).max())
+
+
+@pytest.mark.parametrize("latency", [0.013, 0.05, 0.1, 0.137])
+def test_an_image_shows_the_world_as_it_was(latency):
+    """Against the exact integrator and the commanded pose, two cycles on."""
+    simulation = Simulation(RIG, SORT_4, 1, Dirt(latency=latency, blur=False), noise=0.0)
+    start, draw = simulation.state, blank(simulation)
+    cycle, samples = shaking(), 1000
+    first = simulation.look()
+    assert gap(first, draw(start.position, None)) == 0
+    for _ in range(2):
+        simulation.run(cycle)
+    image = simulation.look()
+    true = simulate(
+        cycle, start.position, start.velocity, RIG.friction.mu, cycles=2, samples=samples,
+        tolerance=1e-8,
+    )  # fmt: skip
+    row = round((0.2 - latency) / 0.1 * samples)
+    pose = cycle.pose(((0.2 - latency) / 0.1 % 1) * 0.1)[0]
+    assert gap(image, draw(true.position[row], pose)) <= 1
+    # The same image without latency, and one with another, do differ.
+    assert gap(image, draw(true.position[-1], None)) > 20
+
+
+def test_latency_changes_no_motion():
+    ends = []
+    for dirt in (CLEAN, Dirt(latency=0.07)):
+        simulation = Simulation(RIG, SORT_4, 1, dirt)
+        for _ in range(3):
+            simulation.look()
+            simulation.run(shaking())
+        ends.append(simulation.state)
+    assert np.array_equal(ends[0].position, ends[1].position)
+    assert np.array_equal(ends[0].velocity, ends[1].velocity)
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.03])
+def test_blur_can_be_switched_off(latency):
+    rig = replace(RIG, camera=replace(RIG.camera, exposure_s=0.005))
+    images = []
+    for blur in (True, False):
+        simulation = Simulation(rig, SORT_4, 1, Dirt(latency=latency, blur=blur), noise=0.0)
+        for _ in range(2):
+            simulation.run(shaking())
+        moving = replace(simulation.state, velocity=np.full((4, 2), 0.2))
+        simulation.state = moving
+        images.append(simulation.look())
+    draw = blank(simulation, rig)
+    if latency == 0:
+        assert gap(images[1], draw(simulation.state.position, None)) == 0
+    assert gap(images[0], images[1]) > 20
+
+
+def test_the_share_of_images_asked_for_is_missed_and_no_motion_changes():
+    seen, ends = [], []
+    for share in (0.3, 0.0):
+        simulation = Simulation(RIG, SORT_4, 5, Dirt(missed_images=share))
+        seen.append([simulation.look() is not None for _ in range(1500)])
+        simulation.run(shaking())
+        ends.append(simulation.state.position)
+    # 4 standard deviations
+    assert np.mean(seen[0]) == pytest.approx(0.7, abs=4 * np.sqrt(0.21 / 1500))
+    assert all(seen[1])
+    assert np.array_equal(*ends)
+
+
+def dark_at(image, position):
+    """Which of the places [m] are dark in an image."""
+    u, v = np.round(to_image(RIG, position)).astype(int).T
+    return image[v, u] < DARK
+
+
+def test_parts_are_missed_by_the_share_asked_for():
+    simulation = Simulation(RIG, SORT_4, 5, Dirt(missed_parts=0.25))
+    seen = np.array([dark_at(simulation.look(), simulation.state.position) for _ in range(300)])
+    assert np.mean(seen) == pytest.approx(0.75, abs=4 * np.sqrt(0.1875 / seen.size))
+    # Each by itself
+    assert np.abs(np.corrcoef(seen.T) - np.eye(4)).max() < 0.25
+
+
+def test_false_parts_are_drawn_by_the_share_asked_for():
+    simulation = Simulation(RIG, SORT_4, 5, Dirt(false_parts=0.5), noise=0.0)
+    clean = Simulation(RIG, SORT_4, 5, noise=0.0).look()
+    area = np.count_nonzero(clean < DARK) / 4
+    bare = np.count_nonzero(
+        Simulation(RIG, SORT_4, 5, Dirt(missed_parts=1.0), noise=0.0).look() < DARK
+    )
+    area -= bare / 4
+    extra = [np.count_nonzero(simulation.look() < DARK) - bare for _ in range(200)]
+    # Two false ones to four, of about a part's size; some lie over others or over the edge.
+    assert np.mean(extra) / area - 4 == pytest.approx(2.0, abs=0.35)
+
+
+def test_a_seed_is_a_world_and_dirt_of_one_kind_leaves_the_others_alone():
+    def end(seed, **dirt):
+        simulation = Simulation(RIG, SORT_4, seed, Dirt(friction_spread=0.1, **dirt))
+        for _ in range(3):
+            image = simulation.look()
+            simulation.run(shaking())
+        return simulation, image
+
+    one, image = end(1)
+    again, image_again = end(1)
+    assert np.array_equal(one.state.position, again.state.position)
+    assert np.array_equal(image, image_again)
+    assert not np.array_equal(one.mu, end(2)[0].mu)
+    for dirt in ({"latency": 0.05}, {"missed_parts": 0.5}, {"false_parts": 1.0}, {"blur": False}):
+        other, _ = end(1, **dirt)
+        assert np.array_equal(one.mu, other.mu)
+        assert np.array_equal(one.state.position, other.state.position)
+
+
+def test_dirt_of_the_ground_moves_the_parts():
+    # Up to 1.5 times mu g along x and back: static friction decides whether parts ride along.
+    swing = 1.5 * RIG.friction.accel * (0.1 / (2 * np.pi)) ** 2
+    turn = 2 * np.pi * np.arange(32) / 32
+    gentle = PlateCycle.from_samples(0.1, swing * (1 - np.cos(turn))[:, None] * [1, 0, 0])
+
+    def end(**dirt):
+        simulation = Simulation(RIG, SORT_4, 1, Dirt(**dirt))
+        for _ in range(3):
+            simulation.run(gentle)
+        return simulation.state.position
+
+    clean = end()
+    for name, value in {
+        "tilt_x": 0.05, "tilt_y": -0.05, "static_ratio": 2.0, "friction_spread": 0.2,
+        "friction_patches": 0.2,
+    }.items():  # fmt: skip
+        assert np.abs(end(**{name: value}) - clean).max() > 1e-6, name
+    assert np.all(end(tilt_x=0.05)[:, 0] > clean[:, 0])
+    assert np.all(end(tilt_y=-0.05)[:, 1] < clean[:, 1])
+
+
+def test_a_suspended_plate_is_seen_where_it_really_is():
+    """A soft plate pushed by half the force: off home when the image is taken."""
+    stiff = np.diag([2e4, 2e4, 4e2])
+    suspension = Suspension(
+        mass=np.diag([2.0, 2.0, 0.075]), damping=np.diag([4.0, 4.0, 0.1]), stiffness=stiff,
+        feedforward=(1.0, 1.0, 1.0), motor_gain=(0.7, 0.7, 0.7, 0.7),
+    )  # fmt: skip
+    rig = replace(RIG, suspension=suspension)
+    simulation = Simulation(rig, SORT_4, 1, Dirt(blur=False), noise=0.0)
+    simulation.run(shaking())
+    pose = simulation.plate.pose
+    assert np.abs(pose[:2]).max() > 2e-4
+    draw = blank(simulation, rig)
+    assert gap(simulation.look(), draw(simulation.state.position, pose)) <= 1
+    assert gap(simulation.look(), draw(simulation.state.position, None)) > 5
+
+
+def test_models_used_are_counted():
+    simulation = Simulation(RIG, SORT_4, 1)
+    simulation.run(PlateCycle.rest(0.1))
+    assert simulation.used == {"points": 1}
+    asked = Simulation(RIG, SORT_4, 1, model="bodies")
+    asked.run(PlateCycle.rest(0.1))
+    assert asked.used == {"bodies": 1}
