@@ -270,6 +270,9 @@ class SimulatorNode(Node):
         troubles = [f"parts dropped: {dropped}"] if dropped else []
         if self._count["late cycles"]:
             troubles.append(f"late cycles: {self._count['late cycles']}")
+        overtravel = self._simulation.plate.overtravel_m
+        if overtravel > 0:
+            troubles.append(f"a motor would hit its stop, {1e3 * overtravel:.2g} mm too far")
         values = {
             **self._count,
             "parts dropped": dropped,
