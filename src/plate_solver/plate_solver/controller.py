@@ -87,7 +87,7 @@ class Controller:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._solvers: dict[str, MotionSolver] = {
-            "rotations": RotationSolver(rig, centres, iterations=12, restarts=1, seed=seed),
+            "rotations": RotationSolver(rig, centres, iterations=20, restarts=1, seed=seed),
             "sinusoids": SinusoidSolver(rig, iterations=16, restarts=3, seed=seed),
         }
         self._velocity: dict[str, np.ndarray] = {}

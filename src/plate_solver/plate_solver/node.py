@@ -18,7 +18,6 @@ from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA
 
-from .centres import grid
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
 
 REPORT_PERIOD_S = 0.5
@@ -44,12 +43,6 @@ class Options:
         live=True,
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
-    centre_columns: int = parameter(
-        6, "Method A: columns of rotation centres, spread evenly along the plate.", 2, 40
-    )
-    centre_rows: int = parameter(
-        4, "Method A: rows of rotation centres, spread evenly across the plate.", 2, 40
-    )
 
 
 @dataclass(frozen=True)
@@ -68,8 +61,7 @@ class SolverNode(Node):
         super().__init__("solver")
         options = declare(self, Options)
         rig = load_rig(options.rig_file)
-        centres = grid(rig.plate.half, options.centre_columns, options.centre_rows)
-        self._controller = Controller(rig, options.method, options.seed, centres)
+        self._controller = Controller(rig, options.method, options.seed)
         warm_up(self._controller, rig.plate.half)
         self._sent: deque[Sent] = deque(maxlen=4)
         self._solve_ms: list[float] = []

@@ -1,4 +1,4 @@
-"""Sequences of rotations as a family of motions: lengths and speeds are the parameters."""
+"""Sequences of rotations as a family of motions: lengths and twists are the parameters."""
 
 from __future__ import annotations
 
@@ -6,27 +6,40 @@ import numpy as np
 
 from plate_core import PlateCycle
 
-from .sequence import knot_poses, motion, motion_slopes, timeline
+from .sequence import (
+    gap_back,
+    knot_poses,
+    motion,
+    pull_back,
+    ramps,
+    timeline,
+    timeline_back,
+)
 from .solution import Bounds
 
-STEPS_PER_SECOND = 2000
-"""Samples of a sequence while it is being corrected [1/s]."""
+RAMP_STEPS, LEAST_STEPS = 8, 6
+"""Steps in a ramp, and least ones in a hold, while a sequence is being corrected."""
+
+HOLD_STEP = 1e-3
+"""Step in a hold of mean length [s]."""
 
 RAMP_SHARE = 0.95
 """Share of the acceleration limit that ramps take; the rest is for closing the motion."""
 
+MOST_RAMPS = 0.9
+"""Greatest share of the period that ramps may take."""
+
 SHORTEST, FASTEST = 0.02, 2.5
 """Least length of a rotation and greatest speed, in units of their usual values."""
 
-SLOPE_STEP = 1e-4
-"""Step of the differences that give a sequence's derivatives, in units of the parameters."""
-
 
 class RotationFamily:
-    """Sequences of J rotations about given centres in a given order, as a family for `steer`.
+    """Sequences of J rotations in a given order.
 
-    Parameters are the J + 1 lengths (the last is the rest at the end) and the J signed speeds, both
-    in units of their usual values.
+    Parameters are the J + 1 lengths (the last is the rest at the end) in units of their mean, and
+    for each rotation its signed speed about its centre, or where centres are free the three
+    components of its twist; in units of the usual speed. The stroke limit is a penalty that a
+    search trades against its errors, or, with `within_stroke`, kept by all admissible parameters.
     """
 
     def __init__(
@@ -35,76 +48,98 @@ class RotationFamily:
         bounds: Bounds,
         period: float,
         speed: float,
-        steps: int = 0,
+        free: bool = True,
+        blend: float = 0.0,
+        steps: tuple[int, int] | None = None,
+        within_stroke: bool = False,
     ) -> None:
-        self._twists = np.ascontiguousarray(twists)
         self._bounds = bounds
         self._period = period
-        self._speed = speed
-        self._steps = steps or max(60, round(STEPS_PER_SECOND * period))
+        self._blend = blend
+        hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
+        self._steps = steps or (RAMP_STEPS, hold_steps)
+        self._counted = float(within_stroke)
         self._accel = RAMP_SHARE * bounds.accel
-        self._lengths = np.array([1.0, 1.0, bounds.arm_m])  # turns the gap into metres
+        self._lengths = np.array([1.0, 1.0, bounds.arm_m])  # turns theta into metres
         self._hold_scale = 1 / len(twists)
-        self._known: tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
+        # Twist j is parameters j times basis j.
+        self._basis = twists[:, None] * speed
+        if free:
+            self._basis = np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0)
+        self._speed_parameters = (twists * self._lengths).ravel() if free else np.ones(len(twists))
 
     @property
     def count(self) -> int:
         """Number of rotations J."""
-        return len(self._twists)
+        return len(self._basis)
 
-    @property
-    def dt(self) -> float:
-        """Length of a step [s]."""
-        return self._period / self._steps
-
-    def finer(self, steps: int) -> RotationFamily:
-        """Return the same family with another number of samples."""
-        return RotationFamily(self._twists, self._bounds, self._period, self._speed, steps)
+    def finer(self, steps: tuple[int, int]) -> RotationFamily:
+        """Return the same family with other numbers of steps."""
+        other = object.__new__(RotationFamily)
+        other.__dict__.update(self.__dict__, _steps=steps)
+        return other
 
     def parameters(self, share: np.ndarray) -> np.ndarray:
-        """Return parameters of signed shares (J,) of the cycle; what is left over is rest."""
-        used = max(1.0, float(np.sum(np.abs(share))))
-        rest = max(0.0, 1.0 - float(np.sum(np.abs(share))))
-        holds = np.append(np.abs(share) / used, rest) / self._hold_scale
-        return self.admissible(np.concatenate([holds, np.where(share < 0, -1.0, 1.0)]))
+        """Return parameters of shares (J,) of the cycle; what is left over is rest at the end."""
+        total = float(np.sum(share))
+        holds = np.append(share / max(1.0, total), max(0.0, 1.0 - total)) / self._hold_scale
+        return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
-    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3)."""
-        pose, twist, _, _ = self._motion(parameters)
-        return pose, twist
+    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
+        pose, twist, _, dt, _ = self._motion(parameters)
+        return pose, twist, dt
 
     def pull_back(
-        self, parameters: np.ndarray, by_twist: np.ndarray, by_pose: np.ndarray | None
+        self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
     ) -> np.ndarray:
-        """Return derivatives (R, P) by the parameters."""
-        twist_slopes, pose_slopes, _ = self._slopes(parameters)
-        rows, size = len(by_twist), len(parameters)
-        jacobian = by_twist.reshape(rows, -1) @ twist_slopes.reshape(size, -1).T
-        if by_pose is not None:
-            jacobian += by_pose.reshape(rows, -1) @ pose_slopes.reshape(size, -1).T
-        return jacobian
+        """Turn derivatives (R, n, 3), (R, n, 3), (R, n) by the samples into ones (R, P)."""
+        line = self._timeline(parameters)
+        return self._back(parameters, *pull_back(*line, self._steps, by_pose, by_twist, by_dt))
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
-        """Keep lengths positive and speeds within the limits."""
+        """Keep lengths positive, and all but the stroke within the limits."""
         parameters = parameters.copy()
-        holds, speed = parameters[: self.count + 1], parameters[self.count + 1 :]
+        holds, speeds = parameters[: self.count + 1], parameters[self.count + 1 :]
         np.maximum(holds, SHORTEST, out=holds)
-        np.clip(speed, -FASTEST, FASTEST, out=speed)
+        grouped = speeds.reshape(self.count, -1)
+        size = np.sqrt(np.sum(grouped**2, axis=1, keepdims=True))
+        grouped /= np.maximum(size / FASTEST, 1.0)
         for _ in range(8):
-            pose, twist, accel, _ = self._motion(parameters)
-            share = self._bounds.share(pose, twist, accel)
+            ramp = self._ramps(parameters)[0].sum() / (MOST_RAMPS * self._period)
+            if ramp > 1:
+                speeds /= 1.001 * ramp
+            pose, twist, accel, _, _ = self._motion(parameters)
+            share = self._bounds.share(self._counted * pose, twist, accel)
             if share <= 1:
                 break
-            speed /= 1.01 * share
+            speeds /= 1.01 * share
         return parameters
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the gap (3,) [m] that the sequence leaves: small, so that rotations stay so."""
-        return -self._motion(parameters)[3] * self._lengths
+        """Return the gap that the sequence leaves (3,), and travel beyond the stroke (4,) [m]."""
+        pose, _, _, _, gap = self._motion(parameters)
+        travel = pose @ self._bounds.motor_rows.T
+        stroke = self._bounds.stroke_m
+        over = np.maximum(travel.max(axis=0) - stroke, 0) + np.minimum(
+            travel.min(axis=0) + stroke, 0
+        )
+        return -np.concatenate([gap * self._lengths, over])
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
-        """Return the derivative (3, P) of the gap."""
-        return self._slopes(parameters)[2].T * self._lengths[:, None]
+        """Return the derivative (7, P) of minus the penalty."""
+        line, rows = self._timeline(parameters), self._bounds.motor_rows
+        gap = self._back(parameters, *gap_back(*line)) * self._lengths[:, None]
+        pose = self._motion(parameters)[0]
+        travel = pose @ rows.T
+        by_pose = np.zeros((len(rows), *pose.shape))
+        for i, row in enumerate(rows):
+            for k in (np.argmax(travel[:, i]), np.argmin(travel[:, i])):
+                if abs(travel[k, i]) > self._bounds.stroke_m:
+                    by_pose[i, k] += row
+        nothing = np.zeros_like(by_pose)
+        stroke = self.pull_back(parameters, by_pose, nothing, nothing[..., 0])
+        return np.vstack([gap, stroke])
 
     def cycle(self, parameters: np.ndarray) -> PlateCycle:
         """Return the motion as a plate cycle, with knots where ramps begin and end."""
@@ -126,29 +161,23 @@ class RotationFamily:
         )
 
     def _split(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        holds = parameters[: self.count + 1] * self._hold_scale
-        return holds, parameters[self.count + 1 :] * self._speed
+        """Return holds (J + 1,) and twists (J, 3)."""
+        speeds = parameters[self.count + 1 :].reshape(self.count, 1, -1)
+        return parameters[: self.count + 1] * self._hold_scale, (speeds @ self._basis)[:, 0]
+
+    def _ramps(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        twists = self._split(parameters)[1]
+        return ramps(twists, self._bounds.half, self._accel, self._blend)
 
     def _timeline(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        holds, speed = self._split(parameters)
-        half, period = self._bounds.half, self._period
-        return timeline(holds, speed, self._twists, half, period, self._accel)
+        return timeline(*self._split(parameters), self._ramps(parameters)[0], self._period)
 
-    def _motion(
-        self, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        times, knots = self._timeline(parameters)
-        pose, twist, accel = (np.empty((self._steps, 3)) for _ in range(3))
-        gap = motion(times, knots, self._steps, pose, twist, accel)
-        return pose, twist, accel, gap
+    def _motion(self, parameters: np.ndarray) -> tuple[np.ndarray, ...]:
+        return motion(*self._timeline(parameters), self._steps)
 
-    def _slopes(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if self._known is not None and self._known[0] is parameters:
-            return self._known[1]
-        holds, speed = self._split(parameters)
-        slopes = motion_slopes(
-            holds, speed, self._twists, self._bounds.half, self._period, self._accel,
-            self._steps, SLOPE_STEP, self._hold_scale, self._speed,
-        )  # fmt: skip
-        self._known = parameters, slopes
-        return slopes
+    def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:
+        holds = self._split(parameters)[0]
+        ramp, slope = self._ramps(parameters)
+        by_hold, by_twist = timeline_back(holds, ramp, slope, self._period, by_time, by_knot)
+        by_speed = by_twist[:, :, None] @ self._basis.transpose(0, 2, 1)
+        return np.hstack([by_hold * self._hold_scale, by_speed.reshape(len(by_time), -1)])

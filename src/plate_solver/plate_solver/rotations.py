@@ -1,30 +1,49 @@
 """Method A: sequences of rotations (section 3.1 of the paper).
 
-The linear problem gives weights of rotations about fixed centres; three more rows ask the sequence
-to close. The weights become lengths of a sequence in time, from rest to rest, whose lengths and
-speeds are then corrected, on the averaged map or on the cycle map.
+A linear programme picks few rotations out of a library and how long each is to last. Put in order
+they become a motion from rest to rest, whose lengths and twists are then corrected, on the averaged
+map or on the cycle map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from plate_core import PlateError, Rig
 
-from .averaged import CURL_LENGTH_M, fit_force, fit_force_finely, force_solution
-from .centres import curl_matrix, grid, priority_order, rotation_matrix, solve_weights, unit_twists
-from .force_map import SAMPLES
+from .averaged import force_solution
+from .force_map import average_force
 from .least_squares import Fit
+from .library import Library
+from .ordering import best_order, nearest_order
 from .rotation_family import RotationFamily
-from .solution import Request, Solution, check_options
+from .rotation_fit import fit_displacement, fit_mean_force, mean_force_error, missed
+from .rotation_plan import RotationPlan, plan_rotations, reachable_share, with_return_strokes
+from .solution import Request, Solution, check_options, within_limits
 from .solver import MotionSolver, make_options
-from .steering import Goal, steer, steering_solution
+from .steering import Goal, steering_solution
 
-SHAKE = 0.4
-"""How far a further start is from the best so far, in units of the parameters."""
+SETTLE = 0.05
+"""Time in which shaking takes away a part's velocity, about [s]."""
+
+CLOSURES = ("sequence", "strokes")
+ORDERS = ("nearest", "priority", "simulated")
+
+AVERAGED, FINE, FINEST = (24, 6), (60, 20), (600, 200)
+"""Steps in every ramp and hold when an average force is corrected, when that is done for good, and
+when a curl is judged: in a ramp the surface may almost stand still under a part."""
+
+SHAKE = 0.3
+"""How far a shaken start is from the best so far, in units of the parameters."""
+
+SPREAD = 0.3
+"""Random part of the costs of rotations in further plans: it picks other rotations, as good."""
+
+ORDER_TRIES = 200
+"""Sequences that are simulated in search of a better order."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +56,16 @@ class RotationOptions:
         Length of the cycle [s].
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
-    most_gain : float
-        Bound on inverse singular values of the linear problem [-].
+    blend : float
+        Least time from one rotation to the next [s]: smooths the motion (3.2).
+    closure : str
+        `sequence`: the motion closes as a whole; `strokes`: each rotation is turned back at once.
+    order : str
+        `nearest`: least change of twist; `priority`: section 3.1.4; `simulated`: the one of some
+        hundred with the least error on the cycle map.
+    most_price : float
+        Most time that a unit of force on a part may cost [cycles / (mu m g)]: what costs more, such
+        as parting two parts that almost touch, is given up in the plan.
     tolerance : float
         Greatest force error that counts as success [mu m g].
     iterations : int
@@ -50,11 +77,14 @@ class RotationOptions:
     """
 
     period: float = 0.2
-    speed: float = 0.25
-    most_gain: float = 30.0
+    speed: float = 0.3
+    blend: float = 0.0
+    closure: str = "sequence"
+    order: str = "priority"
+    most_price: float = 30.0
     tolerance: float = 1e-3
     iterations: int = 40
-    restarts: int = 10
+    restarts: int = 4
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -62,12 +92,18 @@ class RotationOptions:
             self,
             period=(1e-3, 10.0),
             speed=(1e-3, 10.0),
-            most_gain=(1.0, 1e12),
+            blend=(0.0, 1.0),
+            most_price=(1.0, 1e6),
             tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
             seed=(0, 2**31 - 1),
         )
+        for name, allowed in (("closure", CLOSURES), ("order", ORDERS)):
+            if getattr(self, name) not in allowed:
+                raise PlateError(
+                    f"{name} is {getattr(self, name)!r}, allowed: {', '.join(allowed)}"
+                )
 
 
 class RotationSolver(MotionSolver):
@@ -78,117 +114,166 @@ class RotationSolver(MotionSolver):
     rig : Rig
         Plate, friction and limits.
     centres : (N, 2), optional
-        Centres of rotation [m], plate_home; 24 on a grid over the plate if left out.
+        Centres of rotation [m], plate_home: these and no others. If left out, sequences start from
+        a library of centres and translations, and their centres move as the request asks.
     **options
         Fields of `RotationOptions`.
     """
 
-    def __init__(self, rig: Rig, centres: np.ndarray | None = None, **options: float) -> None:
+    def __init__(self, rig: Rig, centres: np.ndarray | None = None, **options: float | str) -> None:
         self.options: RotationOptions = make_options(RotationOptions, options, "centres")
         super().__init__(rig, self.options.seed)
-        self.centres = grid(rig.plate.half) if centres is None else np.array(centres, dtype=float)
-        if self.centres.ndim != 2 or self.centres.shape[1] != 2 or len(self.centres) < 3:
-            raise PlateError(
-                f"centres have shape {self.centres.shape}, allowed: (N, 2) with N at least 3"
-            )
-        if not np.all(np.isfinite(self.centres)):
-            raise PlateError("centres have values that are not finite")
-        self._twists = unit_twists(self.centres, rig.plate.half)
+        self._free = centres is None
+        if centres is None:
+            self.library = Library.around(rig.plate.half)
+        else:
+            self.library = Library.about(_checked(centres), rig.plate.half)
         self._warm: tuple[RotationFamily, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, RotationFamily, np.ndarray] | None = None
+        self._basis: np.ndarray | None = None
 
     def forget(self) -> None:
-        self._warm = None
+        self._warm = self._basis = self._last = None
 
     def steering_period(self, count: int) -> float:
         return self.options.period
 
     def _solve(self, request: Request) -> Solution:
-        start, family, condition = self._plan(request.position, request.force, request.curl)
-        tolerance = self.options.tolerance
-        fine, most = family.finer(SAMPLES), self.options.iterations
-
-        def attempt(theta: np.ndarray) -> Fit:
-            return fit_force_finely(request, family, fine, theta, tolerance, most)
-
-        def good(result: Fit) -> bool:
-            return bool(np.max(np.abs(result.error)) <= tolerance)
-
-        first = attempt(start)
-        best, iterations = self._again(first, first.iterations, family, attempt, good)
-        best = fit_force(request, fine, best.parameters, tolerance / 10, most)
-        iterations += best.iterations
-        cycle = fine.cycle(best.parameters)
-        return force_solution(self._rig, request, best, cycle, tolerance, iterations, condition)
+        options, iterations = self.options, 0
+        best: Fit | None = None
+        for k in range(1 + options.restarts):
+            if k == 0 and self._last is not None and np.array_equal(self._last[0], request.position):
+                coarse, start = self._last[1:]
+            elif best is None or k % 2 == 0:
+                plan = self._plan(request.position, request.force, request.curl, k > 0, fill=True)
+                coarse, start = self._family(plan, averaged=True)
+            else:
+                start = coarse.admissible(self._shaken(best.parameters))
+            found = fit_mean_force(
+                request, coarse, start, options.tolerance / 4, options.iterations
+            )
+            iterations += found.iterations
+            if best is None or found.cost < best.cost:
+                best, family = found, coarse
+            if np.max(np.abs(best.error)) <= options.tolerance:
+                break
+        assert best is not None
+        self._last = request.position, family, best.parameters
+        fine = family.finer(FINE)
+        best = fit_mean_force(
+            request, fine, best.parameters, options.tolerance / 10, options.iterations
+        )
+        cycle = within_limits(self._rig, fine.cycle(best.parameters))
+        error = mean_force_error(request, fine.finer(FINEST), best.parameters)
+        true = request.force - average_force(cycle, request.position, request.velocity)
+        error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
+        solution = force_solution(
+            self._rig, request, replace(best, error=error), cycle, options.tolerance,
+            iterations + best.iterations, best.condition,
+        )  # fmt: skip
+        if solution.success or np.any(request.velocity):
+            return solution
+        share = reachable_share(self.library, request.position, request.force)
+        if share >= 1:
+            return solution
+        return replace(solution, message=f"{solution.message}; about {share:.2g} of it is in reach")
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        most = self.options.iterations
-
-        def good(result: Fit) -> bool:
-            return result.cost <= good_enough**2 * goal.position.size
-
-        best, iterations, condition = None, 0, float("nan")
-        if self._warm is not None:
-            family, theta = self._warm
-            best = steer(goal, family, theta, tolerance, most)
-            iterations = best.iterations
-        if best is None or not good(best):
-            theta, fresh, condition = self._plan_displacement(goal)
-            other = steer(goal, fresh, theta, tolerance, 2 * most)
-            iterations += other.iterations
-            if best is None or other.cost < best.cost:
-                best, family = other, fresh
-
-        def attempt(theta: np.ndarray) -> Fit:
-            return steer(goal, family, theta, tolerance, 2 * most)
-
-        best, iterations = self._again(best, iterations, family, attempt, good)
-        self._warm = family, best.parameters
+        best: Fit | None = None
+        iterations = 0
+        for candidate, start, most in self._starts(goal):
+            found = fit_displacement(goal, candidate, start, tolerance, most)
+            iterations += found.iterations
+            if best is None or found.cost < best.cost:
+                best, family = found, candidate
+                self._warm = family, best.parameters
+            if best.cost <= good_enough**2 * goal.position.size:
+                break
+        assert best is not None
+        cycle = within_limits(self._rig, family.cycle(best.parameters))
+        error = np.concatenate([missed(goal, cycle).ravel(), best.error[goal.position.size :]])
         return steering_solution(
-            self._rig, goal, best, family.cycle(best.parameters), good_enough, iterations,
-            condition if np.isfinite(condition) else best.condition,
+            self._rig, goal, replace(best, error=error), cycle, good_enough, iterations,
+            best.condition,
         )  # fmt: skip
 
-    def _again(
-        self,
-        best: Fit,
-        iterations: int,
-        family: RotationFamily,
-        attempt: Callable[[np.ndarray], Fit],
-        good: Callable[[Fit], bool],
-    ) -> tuple[Fit, int]:
-        """Start again some way from the best, until it is good; returns iterations in all."""
-        for _ in range(self.options.restarts):
-            if good(best):
-                break
-            shaken = best.parameters + SHAKE * self._rng.normal(size=len(best.parameters))
-            other = attempt(family.admissible(shaken))
-            iterations += other.iterations
-            if other.cost < best.cost:
-                best = other
-        return best, iterations
+    def _starts(self, goal: Goal) -> Iterator[tuple[RotationFamily, np.ndarray, int]]:
+        """Yield where to search from, and for how long: the last answer, plans, shaken ones."""
+        most = self.options.iterations
+        if self._warm is not None:
+            yield *self._warm, most
+        for k in range(1 + self.options.restarts):
+            if k % 2 == 0 or self._warm is None:
+                yield *self._planned(goal, spread=k > 0), 2 * most
+            else:
+                family, parameters = self._warm
+                yield family, family.admissible(self._shaken(parameters)), 2 * most
 
-    def _plan_displacement(self, goal: Goal) -> tuple[np.ndarray, RotationFamily, float]:
-        """Plan with the force that would give the displacements from the start velocities."""
-        period = self.options.period
-        impulse = goal.displacement - goal.velocity * period
-        force = impulse / (0.5 * period**2 * goal.friction_accel)
-        return self._plan(goal.position, force, np.full(len(force), np.nan))
+    def _shaken(self, parameters: np.ndarray) -> np.ndarray:
+        return parameters + SHAKE * self._rng.normal(size=len(parameters))
+
+    def _planned(self, goal: Goal, spread: bool) -> tuple[RotationFamily, np.ndarray]:
+        """Plan with the force that would move parts from rest by what is asked at least."""
+        unit = 0.5 * self.options.period**2 * goal.friction_accel
+        push = goal.displacement - SETTLE * goal.velocity
+        force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
+        plan = self._plan(goal.position, force, None, spread)
+        if self.options.order != "simulated":
+            return self._family(plan)
+
+        def error(order: np.ndarray) -> float:
+            family, parameters = self._family(plan.in_order(order))
+            return fit_displacement(goal, family, parameters, 0.0, 0).cost
+
+        first = np.arange(len(plan.share))
+        return self._family(plan.in_order(best_order(error, first, ORDER_TRIES, self._rng)))
 
     def _plan(
-        self, position: np.ndarray, force: np.ndarray, curl: np.ndarray
-    ) -> tuple[np.ndarray, RotationFamily, float]:
-        """Solve the linear problem with three rows for closure, and put it in the paper's order."""
-        asked = np.isfinite(curl)
-        matrix = np.vstack(
-            [
-                rotation_matrix(position, self.centres),
-                curl_matrix(position, self.centres)[asked] * CURL_LENGTH_M,
-                self._twists.T,
-            ]
+        self,
+        position: np.ndarray,
+        force: np.ndarray,
+        curl: np.ndarray | None,
+        spread: bool,
+        fill: bool = False,
+    ) -> RotationPlan:
+        options, half = self.options, self._bounds.half
+        cost = None
+        if spread:
+            cost = 1 + SPREAD * self._rng.random(len(self.library.twist))
+        plan = plan_rotations(
+            self.library, position, force, curl, options.most_price, self._basis, cost
         )
-        wanted = np.concatenate([force.T.ravel(), curl[asked] * CURL_LENGTH_M, np.zeros(3)])
-        share, condition = solve_weights(matrix, wanted, self.options.most_gain)
-        order = priority_order(share, position, self.centres)
+        self._basis = plan.shares.basis
+        if fill:
+            plan = plan.filled()
+        if options.order == "priority":
+            return plan.in_order(np.argsort(-plan.priority, kind="stable"))
+        return plan.in_order(nearest_order(plan.twist, half))
+
+    def _family(
+        self, plan: RotationPlan, averaged: bool = False
+    ) -> tuple[RotationFamily, np.ndarray]:
+        """Return the plan as a family of motions, and the plan's parameters in it."""
         options = self.options
-        family = RotationFamily(self._twists[order], self._bounds, options.period, options.speed)
-        return family.parameters(share[order]), family, condition
+        if options.closure == "strokes":
+            plan = with_return_strokes(plan)
+        family = RotationFamily(
+            plan.twist,
+            self._bounds,
+            options.period,
+            options.speed,
+            self._free,
+            options.blend,
+            AVERAGED if averaged else None,
+            averaged,
+        )
+        return family, family.parameters(plan.share)
+
+
+def _checked(centres: np.ndarray) -> np.ndarray:
+    centres = np.array(centres, dtype=float)
+    if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) < 3:
+        raise PlateError(f"centres have shape {centres.shape}, allowed: (N, 2) with N at least 3")
+    if not np.all(np.isfinite(centres)):
+        raise PlateError("centres have values that are not finite")
+    return centres

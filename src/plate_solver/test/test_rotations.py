@@ -8,7 +8,7 @@ from plate_core.limits import corner_accel, usage
 from plate_solver import RotationSolver
 from plate_solver.centres import ring, unit_twists
 from plate_solver.rotation_family import RotationFamily
-from plate_solver.sequence import motion, timeline
+from plate_solver.sequence import motion, ramps, timeline
 from plate_solver.solution import Bounds
 
 HALF = np.array([0.3, 0.15])
@@ -18,44 +18,48 @@ PERIOD, ACCEL = 0.2, 90.0
 TWISTS = unit_twists(CENTRES, HALF)
 HOLDS = np.array([1.0, 2.0, 0.5, 1.5, 0.3])
 SPEED = np.array([0.25, -0.2, 0.1, -0.3])
+TURNS = TWISTS * SPEED[:, None]
+
+
+def line(turns=TURNS, least=0.0):
+    """Knots of the example sequence."""
+    return timeline(HOLDS, turns, ramps(turns, HALF, ACCEL, least)[0], PERIOD)
 
 
 @pytest.fixture(name="played")
 def _played():
-    """The example sequence at 20,000 steps: pose, twist, acceleration, gap, and the step."""
-    n = 20_000
-    pose, twist, accel = np.empty((3, n, 3))
-    gap = motion(*timeline(HOLDS, SPEED, TWISTS, HALF, PERIOD, ACCEL), n, pose, twist, accel)
-    return pose, twist, accel, gap, PERIOD / n
+    """The example sequence: times of samples, pose, twist, acceleration, steps, gap."""
+    pose, twist, accel, dt, gap = motion(*line(), (2000, 2000))
+    return np.cumsum(dt) - dt / 2, pose, twist, accel, dt, gap
 
 
 def test_sequence_closes_from_rest_to_rest(played):
-    pose, twist, accel, gap, dt = played
+    _, pose, twist, accel, dt, gap = played
     assert np.max(np.abs(gap)) > 1e-3, "nothing had to be closed"
-    # Samples are at the middles of steps: half a step from the edge.
+    assert dt.sum() == pytest.approx(PERIOD)
     for end in (0, -1):
-        assert np.max(np.abs(pose[end])) < 1e-9
-        assert np.max(np.abs(twist[end])) < 20 * dt
-        assert np.max(np.abs(accel[end])) < 10
-    np.testing.assert_allclose(twist.sum(axis=0) * dt, 0, atol=1e-9)
+        assert np.max(np.abs(pose[end])) < 1e-8
+        assert np.max(np.abs(twist[end])) < 1e-4
+        assert np.max(np.abs(accel[end])) < 1
+    np.testing.assert_allclose(dt @ twist, 0, atol=1e-8)
 
 
 def test_sequence_is_consistent_in_time(played):
-    pose, twist, accel, _, dt = played
+    t, pose, twist, accel, _, _ = played
     for of, derivative in ((pose, twist), (twist, accel)):
-        slope = (of[2:] - of[:-2]) / (2 * dt)
-        scale = np.max(np.abs(derivative))
-        np.testing.assert_allclose(slope, derivative[1:-1], atol=2e-3 * scale)
+        slope = np.diff(of, axis=0) / np.diff(t)[:, None]
+        middle = (derivative[1:] + derivative[:-1]) / 2
+        np.testing.assert_allclose(slope, middle, atol=2e-3 * np.max(np.abs(derivative)))
 
 
 def test_sequence_turns_about_its_centres_in_order(played):
-    _, _, accel, gap, _ = played
-    times, knots = timeline(HOLDS, SPEED, TWISTS, HALF, PERIOD, ACCEL)
+    accel, gap = played[3], played[5]
+    times, knots = line()
     assert times[0] == 0
     assert times[-1] == pytest.approx(PERIOD)
     assert np.all(np.diff(times) >= 0)
     holding = np.diff(times)[1::2]
-    np.testing.assert_allclose(holding / holding.sum(), HOLDS[: len(holding)] / HOLDS.sum())
+    np.testing.assert_allclose(holding / holding.sum(), HOLDS / HOLDS.sum())
     for j, centre in enumerate(CENTRES):
         u, v, spin = knots[2 * j + 1]
         np.testing.assert_array_equal(knots[2 * j + 2], knots[2 * j + 1])
@@ -69,61 +73,72 @@ def test_sequence_turns_about_its_centres_in_order(played):
     assert bump < 0.05 * ACCEL
 
 
-def test_ramps_that_do_not_fit_are_made_by_going_slower():
-    times, knots = timeline(HOLDS, 10 * SPEED, TWISTS, HALF, PERIOD, ACCEL)
-    assert times[-1] == pytest.approx(PERIOD)
-    assert np.all(np.diff(times) >= 0)
-    slower = knots[1:-2:2, 2] / (10 * SPEED * TWISTS[:, 2])
-    np.testing.assert_allclose(slower, slower[0])
-    assert slower[0] < 1
-    # The ramps still keep to the acceleration: 1.5 x mean at the fastest corner.
-    step = np.diff(knots, axis=0)[::2]
-    lasts = np.diff(times)[::2]
-    change = np.stack([step[:, :2] + step[:, 2:] * [-y, x] for x, y in CORNERS])
-    assert np.max(np.hypot(*np.moveaxis(change, 2, 0)) * 1.5 / lasts) < 1.001 * ACCEL
+def test_blending_lengthens_ramps_and_keeps_the_rotations():
+    sharp, smooth = line(), line(least=0.012)
+    np.testing.assert_array_equal(sharp[1], smooth[1])
+    assert np.diff(smooth[0])[::2].min() == pytest.approx(0.012)
+    assert np.diff(sharp[0])[::2].min() < 0.006
+    assert smooth[0][-1] == pytest.approx(PERIOD)
+    # What it is for: less of the motion at high frequencies.
+    spectra = []
+    for times, knots in (sharp, smooth):
+        pose, _, _, dt, _ = motion(times, knots, (60, 60))
+        t = (np.arange(4096) + 0.5) / 4096 * PERIOD
+        x = np.interp(t, np.cumsum(dt) - dt / 2, pose[:, 2])
+        spectra.append(np.abs(np.fft.rfft(x))[30:200])  # 150 Hz to 1 kHz
+    assert np.linalg.norm(spectra[1]) < 0.5 * np.linalg.norm(spectra[0])
 
 
-def family(rig, steps=0):
-    return RotationFamily(TWISTS, Bounds.of(rig), PERIOD, 0.25, steps)
+BOTH = pytest.mark.parametrize("free", [False, True])
 
 
-def test_family_cycle_agrees_with_its_samples(rig):
-    sequence = family(rig, 3000)
-    parameters = sequence.admissible(np.concatenate([HOLDS, SPEED / 0.25]))
+def family(rig, free=False, steps=None):
+    return RotationFamily(TURNS / 0.25, Bounds.of(rig), PERIOD, 0.25, free, steps=steps)
+
+
+@BOTH
+def test_family_cycle_agrees_with_its_samples(rig, free):
+    sequence = family(rig, free, (40, 40))
+    parameters = sequence.parameters(0.9 * HOLDS[:4] / HOLDS.sum())
     cycle = sequence.cycle(parameters)
     assert cycle.starts_at_rest
     assert usage(rig, cycle).worst <= 1.02
-    pose, twist = sequence.samples(parameters)
-    t = (np.arange(3000) + 0.5) * sequence.dt
+    pose, twist, dt = sequence.samples(parameters)
+    t = np.cumsum(dt) - dt / 2
     np.testing.assert_allclose(cycle.pose(t), pose, atol=1e-9)
     np.testing.assert_allclose(cycle.twist(t), twist, atol=1e-9)
 
 
-def test_family_slopes_agree_with_differences(rig):
-    sequence = family(rig, 120)
-    parameters = np.concatenate([HOLDS, 0.6 * SPEED / 0.25])
+@BOTH
+def test_family_slopes_agree_with_differences(rig, free):
+    sequence = family(rig, free, (5, 4))
+    parameters = 0.9 * sequence.parameters(0.9 * HOLDS[:4] / HOLDS.sum())
+    # One motor's stroke is exceeded, so that its penalty is seen too.
+    parameters[:5] *= [4, 1, 1, 1, 1]
+    assert np.any(sequence.penalty(parameters)[3:] != 0)
     rng = np.random.default_rng(0)
-    by_twist, by_pose = rng.normal(size=(5, 120, 3)), rng.normal(size=(5, 120, 2))
+    n = 5 * (5 + 4)
+    weights = [rng.normal(size=shape) for shape in ((6, n, 3), (6, n, 3), (6, n))]
 
-    def values(parameters):
-        pose, twist = sequence.samples(parameters)
-        seen = np.einsum("rnc,nc->r", by_twist, twist)
-        return seen + np.einsum("rnc,nc->r", by_pose, pose[:, :2]), sequence.penalty(parameters)
+    def values(theta):
+        seen = zip(weights, sequence.samples(theta), strict=True)
+        return sum((w * s).reshape(6, -1).sum(axis=1) for w, s in seen), sequence.penalty(theta)
 
-    slopes = sequence.pull_back(parameters, by_twist, by_pose), -sequence.penalty_slopes(parameters)
+    slopes = sequence.pull_back(parameters, *weights), -sequence.penalty_slopes(parameters)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         ends = values(parameters + d), values(parameters - d)
         for k, found in enumerate(slopes):
             slope = (ends[0][k] - ends[1][k]) / (2 * step)
-            np.testing.assert_allclose(found[:, p], slope, atol=5e-3 * np.max(np.abs(found)))
+            np.testing.assert_allclose(found[:, p], slope, atol=1e-6 * np.max(np.abs(found)))
 
 
+@BOTH
 @pytest.mark.parametrize("seed", range(4))
-def test_admissible_parameters_are_within_the_limits(rig, seed):
+def test_admissible_parameters_are_within_the_limits(rig, seed, free):
     rng = np.random.default_rng(seed)
-    sequence = family(rig)
-    wild = np.concatenate([rng.normal(size=5), 20 * rng.normal(size=4)])
+    sequence = RotationFamily(TURNS, Bounds.of(rig), PERIOD, 0.25, free, within_stroke=True)
+    wild = 20 * rng.normal(size=len(sequence.parameters(np.ones(4))))
     kept = sequence.admissible(wild)
     assert np.all(kept[:5] > 0)
     # Samples may miss a peak by some per cent; solvers scale what they return by an exact check.
@@ -133,12 +148,13 @@ def test_admissible_parameters_are_within_the_limits(rig, seed):
     np.testing.assert_array_equal(sequence.admissible(gentle), gentle)
 
 
-def test_shares_become_lengths_and_senses(rig):
-    share = np.array([0.2, -0.3, 0.1, -0.1])
-    parameters = family(rig).parameters(share)
-    np.testing.assert_allclose(parameters[:4] / parameters[0], np.abs(share) / 0.2)
+def test_shares_become_lengths(rig):
+    sequence = family(rig)
+    share = np.array([0.2, 0.3, 0.1, 0.1])
+    parameters = sequence.parameters(share)
+    np.testing.assert_allclose(parameters[:4] / parameters[0], share / 0.2)
     assert parameters[4] / parameters[0] == pytest.approx(0.3 / 0.2)  # what is left is rest
-    np.testing.assert_array_equal(np.sign(parameters[5:]), np.sign(share))
+    np.testing.assert_array_equal(sequence.parameters(3 * share)[4], 0.02)  # nothing is left
 
 
 def test_cycle_is_made_of_rotations_from_rest_to_rest(rig, scene):
@@ -168,14 +184,16 @@ def test_close_parts_that_go_apart_are_not_shaken_wildly(rig):
     assert not apart.success
     assert usage(rig, apart.cycle).worst <= 1
     far = solver.solve(position * [[1, 1], [-3, 1]], [[0.1, 0.0], [-0.1, 0.0]])
-    assert apart.condition > 20 * far.condition
+    assert far.success
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"speed": 0.0}, "speed is 0.0, allowed: 0.001 to 10"),
-        ({"most_gain": 0.5}, "most_gain is 0.5, allowed: 1 to "),
+        ({"most_price": 0.5}, "most_price is 0.5, allowed: 1 to "),
+        ({"closure": "none"}, "closure is 'none', allowed: sequence, strokes"),
+        ({"order": "any"}, "order is 'any', allowed: nearest, priority, simulated"),
         ({"centres": np.zeros((2, 2))}, r"centres have shape \(2, 2\), allowed: \(N, 2\)"),
         ({"centres": np.zeros(6)}, r"centres have shape \(6,\), allowed: \(N, 2\)"),
         ({"centres": np.full((4, 2), np.nan)}, "centres have values that are not finite"),
