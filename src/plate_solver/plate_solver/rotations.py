@@ -77,7 +77,7 @@ class RotationOptions:
     """
 
     period: float = 0.2
-    speed: float = 0.3
+    speed: float = 0.25
     blend: float = 0.0
     closure: str = "sequence"
     order: str = "priority"
