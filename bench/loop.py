@@ -89,7 +89,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             elif key in ("noise", "mu_scale"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
             elif key == "blur":
-                dirt = replace(dirt, blur=_flag(text))
+                dirt = replace(dirt, blur=_flag(key, text))
             elif key in {f.name for f in fields(Dirt)}:
                 dirt = replace(dirt, **{key: float(text)})
             elif key in {f.name for f in fields(SortOptions)}:
@@ -111,9 +111,9 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     return replace(setup, dirt=dirt, planner=planner)
 
 
-def _flag(text: str) -> bool:
+def _flag(key: str, text: str) -> bool:
     if text not in ("true", "false"):
-        raise PlateError(f"setting is {text!r}, allowed: true or false")
+        raise PlateError(f"setting {key} is {text!r}, allowed: true or false")
     return text == "true"
 
 
