@@ -1,0 +1,141 @@
+"""What must hold for any crowd of discs: drawn at random, and shrunk to the least that fails."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plate_core import PlateCycle, load_rig
+from plate_sim import Contacts
+from plate_sim.contacts import simulate_discs
+from plate_sim.ground import Ground
+
+RIG = load_rig()
+RADIUS, HALF = RIG.parts.radius_m, RIG.plate.half
+WIDE = np.array([5.0, 5.0])
+"""Half sides of a plate that no disc leaves [m]."""
+
+OVERLAP = 1e-4
+"""Deepest overlap [m] allowed in a crowd at any step: 0.6 % of a disc."""
+
+some = settings(max_examples=25, deadline=None, derandomize=True, database=None)
+
+
+@st.composite
+def crowds(draw, most=24):
+    """Places (M, 2) [m] of discs apart from each other, and velocities [m/s]: rest to 1 m/s."""
+    columns, lines = draw(st.integers(1, 6)), draw(st.integers(1, most // 6))
+    spacing = 2 * RADIUS + draw(st.sampled_from([1e-9, 1e-4, 4e-3]))
+    seed, speed = draw(st.integers(0, 2**32 - 1)), draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(columns), np.arange(lines))
+    place = np.stack([x - columns / 2 + 0.5, y - lines / 2 + 0.5], axis=-1).reshape(-1, 2) * spacing
+    shift = 0.4 * (spacing - 2 * RADIUS) * rng.uniform(-1, 1, place.shape)
+    return place + shift, speed * rng.normal(size=place.shape)
+
+
+contacts = st.builds(Contacts, st.floats(0, 1), st.sampled_from([0.0, 0.3, 5.0]), st.booleans())
+steps = st.sampled_from([50, 61, 400])
+
+
+@st.composite
+def shakes(draw):
+    """Motions of the plate, up to far beyond friction, that turn too."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    size = draw(st.sampled_from([0.0, 1e-4, 1e-3, 4e-3]))
+    return PlateCycle.from_samples(0.06, size * rng.normal(size=(10, 3)) * [1, 1, 4])
+
+
+def deepest(path):
+    """Deepest overlap [m] of any two discs at any step of a path (k, M, 2)."""
+    i, j = np.triu_indices(path.shape[1], 1)
+    if len(i) == 0:
+        return 0.0
+    return 2 * RADIUS - np.min(np.linalg.norm(path[:, i] - path[:, j], axis=2))
+
+
+@some
+@given(crowds(), contacts, steps, shakes(), st.floats(0, 2), st.floats(1, 2), st.floats(-0.2, 0.2))
+def test_any_run_is_finite_and_discs_stay_apart(crowd, contact, n, cycle, mu, static, tilt):
+    run, on_plate = simulate_discs(
+        cycle,
+        *crowd,
+        mu,
+        RADIUS,
+        HALF,
+        contact,
+        steps=n,
+        cycles=2,
+        ground=Ground(static, (tilt, 0)),
+    )
+    assert np.isfinite(run.position).all()
+    assert np.isfinite(run.velocity).all()
+    assert deepest(run.position[:, on_plate]) < OVERLAP
+    assert on_plate.all() or not contact.walls
+
+
+@some
+@given(crowds(), contacts, steps)
+def test_contacts_create_no_energy(crowd, contact, n):
+    run, _ = simulate_discs(
+        PlateCycle.rest(0.1), *crowd, 0.0, RADIUS, HALF, contact, steps=n, cycles=2
+    )
+    energy = np.sum(run.velocity**2, axis=(1, 2))
+    if not contact.walls:  # who leaves the plate takes its energy along
+        assert energy[-1] <= energy[0] * (1 + 1e-12)
+    assert np.all(np.diff(energy) <= 1e-13 * energy[0])
+
+
+@some
+@given(crowds(), st.floats(0, 1), st.sampled_from([0.0, 0.3, 5.0]), steps)
+def test_contacts_between_discs_keep_momentum(crowd, restitution, friction, n):
+    run, on_plate = simulate_discs(
+        PlateCycle.rest(0.1), *crowd, 0.0, RADIUS, WIDE, Contacts(restitution, friction), steps=n
+    )
+    assert on_plate.all()
+    momentum = run.velocity.sum(axis=1)
+    assert np.abs(momentum - momentum[0]).max() < 1e-12
+    # So the common centre moves on evenly.
+    centre = run.position.mean(axis=1)
+    even = centre[0] + np.outer(run.time, momentum[0]) / len(on_plate)
+    assert np.abs(centre - even).max() < 1e-12
+
+
+@some
+@given(crowds(), contacts, steps, shakes(), st.randoms(use_true_random=False))
+def test_the_order_of_parts_does_not_matter(crowd, contact, n, cycle, random):
+    order = list(range(len(crowd[0])))
+    random.shuffle(order)
+    run, on_plate = simulate_discs(cycle, *crowd, 0.3, RADIUS, HALF, contact, steps=n)
+    mixed = [array[order] for array in crowd]
+    other, left = simulate_discs(cycle, *mixed, 0.3, RADIUS, HALF, contact, steps=n)
+    assert np.array_equal(other.position, run.position[:, order])
+    assert np.array_equal(other.velocity, run.velocity[:, order])
+    assert np.array_equal(left, on_plate[order])
+
+
+def turned(angle, mirror):
+    """Rotation by an angle [rad], after a mirror at the x axis: (2, 2)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]]) @ np.diag([1, -1 if mirror else 1])
+
+
+@some
+@given(
+    st.floats(-0.012, 0.012), st.floats(0.05, 0.8), st.floats(0, 1), shakes(),
+    st.floats(-np.pi, np.pi), st.booleans(),
+)  # fmt: skip
+def test_turned_and_mirrored_frames_give_the_same(offset, speed, restitution, cycle, angle, mirror):
+    # Three discs, of which two meet: a chain of hits would amplify rounding without bound.
+    place = np.array([[-0.02, offset], [0.02, 0.0], [0.0, 0.1]])
+    velocity = np.array([[speed, 0.0], [-0.1, 0.0], [0.0, 0.2]])
+    frame = turned(angle, mirror)
+    pose = cycle.knot_pose[:-1].copy()
+    pose[:, :2] = pose[:, :2] @ frame.T
+    pose[:, 2] *= -1 if mirror else 1
+    other_cycle = PlateCycle.from_samples(cycle.period, pose)
+    contact = Contacts(restitution, 0.2)
+    run, _ = simulate_discs(cycle, place, velocity, 0.3, RADIUS, WIDE, contact, steps=200)
+    other, _ = simulate_discs(
+        other_cycle, place @ frame.T, velocity @ frame.T, 0.3, RADIUS, WIDE, contact, steps=200
+    )
+    assert np.abs(other.position - run.position @ frame.T).max() < 1e-9
