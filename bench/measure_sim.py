@@ -1,272 +1,296 @@
-"""The simulator beside pymunk: error and speed in a scene whose answer is known.
-
-One plate velocity, V (sin w t + 0.5 cos 2 w t) along x at 30 Hz. The travel after 1 s is known from
-an event-driven integration that agrees with `solve_ivp` at rtol 1e-12 to 1e-10 mm.
-"""
+"""The simulator beside its peers: error, speed, and cost as scenes grow."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
+import mujoco_scene
 import numpy as np
-from harness import Race, Result, Table, cpu_time, missing_peer, optional, race
+from harness import Race, Result, Table, missing_peer, optional, race
 from pymunk_scene import PymunkScene
+from shaken_scene import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, SCENES, Scene, alike, all_ways
+from tray import tray_tables
 
-from plate_core import PlateCycle, load_rig
-from plate_sim import WorldState, run_cycle, simulate
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import Contacts, WorldState, run_cycle
 from plate_sim.friction import STEP
+from plate_sim.points import TOLERANCE
 
-FREQUENCY = 30.0
-"""Of the exact scene [Hz]."""
+EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
+"""Methods: our two integrators and the peers."""
 
-CYCLES = 30
-"""Cycles after which the travel is known: 1 s."""
+PEER_STEP_MS = 0.1
+"""Step at which pymunk errs by 0.12 % in the exact scene: what speeds are compared at."""
 
-SPEED_CYCLES = 3
-"""Cycles simulated in one timed call: 0.1 s."""
+SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
+"""Simulated time of a scene, and of a timed run of a peer [s]."""
 
-EXACT_M = {4: 4.997416048e-3, 20: 65.3462e-3}
-"""Travel [m] after 1 s, by peak acceleration over mu g."""
+MUJOCO_LEAST_MS = 0.05
+"""Shortest step at which MuJoCo is run [ms]: it takes long, and gets no better."""
 
-MU, GRAVITY = 0.25, 9.81
-MU_G = MU * GRAVITY
-OURS, PEER = "plate_sim", "pymunk"
+LADDER = ("points", "discs", "bodies")
+"""Models of the world, the cheapest first."""
+
+WIDE_M = 2.0
+"""Side of the plate whose cost is measured: room for 1000 parts."""
+
+SPACING_M = 0.02
+"""Between the centres of the parts whose cost is measured: they do not touch."""
 
 
 def measure(quick: bool) -> Result:
-    """Measure error by step, and speed by step and number of parts."""
-    pymunk = optional("pymunk")
-    steps_ms = (1.0, 0.2, STEP * 1e3) if quick else (1.0, 0.5, 0.2, 0.1, STEP * 1e3, 0.02, 0.01)
-    errors = error_rows(steps_ms, pymunk, quick)
-    speeds = speed_rows((1.0, STEP * 1e3) if quick else (1.0, 0.2, STEP * 1e3), pymunk, quick)
-    discs = disc_rows(pymunk, quick)
+    """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
+    peers = {PYMUNK: optional("pymunk"), MUJOCO: optional("mujoco")}
+    errors = error_rows(peers, quick)
+    speeds = speed_rows(peers[PYMUNK], quick)
+    cost = cost_rows(peers[PYMUNK], quick)
+    tray = tray_tables(peers[PYMUNK], peers[MUJOCO], quick)
     return Result(
         [
             Table(
                 "error",
-                "Error of the travel after 1 s, 1 part",
+                "Error of one part's travel after 1 s, and speed",
                 {
-                    "method": "method", "gamma": "peak accel / mu g", "step_ms": "step [ms]",
-                    "error_percent": "error [%]", "speed": "simulated s per s",
+                    "method": "method", "gamma": "peak accel / mu g", "setting": "setting",
+                    "error_mm": "error [mm]", "error_percent": "error [%]",
+                    "speed": "simulated s per s",
                 },
                 errors,
-                f"Default step of plate_sim: {STEP * 1e3:g} ms. Root mean square over neighbouring "
-                "steps, as the error of a single one depends on where the steps fall.",
+                "In steps: root mean square over neighbouring steps, as the error of a single one "
+                "depends on where the steps fall.",
             ),
             Table(
                 "speed",
-                "Speed in the same scene",
+                f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
                 {
-                    "parts": "parts", "step_ms": "step [ms]", "plate_sim": "plate_sim [s/s]",
-                    "pymunk": "pymunk [s/s]", "lead": "ours / pymunk",
+                    "scene": "scene", "parts": "parts", "tolerance": "our tolerance [m]",
+                    "error_percent": "our error [%]", "peer_percent": "pymunk's error [%]",
+                    "ours": "plate_sim [s/s]", "pymunk": "pymunk [s/s]", "lead": "ours / pymunk",
                 },
                 speeds,
+                "Error: root mean square over the parts, of their root mean square travel. Parts "
+                "that move alike are integrated once, which tells in the first scene. Pymunk has "
+                "no joint for a plate that turns.",
             ),
             Table(
-                "discs",
-                "Colliding discs, step 1 ms",
+                "cost",
+                "Cost by number of parts, 20 mu g, default settings",
                 {
-                    "parts": "parts", "plate_sim": "plate_sim [s/s]", "pymunk": "pymunk [s/s]",
-                    "lead": "ours / pymunk", "overlap_um": "our overlap [um]",
-                    "peer_overlap_um": "pymunk's overlap [um]",
+                    "parts": "parts", EVENTS: "by events [s/s]",
+                    **{model: f"{model} [s/s]" for model in LADDER},
+                    PYMUNK: "pymunk, 1 ms [s/s]",
                 },
-                discs,
-                "Overlap: deepest at the end of 0.1 s.",
+                cost,
+                f"Points, discs and finite bodies in steps of {1e3 * STEP:g} ms, as in the closed "
+                "loop.",
             ),
+            *tray,
         ],
-        summary(errors, speeds, discs, pymunk),
+        summary(errors, speeds, peers),
     )  # fmt: skip
 
 
-def exact_cycle(gamma: float) -> PlateCycle:
-    """Return the exact scene's motion with peak acceleration gamma mu g."""
-    w = 2 * np.pi * FREQUENCY
-    phase = np.linspace(0, 2 * np.pi, 20001)
-    speed = gamma * MU * GRAVITY / w / np.max(np.abs(np.cos(phase) - np.sin(2 * phase)))
-    wt = 2 * np.pi * np.arange(256) / 256
-    pose, twist, accel = np.zeros((3, 256, 3))
-    pose[:, 0] = speed / w * (-np.cos(wt) + 0.25 * np.sin(2 * wt))
-    twist[:, 0] = speed * (np.sin(wt) + 0.5 * np.cos(2 * wt))
-    accel[:, 0] = speed * w * (np.cos(wt) - np.sin(2 * wt))
-    return PlateCycle.from_samples(1 / FREQUENCY, pose, twist, accel)
-
-
-def step_count(step_ms: float) -> int:
-    """Steps in one cycle, as near to the wanted step as they fit."""
-    return round(1e3 / FREQUENCY / step_ms)
-
-
-def our_errors(cycle: PlateCycle, step_ms: float, exact: float, cases: int) -> float:
-    """Root mean square error of the travel over `cases` neighbouring steps, as a share."""
-    start, first = np.zeros((1, 2)), step_count(step_ms)
-    runs = [simulate(cycle, start, start, MU, GRAVITY, CYCLES, first + i) for i in range(cases)]
-    return rms([run.position[-1, 0, 0] / exact - 1 for run in runs])
-
-
-def peer_errors(pymunk: Any, cycle: PlateCycle, step_ms: float, exact: float, cases: int) -> float:
-    """As `our_errors`; the peer may take the plate's velocity where it serves it best."""
-    start, span = np.zeros((1, 2)), CYCLES / FREQUENCY
-    steps = [span / (round(1e3 * span / step_ms) + 3 * i) for i in range(cases)]
-    return min(
-        rms(
-            [
-                PymunkScene(pymunk, cycle, dt, span, start, MU_G, offset=offset).run()[0, 0] / exact
-                - 1
-                for dt in steps
-            ]
-        )
-        for offset in (0.5, 1.0)
-    )
-
-
-def rms(values: list[float]) -> float:
+def rms(values: Any) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def error_rows(steps_ms: tuple[float, ...], pymunk: Any, quick: bool) -> list[dict[str, Any]]:
-    """Error of the travel of one part after 1 s, and the speed at that step."""
+def step_count(step_ms: float) -> int:
+    """Steps in one cycle, as near to the wanted step as they fit."""
+    return max(1, round(1e3 / FREQUENCY / step_ms))
+
+
+def peer_scene(pymunk: Any, scene: Scene, dt: float, span: float, offset: float) -> PymunkScene:
+    """Build the peer's scene; it may take the plate's velocity where it serves it best."""
+    return PymunkScene(
+        pymunk, scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset
+    )
+
+
+def peer_travel(pymunk: Any, scene: Scene, dt: float, offset: float) -> np.ndarray:
+    """How far the peer's parts went in 1 s (M, 2) [m]."""
+    return np.asarray(peer_scene(pymunk, scene, dt, SPAN, offset).run() - scene.position)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One method at one setting: its errors [m], and a run of `span` [s] to time."""
+
+    method: str
+    setting: str
+    errors: list[float]
+    run: Callable[[], object]
+    span: float
+
+
+def error_rows(peers: dict[str, Any], quick: bool) -> list[dict[str, Any]]:
+    """Error of the travel of one part after 1 s, and speed, by setting."""
+    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
+    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
+    repeats = 2 if quick else 5
     rows = []
     for gamma, exact in EXACT_M.items():
-        cycle = exact_cycle(gamma)
+        scene = alike(gamma, 1)
+        cases = [by_events(scene, tolerance, exact) for tolerance in tolerances]
         for step_ms in steps_ms:
-            cases = 2 if quick or step_ms < 0.02 else 5
-            error = {OURS: our_errors(cycle, step_ms, exact, cases)}
-            if pymunk:
-                error[PEER] = peer_errors(pymunk, cycle, step_ms, exact, cases)
-            timed = speed_race(cycle, step_ms, np.zeros((1, 2)), pymunk, 0.1 if quick else 0.4)
-            for method, share in error.items():
-                rows.append(
-                    {
-                        "method": method,
-                        "gamma": gamma,
-                        "step_ms": step_ms,
-                        "error_percent": 100 * share,
-                        "speed": SPEED_CYCLES / FREQUENCY / timed.median(method),
-                    }
-                )
+            cases.append(in_steps(scene, step_ms, exact, repeats))
+            if peers[PYMUNK]:
+                cases.append(in_pymunk(peers[PYMUNK], scene, step_ms, exact, repeats))
+            if peers[MUJOCO] and step_ms >= MUJOCO_LEAST_MS:
+                cases.append(in_mujoco(peers[MUJOCO], scene, step_ms, exact))
+        for case in cases:
+            timed = race({"": case.run}, 0.1 if quick else 0.4)
+            rows.append(
+                {
+                    "method": case.method, "gamma": gamma, "setting": case.setting,
+                    "error_mm": 1e3 * rms(case.errors),
+                    "error_percent": 100 * rms(case.errors) / exact,
+                    "speed": case.span / timed.median(""),
+                }
+            )  # fmt: skip
     return rows
 
 
-def speed_race(
-    cycle: PlateCycle, step_ms: float, start: np.ndarray, pymunk: Any, seconds: float
-) -> Race:
-    """Time both in the exact scene; the peer's scene is built beforehand and runs on."""
-    still, steps = np.zeros_like(start), step_count(step_ms)
-    contestants: dict[str, Callable[[], object]] = {
-        OURS: lambda: simulate(cycle, start, still, MU, GRAVITY, SPEED_CYCLES, steps)
-    }
-    if pymunk:
-        scene = PymunkScene(
-            pymunk, cycle, cycle.period / steps, SPEED_CYCLES / FREQUENCY, start, MU_G
-        )
-        contestants[PEER] = scene.run
-    return race(contestants, seconds)
+def by_events(scene: Scene, tolerance: float, exact: float) -> Case:
+    """Return plate_sim's integrator by events."""
+    error = scene.travel(tolerance)[0, 0] - exact
+    return Case(EVENTS, f"{tolerance:g} m", [error], lambda: scene.travel(tolerance), SPAN)
 
 
-def speed_rows(steps_ms: tuple[float, ...], pymunk: Any, quick: bool) -> list[dict[str, Any]]:
-    """Simulated seconds per second of one core by step and number of parts."""
-    rng = np.random.default_rng(0)
+def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
+    """Return plate_sim's equal steps."""
+    first = step_count(step_ms)
+    errors = [scene.travel(None, first + i)[0, 0] - exact for i in range(repeats)]
+    return Case(STEPS, f"{step_ms:g} ms", errors, lambda: scene.travel(None, first), SPAN)
+
+
+def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
+    """Return pymunk, which may take the plate's velocity where it serves it best."""
+    first = CYCLES * step_count(step_ms)
+    errors = [
+        [
+            peer_travel(pymunk, scene, SPAN / (first + 3 * i), offset)[0, 0] - exact
+            for i in range(repeats)
+        ]
+        for offset in (0.5, 1.0)
+    ]
+    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN, 0.5).run
+    return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
+
+
+def in_mujoco(mujoco: Any, scene: Scene, step_ms: float, exact: float) -> Case:
+    """Return MuJoCo, in the plate's frame under a shaken gravity."""
+    long, short = (
+        mujoco_scene.MujocoScene(mujoco, scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
+        for span in (SPAN, PEER_SPAN)
+    )
+    error = long.run()[0, 0] - scene.position[0, 0] - exact
+    return Case(MUJOCO, f"{step_ms:g} ms", [error], short.run, PEER_SPAN)
+
+
+def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+    """Speed at the peer's error, by scene and number of parts."""
     rows = []
-    for count in (1, 10, 100):
-        start = rng.uniform(-0.1, 0.1, (count, 2))
-        for step_ms in steps_ms:
-            timed = speed_race(exact_cycle(20), step_ms, start, pymunk, 0.2 if quick else 1.0)
-            rows.append({"parts": count, "step_ms": step_ms, **speeds_of(timed)})
+    for kind, make in SCENES.items():
+        for count in (1, 10, 100):
+            scene = make(20, count)
+            truth = scene.travel(1e-11)
+            size, peer = rms(truth), None
+            if pymunk and kind != "plate turns too":
+                dt = 1e-3 * PEER_STEP_MS
+                peer = min(
+                    rms(peer_travel(pymunk, scene, dt, offset) - truth) / size
+                    for offset in (0.5, 1.0)
+                )
+            tolerance, error = loosest(scene, truth, size, 1.2e-3 if peer is None else peer)
+            contestants: dict[str, Callable[[], object]] = {
+                "ours": lambda s=scene, t=tolerance: s.travel(t)
+            }
+            if peer is not None:
+                contestants[PYMUNK] = peer_scene(pymunk, scene, dt, PEER_SPAN, 0.5).run
+            timed = race(contestants, 0.3 if quick else 2.0)
+            rows.append(
+                {
+                    "scene": kind, "parts": count, "tolerance": tolerance,
+                    "error_percent": 100 * error,
+                    "peer_percent": None if peer is None else 100 * peer,
+                    **speeds_of(timed),
+                }
+            )  # fmt: skip
     return rows
+
+
+def loosest(scene: Scene, truth: np.ndarray, size: float, wanted: float) -> tuple[float, float]:
+    """Return the loosest tolerance that gives no more than the wanted error, and its error."""
+    for tolerance in 10.0 ** np.arange(-3, -10, -1):
+        error = rms(scene.travel(tolerance) - truth) / size
+        if error <= wanted:
+            break
+    return float(tolerance), error
 
 
 def speeds_of(timed: Race) -> dict[str, float | None]:
-    """Return speeds [simulated s per s] and their ratio."""
-    span = SPEED_CYCLES / FREQUENCY
+    """Return speeds [simulated s per s] and their ratio; the peer's run lasts 0.1 s."""
+    there = PYMUNK in timed.times
     return {
-        OURS: span / timed.median(OURS),
-        PEER: span / timed.median(PEER) if PEER in timed.times else None,
-        "lead": timed.lead(OURS, PEER) if PEER in timed.times else None,
+        "ours": SPAN / timed.median("ours"),
+        PYMUNK: PEER_SPAN / timed.median(PYMUNK) if there else None,
+        "lead": SPAN / PEER_SPAN * timed.lead("ours", PYMUNK) if there else None,
     }
 
 
-def disc_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
-    """Discs that collide: a grid with gaps of 1 mm, moving at random, on the shaken plate."""
-    rig, cycle = load_rig(), exact_cycle(20)
-    step, span, radius = (
-        cycle.period / step_count(1.0),
-        SPEED_CYCLES / FREQUENCY,
-        rig.parts.radius_m,
-    )
-    rng = np.random.default_rng(1)
+def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+    """Simulated seconds per second of every model, from 1 to 1000 parts."""
     rows = []
-    for columns, lines in ((5, 2), (20, 5)):
-        x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(lines) - lines / 2)
-        position = (2 * radius + 1e-3) * np.column_stack([x.ravel(), y.ravel()])
-        velocity = rng.uniform(-0.3, 0.3, position.shape)
-        ids = tuple(f"black_{i}" for i in range(len(position)))
-        times: dict[str, list[float]] = {OURS: [], PEER: []}
-        peer_end = None
-        for _ in range(3 if quick else 15):
-            world = WorldState(ids, position, velocity, np.ones(len(position), bool))
-            began = cpu_time()
-            for _ in range(SPEED_CYCLES):
-                world = run_cycle(world, cycle, rig, MU, step)
-            times[OURS].append(cpu_time() - began)
-            if pymunk:
-                scene = PymunkScene(pymunk, cycle, step, span, position, MU_G, velocity, radius)
-                began = cpu_time()
-                peer_end = scene.run()
-                times[PEER].append(cpu_time() - began)
-        timed = Race({name: np.array(values[1:]) for name, values in times.items() if values})
+    for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
+        scene = all_ways(20, count)
+        side = int(np.ceil(np.sqrt(count)))
+        place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
+        grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
+        scene = Scene(scene.cycle, grid, 0 * scene.velocity)
+        span = 3 / FREQUENCY
+        contestants = {EVENTS: lambda s=scene: s.travel(TOLERANCE)}
+        for model in LADDER:
+            contestants[model] = lambda s=scene, m=model: run_world(s.cycle, s.position, m)
+        if pymunk:
+            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN, 0.5).run
+        timed = race(contestants, 0.3 if quick else 1.5)
+        spans = {EVENTS: SPAN, PYMUNK: PEER_SPAN}
         rows.append(
-            {
-                "parts": len(position),
-                **speeds_of(timed),
-                "overlap_um": 1e6 * overlap(world.position, radius),
-                "peer_overlap_um": None if peer_end is None else 1e6 * overlap(peer_end, radius),
-            }
+            {"parts": count}
+            | {name: spans.get(name, span) / timed.median(name) for name in timed.times}
         )
     return rows
 
 
-def overlap(position: np.ndarray, radius: float) -> float:
-    """Deepest overlap [m] of discs at (M, 2) [m]."""
-    apart = np.linalg.norm(position[:, None] - position, axis=2) + 1e9 * np.eye(len(position))
-    return max(0.0, 2 * radius - float(np.min(apart)))
+def run_world(cycle: PlateCycle, position: np.ndarray, model: str) -> WorldState:
+    """Run three cycles of the world that the closed loop runs in, on a larger plate."""
+    ids = tuple(f"black_{i + 1}" for i in range(len(position)))
+    state = WorldState.at_rest(ids, position)
+    return run_cycle(state, cycle, wide_rig(), MU, contacts=Contacts(), cycles=3, model=model)
+
+
+@lru_cache(maxsize=1)
+def wide_rig() -> Rig:
+    """Return the default rig with a plate that has room for many parts."""
+    rig = load_rig()
+    return replace(rig, plate=replace(rig.plate, length_m=WIDE_M, width_m=WIDE_M))
 
 
 def summary(
-    errors: list[dict[str, Any]], speeds: list[dict[str, Any]], discs: list[dict[str, Any]],
-    pymunk: Any,
-) -> list[str]:  # fmt: skip
+    errors: list[dict[str, Any]], speeds: list[dict[str, Any]], peers: dict[str, Any]
+) -> list[str]:
     """Sum up in sentences."""
-    default = next(
-        r for r in errors
-        if r["method"] == OURS and r["gamma"] == 20 and r["step_ms"] == STEP * 1e3
-    )  # fmt: skip
-    lines = [
-        f"default step {STEP * 1e3:g} ms: error {default['error_percent']:.2g} % at 20 mu g, "
-        f"{default['speed']:.0f} simulated s per s with 1 part"
-    ]
-    if not pymunk:
-        return [*lines, missing_peer("pymunk")]
-    ratios = [r["lead"] for r in speeds if r["step_ms"] == 1.0]
-    lines.append(
-        "at 1 ms with 1 / 10 / 100 parts "
-        + " / ".join(f"{ratio:.2g}" for ratio in ratios)
-        + " times as fast as pymunk"
-    )
-    peers = [r for r in errors if r["method"] == PEER and r["gamma"] == 20]
-    same = [r for r in peers if r["error_percent"] <= default["error_percent"]]
-    if same:
-        best = max(same, key=lambda r: r["speed"])
-        lines.append(
-            f"pymunk needs {best['step_ms']:g} ms for that error: we are "
-            f"{default['speed'] / best['speed']:.2g} times as fast"
-        )
-    else:
-        lines.append("pymunk reaches that error at none of the steps measured")
-    lines.append(
-        "colliding discs, 10 / 100: "
-        + " / ".join(f"{r['lead']:.2g}" for r in discs)
-        + " times as fast as pymunk"
-    )
-    return lines
+    tight = min((r for r in errors if r["method"] == EVENTS), key=lambda r: r["error_mm"])
+    lines = [f"tightest error by events: {tight['error_mm']:.1g} mm"]
+    for kind in SCENES:
+        leads = [f"{r['lead']:.0f}" for r in speeds if r["scene"] == kind and r["lead"]]
+        if leads:
+            lines.append(
+                f"{kind}, at pymunk's error: {' / '.join(leads)} times as fast as pymunk with "
+                "1 / 10 / 100 parts"
+            )
+    return lines + [missing_peer(name.lower()) for name, module in peers.items() if not module]
