@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import mujoco_scene
@@ -207,7 +207,7 @@ def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
                 )
             tolerance, error = loosest(scene, truth, size, 1.2e-3 if peer is None else peer)
             contestants: dict[str, Callable[[], object]] = {
-                "ours": lambda s=scene, t=tolerance: s.travel(t)
+                "ours": partial(scene.travel, tolerance)
             }
             if peer is not None:
                 contestants[PYMUNK] = peer_scene(pymunk, scene, dt, PEER_SPAN, 0.5).run
@@ -252,9 +252,9 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
         grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
         scene = Scene(scene.cycle, grid, 0 * scene.velocity)
         span = 3 / FREQUENCY
-        contestants = {EVENTS: lambda s=scene: s.travel(TOLERANCE)}
+        contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
         for model in LADDER:
-            contestants[model] = lambda s=scene, m=model: run_world(s.cycle, s.position, m)
+            contestants[model] = partial(run_world, scene.cycle, scene.position, model)
         if pymunk:
             contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN, 0.5).run
         timed = race(contestants, 0.3 if quick else 1.5)
