@@ -193,7 +193,7 @@ def test_close_parts_that_go_apart_are_not_shaken_wildly(rig):
         ({"speed": 0.0}, "speed is 0.0, allowed: 0.001 to 10"),
         ({"most_price": 0.5}, "most_price is 0.5, allowed: 1 to "),
         ({"closure": "none"}, "closure is 'none', allowed: sequence, strokes"),
-        ({"order": "any"}, "order is 'any', allowed: nearest, priority, simulated"),
+        ({"order": "any"}, "order is 'any', allowed: auto, nearest, priority, simulated"),
         ({"centres": np.zeros((2, 2))}, r"centres have shape \(2, 2\), allowed: \(N, 2\)"),
         ({"centres": np.zeros(6)}, r"centres have shape \(6,\), allowed: \(N, 2\)"),
         ({"centres": np.full((4, 2), np.nan)}, "centres have values that are not finite"),
