@@ -16,8 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from plate_core import PlateCycle
+from plate_core.limits import PIECES
 
-from .solution import Bounds
+from .solution import CERTAIN, Bounds
 
 STEPS_PER_HARMONIC = 26
 """Steps of the sampled motion per period of the highest harmonic, at least."""
@@ -41,8 +42,16 @@ class Harmonics:
         Number n of equal steps; samples are at their middles.
     twist, pose, accel : (n, h)
         Basis of one degree of freedom. Coefficients are (h, 3), columns x, y, theta [m/s, rad/s].
-    knots : tuple of (k, h)
-        The same basis (pose, twist, accel) at the knots of a finished cycle.
+    span : (2 N, h)
+        Coefficients of sin 1..N and cos 1..N of equation (13), from the family's.
+    times : (k + 1,)
+        Knots of a finished cycle [s].
+    knots : tuple of (k + 1, h)
+        The same basis (pose, twist, accel) there.
+    spline : (6 k, h)
+        Powers of the time since the knot, as `PlateCycle.coefficients`.
+    hull : (3 c, h)
+        Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
     """
 
     period: float
@@ -50,7 +59,11 @@ class Harmonics:
     twist: np.ndarray
     pose: np.ndarray
     accel: np.ndarray
+    span: np.ndarray
+    times: np.ndarray
     knots: tuple[np.ndarray, np.ndarray, np.ndarray]
+    spline: np.ndarray
+    hull: np.ndarray
 
     @property
     def dt(self) -> float:
@@ -65,7 +78,19 @@ class Harmonics:
     def cycle(self, coefficients: np.ndarray) -> PlateCycle:
         """Return the motion of coefficients (h, 3) as a plate cycle."""
         pose, twist, accel = (basis @ coefficients for basis in self.knots)
-        return PlateCycle.from_samples(self.period, pose, twist, accel)
+        spline = (self.spline @ coefficients).reshape(-1, 6, 3)
+        for array in (pose, twist, accel):
+            array[-1] = array[0]  # to the last bit
+            array.setflags(write=False)
+        return PlateCycle(self.times, pose, twist, accel, spline)
+
+    def limited_cycle(self, coefficients: np.ndarray, bounds: Bounds) -> PlateCycle:
+        """Return the motion as a plate cycle, scaled down if it is above the limits anywhere."""
+        points = self.hull @ coefficients
+        third = len(points) // 3
+        share = bounds.exact_share(points[:third], points[third : 2 * third], points[2 * third :])
+        # Of accelerations a part is linear in the scale, the rest (turning) falls faster.
+        return self.cycle(coefficients * min(1.0, CERTAIN / max(share, CERTAIN)))
 
     def random(self, rng: np.random.Generator, bounds: Bounds) -> np.ndarray:
         """Return random coefficients (h, 3) that use the limits in full."""
@@ -100,7 +125,7 @@ def harmonics(number: int, period: float, at_rest: bool, steps: int = 0) -> Harm
         rows = np.zeros((2, 2 * number))
         rows[0, number:] = 1  # u(0) = sum b_j
         rows[1, :number] = j / number  # u'(0) = w sum j a_j
-        span = np.linalg.svd(rows)[2][2:].T
+        span = np.ascontiguousarray(np.linalg.svd(rows)[2][2:].T)
 
     def basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         sin, cos = np.sin(omega * np.outer(t, j)), np.cos(omega * np.outer(t, j))
@@ -114,4 +139,19 @@ def harmonics(number: int, period: float, at_rest: bool, steps: int = 0) -> Harm
         return pose, twist, accel
 
     pose, twist, accel = basis((np.arange(steps) + 0.5) / steps * period)
-    return Harmonics(period, steps, twist, pose, accel, basis(np.arange(knots) / knots * period))
+    times = np.arange(knots + 1) / knots * period
+    times.setflags(write=False)
+    ends = basis(times % period)
+    # The spline is linear in the motion, so that of each coefficient alone gives all.
+    splines = [
+        PlateCycle.from_knots(times, *(np.outer(end[:, h], [1, 0, 0]) for end in ends))
+        for h in range(span.shape[1])
+    ]
+    spline = np.stack([one.coefficients[:, :, 0].ravel() for one in splines], axis=1)
+    hull = np.vstack(
+        [
+            np.stack([one.control_points(order, PIECES)[:, 0] for one in splines], axis=1)
+            for order in range(3)
+        ]
+    )
+    return Harmonics(period, steps, twist, pose, accel, span, times, ends, spline, hull)

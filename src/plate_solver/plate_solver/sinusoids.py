@@ -9,15 +9,23 @@ import numpy as np
 
 from plate_core import PlateError, Rig
 
-from .averaged import fit_force, fit_force_finely, force_solution
-from .force_map import SAMPLES
-from .guesses import GuessTable
+from .averaged import condition_of, fit_force, fit_force_finely, force_solution, found_solution
+from .guesses import GuessTable, guess_table
+from .harmonic_fit import FEW_CANDIDATES, Motions, search
+from .harmonic_force import rules
 from .harmonics import harmonics
 from .least_squares import Fit
+from .proof import is_out_of_reach
 from .sinusoid_family import SinusoidFamily
 from .solution import Request, Solution, check_options
 from .solver import MotionSolver, make_options
 from .steering import Goal, steer, steering_solution
+
+CURL_SAMPLES = 8192
+"""Samples on which curls are judged: their average, of u3/|slip|, feels dips more than a force."""
+
+MOST_STARTS = 200
+"""Random starts that are drawn; who wants more restarts meets them again."""
 
 
 @dataclass(frozen=True)
@@ -79,16 +87,40 @@ class SinusoidSolver(MotionSolver):
     def __init__(self, rig: Rig, **options: float) -> None:
         self.options: SinusoidOptions = make_options(SinusoidOptions, options)
         super().__init__(rig, self.options.seed)
-        self._tables: dict[tuple[int, float, bool], GuessTable] = {}
+        self._tables: dict[tuple[int, bool], GuessTable] = {}
+        self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
 
     def forget(self) -> None:
         self._warm.clear()
 
     def _solve(self, request: Request) -> Solution:
+        if np.any(np.isfinite(request.curl)):
+            return self._solve_with_curl(request)
+        family, key = self._family(request.force.size, self.options.at_rest)
+        motions, pool = self._search_of(key)
+        tolerance = self.options.tolerance
+        warm = self._warm.get(key)
+        firsts = np.empty((0, pool.shape[1])) if warm is None else warm[None]
+        theta, error, jacobian, iterations, _ = search(
+            firsts, pool, request.position, request.velocity, request.force, motions,
+            tolerance, self.options.iterations, self.options.restarts + 1,
+        )  # fmt: skip
+        self._warm[key] = theta
+        impossible = (
+            not np.abs(error).max() <= tolerance
+            and not request.velocity.any()
+            and is_out_of_reach(request.position, request.force, key[0], self._bounds.arm_m)
+        )
+        cycle = family.basis.limited_cycle(family.coefficients(theta), self._bounds)
+        return found_solution(
+            cycle, request, error, tolerance, iterations, condition_of(jacobian), impossible
+        )
+
+    def _solve_with_curl(self, request: Request) -> Solution:
         family, key = self._family(int(np.sum(request.rows)), self.options.at_rest)
         tolerance = self.options.tolerance
-        fine = SinusoidFamily(harmonics(*key, steps=SAMPLES), self._bounds)
+        fine = SinusoidFamily(harmonics(*key, steps=CURL_SAMPLES), self._bounds)
         most = self.options.iterations
 
         def attempt(theta: np.ndarray) -> Fit:
@@ -136,15 +168,9 @@ class SinusoidSolver(MotionSolver):
         good: Callable[[Fit], bool],
     ) -> tuple[Fit, int]:
         """Try the last solution, then the table's guess, then random starts; keep the best."""
-        warm = self._warm.get(key)
-        if warm is None:
-            table = self._tables.get(key)
-            if table is None:
-                table = self._tables[key] = GuessTable(self._rig, family.basis)
-            guess = table.nearest(position, force)[0]
-            start = family.admissible(family.parameters(guess))
-        else:
-            start = warm
+        start = self._warm.get(key)
+        if start is None:
+            start = family.admissible(self._guess(family, key, position, force))
         best = attempt(start)
         iterations = best.iterations
         for number in range(self.options.restarts):
@@ -158,6 +184,40 @@ class SinusoidSolver(MotionSolver):
             if other.cost < best.cost:
                 best = other
         return best, iterations
+
+    def _guess(
+        self,
+        family: SinusoidFamily,
+        key: tuple[int, float, bool],
+        position: np.ndarray,
+        force: np.ndarray,
+    ) -> np.ndarray:
+        """Return parameters from the table of first guesses."""
+        number, _, at_rest = key
+        table = self._tables.get((number, at_rest))
+        if table is None:
+            table = self._tables[number, at_rest] = guess_table(self._rig, number, at_rest)
+        return family.parameters(table.nearest(position, force)[0])
+
+    def _search_of(self, key: tuple[int, float, bool]) -> tuple[Motions, np.ndarray]:
+        """Return a family in plain numbers, and random motions to start from."""
+        if key not in self._searches:
+            basis, bounds = harmonics(*key), self._bounds
+            motions = Motions(
+                rules(key[0]),
+                basis.span,
+                np.array([1.0, 1.0, 1 / bounds.arm_m]),
+                basis.pose,
+                basis.twist,
+                basis.accel,
+                bounds.motor_rows,
+                bounds.half,
+                np.array([bounds.stroke_m, bounds.speed, bounds.accel]),
+            )
+            size = min(self.options.restarts + 1, MOST_STARTS) * FEW_CANDIDATES
+            pool = np.random.default_rng(self._seed).normal(size=(size, 3 * basis.size))
+            self._searches[key] = motions, pool
+        return self._searches[key]
 
     def _family(
         self, constraints: int, at_rest: bool

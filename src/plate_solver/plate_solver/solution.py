@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import sqrt
+from dataclasses import dataclass, replace
+from math import cos, sin, sqrt
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,17 @@ MARGIN = 0.98
 
 CERTAIN = 0.999
 """Share of the limits that a finished cycle uses at most, by the exact check."""
+
+
+FARTHEST_M = 1e3
+"""Places of parts [m] beyond this are mistakes."""
+
+FASTEST_MPS = 1e3
+"""Velocities of parts [m/s] beyond this are mistakes."""
+
+Status = Literal["solved", "share", "unreachable", "failed"]
+"""How a request fared: met; a share of it met; beyond what any motion can do, proven (`share` tells
+how much of it is met all the same); nothing of it met, and nothing proven."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +43,15 @@ class Solution:
     cycle : PlateCycle
         The motion found: closed, within the rig's limits, also when `success` is false.
     residual : (M, 2)
-        Request minus prediction, in mu m g.
+        Request minus prediction, in mu m g: of the whole request, also where a share is met.
     iterations : int
         Steps of the iterative part, all starts together.
     condition : float
         Condition number of the last linear system: large where parts are hard to tell apart.
+    status : Status
+        As `success`, and why not.
+    share : float
+        Share of the request, in its direction, that the motion does: 1 where it is met.
     """
 
     success: bool
@@ -44,6 +60,13 @@ class Solution:
     residual: np.ndarray
     iterations: int
     condition: float
+    status: Status = "failed"
+    share: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.success:
+            object.__setattr__(self, "status", "solved")
+            object.__setattr__(self, "share", 1.0)
 
 
 @dataclass(frozen=True)
@@ -54,6 +77,8 @@ class Bounds:
     ----------
     motor_rows : (4, 3)
         Motor travel per pose, linearised at home.
+    motor_points, motor_directions : (4, 2)
+        Where motors push [m], and which way.
     half : (2,)
         Half sides of the plate [m].
     stroke_m, speed, accel : float
@@ -63,6 +88,8 @@ class Bounds:
     """
 
     motor_rows: np.ndarray
+    motor_points: np.ndarray
+    motor_directions: np.ndarray
     half: np.ndarray
     stroke_m: float
     speed: float
@@ -78,6 +105,8 @@ class Bounds:
         ]
         return cls(
             motor_rows=np.array(rows),
+            motor_points=np.array([m.point for m in rig.motors], dtype=float),
+            motor_directions=np.array([m.direction for m in rig.motors], dtype=float),
             half=rig.plate.half,
             stroke_m=MARGIN * rig.limits.stroke_m,
             speed=MARGIN * rig.limits.speed,
@@ -89,6 +118,61 @@ class Bounds:
         """Return the greatest share of a limit that samples (n, 3) of a motion use."""
         stroke, speed, peak = peaks(pose, twist, accel, self.motor_rows, self.half)
         return max(stroke / self.stroke_m, speed / self.speed, peak / self.accel)
+
+    def exact_share(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
+        """Return the same against the full limits, of control points (n, 3) of the motion."""
+        limits = np.array([self.stroke_m, self.speed, self.accel]) / MARGIN
+        return exact_share(
+            pose, twist, accel, self.motor_points, self.motor_directions, self.half, limits
+        )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def exact_share(
+    pose: np.ndarray,
+    twist: np.ndarray,
+    accel: np.ndarray,
+    points: np.ndarray,
+    directions: np.ndarray,
+    half: np.ndarray,
+    limits: np.ndarray,
+) -> float:
+    """Return the greatest share of a limit, as `plate_core.limits.usage` has it.
+
+    Parameters
+    ----------
+    pose, twist, accel : (n, 3)
+        Control points of a motion, in plate_home.
+    points, directions : (4, 2)
+        Motors: where they push [m], and which way.
+    half : (2,)
+        Half sides of the plate [m].
+    limits : (3,)
+        Stroke [m], speed [m/s], acceleration [m/s2].
+    """
+    stroke = speed = peak = 0.0
+    for k in range(len(pose)):
+        angle = pose[k, 2]
+        if abs(angle) < 0.1:  # the usual case, to 1e-9
+            s = angle * (1 - angle * angle * (1 / 6 - angle * angle / 120))
+            c = 1 - angle * angle * (0.5 - angle * angle / 24)
+        else:
+            s, c = sin(angle), cos(angle)
+        spin, spin_rate = twist[k, 2], accel[k, 2]
+        for i in range(len(points)):
+            ex, ey = directions[i, 0], directions[i, 1]
+            px, py = points[i, 0], points[i, 1]
+            along = ex * (c * px - s * py - px) + ey * (s * px + c * py - py)
+            across = ey * (c * px - s * py) - ex * (s * px + c * py)
+            stroke = max(stroke, abs(ex * pose[k, 0] + ey * pose[k, 1] + along))
+            speed = max(speed, abs(ex * twist[k, 0] + ey * twist[k, 1] + spin * across))
+        for sx in (-half[0], half[0]):
+            for sy in (-half[1], half[1]):
+                x, y = c * sx - s * sy, s * sx + c * sy
+                ax = accel[k, 0] - spin_rate * y - spin * spin * x
+                ay = accel[k, 1] + spin_rate * x - spin * spin * y
+                peak = max(peak, ax * ax + ay * ay)
+    return max(stroke / limits[0], speed / limits[1], sqrt(peak) / limits[2])
 
 
 @njit(cache=True, fastmath=True)
@@ -149,12 +233,15 @@ class Request:
         [m] in plate_home, [mu m g], [m/s].
     curl : (M,)
         [mu m g / m]; NaN where the curl is free.
+    tolerance : (M, 2)
+        Forces within +- this [mu m g] of those wanted are as good.
     """
 
     position: np.ndarray
     force: np.ndarray
     velocity: np.ndarray
     curl: np.ndarray
+    tolerance: np.ndarray
 
     @property
     def rows(self) -> np.ndarray:
@@ -163,6 +250,20 @@ class Request:
         asked[:, 2] = np.isfinite(self.curl)
         return asked.ravel()
 
+    @property
+    def idle(self) -> bool:
+        """Whether a plate at rest does what is asked."""
+        return not self.must_move and bool(np.all(np.abs(self.force) <= self.tolerance))
+
+    @property
+    def must_move(self) -> bool:
+        """Whether a plate at rest is no answer: it brakes moving parts, and it has no curl."""
+        return bool(np.any(self.velocity) or not np.all(np.isnan(self.curl)))
+
+    def times(self, share: float) -> Request:
+        """Return a share of the request: less force and curl in the same direction."""
+        return replace(self, force=share * self.force, curl=share * self.curl)
+
     @classmethod
     def check(
         cls,
@@ -170,13 +271,14 @@ class Request:
         force: np.ndarray,
         velocity: np.ndarray | None,
         curl: np.ndarray | None,
+        tolerance: np.ndarray | None = None,
     ) -> Request:
         """Check shapes and values.
 
         Raises
         ------
         PlateError
-            If a shape is not (M, 2), or (M,) for curl, or a value is not finite.
+            If a shape is not (M, 2), or (M,) for curl, or a value is not finite or absurd.
         """
         position = np.array(position, dtype=float)
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
@@ -185,14 +287,22 @@ class Request:
         force = np.array(force, dtype=float)
         velocity = np.zeros((count, 2)) if velocity is None else np.array(velocity, dtype=float)
         curl = np.full(count, np.nan) if curl is None else np.array(curl, dtype=float)
-        for name, array in (("force", force), ("velocity", velocity)):
+        slack = np.zeros((count, 2)) if tolerance is None else np.array(tolerance, dtype=float)
+        for name, array in (("force", force), ("velocity", velocity), ("tolerance", slack)):
             if array.shape != (count, 2):
                 raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
         if curl.shape != (count,):
             raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
+        greatest = {"position": FARTHEST_M, "velocity": FASTEST_MPS, "force": np.inf}
         for name, array in (("position", position), ("force", force), ("velocity", velocity)):
             if not np.all(np.isfinite(array)):
                 raise PlateError(f"{name} has values that are not finite")
+            if np.max(np.abs(array)) > greatest[name]:
+                worst = array.flat[np.argmax(np.abs(array))]
+                most = greatest[name]
+                raise PlateError(f"{name} has value {worst:g}, allowed: {-most:g} to {most:g}")
         if np.any(np.isinf(curl)):
             raise PlateError("curl has infinite values, allowed: numbers, NaN where it is free")
-        return cls(position, force, velocity, curl)
+        if not np.all(slack >= 0):
+            raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")
+        return cls(position, force, velocity, curl, slack)
