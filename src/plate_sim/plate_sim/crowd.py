@@ -90,7 +90,7 @@ def advance(discs, work, pose, twist, row, step, pull, ratio):
         gx, gy = ex - sx, ey - sy
         change2, slip2 = gx * gx + gy * gy, sx * sx + sy * sy
         # Where the slip may vanish within the step, nothing moves yet.
-        free = 1.0 if min(slip2, ex * ex + ey * ey) > 2 * (kick2 + change2) else 0.0
+        free = 1.0 if min(slip2, ex * ex + ey * ey) > 2 * kick2 + 0.5 * change2 else 0.0
         hx, hy = bu - bw * (y[i] - oy), bv + bw * (x[i] - ox)
         # The surface's rate is greatest at an end of the step: (g + 4 h) or (g - 4 h) / step.
         rate2 = change2 + 16 * (hx * hx + hy * hy) + 8 * abs(gx * hx + gy * hy)

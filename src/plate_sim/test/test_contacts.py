@@ -9,7 +9,8 @@ import pytest
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.frames import to_plate
 from plate_sim import WorldState, simulate, world
-from plate_sim.contacts import Contacts
+from plate_sim.contacts import Contacts, simulate_discs
+from plate_sim.plate_motion import PlateMotion
 
 run_cycle = partial(world.run_cycle, model="discs")
 record_cycle = partial(world.record_cycle, model="discs")
@@ -227,6 +228,9 @@ def test_wrong_starts_are_refused_by_name():
         run_cycle(discs([[0, 0], [0.01, 0], [0.1, 0]]), cycle, RIG)
     with pytest.raises(PlateError, match="black_0 and black_1 overlap by 16 mm"):
         run_cycle(discs([[0, 0], [0, 0]]), cycle, RIG)
+    named = r"black_1 and black_3 overlap by 1\.7 mm, allowed: at most 0\.8 mm"
+    with pytest.raises(PlateError, match=named):
+        run_cycle(discs([[-0.1, 0], [0.0143, 0], [0.1, 0], [0, 0]]), cycle, RIG)
     broken = discs([[0, 0], [0.1, 0]], [[0, 0], [np.nan, 0]])
     with pytest.raises(PlateError, match="part black_1: velocity has nan"):
         run_cycle(broken, cycle, RIG)
@@ -238,3 +242,26 @@ def test_wrong_starts_are_refused_by_name():
         run_cycle(discs([[0, 0]]), cycle, RIG, mu=-0.2)
     with pytest.raises(PlateError, match="cycles is 0"):
         run_cycle(discs([[0, 0]]), cycle, RIG, cycles=0)
+
+
+def test_discs_are_refused_that_cannot_be_run():
+    still = np.zeros((2, 2))
+    place = np.array([[0, 0], [0.1, 0]])
+    rest = PlateCycle.rest(0.01)
+    with pytest.raises(PlateError, match="steps is 0"):
+        simulate_discs(rest, place, still, 0.2, RADIUS, RIG.plate.half, steps=0)
+    motion = PlateMotion.of_cycle(rest)
+    with pytest.raises(PlateError, match=r"cycles is 2, allowed: .*need not close"):
+        simulate_discs(motion, place, still, 0.2, RADIUS, RIG.plate.half, steps=9, cycles=2)
+    with pytest.raises(PlateError, match="parts 0 and 1 overlap by 6 mm"):
+        simulate_discs(rest, 0.1 * place, still, 0.2, RADIUS, RIG.plate.half, steps=9)
+
+
+def test_the_end_alone_is_the_end_of_the_run():
+    state = crowd(20, np.random.default_rng(0))
+    args = shaken(np.random.default_rng(1)), state.position, state.velocity, 0.3, RADIUS
+    run, _ = simulate_discs(*args, RIG.plate.half, steps=100, cycles=2)
+    end, _ = simulate_discs(*args, RIG.plate.half, steps=100, cycles=2, record=False)
+    assert np.array_equal(end.position[-1], run.position[-1])
+    assert np.array_equal(end.velocity[-1], run.velocity[-1])
+    assert end.time[-1] == pytest.approx(run.time[-1])
