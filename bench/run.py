@@ -19,6 +19,7 @@ MEASUREMENTS = {
     "sim": "Parts on a shaken plate: error and speed of the simulator",
     "force_map": "Average friction over a cycle: time and error",
     "solver": "Plate motions for wanted average forces, from a cold start",
+    "rotations": "Method A: guaranteed forces, least time, closure, order, displacements",
     "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
     "vision": "Finding discs in an image: time, misses, error of the centres",
     "camera": "The simulated camera: time for one image, error of the centres",

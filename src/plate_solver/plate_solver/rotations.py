@@ -221,7 +221,7 @@ class RotationSolver(MotionSolver):
             yield *self._warm, most
         for k in range(1 + self.options.restarts):
             if k % 2 == 0 or self._warm is None:
-                yield *self._planned(goal, spread=k > 0), 2 * most
+                yield *self.planned(goal, spread=k > 0), 2 * most
             else:
                 family, parameters = self._warm
                 yield family, family.admissible(self._shaken(parameters)), 2 * most
@@ -229,7 +229,7 @@ class RotationSolver(MotionSolver):
     def _shaken(self, parameters: np.ndarray) -> np.ndarray:
         return parameters + SHAKE * self._rng.normal(size=len(parameters))
 
-    def _planned(self, goal: Goal, spread: bool) -> tuple[RotationFamily, np.ndarray]:
+    def planned(self, goal: Goal, spread: bool = False) -> tuple[RotationFamily, np.ndarray]:
         """Plan with the force that would move parts from rest by what is asked at least."""
         unit = 0.5 * self.options.period**2 * goal.friction_accel
         push = goal.displacement - SETTLE * goal.velocity
