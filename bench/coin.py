@@ -3,7 +3,7 @@
 python bench/coin.py [--out FOLDER]
 
 The plate turns about its centre, to and fro, not alike in both senses. A coin is carried around at
-a constant rate, and slowly outwards, as a point part beside it.
+a constant rate, and slowly outwards, until it falls off the edge.
 """
 
 from __future__ import annotations
@@ -16,24 +16,28 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from harness import ROOT
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
-from plate_core import PlateCycle, load_rig
+from plate_core import PlateCycle, Rig, load_rig
 from plate_core.limits import usage
-from plate_sim import simulate
-from plate_sim.bodies import simulate_bodies
+from plate_sim.bodies import run_bodies
 from plate_sim.footprint import disc
 
-FREQUENCY, SPIN = 25.0, 1.05
+FREQUENCY, SPIN = 25, 1.05
 """Of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s]; within the rig's limits."""
 
 COIN_RADIUS = 9.525e-3
 """Of a 1 cent coin [m]."""
 
-START, SECONDS = 0.08, 60
-"""Where the coin begins [m], and for how long it is watched [s]."""
+START, MOST = 0.08, 3600
+"""Where the coin begins, from the plate's centre [m], and when its watch ends [s]."""
 
-COIN, POINT = "#0b6e99", "#d1651e"
+SHOWN, MEAN = 2.0, 10
+"""Seconds between the coins that are drawn, and over which rates are means."""
+
+INK, COIN = "#3b3b3b", "#0b6e99"
 
 
 def main() -> None:
@@ -43,24 +47,20 @@ def main() -> None:
     folder = parser.parse_args().out
     folder.mkdir(parents=True, exist_ok=True)
     rig, cycle = load_rig(), plate_motion()
-    mu, gravity = rig.friction.mu, rig.friction.gravity
-    start, still, count = np.array([[START, 0.0]]), np.zeros((1, 2)), round(SECONDS * FREQUENCY)
-    coin = simulate_bodies(
-        cycle, disc(COIN_RADIUS), start, 0, still, 0, mu, gravity, cycles=count, samples=4
-    )
-    point = simulate(cycle, start, still, mu, gravity, count, 4, 1e-7)
-    tracks = {"coin": coin.position[::4, 0], "point": point.position[::4, 0]}
-    result: dict[str, Any] = {"share_of_limits": usage(rig, cycle).worst, "median_rad_s": SPIN / 2}
-    for name, track in tracks.items():
-        angle, radius = polar(track)
-        late = len(angle) // 60
-        rate = np.diff(angle[late::25]) / (25 / FREQUENCY)
-        result[name] = {
-            "rate_rad_s": [float(rate[0]), float(rate[-1])],
-            "radius_m": [float(radius[0]), float(radius[-1])],
-        }
+    track = carried(rig, cycle)
+    angle, radius = polar(track)
+    rate, drift = slopes(angle), slopes(radius)
+    result: dict[str, Any] = {
+        "share_of_limits": usage(rig, cycle).worst,
+        "median_of_plate_rad_s": SPIN / 2,
+        "falls_off_s": (len(track) - 1) / FREQUENCY,
+        "turns": float(angle[-1] / (2 * np.pi)),
+        "rate_rad_s": [float(rate[0]), float(rate[-1])],
+        "radius_m": [float(radius[0]), float(radius[-1])],
+        "drift_mps": [float(drift[0]), float(drift[-1])],
+    }
     (folder / "coin.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    draw(tracks, rig.plate.half).savefig(folder / "coin.png", dpi=130)
+    draw(track, rate, radius, rig.plate.half).savefig(folder / "coin.png", dpi=110)
     print(json.dumps(result, indent=2))
 
 
@@ -75,33 +75,62 @@ def plate_motion() -> PlateCycle:
     return PlateCycle.from_samples(1 / FREQUENCY, pose, twist, accel)
 
 
+def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+    """Places (k, 2) [m] of the coin at the starts of cycles, until it leaves the plate."""
+    limit = np.array([rig.friction.mu * rig.friction.gravity])
+    place, speed = np.array([[START, 0.0]]), np.zeros((1, 2))
+    angle, spin = np.zeros(1), np.zeros(1)
+    there, track = np.ones(1, bool), [place[0]]
+    while there[0] and len(track) < MOST * FREQUENCY:
+        end, there, _ = run_bodies(
+            cycle, disc(COIN_RADIUS), limit, np.zeros(2), 1.0, None, rig.plate.half, place, angle,
+            speed, spin, there,
+        )  # fmt: skip
+        place, angle, speed, spin = end.position, end.angle, end.velocity, end.spin
+        track.append(place[0])
+    return np.array(track)
+
+
 def polar(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return angle [rad] and radius [m] of places (n, 2)."""
     return np.unwrap(np.arctan2(track[:, 1], track[:, 0])), np.hypot(track[:, 0], track[:, 1])
 
 
-def draw(tracks: dict[str, np.ndarray], half: np.ndarray) -> Figure:
-    """Draw the coin's path on the plate, its angle and its radius."""
-    mpl.use("agg")
-    mpl.rcParams.update({"axes.spines.top": False, "axes.spines.right": False})
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    path, turns, radii = figure.subplots(1, 3, width_ratios=[1.9, 1, 1])
+def slopes(values: np.ndarray) -> np.ndarray:
+    """Mean rates over whole stretches of `MEAN` seconds, from the second one on."""
+    return np.diff(values[MEAN * FREQUENCY :: MEAN * FREQUENCY]) / MEAN
+
+
+def draw(track: np.ndarray, rate: np.ndarray, radius: np.ndarray, half: np.ndarray) -> Figure:
+    """Draw the coin's path on the plate, its angular speed and its radius."""
+    mpl.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9})
+    figure = Figure(figsize=(10, 3.7), layout="constrained")
+    axes = figure.subplot_mosaic([["path", "rate"], ["path", "radius"]], width_ratios=[2.1, 1])
+    minutes = np.arange(len(track)) / (60 * FREQUENCY)
     x, y = 1e3 * half
+    path = axes["path"]
     path.fill([-x, x, x, -x], [-y, -y, y, y], color="#eeeeee")
-    track = 1e3 * tracks["coin"]
-    path.plot(*track.T, color=COIN, lw=0.8)
-    for at in track[:: round(2 * FREQUENCY)][:6]:
-        path.add_patch(mpl.patches.Circle(at, 1e3 * COIN_RADIUS, fill=False, color=COIN, lw=0.8))
-    path.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="Coin, every 2 s at first")
-    for name, style in (("coin", "-"), ("point", "--")):
-        angle, radius = polar(tracks[name])
-        t = np.arange(len(angle)) / FREQUENCY
-        colour = COIN if name == "coin" else POINT
-        turns.plot(t, angle / (2 * np.pi), style, color=colour, label=name)
-        radii.plot(t, 1e3 * radius, style, color=colour, label=name)
-    turns.set(xlabel="time [s]", title="Turns: constant rate")
-    radii.set(xlabel="time [s]", title="Radius [mm]: outwards")
-    turns.legend(frameon=False)
+    places = 1e3 * track[:: FREQUENCY // 5]
+    lines = LineCollection(
+        list(np.stack([places[:-1], places[1:]], axis=1)), array=minutes[:: FREQUENCY // 5][:-1],
+        cmap="viridis_r", lw=0.9,
+    )  # fmt: skip
+    path.add_collection(lines)
+    figure.colorbar(lines, ax=path, label="time [min]", location="left", shrink=0.75, pad=0.02)
+    angle, _ = polar(track)
+    first = np.searchsorted(angle, 2 * np.pi - 0.3)
+    for at in [*track[:first][:: round(SHOWN * FREQUENCY)], track[-1]]:
+        path.add_patch(Circle(1e3 * at, 1e3 * COIN_RADIUS, fc="#ffffffb0", ec=INK, lw=1, zorder=3))
+    path.plot(0, 0, "+", color=INK)
+    path.set(aspect="equal", xticks=[], yticks=[], title="First turn every 2 s, and the last coin")
+    path.spines[:].set_visible(False)
+    axes["radius"].plot(minutes, 1e3 * radius, color=COIN)
+    axes["radius"].set(ylim=(0, None), title="Radius [mm]", xlabel="time [min]")
+    t = MEAN * (np.arange(len(rate)) + 1.5) / 60
+    axes["rate"].plot(t, rate, color=COIN)
+    axes["rate"].axhline(SPIN / 2, color=INK, ls="--", lw=0.8)
+    axes["rate"].text(t[-1], SPIN / 2, "median of the plate's", ha="right", va="bottom", color=INK)
+    axes["rate"].set(xlim=axes["radius"].get_xlim(), ylim=(0, 0.62), title="Angular speed [rad/s]")
     return figure
 
 
