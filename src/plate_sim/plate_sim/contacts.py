@@ -179,7 +179,8 @@ def run_discs(
         Parts in plate_home; changed.
     on_plate : (M,)
         Which parts are there; changed.
-    path, speed : (cycles * steps + 1, M, 2) or (0, M, 2)
+    path, speed : (k, M, 2) or (0, M, 2)
+        Every (cycles * steps / (k - 1), rounded up)th step, and the last.
         Filled with the motion, unless empty.
 
     Returns
@@ -216,10 +217,11 @@ def run_discs(
     tilted = pull[0] != 0 or pull[1] != 0
     gap = 0.0  # the least of all pairs when they were listed, at x0, y0 [m]
     x0, y0 = np.empty(room), np.empty(room)
+    every = (cycles * steps + len(path) - 2) // (len(path) - 1) if len(path) > 1 else 1
     for k in range(cycles * steps):
-        if len(path):
+        if len(path) and k % every == 0:
             _write(x, y, u, v, who, count, position, velocity)
-            path[k], speed[k] = position, velocity
+            path[k // every], speed[k // every] = position, velocity
         if count == 0:
             continue
         row = 2 * (k % steps)

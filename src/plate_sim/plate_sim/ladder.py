@@ -33,14 +33,14 @@ from plate_core import PlateError
 
 from .disc_friction import disc_force  # numba does not see changes there: delete the cache then
 from .friction import STUCK, Trajectory
-from .models import BODIES, DISCS, MODELS, POINTS, Outcome, Scene, run_model
+from .models import BODIES, DISCS, MODELS, POINTS, Outcome, Scene, run_model, samples
 
 TOLERANCE = 5e-5
 """How far off a cheaper model may put a part at the end of a cycle [m]: 2 % of what parts are
 usually moved in one, and hardly seen by a camera (0.014 mm of noise from image to image)."""
 
 CHECK_STEP = 2e-4
-"""Time between two looks at the cheap model's path [s], at most one step more."""
+"""Time between two looks at the cheap model's path [s], at most."""
 
 DIP = 16
 """Pieces of that time where the slip may vanish."""
@@ -117,17 +117,18 @@ def climb(scene: Scene, record: bool = False) -> tuple[Outcome, Choice]:
     PlateError
         As `run_model`.
     """
-    outcome = run_model(scene, POINTS, record=True)
-    run = _looks(outcome.run)
+    often, recorded = (0.0, 0.0) if record else (CHECK_STEP, None)
+    outcome = run_model(scene, POINTS, often)
+    run = _looks(outcome.run) if record else outcome.run
     gap = least_gap(scene, run)
     model, meeting = POINTS, f"{gap.between} stay {1e3 * gap.size:.2g} mm apart"
     if gap.size < 2 * TOLERANCE:
         model, meeting = DISCS, f"{gap.between} may touch"
         if scene.contacts.friction > 0:
             reason = f"{meeting}, and rims that rub turn parts"
-            return run_model(scene, BODIES, record), Choice(BODIES, reason)
-        outcome = run_model(scene, DISCS, record=True)
-        run = _looks(outcome.run)
+            return run_model(scene, BODIES, recorded), Choice(BODIES, reason)
+        outcome = run_model(scene, DISCS, often)
+        run = _looks(outcome.run) if record else outcome.run
     turned = turning(scene, run)
     error = np.where(outcome.on_plate, turned.error, 0.0)
     worst = int(np.argmax(error)) if len(error) else -1
@@ -136,7 +137,7 @@ def climb(scene: Scene, record: bool = False) -> tuple[Outcome, Choice]:
             f"{scene.ids[worst]} may end {1e3 * error[worst]:.2g} mm from where it would as a "
             f"point, allowed {1e3 * TOLERANCE:.2g} mm"
         )
-        return run_model(scene, BODIES, record), Choice(BODIES, reason)
+        return run_model(scene, BODIES, recorded), Choice(BODIES, reason)
     spin = np.where(outcome.on_plate, turned.spin, 0.0)
     outcome = replace(outcome, angle=turned.angle, spin=spin)
     most = f"friction all over would move none by more than {1e3 * np.max(error, initial=0):.2g} mm"
@@ -172,9 +173,8 @@ def turning(scene: Scene, run: Trajectory) -> Turning:
 
 
 def _looks(run: Trajectory) -> Trajectory:
-    """Return the motion at times `CHECK_STEP` apart, and at its end."""
-    every = max(1, int(CHECK_STEP / (run.time[1] - run.time[0]) + 1e-9))
-    rows = np.append(np.arange(0, len(run.time) - 1, every), len(run.time) - 1)
+    """Return of a motion at every step what would have been recorded each `CHECK_STEP`."""
+    rows = samples(len(run.time) - 1, run.time[1] - run.time[0], CHECK_STEP)
     return Trajectory(run.time[rows], run.position[rows], run.velocity[rows])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 
@@ -84,8 +85,15 @@ class Outcome:
     run: Trajectory
 
 
-def run_model(scene: Scene, model: str, record: bool) -> Outcome:
+def run_model(scene: Scene, model: str, record: float | None = None) -> Outcome:
     """Run one cycle by `points`, `discs` or `bodies`; the first two keep angles as they are.
+
+    Parameters
+    ----------
+    scene : Scene
+    model : str
+    record : float, optional
+        Time [s] from one sample to the next, at most; 0: every step. None: no samples.
 
     Raises
     ------
@@ -97,11 +105,13 @@ def run_model(scene: Scene, model: str, record: bool) -> Outcome:
     return _round(scene, 0.0 if model == POINTS else scene.radius, record)
 
 
-def _round(scene: Scene, radius: float, record: bool) -> Outcome:
+def _round(scene: Scene, radius: float, record: float | None) -> Outcome:
     """Run parts whose centres feel the friction; with radius 0 they never meet."""
     contacts, count = scene.contacts, len(scene.ids)
     steps = default_steps(scene.motion, STEP if scene.step is None else scene.step)
-    path, speed = np.empty((2, steps + 1 if record else 0, count, 2))
+    step = scene.motion.period / steps
+    rows = samples(steps, step, record)
+    path, speed = np.empty((2, len(rows), count, 2))
     position, velocity, on_plate = (
         np.array(a, order="C") for a in (scene.position, scene.velocity, scene.on_plate)
     )
@@ -111,20 +121,33 @@ def _round(scene: Scene, radius: float, record: bool) -> Outcome:
         on_plate, path, speed,
     )  # fmt: skip
     check_found(found, scene.ids, scene.radius)
-    time = np.arange(len(path)) * (scene.motion.period / steps)
     spin = np.where(on_plate, scene.spin, 0.0)
-    return Outcome(position, velocity, scene.angle, spin, on_plate, Trajectory(time, path, speed))
+    return Outcome(
+        position, velocity, scene.angle, spin, on_plate, Trajectory(rows * step, path, speed)
+    )
 
 
-def _bodies(scene: Scene, record: bool) -> Outcome:
+def _bodies(scene: Scene, record: float | None) -> Outcome:
     """Run discs on which friction acts all over."""
     end, on_plate, path = run_bodies(
         scene.motion, _footprint(scene.radius), scene.limit, scene.pull, scene.static_ratio,
         scene.contacts, scene.half, scene.position, scene.angle, scene.velocity, scene.spin,
-        scene.on_plate, BODY_STEP if scene.step is None else scene.step, 1, record, scene.ids,
+        scene.on_plate, BODY_STEP if scene.step is None else scene.step, 1, record is not None,
+        scene.ids,
     )  # fmt: skip
-    run = Trajectory(path.time, path.position, path.velocity)
+    steps = max(1, len(path.time) - 1)
+    rows = samples(steps, scene.motion.period / steps, record)
+    run = Trajectory(path.time[rows], path.position[rows], path.velocity[rows])
     return Outcome(end.position, end.velocity, end.angle, end.spin, on_plate, run)
+
+
+def samples(steps: int, step: float, record: float | None) -> np.ndarray:
+    """Return the numbers of the steps, of `step` [s] each, whose state is recorded."""
+    if record is None:
+        return np.arange(0)
+    fewest = ceil(steps / max(1, int(record / step + 1e-9)))
+    every = ceil(steps / fewest)
+    return np.append(np.arange(0, steps, every), steps)
 
 
 @lru_cache(maxsize=8)

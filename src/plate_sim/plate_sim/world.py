@@ -188,7 +188,7 @@ def _advance(
 def _run(scene: Scene, model: str, record: bool) -> tuple[Outcome, Choice]:
     if model == AUTO:
         return climb(scene, record)
-    return run_model(scene, model, record), Choice(model, "as asked for")
+    return run_model(scene, model, 0.0 if record else None), Choice(model, "as asked for")
 
 
 _MOVING = {"position": (2,), "velocity": (2,), "angle": (), "spin": ()}
