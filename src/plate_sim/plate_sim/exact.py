@@ -18,7 +18,7 @@ from .motion import END, START, WRAPS, hold_bound, in_plate, riding, slip, surfa
 from .output import emit, emit_held, fall
 from .sliding import landing, line_step, restart, runge_kutta
 
-STEP_SHARE = 0.1
+STEP_SHARE = 0.05
 """Share of the tolerance that one step may err: errors of a cycle's steps add up and decay."""
 
 SNAP_SHARE = 0.1

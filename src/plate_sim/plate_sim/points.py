@@ -79,12 +79,10 @@ def simulate(
     velocity = pairs("velocity", velocity, len(position))
     limit = friction_accel(friction, gravity, len(position))
     exact = samples is None or tolerance is not None
-    samples, cycles = (
-        _count("samples", SAMPLES if samples is None else samples),
-        _count("cycles", cycles),
-    )
-    if cycles > 1 and not isinstance(cycle, PlateCycle):
-        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
+    samples = _count("samples", SAMPLES if samples is None else samples)
+    cycles = _count("cycles", cycles)
+    if isinstance(cycle, PlateMotion):
+        _check_motion(cycle, cycles)
     path, speed = np.empty((2, cycles * samples + 1, len(position), 2))
     path[0], speed[0] = position, velocity
     pull, static = ground.pull(gravity), ground.static_ratio
@@ -98,6 +96,15 @@ def simulate(
         run_steps(pose, twist, cycle.period / samples, limit, static, pull, path, speed)
     unchecked = () if checked.all() else tuple(np.flatnonzero(~checked).tolist())
     return Trajectory(np.arange(len(path)) * (cycle.period / samples), path, speed, unchecked)
+
+
+def _check_motion(motion: PlateMotion, cycles: int) -> None:
+    """Refuse what no `PlateCycle` can be."""
+    if cycles > 1:
+        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
+    finite = np.isfinite(motion.coefficients).all(axis=(1, 2))
+    if not finite.all():
+        raise PlateError(f"piece {int(np.argmin(finite))} of the plate's motion is not finite")
 
 
 def _tables(

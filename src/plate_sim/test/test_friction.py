@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
 from plate_core.frames import surface_velocity, to_plate
-from plate_sim import simulate
+from plate_sim import PlateMotion, simulate
 
 MU, G = 0.25, 9.81
 
@@ -143,6 +143,9 @@ def test_result_holds_the_start_and_every_step():
         ({"position": np.full((2, 2), np.nan)}, "position has values that are not finite"),
         ({"friction": [0.1, 0.2, 0.3]}, "friction has shape"),
         ({"friction": -0.1}, "friction is -0.1"),
+        ({"friction": [0.1, np.nan]}, "friction is nan for part 1, allowed"),
+        ({"velocity": [[0, 0], [np.inf, 1]]}, r"velocity .* not finite: part 1 has \[inf, 1.0\]"),
+        ({"velocity": [[0, -1e70], [0, 1]]}, r"velocity .* too large: part 0 has \[0.0, -1e\+70\]"),
         ({"cycles": 0}, "cycles is 0"),
         ({"samples": 0}, "samples is 0"),
     ],
@@ -151,3 +154,19 @@ def test_misuse_is_refused(change, message):
     arguments = {"position": np.zeros((2, 2)), "velocity": np.zeros((2, 2)), "friction": MU}
     with pytest.raises(PlateError, match=message):
         simulate(PlateCycle.rest(0.1), **(arguments | change))
+
+
+@pytest.mark.parametrize("how", [{}, {"samples": 10}])
+def test_a_plate_that_moves_nowhere_finite_is_refused(how):
+    pieces = np.zeros((2, 6, 3))
+    pieces[1, 3, 2] = np.nan
+    motion = PlateMotion(np.array([0.0, 0.1, 0.2]), pieces)
+    with pytest.raises(PlateError, match="piece 1 of the plate's motion is not finite"):
+        simulate(motion, [[0, 0]], [[0, 0]], MU, **how)
+
+
+def test_a_cycle_that_does_not_close_is_refused():
+    states = np.zeros((3, 3, 3))
+    states[0, 2, 0] = 1e-3
+    with pytest.raises(PlateError, match=r"does not close: end and start differ by 0\.001 m"):
+        PlateCycle.from_knots(np.array([0, 0.1, 0.2]), *states)
