@@ -55,6 +55,6 @@ def test_samples_end_with_the_last_step_and_have_no_gap():
             rows = samples(steps, 1.0, float(every))
             assert (rows[0], rows[-1]) == (0, steps)
             assert len(rows) == -(-steps // every) + 1
-            assert 0 < np.diff(rows).min()
+            assert np.diff(rows).min() > 0
             assert np.diff(rows).max() <= every
     assert len(samples(5, 1.0, None)) == 0
