@@ -11,6 +11,8 @@ from plate_core.frames import to_plate
 from plate_sim import simulate
 from plate_sim.bodies import simulate_bodies
 from plate_sim.footprint import bar, disc, on_feet, union
+from plate_sim.ground import Ground
+from plate_sim.plate_motion import PlateMotion
 
 MU, G = 0.25, 9.81
 L_SHAPE = union(
@@ -176,6 +178,66 @@ def test_without_friction_a_part_flies_on():
     run = simulate_bodies(random_cycle(1), disc(0.01), [[0, 0]], 0, [[1, 2]], 3, 0, cycles=2)
     assert run.position[-1, 0] == pytest.approx([0.1, 0.2])
     assert run.angle[-1, 0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("shape", [disc(0.01), bar(0.05, 0.01), TRIPOD])
+def test_parts_on_a_tilted_plate_stay_or_slide_down(shape):
+    ground = Ground(tilt=(0.12, -0.16))
+    pull = ground.pull(G)
+    held, slides = (
+        simulate_bodies(
+            PlateCycle.rest(0.2), shape, [[0, 0]], 0.3, [[0, 0]], 0, mu, ground=ground
+        )
+        for mu in (0.21, 0.15)
+    )  # fmt: skip
+    assert np.hypot(*pull) / G == pytest.approx(0.2, abs=1e-3)
+    assert held.position[-1, 0].tolist() == [0, 0]
+    size = np.hypot(*pull)
+    way = 0.5 * (size - 0.15 * G) * slides.time[:, None] ** 2 * pull / size
+    assert slides.position[:, 0] == pytest.approx(way, abs=1e-6)
+    assert slides.angle[-1, 0] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_small_disc_on_rough_tilted_ground_moves_as_a_point():
+    # 3 times mu g is felt: it sticks and comes loose in every cycle.
+    cycle = random_cycle(3, 0.25)
+    ground = Ground(static_ratio=1.6, tilt=(0.04, -0.02))
+    start, speed = [[0.2, -0.1], [-0.1, 0.05]], np.zeros((2, 2))
+    point = simulate(cycle, start, speed, MU, cycles=4, tolerance=1e-9, ground=ground)
+    small = simulate_bodies(
+        cycle, disc(1e-6), start, 0, speed, 0, MU, cycles=4, step=5e-5, ground=ground
+    )
+    slip = np.linalg.norm(np.diff(point.velocity, axis=0), axis=2) * 64 / 0.05 / (MU * G)
+    assert slip.max() > 1.05
+    assert small.position[-1] == pytest.approx(point.position[-1], abs=2e-6)
+
+
+def test_a_spinning_part_that_rides_comes_loose_at_the_static_limit():
+    # The plate turns at 2 sin wt about its centre: a disc there is held by torque alone.
+    radius, w = 0.02, 2 * np.pi * 10
+    t = np.arange(128) / 1280
+    for ratio, slides in ((1.0, True), (1.4, False)):
+        push = 1.2 * (2 / 3) * MU * G / (radius / 2)
+        pose, twist, accel = np.zeros((3, 128, 3))
+        pose[:, 2] = push / w**2 * (1 - np.cos(w * t))
+        twist[:, 2], accel[:, 2] = push / w * np.sin(w * t), push * np.cos(w * t)
+        cycle = PlateCycle.from_samples(0.1, pose, twist, accel)
+        run = simulate_bodies(
+            cycle, disc(radius), [[0, 0]], 0, [[0, 0]], 0, MU, cycles=2,
+            ground=Ground(static_ratio=ratio),
+        )  # fmt: skip
+        follows = np.allclose(run.spin[:64, 0], cycle.twist(run.time[:64])[:, 2], atol=1e-9)
+        assert follows is not slides
+
+
+def test_runs_a_motion_that_does_not_close():
+    cycle = random_cycle(3)
+    half = PlateMotion(cycle.times[:129], cycle.coefficients[:128])
+    whole = simulate_bodies(cycle, L_SHAPE, [[0.1, 0]], 0, [[0, 0]], 0, MU, samples=64)
+    part = simulate_bodies(half, L_SHAPE, [[0.1, 0]], 0, [[0, 0]], 0, MU, samples=32)
+    assert part.position == pytest.approx(whole.position[:33], abs=1e-9)
+    with pytest.raises(PlateError, match="cycles is 2"):
+        simulate_bodies(half, L_SHAPE, [[0, 0]], 0, [[0, 0]], 0, MU, cycles=2)
 
 
 @pytest.mark.parametrize(
