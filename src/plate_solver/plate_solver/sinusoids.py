@@ -17,9 +17,10 @@ from .harmonics import harmonics
 from .least_squares import Fit
 from .proof import is_out_of_reach
 from .sinusoid_family import SinusoidFamily
+from .sinusoid_steering import SinusoidSteering
 from .solution import Request, Solution, check_options
 from .solver import MotionSolver, make_options
-from .steering import Goal, steer, steering_solution
+from .steering import Goal, steering_solution
 
 CURL_SAMPLES = 8192
 """Samples on which curls are judged: their average, of u3/|slip|, feels dips more than a force."""
@@ -90,9 +91,13 @@ class SinusoidSolver(MotionSolver):
         self._tables: dict[tuple[int, bool], GuessTable] = {}
         self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
+        self._steering = SinusoidSteering(
+            self._bounds, self.options.iterations, self.options.restarts
+        )
 
     def forget(self) -> None:
         self._warm.clear()
+        self._steering.forget()
 
     def _solve(self, request: Request) -> Solution:
         if np.any(np.isfinite(request.curl)):
@@ -139,20 +144,12 @@ class SinusoidSolver(MotionSolver):
         )
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        family, key = self._family(2 * len(goal.position), True)
-
-        def attempt(theta: np.ndarray) -> Fit:
-            return steer(goal, family, theta, tolerance, self.options.iterations)
-
-        def good(result: Fit) -> bool:
-            return result.cost <= good_enough**2 * goal.position.size
-
-        wanted = goal.displacement / (goal.friction_accel * family.basis.period**2)
-        best, iterations = self._search(family, key, goal.position, wanted, attempt, good)
-        self._warm[key] = best.parameters
-        cycle = family.cycle(best.parameters)
+        _, (number, period, _) = self._family(2 * len(goal.position), True)
+        best, cycle, condition = self._steering.steer(
+            goal, number, period, tolerance, good_enough, self._rng
+        )
         return steering_solution(
-            self._rig, goal, best, cycle, good_enough, iterations, best.condition
+            self._rig, goal, best, cycle, good_enough, best.iterations, condition
         )
 
     def steering_period(self, count: int) -> float:
