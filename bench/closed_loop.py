@@ -82,7 +82,11 @@ def _conclusion(rows: list[dict]) -> str:
     errors = [row["rms_error_m"] for row in rows if row["rms_error_m"] is not None]
     if errors:
         text += f"; RMS median {1e3 * np.median(errors):.3f} mm, most {1e3 * max(errors):.3f} mm"
-    return text
+    share = {
+        name: np.mean([row["models"].get(name, 0) for row in rows])
+        for name in sorted({name for row in rows for name in row["models"]})
+    }
+    return text + "; " + ", ".join(f"{name} {100 * part:.0f} %" for name, part in share.items())
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -108,7 +112,11 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--scenario", default="sort_10", help="name or path (sort_10)")
     parser.add_argument("--seeds", type=_seeds, default=range(3), help="A:B, without B (0:3)")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="method, noise, kp, ..."
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="method, latency, kp, ...",
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")

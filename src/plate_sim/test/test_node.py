@@ -4,6 +4,7 @@
 
 import os
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -155,6 +156,19 @@ def test_the_model_and_its_reason_are_told():
         values = {item.key: item.value for item in loop.reports[-1].status[0].values}
         assert (values["model"], values["reason"]) == ("bodies", "as asked for")
         assert values["dirt"] == "latency 0.02"
+
+
+def test_the_truth_has_angles_and_spins():
+    with Loop(lockstep=True) as loop:
+        simulation = loop.simulator._simulation
+        count = len(simulation.state.ids)
+        angle, spin = np.linspace(-1, 1, count), np.linspace(0, 0.05, count)
+        simulation.state = replace(simulation.state, angle=angle, spin=spin)
+        loop.simulator._take_image()
+        assert loop.spin(lambda: len(loop.truths) >= 2)
+        truth = loop.truths[-1]
+        assert msg_to_parts(truth).angle == pytest.approx(angle)
+        assert [twist.angular.z for twist in truth.twist] == pytest.approx(spin)
 
 
 def spoilt(index, stamp):
