@@ -22,7 +22,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e2
 STALL_STEPS, STALL_SHARE = 6, 0.7
 """A search is given up where so many steps leave more than this share of the squared error."""
 
-FEW_CANDIDATES = 24
+FEW_CANDIDATES = 12
 """Random motions that are tried at the parts' places for each first guess: a few microseconds."""
 
 

@@ -295,14 +295,16 @@ class Request:
             raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
         greatest = {"position": FARTHEST_M, "velocity": FASTEST_MPS, "force": np.inf}
         for name, array in (("position", position), ("force", force), ("velocity", velocity)):
-            if not np.all(np.isfinite(array)):
+            size = np.abs(array)
+            worst = float(size.max())
+            if not worst < np.inf:
                 raise PlateError(f"{name} has values that are not finite")
-            if np.max(np.abs(array)) > greatest[name]:
-                worst = array.flat[np.argmax(np.abs(array))]
-                most = greatest[name]
-                raise PlateError(f"{name} has value {worst:g}, allowed: {-most:g} to {most:g}")
-        if np.any(np.isinf(curl)):
+            most = greatest[name]
+            if worst > most:
+                value = array.flat[np.argmax(size)]
+                raise PlateError(f"{name} has value {value:g}, allowed: {-most:g} to {most:g}")
+        if np.isinf(curl).any():
             raise PlateError("curl has infinite values, allowed: numbers, NaN where it is free")
-        if not np.all(slack >= 0):
+        if not (slack >= 0).all():
             raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")
         return cls(position, force, velocity, curl, slack)
