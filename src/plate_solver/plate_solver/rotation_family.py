@@ -33,6 +33,10 @@ SHORTEST, FASTEST = 0.02, 2.5
 """Least length of a rotation and greatest speed, in units of their usual values."""
 
 
+_Line = tuple[np.ndarray, np.ndarray]
+_Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 class RotationFamily:
     """Sequences of J rotations in a given order.
 
@@ -59,6 +63,7 @@ class RotationFamily:
         hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
         self._steps = steps or (RAMP_STEPS, hold_steps)
         self._counted = float(within_stroke)
+        self._known: tuple[np.ndarray, _Line, _Motion] | None = None  # of the last samples
         self._accel = RAMP_SHARE * bounds.accel
         self._lengths = np.array([1.0, 1.0, bounds.arm_m])  # turns theta into metres
         self._hold_scale = 1 / len(twists)
@@ -73,10 +78,12 @@ class RotationFamily:
         """Number of rotations J."""
         return len(self._basis)
 
-    def finer(self, steps: tuple[int, int]) -> RotationFamily:
-        """Return the same family with other numbers of steps."""
+    def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
+        """Return the same family with other numbers of steps, or so many times those it has."""
+        if isinstance(steps, int):
+            steps = self._steps[0] * steps, self._steps[1] * steps
         other = object.__new__(RotationFamily)
-        other.__dict__.update(self.__dict__, _steps=steps)
+        other.__dict__.update(self.__dict__, _steps=steps, _known=None)
         return other
 
     def parameters(self, share: np.ndarray) -> np.ndarray:
@@ -86,14 +93,19 @@ class RotationFamily:
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
-        pose, twist, _, dt, _ = self._motion(parameters)
+        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these.
+
+        They are kept until the next: do not change the parameters in place.
+        """
+        line = self._timeline(parameters)
+        self._known = parameters, line, motion(*line, self._steps)
+        pose, twist, _, dt, _ = self._known[2]
         return pose, twist, dt
 
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
     ) -> np.ndarray:
-        """Turn derivatives (R, n, 3), (R, n, 3), (R, n) by the samples into ones (R, P)."""
+        """Turn derivatives by the samples, as `sequence.pull_back`, into ones (R, P)."""
         line = self._timeline(parameters)
         return self._back(parameters, *pull_back(*line, self._steps, by_pose, by_twist, by_dt))
 
@@ -169,10 +181,14 @@ class RotationFamily:
         twists = self._split(parameters)[1]
         return ramps(twists, self._bounds.half, self._accel, self._blend)
 
-    def _timeline(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _timeline(self, parameters: np.ndarray) -> _Line:
+        if self._known is not None and self._known[0] is parameters:
+            return self._known[1]
         return timeline(*self._split(parameters), self._ramps(parameters)[0], self._period)
 
-    def _motion(self, parameters: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _motion(self, parameters: np.ndarray) -> _Motion:
+        if self._known is not None and self._known[0] is parameters:
+            return self._known[2]
         return motion(*self._timeline(parameters), self._steps)
 
     def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:

@@ -46,16 +46,16 @@ def fit_mean_force(
     iterations: int,
 ) -> Fit:
     """Correct a sequence until its average forces (5) are as asked; errors in mu m g."""
-    rows = request.rows
+    rows, scale = request.rows, _scale(request)
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
         _, twist, dt = family.samples(theta)
 
         def slopes() -> np.ndarray:
-            by_twist, by_dt = mean_force_slopes(request.position, request.velocity, twist, dt)
-            by_twist = by_twist[rows]
-            jacobian = family.pull_back(theta, np.zeros_like(by_twist), by_twist, by_dt[rows])
-            return _scale(request)[:, None] * jacobian
+            state = request.position, request.velocity, twist, dt
+            by_twist, by_dt = mean_force_slopes(*state, rows)
+            jacobian = family.pull_back(theta, by_twist[:, :, :0], by_twist, by_dt)
+            return scale[:, None] * jacobian
 
         return mean_force_error(request, family, theta), slopes
 

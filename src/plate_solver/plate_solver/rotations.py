@@ -36,6 +36,9 @@ AVERAGED, FINE, FINEST = (20, 4), (60, 20), (600, 200)
 """Steps in every ramp and hold when an average force is corrected, when that is done for good, and
 when a curl is judged: in a ramp the surface may almost stand still under a part."""
 
+FINER, POLISH = 3, 6
+"""A search that finer steps do not confirm goes on with so many times the steps, for so long."""
+
 SHAKE = 0.3
 """How far a shaken start is from the best so far, in units of the parameters."""
 
@@ -207,12 +210,25 @@ class RotationSolver(MotionSolver):
             if best.cost <= good_enough**2 * goal.position.size:
                 break
         assert best is not None
-        cycle = within_limits(self._rig, family.cycle(best.parameters))
-        error = np.concatenate([missed(goal, cycle).ravel(), best.error[goal.position.size :]])
+        cycle, error = self._foreseen(goal, family, best)
+        if best.cost <= good_enough**2 * goal.position.size < error @ error:  # too coarse a search
+            fine = family.finer(FINER)
+            best = fit_displacement(goal, fine, best.parameters, tolerance, POLISH)
+            iterations += best.iterations
+            cycle, error = self._foreseen(goal, fine, best)
         return steering_solution(
             self._rig, goal, replace(best, error=error), cycle, good_enough, iterations,
             best.condition,
         )  # fmt: skip
+
+    def _foreseen(
+        self, goal: Goal, family: RotationFamily, found: Fit
+    ) -> tuple[PlateCycle, np.ndarray]:
+        """Return the motion within the limits, and its errors by a finer prediction."""
+        cycle = within_limits(self._rig, family.cycle(found.parameters))
+        return cycle, np.concatenate(
+            [missed(goal, cycle).ravel(), found.error[goal.position.size :]]
+        )
 
     def _starts(self, goal: Goal) -> Iterator[tuple[RotationFamily, np.ndarray, int]]:
         """Yield where to search from, and for how long: the last answer, plans, shaken ones."""

@@ -154,7 +154,8 @@ def pull_back(
     Parameters
     ----------
     times, knots : (K,), (K, 3)
-    by_pose, by_twist : (R, n, 3)
+    by_pose : (R, n, 3), or (R, n, 0) where nothing depends on the pose
+    by_twist : (R, n, 3)
     by_dt : (R, n)
 
     Returns
@@ -166,6 +167,7 @@ def pull_back(
     by_time, by_knot = np.zeros((rows, segments + 1)), np.zeros((rows, segments + 1, 3))
     by_corner = np.zeros((rows, segments + 1, 3))
     gap = knot_poses(times, knots)[-1]
+    posed = by_pose.shape[2] == 3
     i = 0
     for k in range(segments):
         h, count = times[k + 1] - times[k], counts[k % 2]
@@ -179,7 +181,7 @@ def pull_back(
             for r in range(rows):
                 by_h, by_t = by_dt[r, i] / count, 0.0
                 for c in range(3):
-                    g, q = by_twist[r, i, c], by_pose[r, i, c]
+                    g, q = by_twist[r, i, c], by_pose[r, i, c] if posed else 0.0
                     by_knot[r, k, c] += g * (1 - s) + q * h * (x - rise)
                     by_knot[r, k + 1, c] += g * s + q * h * rise
                     by_h += q * (knots[k, c] * x + (knots[k + 1, c] - knots[k, c]) * rise)

@@ -132,31 +132,37 @@ def mean_forces(
 
 @njit(cache=True, fastmath=True)
 def mean_force_slopes(
-    position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives (3 M, n, 3), (3 M, n) of `mean_forces` by twist and by dt.
+    position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray,
+    asked: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the derivatives (R, n, 3), (R, n) of `mean_forces` by twist and by dt.
 
-    The steps' sum counts as given.
+    Of the R rows `asked` (3 M,) bool only. The steps' sum counts as given.
     """
     total, n = dt.sum(), len(twist)
-    by_twist, by_dt = np.zeros((3 * len(position), n, 3)), np.zeros((3 * len(position), n))
+    by_twist, by_dt = np.zeros((asked.sum(), n, 3)), np.zeros((asked.sum(), n))
+    row = 0
     for i in range(len(position)):
         x, y = position[i, 0], position[i, 1]
-        for k in range(n):
-            spin = twist[k, 2]
-            dx = twist[k, 0] - spin * y - velocity[i, 0]
-            dy = twist[k, 1] + spin * x - velocity[i, 1]
-            d = sqrt(dx * dx + dy * dy)
-            if d == 0:
+        for c in range(3):
+            if not asked[3 * i + c]:
                 continue
-            a, b, share = dx / d, dy / d, dt[k] / (total * d)
-            values = (a, b, spin / d)
-            slopes = ((1 - a * a, -a * b), (-a * b, 1 - b * b), (-a * spin / d, -b * spin / d))
-            for c in range(3):
-                gx, gy = share * slopes[c][0], share * slopes[c][1]
-                row = 3 * i + c
-                by_dt[row, k] = values[c] / total
+            for k in range(n):
+                spin = twist[k, 2]
+                dx = twist[k, 0] - spin * y - velocity[i, 0]
+                dy = twist[k, 1] + spin * x - velocity[i, 1]
+                d = sqrt(dx * dx + dy * dy)
+                if d == 0:
+                    continue
+                a, b, share = dx / d, dy / d, dt[k] / (total * d)
+                if c == 0:
+                    value, gx, gy = a, share * (1 - a * a), -share * a * b
+                elif c == 1:
+                    value, gx, gy = b, -share * a * b, share * (1 - b * b)
+                else:
+                    value, gx, gy = spin / d, -share * a * spin / d, -share * b * spin / d
+                by_dt[row, k] = value / total
                 by_twist[row, k, 0], by_twist[row, k, 1] = gx, gy
-                by_twist[row, k, 2] = x * gy - y * gx
-            by_twist[3 * i + 2, k, 2] += share
+                by_twist[row, k, 2] = x * gy - y * gx + (share if c == 2 else 0.0)
+            row += 1
     return by_twist, by_dt
