@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
 
+from .checks import check_motion, whole
 from .exact import run_points
 from .friction import LARGEST, Trajectory, friction_accel, pairs, run_steps, surface_samples
 from .ground import LEVEL, Ground
@@ -40,8 +40,8 @@ def simulate(
 ) -> Trajectory:
     """Integrate the stick-slip motion of point parts that never meet, on an endless plate.
 
-    By default event by event, with an error of at most `TOLERANCE` in each cycle. With `samples`
-    alone, in that many equal steps of first order; they are also what discs are moved with.
+    By default event by event, for an error of `TOLERANCE` in each cycle, and exactly where parts
+    slip along a line. With `samples` alone, in that many equal steps of first order.
 
     Parameters
     ----------
@@ -73,16 +73,13 @@ def simulate(
     PlateError
         If shapes disagree, a value is not finite, or a count or coefficient is out of range.
     """
-    if not isinstance(cycle, PlateCycle | PlateMotion):
-        raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
+    cycles = whole("cycles", cycles)
+    check_motion(cycle, cycles)
     position = pairs("position", position)
     velocity = pairs("velocity", velocity, len(position))
     limit = friction_accel(friction, gravity, len(position))
     exact = samples is None or tolerance is not None
-    samples = _count("samples", SAMPLES if samples is None else samples)
-    cycles = _count("cycles", cycles)
-    if isinstance(cycle, PlateMotion):
-        _check_motion(cycle, cycles)
+    samples = whole("samples", SAMPLES if samples is None else samples)
     path, speed = np.empty((2, cycles * samples + 1, len(position), 2))
     path[0], speed[0] = position, velocity
     pull, static = ground.pull(gravity), ground.static_ratio
@@ -96,15 +93,6 @@ def simulate(
         run_steps(pose, twist, cycle.period / samples, limit, static, pull, path, speed)
     unchecked = () if checked.all() else tuple(np.flatnonzero(~checked).tolist())
     return Trajectory(np.arange(len(path)) * (cycle.period / samples), path, speed, unchecked)
-
-
-def _check_motion(motion: PlateMotion, cycles: int) -> None:
-    """Refuse what no `PlateCycle` can be."""
-    if cycles > 1:
-        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
-    finite = np.isfinite(motion.coefficients).all(axis=(1, 2))
-    if not finite.all():
-        raise PlateError(f"piece {int(np.argmin(finite))} of the plate's motion is not finite")
 
 
 def _tables(
@@ -177,15 +165,9 @@ def simulate_many(
         except PlateError as error:
             raise PlateError(f"scene {scene}: {error}") from error
 
-    workers = _count("workers", (os.cpu_count() or 1) if workers is None else workers)
+    workers = whole("workers", (os.cpuwhole() or 1) if workers is None else workers)
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(run, range(count)))
-
-
-def _count(name: str, value: int) -> int:
-    if not isinstance(value, Integral) or value < 1:
-        raise PlateError(f"{name} is {value!r}, allowed: a whole number, at least 1")
-    return int(value)
 
 
 def _tolerance(value: float) -> float:
