@@ -2,6 +2,12 @@
 
 from .controller import Answer, Controller
 from .force_map import average_force
+from .manipulability import (
+    Manipulability,
+    guaranteed_force,
+    manipulability,
+    manipulability_map,
+)
 from .rotations import RotationSolver
 from .sinusoids import SinusoidSolver
 from .solution import Solution
@@ -11,8 +17,12 @@ __all__ = [
     "Answer",
     "Controller",
     "Goal",
+    "Manipulability",
     "RotationSolver",
     "SinusoidSolver",
     "Solution",
     "average_force",
+    "guaranteed_force",
+    "manipulability",
+    "manipulability_map",
 ]

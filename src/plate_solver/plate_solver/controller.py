@@ -8,7 +8,7 @@ import numpy as np
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig
 
-from .cycle_map import end_state
+from .refine import after
 from .rotations import RotationSolver
 from .sinusoids import SinusoidSolver
 from .solution import Solution
@@ -20,9 +20,6 @@ METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinuso
 
 IDLE_PERIOD = 0.1
 """Length of a cycle at rest [s]."""
-
-STEP = 0.1e-3
-"""Step for predicting the running cycle [s]: it is done once, so it may be fine."""
 
 DRIFT_TOLERANCE = 2e-4
 """Error of the drift over a cycle at which a search stops [m/s]."""
@@ -49,6 +46,8 @@ class Answer:
         For the log.
     error_m, asked_m : float
         Root mean square over parts and axes of the missed and of the wanted displacement [m].
+    share : float
+        Share of the wanted displacement that was aimed at: `SHARES`, or 0 for a cycle at rest.
     """
 
     cycle: PlateCycle
@@ -56,6 +55,7 @@ class Answer:
     message: str
     error_m: float
     asked_m: float
+    share: float = 1.0
 
 
 class Controller:
@@ -88,7 +88,7 @@ class Controller:
         self._rig = rig
         self._solvers: dict[str, MotionSolver] = {
             "rotations": RotationSolver(rig, centres, iterations=20, restarts=1, seed=seed),
-            "sinusoids": SinusoidSolver(rig, iterations=16, restarts=3, seed=seed),
+            "sinusoids": SinusoidSolver(rig, iterations=24, restarts=3, seed=seed),
         }
         self._velocity: dict[str, np.ndarray] = {}
         self.method = METHODS[method]
@@ -116,6 +116,7 @@ class Controller:
         period = solver.steering_period(len(parts))
         goal = self._goal(parts, running, period)
         asked = float(np.sqrt(np.mean(goal.displacement**2)))
+        unit = self._rig.friction.accel * period**2
         for share in SHARES:
             part = replace(goal, displacement=share * goal.displacement)
             good = max(GOOD_SHARE * share * asked, DRIFT_TOLERANCE * period)
@@ -124,15 +125,31 @@ class Controller:
                 break
             solver.forget()
         else:
-            message = "a part would leave the plate: one cycle at rest"
-            return Answer(PlateCycle.rest(period), solution, message, asked, asked)
-        unit = self._rig.friction.accel * period**2
-        missed = solution.residual * unit + (1 - share) * goal.displacement
-        message = (
-            solution.message if share == 1 else f"{share:g} of the request; {solution.message}"
-        )
-        error = float(np.sqrt(np.mean(missed**2)))
-        return Answer(solution.cycle, solution, message, error, asked)
+            message, rest = (
+                "a part would leave the plate: one cycle at rest",
+                PlateCycle.rest(period),
+            )
+            solution = replace(
+                solution,
+                success=False,
+                message=message,
+                cycle=rest,
+                residual=goal.displacement / unit,
+                status="failed",
+                share=0.0,
+            )
+            return Answer(rest, solution, message, asked, asked, 0.0)
+        if share < 1:
+            solution = replace(
+                solution,
+                success=False,
+                message=f"{share:g} of the request; {solution.message}",
+                residual=solution.residual + (1 - share) * goal.displacement / unit,
+                status="share",
+                share=share,
+            )
+        error = float(np.sqrt(np.mean((solution.residual * unit) ** 2)))
+        return Answer(solution.cycle, solution, solution.message, error, asked, share)
 
     def _goal(self, parts: PartSet, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
@@ -159,12 +176,7 @@ class Controller:
     def _after(
         self, cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        steps = max(1, round(cycle.period / STEP))
-        dt = cycle.period / steps
-        t = (np.arange(steps) + 0.5) * dt
-        return end_state(
-            position, velocity, cycle.pose(t), cycle.twist(t), dt, self._rig.friction.accel
-        )
+        return after(cycle, position, velocity, self._rig.friction.accel)
 
     def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""

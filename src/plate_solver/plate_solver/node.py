@@ -19,6 +19,8 @@ from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA
 
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
+from .library import Library
+from .manipulability import condition_number
 
 REPORT_PERIOD_S = 0.5
 QUIET_S = 2.0
@@ -60,7 +62,8 @@ class SolverNode(Node):
     def __init__(self) -> None:
         super().__init__("solver")
         options = declare(self, Options)
-        rig = load_rig(options.rig_file)
+        self._rig = rig = load_rig(options.rig_file)
+        self._library = Library.around(rig.plate.half)
         self._controller = Controller(rig, options.method, options.seed)
         warm_up(self._controller, rig.plate.half)
         self._sent: deque[Sent] = deque(maxlen=4)
@@ -68,7 +71,7 @@ class SolverNode(Node):
         self._errors: list[tuple[float, float]] = []
         self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0}
         self._last: Answer | None = None
-        self._parts = 0
+        self._parts: np.ndarray = np.empty((0, 2))
         follow(self, options, self._set_options)
         self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
@@ -112,7 +115,7 @@ class SolverNode(Node):
             self.get_logger().error(f"no solution, plate rests: {error}")
             return PlateCycle.rest(IDLE_PERIOD)
         self._count["answers"] += 1
-        self._last, self._parts = answer, len(parts)
+        self._last, self._parts = answer, parts.position
         if answer.solution is not None:
             self._solve_ms.append(1e3 * (time.perf_counter() - began))
             self._errors.append((answer.error_m, answer.asked_m))
@@ -138,17 +141,23 @@ class SolverNode(Node):
         now_ns = self.get_clock().now().nanoseconds
         return now_ns if abs(now_ns - stamp_ns) < RESTART_NS else stamp_ns
 
+    def _plate_condition(self) -> float:
+        """How much harder the hardest forces on the last parts are than the easiest."""
+        return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
+
     def _report(self) -> None:
         asked = sum(pair[1] ** 2 for pair in self._errors) ** 0.5
         missed = sum(pair[0] ** 2 for pair in self._errors) ** 0.5
         solution = self._last.solution if self._last else None
         values = {
             "method": self._controller.method,
-            "parts": self._parts,
+            "parts": len(self._parts),
             "missed_share": f"{missed / asked:.4f}" if asked > 0 else "0",
             "solve_ms_median": f"{np.median(self._solve_ms):.2f}" if self._solve_ms else "0",
             "solve_ms_max": f"{max(self._solve_ms):.2f}" if self._solve_ms else "0",
             "condition": f"{solution.condition:.4g}" if solution else "0",
+            "share": f"{self._last.share:g}" if self._last else "0",
+            "plate_condition": f"{self._plate_condition():.4g}",
             "iterations": solution.iterations if solution else 0,
             **self._count,
         }

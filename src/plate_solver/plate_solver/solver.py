@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from plate_core import PlateError, Rig
+from plate_core import PlateCycle, PlateError, Rig
 
+from .library import Library
+from .reach import easiest_force, largest_share
+from .refine import (
+    ON_CYCLE,
+    REFINED_TOLERANCE,
+    REFINEMENTS,
+    judged,
+    on_cycle,
+    on_mean_velocity,
+)
 from .solution import Bounds, Request, Solution
 from .steering import Goal
 
@@ -23,11 +36,20 @@ def make_options(kind: type[Any], options: dict[str, Any], *others: str) -> Any:
     return kind(**options)
 
 
+@lru_cache(maxsize=32)
+def resting(period: float) -> PlateCycle:
+    """Return the cycle of a plate at rest."""
+    return PlateCycle.rest(period)
+
+
 class MotionSolver(ABC):
     """Finds closed plate motions; remembers the last one as a start for the next."""
 
+    options: Any
+
     def __init__(self, rig: Rig, seed: int) -> None:
         self._rig = rig
+        self._reach = Library.around(rig.plate.half)
         self._bounds = Bounds.of(rig)
         self._seed = seed
         self._rng = np.random.default_rng(seed)
@@ -47,8 +69,14 @@ class MotionSolver(ABC):
         force: np.ndarray,
         velocity: np.ndarray | None = None,
         curl: np.ndarray | None = None,
+        *,
+        tolerance: np.ndarray | None = None,
+        refine: str = "none",
     ) -> Solution:
         """Find a closed motion with the wanted average forces, equations (5) and (9).
+
+        What cannot be met is met in part: the largest share of the request that is found, in its
+        direction. Where nothing is asked, the plate rests.
 
         Parameters
         ----------
@@ -60,17 +88,65 @@ class MotionSolver(ABC):
             Parts' velocities [m/s]; zero if left out.
         curl : (M,), optional
             Wanted curl of the averaged field [mu m g / m]; NaN where it is free.
+        tolerance : (M, 2), optional
+            Slack [mu m g] by part and axis: any force within +- this of the one wanted is as good.
+            Infinite where anything goes; zero if left out.
+        refine : str
+            The map on which forces are met, and by which `residual` judges them:
+            `none`: (5) for parts that keep place and velocity;
+            `velocity`: (5) for parts that keep place, and the velocity they have on average over
+            the cycle under this very motion;
+            `cycle`: the parts' stick-slip motion over one cycle of length T. The displacement less
+            velocity times T is to be force times mu g T^2: the drift grows as the force would make
+            it grow. Curls are not asked for.
 
         Returns
         -------
         Solution
+            On the cycle map a request counts as met if 5 % of it are missed (root mean square).
 
         Raises
         ------
         PlateError
-            If shapes are wrong or values are not finite.
+            If shapes are wrong, values not finite, or options unknown.
         """
-        return self._solve(Request.check(position, force, velocity, curl))
+        request = Request.check(position, force, velocity, curl, tolerance)
+        if refine not in REFINEMENTS:
+            raise PlateError(f"refine is {refine!r}, allowed: {', '.join(REFINEMENTS)}")
+        if refine == "cycle":
+            request = replace(request, curl=np.full(len(request.force), np.nan))
+        own, most, attempt = self._map(refine)
+        rest = resting(self.steering_period(len(request.force)))
+        nothing = Solution(True, "nothing is asked: the plate rests", rest, request.force, 0, 1.0)
+        if request.idle:
+            return nothing
+        return largest_share(request, self._reach, attempt, nothing, 3 * own, most)
+
+    def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
+        """Return tolerance and greatest force [mu m g] of a map, and who solves on it."""
+        own, friction = self.options.tolerance, self._rig.friction.accel
+        wide = max(own, REFINED_TOLERANCE)
+
+        def at_mean_velocity(request: Request) -> Solution:
+            return on_mean_velocity(request, self._on_average, friction, wide)
+
+        def at_cycle(request: Request) -> Solution:
+            period = self.steering_period(len(request.position))
+            return on_cycle(request, self.steer, period, friction, wide)
+
+        if refine == "none":
+            return own, 1.0, self._on_average
+        return (wide, 1.0, at_mean_velocity) if refine == "velocity" else (wide, ON_CYCLE, at_cycle)
+
+    def _on_average(self, request: Request) -> Solution:
+        if not np.any(request.tolerance):
+            return self._solve(request)
+        aim = easiest_force(request, self._reach)
+        found = self._solve(replace(request, force=aim))
+        error = request.force - (aim - found.residual)
+        if not found.success:  # others within the slack may be in reach
+            found = replace(found, status="failed")
+        return judged(request, found, error, self.options.tolerance)
 
     @abstractmethod
     def _solve(self, request: Request) -> Solution:

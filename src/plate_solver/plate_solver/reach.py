@@ -1,0 +1,141 @@
+"""What of a request is in reach: slack is used up, and of what is too much, the largest share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linprog
+
+from .library import Library
+from .rotation_plan import reachable_share
+from .solution import Request, Solution
+
+LEFT_OUT = 1.15
+"""The library leaves out at most some per cent of what motions can do: no search beyond this times
+its own bound."""
+
+SHARE_STEPS = 5
+"""Halvings in search of the largest share: it is found to 1/32 of what is in reach at most."""
+
+CAUTION = 0.95
+"""The first share that is tried, in units of what the best try at the whole did of it."""
+
+WORTH_IT = 0.5
+"""A motion that misses more than this of a request (root mean square) is worse than none."""
+
+
+def easiest_force(request: Request, library: Library) -> np.ndarray:
+    """Return the forces (M, 2) within the request's tolerance that take the least time.
+
+    The least time in which the library's rotations could do it is a linear programme:
+
+        minimise |w|_1    subject to    force - tolerance <= A w <= force + tolerance
+
+    Where nothing within the tolerance is in their reach, the forces are as wanted.
+    """
+    if not np.any(request.tolerance):
+        return request.force
+    rows = library.forces(request.position)
+    wanted, slack = request.force.T.ravel(), request.tolerance.T.ravel()
+    bounded, matrix = np.isfinite(slack), np.hstack([rows, -rows])
+    most = np.concatenate([(wanted + slack)[bounded], (slack - wanted)[bounded]])
+    result = linprog(
+        np.ones(matrix.shape[1]), np.vstack([matrix[bounded], -matrix[bounded]]), most,
+        method="highs",
+    )  # fmt: skip
+    if result.status != 0:
+        return request.force
+    return np.asarray((matrix @ result.x).reshape(2, -1).T)
+
+
+def most_loaded(request: Request) -> float:
+    """Return the force [mu m g] asked of the most loaded part, all its slack used."""
+    least = np.maximum(np.abs(request.force) - request.tolerance, 0.0)
+    return float(np.max(np.hypot(least[:, 0], least[:, 1])))
+
+
+def largest_share(
+    request: Request,
+    library: Library,
+    attempt: Callable[[Request], Solution],
+    nothing: Solution,
+    least: float,
+    most: float,
+) -> Solution:
+    """Meet the request, or else the largest share of it that is found, by bisection.
+
+    Parameters
+    ----------
+    request : Request
+        Its direction is kept: forces and curls are scaled alike, tolerances are not.
+    library : Library
+        Bounds the search.
+    attempt : function
+        Solves a request, or does what it can.
+    nothing : Solution
+        What to do where no share is met: its motion asks nothing of the parts.
+    least : float
+        Forces below this [mu m g] are none.
+    most : float
+        No motion gives any part more than this [mu m g].
+    """
+    fits = min(1.0, most / max(most_loaded(request), 1e-300))
+    whole = attempt(request if fits == 1 else request.times(fits))
+    if whole.success and fits == 1:
+        return whole
+    low, best, high = (fits if whole.success else 0.0), whole, fits
+    iterations = whole.iterations
+    if not np.any(request.velocity) and not np.any(request.tolerance):
+        bound = reachable_share(library, request.position, request.force)
+        high = min(high, LEFT_OUT * most * bound)
+    greatest = float(np.max(np.abs(request.force)))
+    trial = fits * CAUTION * _along(fits / greatest * request.force, whole.residual / greatest)
+    for _ in range(SHARE_STEPS):
+        if (high - low) * greatest < least:
+            break
+        share = trial if low < trial < high else (low + high) / 2
+        trial = 0.0
+        found = attempt(request.times(share))
+        iterations += found.iterations
+        if found.success:
+            low, best = share, found
+        else:
+            high = share
+    why = whole.message
+    if fits < 1:
+        why = f"a part is asked to bear {most_loaded(request):.3g} mu m g, allowed: {most:g}"
+    rest_of_whole = whole.residual + (1 - fits) * request.force
+    if low > 0:
+        residual = best.residual + (1 - low) * request.force
+        message = f"{low:.3g} of the request is met; all of it: {why}"
+    elif request.must_move or _size(rest_of_whole) < WORTH_IT * _size(request.force):
+        residual = rest_of_whole
+        message = f"no share of the request is met, this comes near; {why}"
+    else:
+        best, residual = nothing, request.force
+        message = f"no share of the request is met, so the plate rests; {why}"
+    proven = fits < 1 or whole.status == "unreachable"
+    return replace(
+        best,
+        success=False,
+        message=message,
+        residual=residual,
+        iterations=iterations,
+        condition=whole.condition,
+        status="unreachable" if proven else "share" if low > 0 else "failed",
+        share=low,
+    )
+
+
+def _along(asked: np.ndarray, missed: np.ndarray) -> float:
+    """Return how much of what was asked was done, along what was asked."""
+    size = float(np.sum(asked**2))
+    return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
+
+
+def _size(force: np.ndarray) -> float:
+    """Return the root mean square of forces (M, 2), whatever their size."""
+    most = float(np.max(np.abs(force)))
+    return most * float(np.sqrt(np.mean((force / most) ** 2))) if most > 0 else 0.0

@@ -1,0 +1,136 @@
+"""Manipulability against cases that can be worked out by hand, and against scipy's programmes."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from plate_core import PlateError
+from plate_solver import RotationSolver, guaranteed_force, manipulability, manipulability_map
+from plate_solver.library import Library
+from plate_solver.manipulability import condition_number
+
+WAYS = np.array([[np.cos(a), np.sin(a)] for a in np.arange(7)])
+
+
+def columns(rig, position):
+    """Unit forces of the library's twists, straight from v = u + w x P: part by part."""
+    twist = Library.around(rig.plate.half).twist
+    x, y = np.array(position).T
+    speed = np.stack([twist[:, :1] - twist[:, 2:] * y, twist[:, 1:2] + twist[:, 2:] * x], axis=2)
+    size = np.linalg.norm(speed, axis=2, keepdims=True)
+    return (speed / np.where(size > 0, size, np.inf)).reshape(len(twist), -1).T
+
+
+def scipy_force(matrix, direction):
+    """The most r with r d in the hull of plus and minus the columns."""
+    rows, count = matrix.shape
+    result = linprog(
+        np.append(np.zeros(2 * count), -1),
+        np.append(np.ones(2 * count), 0)[None], [1],
+        np.column_stack([matrix, -matrix, -direction]), np.zeros(rows), method="highs",
+    )  # fmt: skip
+    assert result.status == 0
+    return result.x[-1]
+
+
+def test_one_part_can_be_pushed_fully_in_every_direction(rig):
+    place = np.array([[0.1, 0.05]])
+    force = guaranteed_force(rig, place, WAYS)
+    assert np.all(force <= 1 + 1e-9)
+    np.testing.assert_allclose(
+        force, 1, atol=2e-3
+    )  # the library's directions are some degrees apart
+    found = manipulability(rig, place)
+    assert found.guaranteed == pytest.approx(1, abs=2e-3)
+    assert 1 <= found.condition < 2
+
+
+def test_two_parts_far_apart(rig):
+    # Turning about the middle pushes them against each other across, shifts together: both fully.
+    place = np.array([[-0.25, 0.0], [0.25, 0.0]])
+    together, across = np.array([1.0, 0, 1, 0]), np.array([0, 1.0, 0, -1])
+    np.testing.assert_allclose(guaranteed_force(rig, place, [together, across]), 1, atol=0.01)
+    found = manipulability(rig, place)
+    assert 0.3 < found.guaranteed < 0.6
+    # No direction at random is worse than the one that is said to be the weakest.
+    ways = np.random.default_rng(0).normal(size=(40, 4))
+    assert np.min(guaranteed_force(rig, place, ways)) >= found.guaranteed - 1e-9
+
+
+def test_condition_grows_as_one_over_the_distance(rig):
+    gaps = np.array([4e-3, 2e-3, 1e-3, 5e-4])
+    conditions, forces = [], []
+    for gap in gaps:
+        place = np.array([[0.05 - gap / 2, 0.031], [0.05 + gap / 2, 0.031]])
+        found = manipulability(rig, place)
+        conditions.append(found.condition)
+        forces.append(found.guaranteed)
+        opposite = found.worst_direction[:2] + found.worst_direction[2:]
+        assert np.linalg.norm(opposite) < 0.02
+        assert found.condition == condition_number(rig, place)
+    slopes = np.polyfit(np.log(gaps), np.log(np.transpose([conditions, forces])), 1)[0]
+    np.testing.assert_allclose(slopes, [-1, 1], atol=0.05)
+
+
+def test_parts_in_one_place_cannot_be_told_apart(rig):
+    found = manipulability(rig, np.array([[0.05, 0.03], [0.05, 0.03]]))
+    assert np.isinf(found.condition)
+    assert found.guaranteed == 0
+    np.testing.assert_allclose(found.worst_direction[:2], -found.worst_direction[2:], atol=1e-6)
+    same = guaranteed_force(rig, [[0.05, 0.03], [0.05, 0.03]], [[1, 0, 1, 0], [1, 0, -1, 0]])
+    np.testing.assert_allclose(same, [1, 0], atol=2e-3)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 10])
+def test_the_hull_is_that_of_scipy(rig, scene, count):
+    rng, place = scene(count, count)
+    matrix = columns(rig, place)
+    for direction in rng.normal(size=(3, 2 * count)):
+        unit = direction / np.sqrt(np.sum(direction**2) / count)
+        expected = scipy_force(matrix, unit)
+        np.testing.assert_allclose(guaranteed_force(rig, place, direction), expected, rtol=1e-6)
+    found = manipulability(rig, place)
+    assert np.sum(found.weakest_direction**2) == pytest.approx(count)
+    assert scipy_force(matrix, found.weakest_direction) == pytest.approx(found.guaranteed, rel=1e-6)
+    values = np.linalg.svd(matrix, compute_uv=False)
+    assert found.condition == pytest.approx(values[0] / values[-1], rel=1e-6)
+
+
+def test_what_is_guaranteed_can_be_done(rig, scene):
+    # Before ramps and closure: Method A does most of what the hull promises for the weakest way.
+    _, place = scene(2, 2)
+    found = manipulability(rig, place)
+    force = found.guaranteed * found.weakest_direction.reshape(2, 2)
+    solution = RotationSolver(rig).solve(place, 0.7 * force)
+    assert solution.success
+
+
+def test_map_of_a_probe(rig):
+    held = np.array([[0.15, 0.0]])
+    x, y, force = manipulability_map(rig, held, columns=5, rows=3)
+    assert force.shape == (3, 5)
+    assert (x[3], y[1]) == pytest.approx((0.15, 0.0))
+    assert force[1, 3] == 0  # on top of the part that is held
+    assert np.all((force >= 0) & (force <= 1))
+    assert force[1, 0] > 0.5  # far from it
+    alone = manipulability_map(rig, np.empty((0, 2)), columns=3, rows=3)[2]
+    assert np.all(alone > 0.99)
+    # Each place is the least over directions of the force on the probe, others held.
+    matrix = columns(rig, [*held, [x[1], y[0]]])
+    angles = np.pi * np.arange(8) / 8
+    expected = [scipy_force(matrix, np.array([0, 0, np.cos(a), np.sin(a)])) for a in angles]
+    assert force[0, 1] == pytest.approx(min(expected), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("position", "direction", "message"),
+    [
+        ([0.1, 0.2], [[1, 0]], r"position has shape \(2,\), allowed: \(M, 2\)"),
+        ([[np.nan, 0.2]], [[1, 0]], "position has values that are not finite"),
+        ([[0.1, 0.2]], [[1, 0, 0]], r"direction has shape \(1, 3\), allowed: \(D, 2\)"),
+        ([[0.1, 0.2]], [[0, 0]], "allowed: .*not zero"),
+    ],
+)
+def test_wrong_input_is_named(rig, position, direction, message):
+    with pytest.raises(PlateError, match=message):
+        guaranteed_force(rig, position, direction)
