@@ -28,7 +28,7 @@ cpu_time = time.process_time
 """The clock of all measurements [s]: time of the cores, of all threads together. On an idle machine
 it is the wall time of our single thread; other programs that take the cores do not count."""
 
-PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pymunk")
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pymunk", "mujoco")
 
 
 @dataclass(frozen=True)
