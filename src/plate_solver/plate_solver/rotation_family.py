@@ -97,9 +97,9 @@ class RotationFamily:
 
         They are kept until the next: do not change the parameters in place.
         """
-        line = self._timeline(parameters)
-        self._known = parameters, line, motion(*line, self._steps)
-        pose, twist, _, dt, _ = self._known[2]
+        line, moved = self._timeline(parameters), self._motion(parameters)
+        self._known = parameters, line, moved
+        pose, twist, _, dt, _ = moved
         return pose, twist, dt
 
     def pull_back(
@@ -121,9 +121,11 @@ class RotationFamily:
             ramp = self._ramps(parameters)[0].sum() / (MOST_RAMPS * self._period)
             if ramp > 1:
                 speeds /= 1.001 * ramp
-            pose, twist, accel, _, _ = self._motion(parameters)
-            share = self._bounds.share(self._counted * pose, twist, accel)
+            line = self._timeline(parameters)
+            moved = motion(*line, self._steps)
+            share = self._bounds.share(self._counted * moved[0], moved[1], moved[2])
             if share <= 1:
+                self._known = parameters, line, moved
                 break
             speeds /= 1.01 * share
         return parameters
