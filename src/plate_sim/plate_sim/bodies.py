@@ -16,6 +16,7 @@ import numpy as np
 from plate_core import PlateCycle, PlateError
 
 from .body_run import START_OVERLAP, Shapes, run
+from .checks import check_motion, whole
 from .contacts import Contacts
 from .footprint import Footprint
 from .friction import LARGEST, friction_accel, pairs
@@ -111,14 +112,13 @@ def simulate_bodies(
         If shapes disagree, a value is not finite, a count or coefficient is out of range, parts
         overlap at the start, or walls are asked for.
     """
-    if not isinstance(cycle, PlateCycle | PlateMotion):
-        raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle")
     position = pairs("position", position)
     limit = friction_accel(friction, gravity, len(position))
-    samples = SAMPLES if samples is None else samples
-    for name, value in (("samples", samples), ("cycles", cycles)):
-        if not isinstance(value, (int, np.integer)) or value < 1:
-            raise PlateError(f"{name} is {value!r}, allowed: a whole number, at least 1")
+    samples, cycles = (
+        whole("samples", SAMPLES if samples is None else samples),
+        whole("cycles", cycles),
+    )
+    check_motion(cycle, cycles)
     if contacts is not None and contacts.walls:
         raise PlateError("contacts have walls, allowed: none on an endless plate")
     every = _steps(cycle.period / samples, step)
@@ -198,6 +198,7 @@ def run_bodies(
     PlateError
         If shapes disagree, a value is not finite, or parts overlap at the start.
     """
+    check_motion(motion, whole("cycles", cycles))
     end, path = _run(
         motion, footprints, np.asarray(limit, float), pull, static_ratio, contacts,
         np.asarray(half, float), (position, angle, velocity, spin), np.array(on_plate, bool),
@@ -217,8 +218,6 @@ def _run(motion, footprint, limit, pull, static_ratio, contacts, half, state, he
     parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)
     if len(parts) != count or not all(isinstance(part, Footprint) for part in parts):
         raise PlateError(f"footprint is a list of {len(parts)}, allowed: {count} Footprints, or 1")
-    if cycles > 1 and not isinstance(motion, PlateCycle):
-        raise PlateError(f"cycles is {cycles}, allowed: 1, as a PlateMotion need not close")
     order = np.lexsort((position[:, 1], position[:, 0]))
     shapes = Shapes.of([parts[i] for i in order], limit[order])
     shapes.parts[:, :6] = np.column_stack([position, angle, velocity, spin])[order]

@@ -75,7 +75,7 @@ def run(
 
     Parameters
     ----------
-    table, steps, cycles : (K, 23), int, int
+    table, steps, cycles : (K, 24), int, int
         The plate's motion as `motion.tabulate` makes it; equal steps in a cycle; cycles.
     every : int
         Steps from one recorded state to the next.

@@ -53,7 +53,7 @@ def advance(table, start, step, plate, parts, i, mesh):
 
     Parameters
     ----------
-    table, plate : (K, 23), (7, 6)
+    table, plate : (K, 24), (7, 6)
         The plate's motion as `motion.tabulate` makes it, and rows of it as described above.
     parts : (M, 22)
         Columns as above.

@@ -165,7 +165,7 @@ def simulate_many(
         except PlateError as error:
             raise PlateError(f"scene {scene}: {error}") from error
 
-    workers = whole("workers", (os.cpuwhole() or 1) if workers is None else workers)
+    workers = whole("workers", (os.cpu_count() or 1) if workers is None else workers)
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(run, range(count)))
 
