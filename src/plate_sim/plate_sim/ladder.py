@@ -16,8 +16,8 @@ f being a disc's friction in mu g (`disc_friction`), q = |theta'| times the dist
 models' centres, which so feel the surface at different speeds. The first two terms hold because
 friction only ever brings velocities closer, the last is of first order. The integral of e bounds
 how far apart the centres end. In 4,000 random scenes none was further off than `TOLERANCE` where a
-cheaper model was chosen, but for one: with static friction above dynamic, the integrator's step may
-decide whether a part holds or slides (0.06 mm, and alike in all models).
+cheaper model was chosen, but for one: with static friction above dynamic, the integrator's step
+decided whether a part held (0.06 mm; the points' exact integrator agreed with the bodies).
 """
 
 from __future__ import annotations
