@@ -102,6 +102,7 @@ def settle(parts, pieces, corners, world, pairs, found, rules, step, touch, arms
     """
     wall = np.zeros(WIDTH)
     wall[:6], wall[GYRATION2] = plate, 1.0  # any inertia: it has no lightness
+    c, s = cos(plate[2]), sin(plate[2])
     for sweep in range(SWEEPS):
         deepest = 0.0
         for row in range(found):
@@ -117,7 +118,9 @@ def settle(parts, pieces, corners, world, pairs, found, rules, step, touch, arms
                 deepest = max(deepest, depth)
         if walls:
             for i in range(len(parts)):
-                if here[i]:
+                rx, ry, reach = parts[i, 0] - plate[0], parts[i, 1] - plate[1], parts[i, REACH]
+                near_x = abs(c * rx + s * ry) + reach > half[0]
+                if here[i] and (near_x or abs(c * ry - s * rx) + reach > half[1]):
                     depth = _meet_walls(
                         parts[i], pieces, corners, world, rules, step, touch[0], arms, wall, half
                     )  # fmt: skip
@@ -181,18 +184,13 @@ def _meet_walls(
 ):  # fmt: skip
     """Let a part meet the walls, which are the plate's; return how deep [m] it was in them."""
     c, s = cos(wall[2]), sin(wall[2])
-    rx, ry = part[0] - wall[0], part[1] - wall[1]
-    room_x = half[0] - part[REACH] - abs(c * rx + s * ry)
-    room_y = half[1] - part[REACH] - abs(c * ry - s * rx)
-    if room_x >= 0 and room_y >= 0:
-        return 0.0
     deepest = 0.0
     for side in range(4):
-        if (room_x if side < 2 else room_y) >= 0:
-            continue
         sign, far = 1.0 - 2 * (side % 2), half[side // 2]
         ox, oy = (sign * c, sign * s) if side < 2 else (-sign * s, sign * c)
         wx, wy = wall[0] + far * ox, wall[1] + far * oy
+        if (wx - part[0]) * ox + (wy - part[1]) * oy >= part[REACH]:
+            continue
         if part[RADIUS] > 0:
             depth = part[RADIUS] - (wx - part[0]) * ox - (wy - part[1]) * oy
             touch[0], touch[1], touch[2] = (1.0 if depth > 0 else 0.0), -ox, -oy
