@@ -5,7 +5,7 @@ import pytest
 
 from plate_core import PlateError
 from plate_core.limits import corner_accel, usage
-from plate_solver import RotationSolver
+from plate_solver import Goal, RotationSolver, average_force
 from plate_solver.centres import ring, unit_twists
 from plate_solver.rotation_family import RotationFamily
 from plate_solver.sequence import motion, ramps, timeline
@@ -185,6 +185,35 @@ def test_close_parts_that_go_apart_are_not_shaken_wildly(rig):
     assert usage(rig, apart.cycle).worst <= 1
     far = solver.solve(position * [[1, 1], [-3, 1]], [[0.1, 0.0], [-0.1, 0.0]])
     assert far.success
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hard_requests_get_true_answers_within_the_limits(rig, seed):
+    """Parts in one place, almost so, on a centre, off the plate; nothing and far too much asked."""
+    rng = np.random.default_rng(seed)
+    solver = RotationSolver(rig, restarts=0, iterations=8)
+    met = 0
+    for case in range(12):
+        count = int(rng.integers(2, 11))
+        position = rng.uniform(-1, 1, (count, 2)) * HALF
+        if case % 6 < 2:
+            position[1] = position[0] + (case % 6) * 1e-6
+        position *= 5 if case % 6 == 2 else 1
+        if case % 6 == 3:
+            position[0] = solver.library.centre[rng.integers(480)]
+        force = 10.0 ** rng.uniform(-3, 1) * rng.normal(size=(count, 2)) * (case % 6 != 4)
+        found = solver.solve(position, force)
+        moved = solver.steer(
+            Goal(position, 0 * force, np.clip(0.01 * force, -0.01, 0.01), 0 * force, 2.45),
+            1e-5, 1e-4,
+        )  # fmt: skip
+        for solution in (found, moved):
+            assert usage(rig, solution.cycle).worst <= 1
+            assert np.all(np.isfinite(solution.residual))
+        if found.success:
+            met += 1
+            np.testing.assert_allclose(average_force(found.cycle, position), force, atol=1.001e-3)
+    assert 2 <= met < 12
 
 
 @pytest.mark.parametrize(
