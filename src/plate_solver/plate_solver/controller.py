@@ -125,10 +125,8 @@ class Controller:
                 break
             solver.forget()
         else:
-            message, rest = (
-                "a part would leave the plate: one cycle at rest",
-                PlateCycle.rest(period),
-            )
+            rest = PlateCycle.rest(period)
+            message = "a part would leave the plate: one cycle at rest"
             solution = replace(
                 solution,
                 success=False,

@@ -1,8 +1,8 @@
 """What a plate can do with parts where they are (section 3.3 of the paper).
 
-The average forces on parts at rest are a mean of unit forces, one column of a library for each twist
-that the plate goes through. So instead of piping random motions through the force map, all columns
-are looked at once:
+The average forces on parts at rest are a mean of unit forces, one column of a library for each
+twist that the plate goes through. Instead of piping random motions through the force map, we look
+at all columns at once:
 
 - their second moment is how far random motions reach: the root of its greatest over its least
   eigenvalue is the condition number, the least eigenvector the direction that is hardest to push;
@@ -22,7 +22,7 @@ from .library import Library
 from .shares import solve_shares
 
 DEAR = 1e6
-"""Price of a unit of force that is missed [cycles / (mu m g)]: what costs as much is out of reach."""
+"""Price of a unit of force that is missed [cycles / (mu m g)]: what costs that is out of reach."""
 
 DESCENTS = 12
 """Steps from one face of the hull to a nearer one, at most."""
@@ -31,7 +31,7 @@ STARTS = 8
 """Random directions from which the nearest face is looked for, besides the hardest one."""
 
 PROBES = 8
-"""Directions in which the probe of a map is pushed: forces both ways are alike, so over half a turn."""
+"""Directions in which the probe of a map is pushed, over half a turn: both ways are alike."""
 
 SAME = 1e-9
 """Eigenvalues below this share of the greatest are zero."""
@@ -41,8 +41,8 @@ SAME = 1e-9
 class Manipulability:
     """How well parts can be pushed one by one, M parts.
 
-    Forces on all parts are one vector (2 M,): part 1 x, part 1 y, part 2 x, ... A unit of force has a
-    mean square over the parts of one (mu m g)^2.
+    Forces on all parts are one vector (2 M,): part 1 x, part 1 y, part 2 x, ... A unit of force has
+    a mean square over the parts of one (mu m g)^2.
 
     Attributes
     ----------

@@ -91,7 +91,7 @@ def largest_share(
         bound = reachable_share(library, request.position, request.force)
         high = min(high, LEFT_OUT * most * bound)
     greatest = float(np.max(np.abs(request.force)))
-    trial = fits * CAUTION * _along(fits / greatest * request.force, whole.residual / greatest)
+    trial = fits * CAUTION * _along(fits * request.force, whole.residual)
     for _ in range(SHARE_STEPS):
         if (high - low) * greatest < least:
             break
@@ -131,7 +131,7 @@ def largest_share(
 
 def _along(asked: np.ndarray, missed: np.ndarray) -> float:
     """Return how much of what was asked was done, along what was asked."""
-    size = float(np.sum(asked**2))
+    size = float(np.sum(asked**2))  # of what fits, so no greater than the parts
     return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
 
 

@@ -172,7 +172,6 @@ def test_slack_makes_possible_what_is_not(method):
     assert abs(got[1, 0] + 0.15) <= 0.2 + own
 
 
-# Root mean square over 5 scenes of what the simulator misses, as a share of the request.
 @BOTH
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count):
@@ -184,7 +183,7 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
         rng, position = scene(seed, count)
         force, velocity = rng.uniform(-0.03, 0.03, (2, count, 2))
         solution = solver.solve(position, force, 0.2 * velocity, refine="cycle")
-        assert solution.success
+        assert solution.share > 0.9
         assert solution.cycle.starts_at_rest
         drift = 0.2 * velocity * solution.cycle.period
         got = (travel(solution.cycle, position, 0.2 * velocity) - drift) / unit
