@@ -103,7 +103,8 @@ class MotionSolver(ABC):
         Returns
         -------
         Solution
-            On the cycle map a request counts as met if 5 % of it are missed (root mean square).
+            With `velocity` and `cycle` a request counts as met if at most 10 % of it are missed
+            (root mean square over parts and axes).
 
         Raises
         ------
