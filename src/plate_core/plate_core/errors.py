@@ -15,3 +15,7 @@ class ScenarioError(PlateError):
 
 class CycleError(PlateError):
     """A plate motion does not close, is not finite, or is otherwise no motion of this plate."""
+
+
+class FrameError(PlateError):
+    """Bytes of the serial protocol are damaged, or a message does not fit into them."""

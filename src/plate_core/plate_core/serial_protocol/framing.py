@@ -1,0 +1,93 @@
+"""Frames on the wire: where one ends (COBS) and whether it came whole (CRC-32)."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+from ..errors import FrameError
+
+MAX_PACKET = 253
+"""Bytes of a packet with its CRC: so no COBS block is longer than 254, and each frame has exactly
+one byte of overhead, and its end."""
+
+CRC_BYTES = 4
+END = 0
+"""The byte that ends a frame and occurs nowhere else."""
+
+
+def frame(packet: bytes) -> bytes:
+    """Return the bytes that carry a packet: COBS of packet and CRC-32 (IEEE 802.3), and the end.
+
+    Raises
+    ------
+    FrameError
+        If the packet is empty or too long.
+    """
+    if not 0 < len(packet) <= MAX_PACKET - CRC_BYTES:
+        raise FrameError(f"packet has {len(packet)} bytes, allowed: 1 to {MAX_PACKET - CRC_BYTES}")
+    whole = packet + zlib.crc32(packet).to_bytes(CRC_BYTES, "little")
+    blocks = (bytes([len(block) + 1]) + block for block in whole.split(b"\0"))
+    return b"".join(blocks) + b"\0"
+
+
+def unframe(encoded: bytes) -> bytes:
+    """Return the packet that a frame, without its end, carries.
+
+    Raises
+    ------
+    FrameError
+        If the frame is damaged.
+    """
+    if not CRC_BYTES + 2 <= len(encoded) <= MAX_PACKET + 1:
+        raise FrameError(
+            f"frame has {len(encoded)} bytes, allowed: {CRC_BYTES + 2} to {MAX_PACKET + 1}"
+        )
+    blocks, at = [], 0
+    while at < len(encoded):
+        after = at + encoded[at]
+        block = encoded[at + 1 : after]
+        if after > len(encoded) or encoded[at] == END or END in block:
+            raise FrameError(f"frame is no COBS at byte {at}")
+        blocks.append(block)
+        at = after
+    whole = b"\0".join(blocks)
+    packet, crc = whole[:-CRC_BYTES], int.from_bytes(whole[-CRC_BYTES:], "little")
+    if zlib.crc32(packet) != crc:
+        raise FrameError(f"frame's CRC is {crc:#010x}, its bytes give {zlib.crc32(packet):#010x}")
+    return packet
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Cuts a stream of bytes into packets, however the bytes come.
+
+    Attributes
+    ----------
+    held : bytes
+        Start of a frame whose end has not come.
+    lost : bool
+        The frame that is coming has too many bytes already: it is skipped to its end.
+    refused : int
+        Damaged frames so far.
+    """
+
+    held: bytes = b""
+    lost: bool = False
+    refused: int = 0
+
+    def fed(self, data: bytes) -> tuple[Reader, list[bytes]]:
+        """Return the reader after more bytes, and the packets that have come whole."""
+        *ended, rest = (self.held + data).split(b"\0")
+        packets, lost, refused = [], self.lost, self.refused
+        for encoded in ended:
+            if encoded and not lost:
+                try:
+                    packets.append(unframe(encoded))
+                except FrameError:
+                    refused += 1
+            lost = False
+        if len(rest) > MAX_PACKET + 1:
+            refused += not lost
+            lost = True
+        return Reader(b"" if lost else rest, lost, refused), packets

@@ -1,0 +1,310 @@
+"""What driver and device say to each other; docs/protocol.md tells when and why."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from enum import IntEnum, IntFlag
+from math import isfinite
+from typing import Any
+
+from ..errors import FrameError
+
+VERSION = 1
+MOTORS = 4
+TICK_S = 1e-8
+"""Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
+
+KNOTS_PER_MESSAGE = 4
+"""As many as fit into a packet."""
+
+HEADER = struct.Struct("<BH")
+
+
+class State(IntEnum):
+    """What the device is doing."""
+
+    OFF = 0  # motors without current
+    HOMING = 1
+    READY = 2  # held at home
+    PLAYING = 3
+    BRAKING = 4
+
+
+class Status(IntEnum):
+    """The device's answer to a command."""
+
+    DONE = 0
+    NO_SESSION = 1  # say hello first: the device knows no host, or was reset
+    OLD = 2  # a later command was done already
+    WRONG_STATE = 3
+    WRONG_TABLE = 4  # another table is open, or the index is beyond its end
+    INCOMPLETE = 5  # knots are missing or damaged
+    WRONG_TIMES = 6  # they do not begin at 0 or do not rise
+    NOT_FINITE = 7
+    LIMIT = 8  # stroke or speed, on the spline, not only at knots
+    JUMP = 9  # the table does not begin where the one before ends, or does not close
+    WRONG_VERSION = 10
+    TOO_LONG = 11
+
+
+class Fault(IntFlag):
+    """Why the device is not playing; kept until it is enabled again."""
+
+    NONE = 0
+    HOST_SILENT = 1
+    STOPPED = 2
+    LIMIT = 4
+    SUPPLY = 8
+    HARDWARE = 16
+
+
+def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
+    """Metadata of a field: `count` values, coded by a letter of `struct`, of an enum or a tuple."""
+    return {"code": code, "count": count, "kind": kind}
+
+
+@dataclass(frozen=True)
+class Knot:
+    """Time [TICK_S], and travel [m], speed [m/s], acceleration [m/s2] of the four motors."""
+
+    ticks: int = field(metadata=_wire("I"))
+    position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    velocity: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+
+
+@dataclass(frozen=True)
+class Hello:
+    """Host: begin a session with a number that is new."""
+
+    version: int = field(metadata=_wire("B"))
+    session: int = field(metadata=_wire("I"))
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """Host: I am here, at this time of my clock [ns]; device: answer with a pulse."""
+
+    host_ns: int = field(metadata=_wire("Q"))
+
+
+@dataclass(frozen=True)
+class Enable:
+    """Host: current on, hold home."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Host: brake along the path and go home, or, if `now` is 1, take the current away at once."""
+
+    now: int = field(metadata=_wire("B", kind=(0, 1)))
+
+
+@dataclass(frozen=True)
+class Home:
+    """Host: find home."""
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Host: a table comes for the second buffer; its knots and their CRC-32."""
+
+    table: int = field(metadata=_wire("H"))
+    knots: int = field(metadata=_wire("H"))
+    crc: int = field(metadata=_wire("I"))
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Host: knots `first`, `first` + 1, ... of a table."""
+
+    table: int = field(metadata=_wire("H"))
+    first: int = field(metadata=_wire("H"))
+    knots: tuple[Knot, ...]
+
+
+@dataclass(frozen=True)
+class Commit:
+    """Host: take the table over at the next boundary; play it `repeats` times, 0: until another."""
+
+    table: int = field(metadata=_wire("H"))
+    repeats: int = field(metadata=_wire("H"))
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """Device: answer to Hello. Limits in SI; `boot` is another number after each reset."""
+
+    version: int = field(metadata=_wire("B"))
+    session: int = field(metadata=_wire("I"))
+    boot: int = field(metadata=_wire("I"))
+    motors: int = field(metadata=_wire("B"))
+    max_knots: int = field(metadata=_wire("H"))
+    window: int = field(metadata=_wire("B"))
+    watchdog_ms: int = field(metadata=_wire("H"))
+    stroke_m: float = field(metadata=_wire("f"))
+    speed: float = field(metadata=_wire("f"))
+
+
+@dataclass(frozen=True)
+class Acknowledgement:
+    """Device: what became of the command with this sequence number."""
+
+    sequence: int = field(metadata=_wire("H"))
+    status: Status = field(metadata=_wire("B", kind=Status))
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """Device: the heartbeat's time [ns], and the device's clock when it came [us]."""
+
+    host_ns: int = field(metadata=_wire("Q"))
+    device_us: int = field(metadata=_wire("Q"))
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """Device: measured travel [m] and acceleration [m/s2] of the motors at its time [us]."""
+
+    device_us: int = field(metadata=_wire("Q"))
+    state: State = field(metadata=_wire("B", kind=State))
+    faults: Fault = field(metadata=_wire("B", kind=Fault))
+    table: int = field(metadata=_wire("H"))  # that plays; 0: none
+    waiting: int = field(metadata=_wire("H"))  # that is to be taken over; 0: none
+    refused: int = field(metadata=_wire("H"))  # damaged frames, modulo 2^16
+    position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+
+
+Message = (
+    Hello | Heartbeat | Enable | Stop | Home | Begin | Knots | Commit
+    | Capabilities | Acknowledgement | Pulse | Telemetry
+)  # fmt: skip
+
+TYPES: dict[int, type] = {
+    0x01: Hello,
+    0x02: Heartbeat,
+    0x03: Enable,
+    0x04: Stop,
+    0x05: Home,
+    0x10: Begin,
+    0x11: Knots,
+    0x12: Commit,
+    0x81: Capabilities,
+    0x82: Acknowledgement,
+    0x83: Pulse,
+    0x84: Telemetry,
+}
+CODES = {kind: code for code, kind in TYPES.items()}
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A message and its sequence number, 0 to 65535."""
+
+    sequence: int
+    message: Message
+
+
+def newer(sequence: int, than: int) -> bool:
+    """Tell which of two sequence numbers is the later one; they wrap around."""
+    return 0 < (sequence - than) % 2**16 < 2**15
+
+
+def table_crc(knots: Iterable[Knot]) -> int:
+    """CRC-32 of a table's knots, as they stand in the messages."""
+    return zlib.crc32(b"".join(_values(knot) for knot in knots))
+
+
+def pack(packet: Packet) -> bytes:
+    """Return the bytes of a packet.
+
+    Raises
+    ------
+    FrameError
+        If a value does not fit its field.
+    """
+    message = packet.message
+    try:
+        head = HEADER.pack(CODES[type(message)], packet.sequence)
+        body = _values(message)
+        if isinstance(message, Knots):
+            body += b"".join(_values(knot) for knot in message.knots)
+    except (struct.error, OverflowError) as error:
+        raise FrameError(f"{packet}: {error}") from None
+    return head + body
+
+
+def parse(packet: bytes) -> Packet:
+    """Return what the bytes of a packet say.
+
+    Raises
+    ------
+    FrameError
+        If the type is unknown, the length is not the type's, or a value is not allowed.
+    """
+    if len(packet) < HEADER.size:
+        raise FrameError(f"packet has {len(packet)} bytes, allowed: {HEADER.size} or more")
+    code, sequence = HEADER.unpack_from(packet)
+    if code not in TYPES:
+        raise FrameError(f"packet type is {code:#04x}, allowed: {', '.join(map(hex, TYPES))}")
+    kind, body = TYPES[code], packet[HEADER.size :]
+    if kind is not Knots:
+        return Packet(sequence, _read(kind, body))
+    head, knot = LAYOUTS[Knots].size, LAYOUTS[Knot].size
+    count, rest = divmod(len(body) - head, knot)
+    if rest or not 1 <= count <= KNOTS_PER_MESSAGE:
+        raise FrameError(f"Knots has {len(body)} bytes, allowed: {head} + 1 to 4 times {knot}")
+    starts = range(head, len(body), knot)
+    table, first = LAYOUTS[Knots].unpack_from(body)
+    knots = tuple(_read(Knot, body[at : at + knot]) for at in starts)
+    return Packet(sequence, Knots(table, first, knots))
+
+
+def _layout(kind: Any) -> struct.Struct:
+    coded = [f.metadata for f in fields(kind) if f.metadata]
+    return struct.Struct("<" + "".join(m["code"] * m["count"] for m in coded))
+
+
+LAYOUTS: dict[type, struct.Struct] = {kind: _layout(kind) for kind in (*CODES, Knot)}
+
+
+def _values(item: Any) -> bytes:
+    values: list[Any] = []
+    for f in fields(item):
+        if f.metadata:
+            value = getattr(item, f.name)
+            values += value if f.metadata["count"] > 1 else [value]
+    return LAYOUTS[type(item)].pack(*values)
+
+
+def _read(kind: Any, body: bytes) -> Any:
+    if len(body) != LAYOUTS[kind].size:
+        raise FrameError(f"{kind.__name__} has {len(body)} bytes, allowed: {LAYOUTS[kind].size}")
+    raw = list(LAYOUTS[kind].unpack(body))
+    if not all(isfinite(value) for value in raw):
+        raise FrameError(f"{kind.__name__} has a value that is not finite")
+    values: list[Any] = []
+    for f in fields(kind):
+        count = f.metadata["count"]
+        taken, raw = raw[:count], raw[count:]
+        values.append(tuple(taken) if count > 1 else _allowed(kind, f, taken[0]))
+    return kind(*values)
+
+
+def _allowed(kind: Any, f: Any, value: Any) -> Any:
+    allowed = f.metadata["kind"]
+    if allowed is None:
+        return value
+    if isinstance(allowed, tuple):
+        if value in allowed:
+            return value
+    elif issubclass(allowed, IntFlag):
+        if value & ~sum(allowed) == 0:
+            return allowed(value)
+    elif value in allowed.__members__.values():
+        return allowed(value)
+    raise FrameError(f"{kind.__name__}.{f.name} is {value}, which is no {allowed}")

@@ -1,0 +1,268 @@
+"""The serial codec: the bytes of docs/protocol.md, round trips, damaged and random bytes."""
+
+import re
+import struct
+import zlib
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plate_core.errors import FrameError
+from plate_core.serial_protocol import (
+    Acknowledgement,
+    Begin,
+    Capabilities,
+    Commit,
+    Enable,
+    Fault,
+    Heartbeat,
+    Hello,
+    Home,
+    Knot,
+    Knots,
+    Message,
+    Packet,
+    Pulse,
+    Reader,
+    State,
+    Status,
+    Stop,
+    Telemetry,
+    frame,
+    newer,
+    pack,
+    parse,
+    table_crc,
+    unframe,
+)  # fmt: skip
+
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
+EXAMPLES = re.findall(r"^\| (\w+) \| .* \| `([0-9a-f ]+)` \|$", DOCUMENT.read_text(), re.MULTILINE)
+
+
+def f32(*values: float) -> tuple[float, ...]:
+    return tuple(float(np.float32(value)) for value in values)
+
+
+REST = (0.0,) * 4
+KNOTS = (
+    Knot(0, REST, REST, REST),
+    Knot(5_000_000, f32(0.001, -0.002, 0, 0.004), f32(0.25, 0, 0, -0.5), f32(0, 12.5, 0, 0)),
+    Knot(10_000_000, REST, REST, REST),
+)
+SAID = [
+    Packet(1, Hello(1, 0x12345678)),
+    Packet(2, Heartbeat(1_500_000_000)),
+    Packet(3, Enable()),
+    Packet(4, Stop(0)),
+    Packet(5, Stop(1)),
+    Packet(6, Home()),
+    Packet(256, Begin(7, 3, table_crc(KNOTS))),
+    Packet(257, Knots(7, 0, KNOTS)),
+    Packet(258, Commit(7, 5)),
+    Packet(1, Capabilities(1, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *f32(0.01, 1.0))),
+    Packet(2, Acknowledgement(258, Status.DONE)),
+    Packet(3, Acknowledgement(258, Status.JUMP)),
+    Packet(4, Pulse(1_500_000_000, 2_000_000)),
+    Packet(
+        5,
+        Telemetry(
+            2_000_500, State.PLAYING, Fault.NONE, 7, 8, 1, KNOTS[1].position, KNOTS[1].acceleration
+        ),
+    ),
+]
+
+
+def test_document_shows_all():
+    assert [name for name, _ in EXAMPLES] == [type(p.message).__name__ for p in SAID]
+    assert {type(p.message) for p in SAID} == set(get_args(Message))
+
+
+@pytest.mark.parametrize(
+    ("said", "text"), list(zip(SAID, [t for _, t in EXAMPLES], strict=True)), ids=str
+)
+def test_bytes_are_those_of_the_document(said, text):
+    data = bytes.fromhex(text)
+    assert frame(pack(said)) == data
+    assert parse(unframe(data[:-1])) == said
+
+
+def test_cobs_of_zeros():
+    assert frame(b"\0\0")[:3] == b"\1\1\5"  # two zeros, then the four bytes of the CRC
+    assert zlib.crc32(b"\0\0") & 0xFF  # which has none
+
+
+unsigned = {"B": 8, "H": 16, "I": 32, "Q": 64}
+floats = st.floats(width=32, allow_nan=False, allow_infinity=False)
+four = st.tuples(floats, floats, floats, floats)
+
+
+def u(code: str):
+    return st.integers(0, 2 ** unsigned[code] - 1)
+
+
+messages = st.one_of(
+    st.builds(Hello, u("B"), u("I")),
+    st.builds(Heartbeat, u("Q")),
+    st.just(Enable()),
+    st.builds(Stop, st.integers(0, 1)),
+    st.just(Home()),
+    st.builds(Begin, u("H"), u("H"), u("I")),
+    st.builds(
+        Knots,
+        u("H"),
+        u("H"),
+        st.lists(st.builds(Knot, u("I"), four, four, four), min_size=1, max_size=4).map(tuple),
+    ),
+    st.builds(Commit, u("H"), u("H")),
+    st.builds(
+        Capabilities,
+        u("B"), u("I"), u("I"), u("B"), u("H"), u("B"), u("H"), floats, floats,
+    ),
+    st.builds(Acknowledgement, u("H"), st.sampled_from(Status)),
+    st.builds(Pulse, u("Q"), u("Q")),
+    st.builds(
+        Telemetry,
+        u("Q"), st.sampled_from(State), st.integers(0, 31).map(Fault), u("H"), u("H"), u("H"),
+        four, four,
+    ),
+)  # fmt: skip
+packets = st.builds(Packet, u("H"), messages)
+
+
+@given(packets)
+def test_round_trip(packet):
+    data = frame(pack(packet))
+    assert data.count(0) == 1
+    assert len(data) == len(pack(packet)) + 6 <= 255
+    assert parse(unframe(data[:-1])) == packet
+
+
+@given(st.lists(packets, max_size=5), st.data())
+def test_stream_may_be_split_anywhere(said, data):
+    stream = b"\0" + b"".join(frame(pack(p)) for p in said)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    reader, heard = Reader(), []
+    for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        reader, found = reader.fed(stream[a:b])
+        heard += [parse(packet) for packet in found]
+    assert heard == said
+    assert reader == Reader()
+
+
+@given(packets, st.integers(0, 10_000), st.integers(1, 255))
+def test_a_damaged_byte_is_noticed(packet, at, flip):
+    data = bytearray(frame(pack(packet)))
+    data[at % (len(data) - 1)] ^= flip
+    # A new zero cuts the frame in two; each half is refused, or no frame at all.
+    _, heard = Reader().fed(bytes(data) + b"\0")
+    assert heard == []
+
+
+def naive_packet(encoded: bytes) -> bytes | None:
+    """Decode byte by byte: None unless it is a COBS frame with the right CRC."""
+    out, left, first = bytearray(), 0, True
+    for byte in encoded:
+        if left == 0:
+            if not first:
+                out.append(0)
+            left, first = byte, False
+        else:
+            out.append(byte)
+        left -= 1
+    if left or len(out) < 5 or len(out) > 253:
+        return None
+    return bytes(out[:-4]) if struct.pack("<I", zlib.crc32(out[:-4])) == out[-4:] else None
+
+
+def test_random_and_mutated_frames():
+    rng = np.random.default_rng(1)
+    originals = [frame(pack(p)) for p in SAID]
+    reader, accepted, right = Reader(), 0, []
+    for trial in range(20_000):
+        if trial % 2:
+            data = bytearray(rng.bytes(int(rng.integers(1, 300))) + b"\0")
+        else:
+            data = bytearray(originals[trial // 2 % len(originals)])
+            for _ in range(int(rng.integers(0, 4))):
+                data[int(rng.integers(len(data)))] = int(rng.integers(256))
+        reader, found = reader.fed(bytes(data) + b"\0")
+        right = [p for part in bytes(data).split(b"\0") if (p := naive_packet(part)) is not None]
+        assert found == right
+        for packet in found:
+            parse(packet)  # mutants with a right CRC are the originals
+            accepted += 1
+        assert len(reader.held) == 0
+    assert 2_000 < accepted < 10_000
+    assert reader.refused > 10_000
+
+
+def test_random_packets_with_a_right_crc_are_said_or_refused():
+    rng = np.random.default_rng(2)
+    said = 0
+    for _ in range(20_000):
+        code = int(rng.choice([1, 2, 3, 4, 5, 16, 17, 18, 129, 130, 131, 132, 99]))
+        packet = bytes([code]) + rng.bytes(int(rng.choice([2, 3, 6, 7, 10, 58, 214, 51, 5, 18])))
+        try:
+            found = parse(packet)
+        except FrameError:
+            continue
+        assert pack(found) == packet
+        said += 1
+    assert said > 500
+
+
+def test_endless_frame_does_not_fill_memory():
+    reader = Reader()
+    for _ in range(100):
+        reader, found = reader.fed(b"\1" * 1000)
+        assert found == []
+        assert len(reader.held) <= 254
+    assert reader.refused == 1
+    reader, found = reader.fed(b"\0" + frame(b"whole"))
+    assert found == [b"whole"]
+
+
+@pytest.mark.parametrize(
+    ("packet", "message"),
+    [
+        (b"\1", "packet has 1 bytes"),
+        (b"\x06\0\0", "packet type is 0x06, allowed: 0x1, "),
+        (b"\3\0\0\0", "Enable has 1 bytes, allowed: 0"),
+        (b"\4\0\0\2", r"Stop.now is 2, which is no \(0, 1\)"),
+        (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
+        (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 1 to 4 times 52"),
+        (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),
+        (b"\x11\0\0" + bytes(52) + struct.pack("<f", float("nan")), "not finite"),
+    ],
+)
+def test_wrong_packets_are_refused(packet, message):
+    with pytest.raises(FrameError, match=message):
+        parse(packet)
+
+
+@pytest.mark.parametrize(
+    "packet", [Packet(65536, Enable()), Packet(0, Begin(-1, 0, 0)), Packet(0, Heartbeat(2**64))]
+)
+def test_what_does_not_fit_is_refused(packet):
+    with pytest.raises(FrameError):
+        pack(packet)
+
+
+@pytest.mark.parametrize("size", [0, 250])
+def test_packets_of_wrong_size_are_refused(size):
+    with pytest.raises(FrameError, match=f"packet has {size} bytes, allowed: 1 to 249"):
+        frame(bytes(size))
+
+
+@settings(max_examples=200)
+@given(u("H"), st.integers(1, 2**15 - 1))
+def test_sequence_numbers_wrap(sequence, step):
+    later = (sequence + step) % 2**16
+    assert newer(later, sequence)
+    assert not newer(sequence, later)
+    assert not newer(sequence, sequence)
