@@ -327,7 +327,7 @@ def moved_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for parts in (2, 4, 6, 10):
         solver = RotationSolver(rig, restarts=RESTARTS if parts < PARTS else 4)
-        period = solver.options.period
+        period = solver.steering_period(parts)
         for drift in DRIFTS:
             shares, seconds = [], []
             for seed in range(-1, count):

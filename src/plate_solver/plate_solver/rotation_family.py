@@ -58,7 +58,7 @@ class RotationFamily:
         within_stroke: bool = False,
     ) -> None:
         self._bounds = bounds
-        self._period = period
+        self.period = period
         self._blend = blend
         hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
         self._steps = steps or (RAMP_STEPS, hold_steps)
@@ -118,7 +118,7 @@ class RotationFamily:
         size = np.sqrt(np.sum(grouped**2, axis=1, keepdims=True))
         grouped /= np.maximum(size / FASTEST, 1.0)
         for _ in range(8):
-            ramp = self._ramps(parameters)[0].sum() / (MOST_RAMPS * self._period)
+            ramp = self._ramps(parameters)[0].sum() / (MOST_RAMPS * self.period)
             if ramp > 1:
                 speeds /= 1.001 * ramp
             line = self._timeline(parameters)
@@ -186,7 +186,7 @@ class RotationFamily:
     def _timeline(self, parameters: np.ndarray) -> _Line:
         if self._known is not None and self._known[0] is parameters:
             return self._known[1]
-        return timeline(*self._split(parameters), self._ramps(parameters)[0], self._period)
+        return timeline(*self._split(parameters), self._ramps(parameters)[0], self.period)
 
     def _motion(self, parameters: np.ndarray) -> _Motion:
         if self._known is not None and self._known[0] is parameters:
@@ -196,6 +196,6 @@ class RotationFamily:
     def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:
         holds = self._split(parameters)[0]
         ramp, slope = self._ramps(parameters)
-        by_hold, by_twist = timeline_back(holds, ramp, slope, self._period, by_time, by_knot)
+        by_hold, by_twist = timeline_back(holds, ramp, slope, self.period, by_time, by_knot)
         by_speed = by_twist[:, :, None] @ self._basis.transpose(0, 2, 1)
         return np.hstack([by_hold * self._hold_scale, by_speed.reshape(len(by_time), -1)])

@@ -26,6 +26,10 @@ from .solution import Request, Solution, check_options, within_limits
 from .solver import MotionSolver, make_options
 from .steering import Goal, steering_solution
 
+FEW = (2, 4)
+"""Numbers of parts up to which half and three quarters of the period will do on the cycle map: the
+answer comes sooner, and fewer rotations have to fit in."""
+
 SETTLE = 0.05
 """Time in which shaking takes away a part's velocity, about [s]."""
 
@@ -56,7 +60,8 @@ class RotationOptions:
     Attributes
     ----------
     period : float
-        Length of the cycle [s].
+        Length of the cycle [s]; on the cycle map half of it for up to two parts, three quarters for
+        up to four.
     speed : float
         Usual speed of the plate's fastest corner in a rotation [m/s].
     blend : float
@@ -141,7 +146,7 @@ class RotationSolver(MotionSolver):
         self._warm = self._basis = self._last = None
 
     def steering_period(self, count: int) -> float:
-        return self.options.period
+        return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
 
     def _solve(self, request: Request) -> Solution:
         options, iterations = self.options, 0
@@ -155,7 +160,7 @@ class RotationSolver(MotionSolver):
                 coarse, start = self._last[1:]
             elif best is None or k % 2 == 0:
                 plan = self._plan(request.position, request.force, request.curl, k > 0, fill=True)
-                coarse, start = self._family(plan, averaged=True)
+                coarse, start = self._family(plan, options.period, averaged=True)
             else:
                 start = coarse.admissible(self._shaken(best.parameters))
             found = fit_mean_force(
@@ -233,6 +238,9 @@ class RotationSolver(MotionSolver):
     def _starts(self, goal: Goal) -> Iterator[tuple[RotationFamily, np.ndarray, int]]:
         """Yield where to search from, and for how long: the last answer, plans, shaken ones."""
         most = self.options.iterations
+        period = self.steering_period(len(goal.position))
+        if self._warm is not None and self._warm[0].period != period:
+            self._warm = None  # other parts
         if self._warm is not None:
             yield *self._warm, most
         for k in range(1 + self.options.restarts):
@@ -247,19 +255,21 @@ class RotationSolver(MotionSolver):
 
     def planned(self, goal: Goal, spread: bool = False) -> tuple[RotationFamily, np.ndarray]:
         """Plan with the force that would move parts from rest by what is asked at least."""
-        unit = 0.5 * self.options.period**2 * goal.friction_accel
+        period = self.steering_period(len(goal.position))
+        unit = 0.5 * period**2 * goal.friction_accel
         push = goal.displacement - SETTLE * goal.velocity
         force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
         plan = self._plan(goal.position, force, None, spread)
         if self.options.order != "simulated":
-            return self._family(plan)
+            return self._family(plan, period)
 
         def error(order: np.ndarray) -> float:
-            family, parameters = self._family(plan.in_order(order))
+            family, parameters = self._family(plan.in_order(order), period)
             return fit_displacement(goal, family, parameters, 0.0, 0).cost
 
         first = np.arange(len(plan.share))
-        return self._family(plan.in_order(best_order(error, first, ORDER_TRIES, self._rng)))
+        best = best_order(error, first, ORDER_TRIES, self._rng)
+        return self._family(plan.in_order(best), period)
 
     def _plan(
         self,
@@ -284,7 +294,7 @@ class RotationSolver(MotionSolver):
         return plan.in_order(nearest_order(plan.twist, half))
 
     def _family(
-        self, plan: RotationPlan, averaged: bool = False
+        self, plan: RotationPlan, period: float, averaged: bool = False
     ) -> tuple[RotationFamily, np.ndarray]:
         """Return the plan as a family of motions, and the plan's parameters in it."""
         options = self.options
@@ -293,7 +303,7 @@ class RotationSolver(MotionSolver):
         family = RotationFamily(
             plan.twist,
             self._bounds,
-            options.period,
+            period,
             options.speed,
             self._free,
             options.blend,
