@@ -1,4 +1,4 @@
-"""The averaged force map beside scipy's quad and plain numpy: 12 parameters, random cases.
+"""The averaged force map beside scipy's quad, plain numba and numpy: random cases.
 
 The truth is quad itself, told where the surface almost stands still, to a tolerance of 1e-10.
 """
@@ -12,18 +12,22 @@ from typing import Any
 
 import numpy as np
 from harness import Result, Table, race
+from numba import njit
 from scipy.integrate import quad
 
 from plate_core import PlateCycle, load_rig
 from plate_solver import average_force
-from plate_solver.force_map import SAMPLES, mean_force
+from plate_solver.force_map import mean_force
+from plate_solver.harmonic_force import forces, rules
 from plate_solver.harmonics import Harmonics, harmonics
 from plate_solver.solution import Bounds
+from plate_solver.triangular import intervals, triangular_forces
 
 NUMBER, PERIOD = 2, 0.05
 """Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
 
-OURS = f"average_force, n = {SAMPLES}"
+OURS = "average_force"
+BATCHED, PLAIN, CLOSED = "forces", "plain numba, n = 128", "triangular waves (19)-(21)"
 BATCH = 10
 """Parts in one call of the second timing."""
 
@@ -48,8 +52,10 @@ def measure(quick: bool) -> Result:
     ours, peer = rows[0], next(row for row in rows if row["method"].startswith("quad"))
     fast = next(row for row in rows if row["method"].startswith("mean_force, n = 128"))
     plain = next(row for row in rows if row["method"].startswith("numpy"))
+    batch = batch_rows(cases, truth, 0.5 if quick else 3.0)
     return Result(
         [
+            batch_table(batch, len(cases)),
             Table(
                 "methods",
                 "Average force of a cycle",
@@ -60,10 +66,11 @@ def measure(quick: bool) -> Result:
                 },
                 rows,
                 f"{len(cases)} random motions and places, 12 parameters. mean_force takes twist "
-                "samples that are there already; average_force samples the cycle's spline.",
+                "samples that are there already; average_force integrates the cycle's spline.",
             )
         ],
         [
+            *batch_summary(batch),
             f"average_force: {ours['one_us']:.3g} us for 1 part, {ours['many_us']:.3g} us each for "
             f"{BATCH}; median error {ours['median']:.1g}, worst 1 % {ours['p99']:.1g} mu m g",
             f"1 part, against quad: average_force {ours['lead']:.0f} times as fast, mean_force at "
@@ -72,6 +79,94 @@ def measure(quick: bool) -> Result:
             f"{plain['one_us'] / fast['one_us']:.0f} times as fast",
         ],
     )  # fmt: skip
+
+
+@njit(fastmath=True)
+def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
+    """Return average forces (C, 2) by equal steps: what one would write first."""
+    force = np.empty((len(coefficients), 2))
+    for i in range(len(coefficients)):
+        fx = fy = 0.0
+        for k in range(len(waves)):
+            u = v = w = 0.0
+            for j in range(waves.shape[1]):
+                u += coefficients[i, j, 0] * waves[k, j]
+                v += coefficients[i, j, 1] * waves[k, j]
+                w += coefficients[i, j, 2] * waves[k, j]
+            dx, dy = u - w * position[i, 1], v + w * position[i, 0]
+            d = np.sqrt(dx * dx + dy * dy)
+            fx += dx / d
+            fy += dy / d
+        force[i, 0], force[i, 1] = fx / len(waves), fy / len(waves)
+    return force
+
+
+def batch_rows(
+    cases: list[tuple[np.ndarray, np.ndarray]], truth: np.ndarray, seconds: float
+) -> list[dict[str, Any]]:
+    """Time many cases in one call, in turns, at N = 2; the closed form at N = 3 too."""
+    position = np.array([p for _, p in cases])
+    still = np.zeros_like(position)
+    motions = {NUMBER: np.array([c for c, _ in cases])}
+    basis, rng = harmonics(NUMBER + 1, PERIOD, False), np.random.default_rng(1)
+    bounds = Bounds.of(load_rig())
+    motions[NUMBER + 1] = np.array([basis.random(rng, bounds) for _ in cases])
+    rows = []
+    for number, motion in motions.items():
+        steps = harmonics(number, PERIOD, False, 128).twist
+        kinks, shares = intervals(number)
+        rule = rules(number)
+        calls: dict[str, Callable[[], np.ndarray]] = {
+            BATCHED: lambda c=motion, r=rule: forces(c, position, still, r),
+            PLAIN: lambda c=motion, w=steps: plain_forces(c, position, w),
+            CLOSED: lambda c=motion, k=kinks, s=shares: triangular_forces(c, position, k, s),
+        }
+        if number > NUMBER:
+            truth = calls[BATCHED]()  # at N = 2 it has been judged
+        timed = race(calls, seconds)
+        for name, call in calls.items():
+            error = np.max(np.abs(call() - truth), axis=1)
+            judged = number == NUMBER or name != BATCHED
+            rows.append(
+                {
+                    "harmonics": number,
+                    "method": name,
+                    "us": 1e6 * timed.median(name) / len(cases),
+                    "ratio": timed.lead(PLAIN, name),
+                    "median": float(np.median(error)) if judged else None,
+                    "p99": float(np.percentile(error, 99)) if judged else None,
+                    "most": float(error.max()) if judged else None,
+                }
+            )
+    return rows
+
+
+def batch_table(rows: list[dict[str, Any]], count: int) -> Table:
+    """Return the table of many cases at once."""
+    return Table(
+        "batched",
+        "Average forces of many motions at once",
+        {
+            "harmonics": "harmonics N", "method": "method", "us": "each [us]",
+            "ratio": "time / plain", "median": "median error [mu m g]",
+            "p99": "worst 1 % [mu m g]", "most": "worst [mu m g]",
+        },
+        rows,
+        f"{count} random motions and places in one call, from coefficients. Truth at N = 3: "
+        "forces. The closed form has 8 and 16 intervals; its error is that of triangles for sines.",
+    )  # fmt: skip
+
+
+def batch_summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Sum up the table of many cases at once."""
+    ours, plain, closed = rows[:3]
+    return [
+        f"forces: worst 1 % {ours['p99']:.1g}, worst {ours['most']:.1g} mu m g in "
+        f"{ours['us']:.2g} us each, {ours['ratio']:.2g} times as long as plain numba at n = 128 "
+        f"(worst 1 % {plain['p99']:.1g})",
+        f"closed form on triangular waves: median error {closed['median']:.2g}, worst 1 % "
+        f"{closed['p99']:.2g} mu m g, in {closed['ratio']:.2g} of the time of plain numba",
+    ]
 
 
 def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:

@@ -57,7 +57,7 @@ class SinusoidOptions:
     at_rest: bool = False
     tolerance: float = 1e-4
     iterations: int = 40
-    restarts: int = 40
+    restarts: int = 100
     seed: int = 0
 
     def __post_init__(self) -> None:
