@@ -90,3 +90,26 @@ def test_last_solution_is_a_good_start(rig, scene):
     assert met["warm"] >= 66
     # Measured 0.66: the last steps, on fine samples, are the same for both.
     assert steps["warm"] < 0.8 * steps["cold"]
+
+
+def test_what_is_proven_out_of_reach_is_said(rig):
+    solver = SinusoidSolver(rig, harmonics=2, restarts=2)
+    inside = solver.solve(PLACE, [[0.3, 0.0]])
+    beyond = solver.solve(PLACE, [[0.4, 0.0]])
+    assert (inside.status, inside.success) == ("solved", True)
+    assert (beyond.status, beyond.success) == ("unreachable", False)
+    assert np.max(np.abs(average_force(inside.cycle, PLACE) - [[0.3, 0.0]])) < 1.1e-4
+
+
+def test_more_tries_never_make_a_wrong_success(rig, scene):
+    solver = SinusoidSolver(rig, harmonics=2, restarts=5)
+    solved = 0
+    for seed in range(30):
+        solver.reset()
+        rng, position = scene(seed, 3)
+        force = rng.uniform(-0.12, 0.12, (3, 2))
+        answer = solver.solve(position, force)
+        miss = np.max(np.abs(average_force(answer.cycle, position) - force))
+        assert answer.success == (miss < 1.05e-4)
+        solved += answer.success
+    assert solved >= 15
