@@ -33,8 +33,8 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     pairs = race_with_scipy(rig, 12 if quick else 300)
     starts = compare_starts(rig, 12 if quick else 200)
-    fates = [fate(rig, parts, number, 3 if quick else 60) for parts, number in CASES]
-    free = [fate(rig, parts, 0, 2 if quick else 30) for parts in (3, 4, 5, 6, 8)]
+    fates = [fate(rig, parts, number, 3 if quick else 30) for parts, number in CASES]
+    free = [fate(rig, parts, 0, 2 if quick else 15) for parts in (3, 4, 5, 6, 8)]
     ours, peer = pairs
     return Result(
         [

@@ -42,8 +42,8 @@ DEEPEST = 34
 FIRST_LEVEL = 4
 """Halvings of the period with which panels begin, for up to two harmonics."""
 
-FEW, FIRST, ADAPTIVE = 0, 1, -1
-"""Grids: few steps, those of the first pass, and as many as the dips need."""
+FEW, FIRST, ADAPTIVE, PANELS = 0, 1, -1, -2
+"""Grids: few steps, those of the first pass, as many as the dips need, and panels at once."""
 
 TINY_SQUARE = 1e-24
 """Squared slip [m2/s2] below which the direction of friction is taken as none."""
@@ -121,6 +121,8 @@ def force_of(
     """
     if len(gradient):
         gradient[:] = 0.0
+    if grid == PANELS:
+        return _graded(slip, rule, work, gradient)
     level = FIRST if grid == ADAPTIVE else grid
     while True:
         fx, fy = _sum(slip, rule.grids[level], rule.shares[level], work)
