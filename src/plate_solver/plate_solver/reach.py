@@ -63,6 +63,7 @@ def largest_share(
     nothing: Solution,
     least: float,
     most: float,
+    exact: bool,
 ) -> Solution:
     """Meet the request, or else the largest share of it that is found, by bisection.
 
@@ -80,6 +81,8 @@ def largest_share(
         Forces below this [mu m g] are none.
     most : float
         No motion gives any part more than this [mu m g].
+    exact : bool
+        Whether to do the share rather than another motion that misses less of the whole.
     """
     fits = min(1.0, most / max(most_loaded(request), 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
@@ -110,6 +113,9 @@ def largest_share(
     if low > 0:
         residual = best.residual + (1 - low) * request.force
         message = f"{low:.3g} of the request is met; all of it: {why}"
+        if not exact and _size(rest_of_whole) < _size(residual):
+            best, residual = whole, rest_of_whole
+            message = f"{low:.3g} of the request can be met, this misses less of the whole; {why}"
     elif request.must_move or _size(rest_of_whole) < WORTH_IT * _size(request.force):
         residual = rest_of_whole
         message = f"no share of the request is met, this comes near; {why}"

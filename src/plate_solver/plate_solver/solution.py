@@ -51,7 +51,8 @@ class Solution:
     status : Status
         As `success`, and why not.
     share : float
-        Share of the request, in its direction, that the motion does: 1 where it is met.
+        Share of the request, in its direction, that is found to be possible: 1 where it is met. The
+        motion does it, unless another misses less of the whole (`refine`).
     """
 
     success: bool

@@ -76,7 +76,8 @@ class MotionSolver(ABC):
         """Find a closed motion with the wanted average forces, equations (5) and (9).
 
         What cannot be met is met in part: the largest share of the request that is found, in its
-        direction. Where nothing is asked, the plate rests.
+        direction; or, on refined maps, a motion that misses less of the whole than this share does.
+        Where nothing is asked, the plate rests.
 
         Parameters
         ----------
@@ -121,7 +122,8 @@ class MotionSolver(ABC):
         nothing = Solution(True, "nothing is asked: the plate rests", rest, request.force, 0, 1.0)
         if request.idle:
             return nothing
-        return largest_share(request, self._reach, attempt, nothing, 3 * own, most)
+        exact = refine == "none"
+        return largest_share(request, self._reach, attempt, nothing, 3 * own, most, exact)
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
         """Return tolerance and greatest force [mu m g] of a map, and who solves on it."""

@@ -193,6 +193,21 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
     assert np.sqrt(missed / asked) < 0.1
 
 
+@BOTH
+def test_too_much_on_the_cycle_map_is_missed_no_more_than_by_its_share(scene, method):
+    solver = method(RIG, restarts=1)
+    unit = RIG.friction.accel * solver.steering_period(4) ** 2
+    rng, position = scene(0, 4)
+    force = rng.uniform(-0.2, 0.2, (4, 2))
+    solution = solver.solve(position, force, refine="cycle")
+    assert solution.status == "share"
+    assert 0 < solution.share < 1
+    got = travel(solution.cycle, position, np.zeros((4, 2))) / unit
+    np.testing.assert_allclose(force - got, solution.residual, atol=0.01)
+    sizes = np.linalg.norm(force - got), np.linalg.norm(force)
+    assert sizes[0] <= (1 - 0.9 * solution.share) * sizes[1] + 0.01
+
+
 def test_force_at_the_mean_velocity(scene):
     # The residual is by the velocities that the simulator shows, not those at the start.
     solver = SinusoidSolver(RIG)
