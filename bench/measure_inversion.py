@@ -18,7 +18,7 @@ from plate_solver.guesses import GuessTable
 from plate_solver.harmonic_fit import search
 from plate_solver.harmonics import harmonics
 
-SEED = 20_000
+SEED = 30_000
 """First seed of the requests; the number of parts and harmonics is added."""
 
 CASES = ((3, 2), (4, 2), (5, 2), (5, 3), (6, 3), (7, 3), (8, 3))
