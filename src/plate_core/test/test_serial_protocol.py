@@ -234,7 +234,7 @@ def test_endless_frame_does_not_fill_memory():
         (b"\x06\0\0", "packet type is 0x06, allowed: 0x1, "),
         (b"\3\0\0\0", "Enable has 1 bytes, allowed: 0"),
         (b"\4\0\0\2", r"Stop.now is 2, which is no \(0, 1\)"),
-        (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
+        (b"\x82\0\0\0\0\x0a", "Acknowledgement.status is 10"),
         (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 1 to 4 times 52"),
         (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),
         (b"\x11\0\0" + bytes(52) + struct.pack("<f", float("nan")), "not finite"),

@@ -43,11 +43,9 @@ class Status(IntEnum):
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
     WRONG_TIMES = 6  # they do not begin at 0 or do not rise
-    NOT_FINITE = 7
-    LIMIT = 8  # stroke or speed, on the spline, not only at knots
-    JUMP = 9  # the table does not begin where the one before ends, or does not close
-    WRONG_VERSION = 10
-    TOO_LONG = 11
+    LIMIT = 7  # stroke or speed, on the spline, not only at knots
+    JUMP = 8  # the table does not begin where the one before ends, or does not close
+    TOO_LONG = 9
 
 
 class Fault(IntFlag):

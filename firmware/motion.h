@@ -1,0 +1,19 @@
+/* What the plate does: along tables, braking, on its way home. */
+#ifndef PLATE_MOTION_H
+#define PLATE_MOTION_H
+
+#include "controller.h"
+
+/* Current off, for the reasons given. */
+void motion_off(Controller *c, uint8_t faults);
+
+/* Slow down along the table and go home; off at once where nothing plays. */
+void motion_brake(Controller *c, uint8_t faults);
+
+/* From c->from, at rest, to home; STATE_HOMING ends in READY, STATE_BRAKING in OFF. */
+void motion_home(Controller *c, uint8_t state);
+
+/* Let `dt` [s] pass; returns whether there is a setpoint to command. */
+bool motion_step(Controller *c, double dt, Setpoint *at);
+
+#endif

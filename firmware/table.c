@@ -1,0 +1,145 @@
+#include "table.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "frame.h"
+#include "message.h"
+
+#define TICK_S 1e-8
+
+/* Halvings of a piece until its hull tells whether a limit is kept: it closes in by 4 each time. */
+#define HALVINGS 12
+
+#define CLOSES_M 2e-6f     /* how far a table's end may be from its start [m] */
+#define CLOSES_SPEED 2e-3f /* [m/s] */
+
+static void floats_read(float *out, const uint8_t *bytes)
+{
+    for (int i = 0; i < MOTORS; i++)
+        out[i] = get_f32(bytes + 4 * i);
+}
+
+void knot_read(Knot *knot, const uint8_t bytes[KNOT_BYTES])
+{
+    knot->ticks = get_u32(bytes);
+    floats_read(knot->position, bytes + 4);
+    floats_read(knot->velocity, bytes + 20);
+    floats_read(knot->acceleration, bytes + 36);
+}
+
+void knot_write(const Knot *knot, uint8_t bytes[KNOT_BYTES])
+{
+    uint8_t *at = put_u32(bytes, knot->ticks);
+    const float *states[3] = {knot->position, knot->velocity, knot->acceleration};
+    for (int s = 0; s < 3; s++)
+        for (int i = 0; i < MOTORS; i++)
+            at = put_f32(at, states[s][i]);
+}
+
+double table_period(const Table *table)
+{
+    return table->knots[table->count - 1].ticks * TICK_S;
+}
+
+/* Whether a Bezier curve of `n` points passes a limit anywhere. */
+static bool exceeds(const float *points, int n, float limit, int halvings)
+{
+    bool inside = true;
+    for (int i = 0; i < n; i++)
+        inside = inside && fabsf(points[i]) <= limit; /* false for what is not finite, too */
+    if (inside)
+        return false;
+    if (halvings == 0 || !(fabsf(points[0]) <= limit) || !(fabsf(points[n - 1]) <= limit))
+        return true;
+    float left[6], right[6], rest[6];
+    memcpy(rest, points, (size_t)n * sizeof *points);
+    for (int k = 0; k < n; k++) { /* de Casteljau's halving */
+        left[k] = rest[0];
+        right[n - 1 - k] = rest[n - 1 - k];
+        for (int i = 0; i + 1 < n - k; i++)
+            rest[i] = 0.5f * (rest[i] + rest[i + 1]);
+    }
+    return exceeds(left, n, limit, halvings - 1) || exceeds(right, n, limit, halvings - 1);
+}
+
+static bool piece_exceeds(const Knot *a, const Knot *b, int motor, float stroke, float speed)
+{
+    float h = (float)((b->ticks - a->ticks) * TICK_S);
+    float va = h * a->velocity[motor] / 5, vb = h * b->velocity[motor] / 5;
+    float aa = h * h * a->acceleration[motor] / 20, ab = h * h * b->acceleration[motor] / 20;
+    float pa = a->position[motor], pb = b->position[motor];
+    float points[6] = {pa, pa + va, pa + 2 * va + aa, pb - 2 * vb + ab, pb - vb, pb};
+    float slopes[5] = {a->velocity[motor], 0, 0, 0, b->velocity[motor]};
+    /* Differences of points, without the cancellation of near-equal positions. */
+    slopes[1] = 5 * (va + aa) / h;
+    slopes[3] = 5 * (vb - ab) / h;
+    slopes[2] = 5 * ((pb - pa) - 2 * (va + vb) + (ab - aa)) / h;
+    return exceeds(points, 6, stroke, HALVINGS) || exceeds(slopes, 5, speed, HALVINGS);
+}
+
+static uint8_t check_whole(const Table *table)
+{
+    uint32_t crc = 0;
+    for (int k = 0; k < table->count; k++) {
+        uint8_t bytes[KNOT_BYTES];
+        if (!(table->there[k / 8] & (1u << (k % 8))))
+            return STATUS_INCOMPLETE;
+        knot_write(&table->knots[k], bytes);
+        crc = crc32_of(crc, bytes, sizeof bytes);
+    }
+    if (crc != table->crc)
+        return STATUS_INCOMPLETE;
+    if (table->knots[0].ticks != 0)
+        return STATUS_WRONG_TIMES;
+    for (int k = 1; k < table->count; k++)
+        if (table->knots[k].ticks <= table->knots[k - 1].ticks)
+            return STATUS_WRONG_TIMES;
+    return STATUS_DONE;
+}
+
+uint8_t table_check(const Table *table, float stroke, float speed)
+{
+    uint8_t status = check_whole(table);
+    if (status != STATUS_DONE)
+        return status;
+    const Knot *first = &table->knots[0], *last = &table->knots[table->count - 1];
+    for (int m = 0; m < MOTORS; m++) {
+        for (int k = 0; k + 1 < table->count; k++)
+            if (piece_exceeds(&table->knots[k], &table->knots[k + 1], m, stroke * (1 + LIMIT_SLACK),
+                              speed * (1 + LIMIT_SLACK)))
+                return STATUS_LIMIT;
+        if (!(fabsf(first->position[m] - last->position[m]) <= CLOSES_M) ||
+            !(fabsf(first->velocity[m] - last->velocity[m]) <= CLOSES_SPEED))
+            return STATUS_JUMP;
+    }
+    return STATUS_DONE;
+}
+
+void table_at(const Table *table, double time, Setpoint *out)
+{
+    int low = 0, high = table->count - 1;
+    while (high - low > 1) {
+        int middle = (low + high) / 2;
+        if (table->knots[middle].ticks * TICK_S <= time)
+            low = middle;
+        else
+            high = middle;
+    }
+    const Knot *a = &table->knots[low], *b = &table->knots[high];
+    float h = (float)((b->ticks - a->ticks) * TICK_S);
+    float s = (float)(time - a->ticks * TICK_S) / h;
+    for (int m = 0; m < MOTORS; m++) {
+        /* The quintic in s = t/h; c3 to c5 from what a's Taylor polynomial misses at b. */
+        float c1 = h * a->velocity[m], c2 = 0.5f * h * h * a->acceleration[m];
+        float dp = b->position[m] - a->position[m] - c1 - c2;
+        float dv = h * b->velocity[m] - c1 - 2 * c2;
+        float da = h * h * b->acceleration[m] - 2 * c2;
+        float c3 = 10 * dp - 4 * dv + 0.5f * da;
+        float c4 = -15 * dp + 7 * dv - da;
+        float c5 = 6 * dp - 3 * dv + 0.5f * da;
+        out->position[m] = a->position[m] + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))));
+        out->velocity[m] = (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h;
+        out->acceleration[m] = (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / (h * h);
+    }
+}

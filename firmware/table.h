@@ -1,0 +1,45 @@
+/* A motor table: quintics between knots, checked before it may play. */
+#ifndef PLATE_TABLE_H
+#define PLATE_TABLE_H
+
+#include "hal.h"
+
+#ifndef MAX_KNOTS
+#define MAX_KNOTS 512 /* two tables of 52 bytes a knot: 52 kB */
+#endif
+#define KNOT_BYTES 52
+
+/* A limit may be passed by this share: the host keeps it on the plate's spline, and the motors' own
+   splines differ from that by the curvature of the kinematics, up to 1e-3. */
+#define LIMIT_SLACK 2e-3f
+
+typedef struct {
+    uint32_t ticks; /* [10 ns] since the table's start */
+    float position[MOTORS], velocity[MOTORS], acceleration[MOTORS];
+} Knot;
+
+typedef struct {
+    uint16_t id;      /* 0: none */
+    uint16_t count, repeats;
+    uint32_t crc;     /* of the knots' bytes */
+    Knot knots[MAX_KNOTS];
+    uint8_t there[(MAX_KNOTS + 7) / 8];
+} Table;
+
+typedef struct {
+    float position[MOTORS], velocity[MOTORS], acceleration[MOTORS];
+} Setpoint;
+
+/* Knot from and to its bytes. */
+void knot_read(Knot *knot, const uint8_t bytes[KNOT_BYTES]);
+void knot_write(const Knot *knot, uint8_t bytes[KNOT_BYTES]);
+
+/* Status of a whole table: DONE, or why it must not play. */
+uint8_t table_check(const Table *table, float stroke, float speed);
+
+double table_period(const Table *table);
+
+/* The setpoint at a time [s] within the period. */
+void table_at(const Table *table, double time, Setpoint *out);
+
+#endif
