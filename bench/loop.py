@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
-from plate_core.scenario import FollowTask, Scenario, load_scenario
+from plate_core.scenario import AssembleTask, FollowTask, Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
+from plate_planner.assembling import Assembly
 from plate_planner.following import Follower
 from plate_planner.planner import PlannerState
 from plate_planner.progress import Progress
@@ -149,7 +150,7 @@ class Moment:
     models : mapping of str to int
         Cycles so far by the model that the simulator used.
     error_m : (P,)
-        True distance of each seen part from its reference [m]; empty for other tasks.
+        True distance of each seen part from its reference or place [m]; empty when sorting.
     """
 
     time: float
@@ -197,7 +198,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
                 t, world, tracker.parts, asked, answer, progress, image, solve_s,
                 fitted.usage.worst, simulation.used, error,
             )  # fmt: skip
-            if progress.phase in ("done", "failed"):
+            if progress.ended:
                 return
         simulation.run(playback.cycle)
         t += playback.cycle.period
@@ -211,17 +212,21 @@ def _true_error(
     world: WorldState,
     t: float,
 ) -> np.ndarray:
-    """Distance (P,) [m] of the true parts from their references, once these move."""
-    task = scenario.task
-    if not isinstance(task, FollowTask) or not state.follow.match or not len(world.position):
+    """Distance (P,) [m] of the true parts from their references or places, once these count."""
+    task, true = scenario.task, world.position
+    if isinstance(task, AssembleTask) and len(true):
+        names = PartSet.make(world.ids, true)
+        distance = Assembly(task, rig).distance(names)
+        return distance[~np.isnan(distance)]
+    if not isinstance(task, FollowTask) or not state.follow.match or not len(true):
         return np.zeros(0)
     reference = Follower(task, rig).reference(state.follow, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
     errors = []
     for k, name in enumerate(state.follow.match):
         if name in seen:
-            true = np.argmin(np.sum((world.position - seen[name]) ** 2, axis=1))
-            errors.append(np.linalg.norm(world.position[true] - reference[k]))
+            nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
+            errors.append(np.linalg.norm(true[nearest] - reference[k]))
     return np.array(errors)
 
 
@@ -235,7 +240,8 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
             asks.append(moment.answer.asked_m)
         shares.append(moment.limit_share)
         errors.append(moment.error_m)
-    error = np.concatenate(errors)
+    follows = isinstance(load_scenario(setup.scenario).task, FollowTask)
+    error = np.concatenate(errors) if follows else errors[-1]  # assembled: what counts is the end
     cycles = max(1, sum(moment.models.values()))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
     return {

@@ -9,12 +9,13 @@ import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 from PIL import Image, ImageDraw, ImageFont
 
 from plate_core import Rig
+from plate_core.curves import circle_points
 from plate_core.parts import part_class
-from plate_core.scenario import FollowTask, Scenario, SortTask
+from plate_core.scenario import AssembleTask, Bin, FollowTask, Scenario, Side, SortTask
 from plate_solver import average_force
 
 from .film import Film, from_above
@@ -70,19 +71,28 @@ class Scene:
             for path in task.paths
         ]
 
-    def goals(self) -> list[tuple[float, float]]:
-        """Ranges of x [m] where sorted parts belong."""
+    def goals(self) -> list[np.ndarray]:
+        """Polygons (n, 2) [m] where parts belong."""
         task = self.scenario.task
+        if isinstance(task, AssembleTask):
+            radius = self.rig.parts.radius_m
+            return [circle_points(place, radius, 0.0, True) for place in task.place]
         if not isinstance(task, SortTask):
             return []
-        half = self.rig.plate.length_m / 2
-        ends = {side: (side * task.goal_fraction * half, side * half) for side in (-1, 1)}
-        return [(min(ends[s]), max(ends[s])) for s in sorted(set(task.sides.values()))]
+        return [
+            np.array(region.corner) if isinstance(region, Bin) else self._side(region, task)
+            for region in dict.fromkeys(task.regions.values())
+        ]
 
-    def goal_lines(self) -> list[float]:
-        """Places x [m] beyond which parts are sorted."""
-        edge = self.rig.plate.length_m / 2
-        return [x for goal in self.goals() for x in goal if abs(x) < edge]
+    def _side(self, side: Side, task: SortTask) -> np.ndarray:
+        """Corners (4, 2) [m] of the part of the plate beyond the goal line, or lines."""
+        half = self.rig.plate.half
+        ranges = [
+            (-h, h) if sign == 0 else tuple(sorted((sign * task.goal_fraction * h, sign * h)))
+            for sign, h in zip((side.x, side.y), half, strict=True)
+        ]
+        (left, right), (bottom, top) = ranges
+        return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
 
 def draw_strip(scene: Scene, path: Path, title: str) -> None:
@@ -101,8 +111,8 @@ def draw_snapshot(scene: Scene, axes: Axes, t: float) -> None:
     half = scene.rig.plate.half
     left, bottom = -half
     size = scene.rig.plate.length_m, scene.rig.plate.width_m
-    for low, high in scene.goals():
-        axes.add_patch(Rectangle((low, bottom), high - low, size[1], color=GOAL, lw=0, zorder=0))
+    for goal in scene.goals():
+        axes.add_patch(Polygon(goal, color=GOAL, lw=0, zorder=0))
     axes.add_patch(Rectangle((left, bottom), *size, fill=False, ec="#333333", lw=1, zorder=5))
     for polygon in scene.paths():
         axes.plot(*polygon.T, color="#777777", lw=0.8, ls=(0, (4, 3)), zorder=1)
@@ -191,7 +201,7 @@ def with_trails(scene: Scene, picture: np.ndarray, t: float) -> np.ndarray:
         return np.round(place * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)
 
     lines = scene.paths()
-    lines += [np.array([(x, -half[1]), (x, half[1])]) for x in scene.goal_lines()]
+    lines += [np.vstack([goal, goal[:1]]) for goal in scene.goals()]
     for line in lines:
         cv2.polylines(picture, [pixels(line)], False, (165, 165, 165), 1, cv2.LINE_AA, SHIFT)
     position = scene.until(t)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from plate_core.scenario import Scenario, SortTask
+from plate_core.scenario import FollowTask, Scenario
 
 from .record import Record
 
@@ -17,7 +17,7 @@ class ProgressLine:
     QUIET_S = 2.0
 
     def __init__(self, scenario: Scenario) -> None:
-        self._sorting = isinstance(scenario.task, SortTask)
+        self._following = isinstance(scenario.task, FollowTask)
         self._terminal = sys.stdout.isatty()
         self._shown_at = 0.0
 
@@ -34,13 +34,13 @@ class ProgressLine:
         """Return the line."""
         if not record.last("planner", "time_s"):
             return "waiting for the first image"
-        if self._sorting:
+        if self._following:
+            done = f"error {1e3 * float(record.last('planner', 'rms_error_m')):.2f} mm rms"
+        else:
             done = f"{record.last('planner', 'parts_sorted')}/" + record.last(
                 "planner", "parts_total"
             )
-            done += " parts sorted"
-        else:
-            done = f"error {1e3 * float(record.last('planner', 'rms_error_m')):.2f} mm rms"
+            done += " parts there"
         missed = 100 * float(record.last("solver", "missed_share", "0"))
         return (
             f"{done} | {float(record.last('planner', 'time_s')):5.1f} s"

@@ -69,4 +69,4 @@ class Record:
     @property
     def ended(self) -> bool:
         """Whether the task is over."""
-        return bool(self.states) and self.states[-1].split(":")[0] in ("done", "failed")
+        return bool(self.states) and self.states[-1].split(":")[0] not in ("idle", "running")

@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
 from .errors import PlateError, ScenarioError
 from .rig import Rig, config_path
-from .tasks import FollowTask, PartGroup, PathTask, Scenario, SortTask
+from .task_fields import pairs, read_task
+from .tasks import (
+    AssembleTask,
+    Bin,
+    FollowTask,
+    PartGroup,
+    PathTask,
+    Point,
+    Scenario,
+    Side,
+    SortTask,
+    Task,
+)
 from .yaml_fields import Fields, read_yaml
 
 __all__ = [
     "MIN_SEPARATION_M",
     "SCATTER_SHARE",
+    "AssembleTask",
+    "Bin",
     "FollowTask",
     "PartGroup",
     "PathTask",
     "Scenario",
+    "Side",
     "SortTask",
     "check_scenario",
     "load_scenario",
@@ -33,9 +45,6 @@ MIN_SEPARATION_M = 0.04
 
 SCATTER_SHARE = (0.85, 0.80)
 """Share of the half sides (x, y) within which parts are scattered: clear of the edges."""
-
-SIDES: Mapping[str, int] = MappingProxyType({"left": -1, "right": 1})
-"""Sides of the plate, and the sign of x there."""
 
 SCATTER_TRIES = 80
 """Tries to place one part, and to place all of them, before a scenario counts as too crowded."""
@@ -89,7 +98,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         name=path.stem,
         description=fields.text("description"),
         parts=parts,
-        task=_task(fields.child("task"), parts),
+        task=read_task(fields.child("task"), parts),
         time_limit_s=fields.number("time_limit_s", 0.1, 1e5),
     )
     fields.finish()
@@ -97,23 +106,63 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def check_scenario(scenario: Scenario, rig: Rig) -> None:
-    """Refuse a scenario whose positions or paths are not on this rig's plate.
+    """Refuse a scenario whose positions, paths, bins or places are not on this rig's plate.
 
     Raises
     ------
     ScenarioError
-        Names the class, the point and the greatest |x| and |y| allowed for a part's centre.
+        Names the class, the point and the greatest |x| and |y| allowed for a part's centre; or the
+        two places that are too near each other.
     """
     room = rig.plate.half - rig.parts.radius_m
     points = [(g.label, "position", p) for g in scenario.parts for p in g.position or ()]
-    if isinstance(scenario.task, FollowTask):
-        points += [(p.label, "waypoint", w) for p in scenario.task.paths for w in p.waypoint]
+    points += _task_points(scenario.task)
+    _check_points(scenario, points, room)
+    if isinstance(scenario.task, SortTask):
+        _check_points(scenario, _bin_points(scenario.task), rig.plate.half)
+    if isinstance(scenario.task, AssembleTask):
+        _check_apart(scenario, np.array(scenario.task.place), 2.5 * rig.parts.radius_m)
+
+
+def _task_points(task: Task) -> list[tuple[str, str, Point]]:
+    """Class, kind and place of the points where the task wants centres of parts."""
+    if isinstance(task, FollowTask):
+        return [(path.label, "waypoint", point) for path in task.paths for point in path.waypoint]
+    if isinstance(task, AssembleTask):
+        return [(c, "place", point) for c, point in zip(task.labels, task.place, strict=True)]
+    return []
+
+
+def _bin_points(task: SortTask) -> list[tuple[str, str, Point]]:
+    """Class, kind and place of the corners of bins; these may be on the plate's edges."""
+    return [
+        (label, "corner of the bin", point)
+        for label, region in task.regions.items()
+        if isinstance(region, Bin)
+        for point in region.corner
+    ]
+
+
+def _check_points(
+    scenario: Scenario, points: list[tuple[str, str, Point]], room: np.ndarray
+) -> None:
     for label, kind, point in points:
         if np.any(np.abs(point) > room):
             raise ScenarioError(
                 f"scenario {scenario.name}: {kind} of {label} is ({point[0]:g}, {point[1]:g}) m, "
                 f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
             )
+
+
+def _check_apart(scenario: Scenario, place: np.ndarray, least: float) -> None:
+    gap = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
+    gap[np.diag_indices(len(place))] = np.inf
+    if np.min(gap) < least - 1e-9:
+        i, j = divmod(int(np.argmin(gap)), len(place))
+        raise ScenarioError(
+            f"scenario {scenario.name}: places {i} and {j} are "
+            f"{np.min(gap):g} m apart, allowed: {least:g} m or more for these parts"
+        )
 
 
 def start_positions(
@@ -191,60 +240,6 @@ def _group(fields: Fields) -> PartGroup:
         group = PartGroup(label, fields.integer("count", 1, 100))
     else:
         position = fields.array("positions_m", (None, 2), -10, 10)
-        group = PartGroup(label, len(position), _pairs(position))
+        group = PartGroup(label, len(position), pairs(position))
     fields.finish()
     return group
-
-
-def _task(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask | FollowTask:
-    kind = fields.text("kind", ("sort", "follow"))
-    task = _sort(fields, parts) if kind == "sort" else _follow(fields, parts)
-    fields.finish()
-    return task
-
-
-def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
-    child = fields.child("sides")
-    sides = {group.label: SIDES[child.text(group.label, tuple(SIDES))] for group in parts}
-    child.finish()
-    return SortTask(
-        sides=MappingProxyType(sides),
-        goal_fraction=fields.number("goal_fraction", 0, 0.8),
-        hold_s=fields.number("hold_s", 0, 60),
-    )
-
-
-def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
-    labels = tuple(group.label for group in parts)
-    paths = tuple(_path(child, labels) for child in fields.children("paths"))
-    have = Counter(path.label for path in paths)
-    for group in parts:
-        if have[group.label] != group.count:
-            raise ScenarioError(
-                f"{fields.where}: paths has {have[group.label]} paths for class {group.label}, "
-                f"allowed: {group.count}, one for each part"
-            )
-    return FollowTask(paths=paths, max_error_m=fields.number("max_error_m", 1e-4, 10))
-
-
-def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
-    waypoint = fields.array("waypoints_m", (None, 2), -10, 10)
-    step = np.hypot(*np.diff(waypoint, axis=0).T)
-    if len(waypoint) < 2 or np.min(step) < 1e-6:
-        raise fields.fail("waypoints_m", "at least two points, each apart from the next")
-    closed = fields.flag("closed")
-    if closed and np.hypot(*(waypoint[-1] - waypoint[0])) < 1e-6:
-        raise fields.fail("waypoints_m", "for a closed path, a last point that is not the first")
-    path = PathTask(
-        label=fields.text("class", labels),
-        waypoint=_pairs(waypoint),
-        speed=fields.number("speed_mps", 1e-5, 10),
-        closed=closed,
-        laps=fields.number("laps", 0.01, 1000) if closed else 1.0,
-    )
-    fields.finish()
-    return path
-
-
-def _pairs(array: np.ndarray) -> tuple[tuple[float, float], ...]:
-    return tuple((float(x), float(y)) for x, y in array)

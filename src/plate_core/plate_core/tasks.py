@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+Point = tuple[float, float]
+"""x, y [m, plate_home]."""
+
 
 @dataclass(frozen=True)
 class PartGroup:
@@ -22,31 +25,52 @@ class PartGroup:
 
     label: str
     count: int
-    position: tuple[tuple[float, float], ...] | None = None
+    position: tuple[Point, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Side:
+    """A side or corner of the plate: where x and y have these signs, 0 for any.
+
+    Beyond the goal line along x, along y, or along both.
+    """
+
+    x: int
+    y: int
+
+
+@dataclass(frozen=True)
+class Bin:
+    """A polygon on the plate, given by its corners [m, plate_home]."""
+
+    corner: tuple[Point, ...]
+
+
+Region = Side | Bin
 
 
 @dataclass(frozen=True)
 class SortTask:
-    """Bring every class to its side of the plate.
+    """Bring every class to its region of the plate.
 
     Attributes
     ----------
-    sides : mapping of str to int
-        Class -> -1 (left, -x) or +1 (right, +x).
+    regions : mapping of str to Side or Bin
+        Where each class belongs.
     goal_fraction : float
-        A part is sorted beyond this share of the half length, on its own side.
+        A part has come to a side beyond this share of the plate's half length or half width.
     hold_s : float
         The task is done when all parts have been sorted for this time [s].
     """
 
-    sides: Mapping[str, int]
+    regions: Mapping[str, Region]
     goal_fraction: float
     hold_s: float
 
 
 @dataclass(frozen=True)
 class PathTask:
-    """A polygon that one part is to follow at constant speed.
+    """A polygon that one part is to follow; circles and splines are polygons of fine chords.
 
     Attributes
     ----------
@@ -55,26 +79,55 @@ class PathTask:
     waypoint : tuple of (x, y)
         Corners [m, plate_home]; the first is the start.
     speed : float
-        Speed along the path [m/s].
+        Greatest speed along the path [m/s].
     closed : bool
         Whether the last corner leads back to the first.
     laps : float
         How many times round, for closed paths; 1 otherwise.
+    profile : tuple of (share, speed)
+        Speed [m/s] at shares of a lap's length from 0 to 1, linear in length between them; empty:
+        `speed` all the way.
     """
 
     label: str
-    waypoint: tuple[tuple[float, float], ...]
+    waypoint: tuple[Point, ...]
     speed: float
     closed: bool
     laps: float
+    profile: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class FollowTask:
-    """Every part follows its own path; a part further off than `max_error_m` fails the task."""
+    """Every part follows its own path; a part further off than `max_error_m` ends the task."""
 
     paths: tuple[PathTask, ...]
     max_error_m: float
+
+
+@dataclass(frozen=True)
+class AssembleTask:
+    """Bring parts to places, any part of its class to each.
+
+    Attributes
+    ----------
+    labels : tuple of str, length P
+        Class of the part that belongs to each place.
+    place : tuple of (x, y), length P
+        [m, plate_home].
+    tolerance_m : float
+        A part is there when its centre is this near [m].
+    hold_s : float
+        The task is done when all parts have been there for this time [s].
+    """
+
+    labels: tuple[str, ...]
+    place: tuple[Point, ...]
+    tolerance_m: float
+    hold_s: float
+
+
+Task = SortTask | FollowTask | AssembleTask
 
 
 @dataclass(frozen=True)
@@ -84,7 +137,7 @@ class Scenario:
     name: str
     description: str
     parts: tuple[PartGroup, ...]
-    task: SortTask | FollowTask
+    task: Task
     time_limit_s: float
 
     @property

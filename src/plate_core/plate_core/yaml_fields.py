@@ -53,6 +53,14 @@ class Fields:
         """Tell whether the optional key is present."""
         return key in self._data
 
+    def holds_mapping(self, key: str) -> bool:
+        """Tell whether there is a mapping at the key."""
+        return isinstance(self._data.get(key), Mapping)
+
+    def holds_list(self, key: str) -> bool:
+        """Tell whether there is a list at the key."""
+        return isinstance(self._data.get(key), list)
+
     def keys(self) -> tuple[str, ...]:
         """Return the mapping's keys, in the file's order, and count all of them as known."""
         self._used.update(self._data)

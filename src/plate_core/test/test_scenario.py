@@ -8,9 +8,12 @@ import pytest
 from plate_core import ScenarioError, load_rig
 from plate_core.scenario import (
     MIN_SEPARATION_M,
+    Bin,
     FollowTask,
     PartGroup,
+    Side,
     SortTask,
+    check_scenario,
     load_scenario,
     scenario_names,
     start_positions,
@@ -39,6 +42,42 @@ time_limit_s: 60
 """
 
 
+ASSEMBLE = """
+description: test
+parts:
+  - {class: black, count: 2}
+  - {class: grey, count: 1}
+task: {kind: assemble, places_m: {black: [[0.1, 0], [0.1, 0.1]], grey: [[0, 0]]},
+       tolerance_m: 0.003, hold_s: 1}
+time_limit_s: 60
+"""
+
+BINS = """
+description: test
+parts:
+  - {class: black, count: 2}
+  - {class: grey, count: 1}
+  - {class: white, count: 1}
+task:
+  kind: sort
+  regions:
+    black: top_left
+    grey: bottom
+    white: {bin_m: [[0.1, 0], [0.2, 0], [0.15, 0.1]]}
+  goal_fraction: 0.5
+  hold_s: 0
+time_limit_s: 10
+"""
+
+CIRCLE = FOLLOW.replace(
+    "waypoints_m: [[0, 0], [0.1, 0], [0.1, 0.1]], speed_mps: 0.02, closed: true",
+    "circle: {centre_m: [0.1, 0], radius_m: 0.05, start_deg: 90, turn: right}, speed_mps: 0.02",
+)
+SPLINE = FOLLOW.replace("waypoints_m", "spline_m").replace(
+    "mps: 0.02", "mps: [[0, 0.01], [1, 0.03]]"
+)
+
+
 def write(folder: Path, text: str) -> Path:
     path = folder / "trial.yaml"
     path.write_text(text)
@@ -64,7 +103,7 @@ def test_the_papers_tasks_are_shipped():
     sort, follow = load_scenario("sort_10"), load_scenario("follow_2")
     assert sort.parts == (PartGroup("black", 5), PartGroup("grey", 5))
     assert isinstance(sort.task, SortTask)
-    assert dict(sort.task.sides) == {"black": -1, "grey": 1}
+    assert dict(sort.task.regions) == {"black": Side(-1, 0), "grey": Side(1, 0)}
     assert isinstance(follow.task, FollowTask)
     assert [path.speed for path in follow.task.paths] == [0.02, 0.02]
     starts = [path.waypoint[0] for path in follow.task.paths]
@@ -84,10 +123,20 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "count: 2", "count: two", r"count is 'two'"),
         (SORT, "class: black", "class: black_1", r"class is 'black_1', allowed: a plain word"),
         (SORT, "class: grey", "class: black", r"parts is .*allowed: each class once"),
-        (SORT, "black: left", "black: up", r"black is 'up', allowed: one of left, right"),
+        (
+            SORT,
+            "black: left",
+            "black: up",
+            r"black is 'up', allowed: one of left, right, bottom, top",
+        ),
         (SORT, ", grey: right", "", r"grey is missing"),
         (SORT, "grey: right", "grey: right, red: left", r"unknown key red, allowed: black, grey"),
-        (SORT, "kind: sort", "kind: juggle", r"kind is 'juggle', allowed: one of sort, follow"),
+        (
+            SORT,
+            "kind: sort",
+            "kind: juggle",
+            r"kind is 'juggle', allowed: one of sort, follow, assemble",
+        ),
         (SORT, "goal_fraction: 0.6", "goal_fraction: 0.9", r"goal_fraction is 0.9, allowed"),
         (SORT, "time_limit_s: 10", "time_limit_s: .nan", r"time_limit_s is nan, allowed"),
         (SORT, "time_limit_s: 10", "", r"time_limit_s is missing"),
@@ -99,6 +148,22 @@ def test_an_unknown_name_lists_the_available_ones():
         (FOLLOW, "[0.1, 0.1]]", "[0.1, 0.0]]", r"waypoints_m is .*apart from the next"),
         (FOLLOW, "[0.1, 0.1]]", "[0, 0]]", r"waypoints_m is .*not the first"),
         (FOLLOW, "- {class: black, w", "- {class: grey, w", r"class is 'grey', allowed: one of bl"),
+        (CIRCLE, "turn: right", "turn: up", r"turn is 'up', allowed: one of left, right"),
+        (CIRCLE, "radius_m: 0.05", "radius_m: 0", r"circle: radius_m is 0, allowed"),
+        (CIRCLE, "circle:", "circel:", r"no curve given, allowed: one of waypoints_m, circle, spl"),
+        (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m given, allowed: one"),
+        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*shares growing from 0 to 1"),
+        (SPLINE, "[0, 0.01]", "[0, 0]", r"speed_mps is .*speeds from 1e-05 to 10"),
+        (SPLINE, ", [0.1, 0.1]]", "]", r"spline_m is .*at least three points"),
+        (BINS, "top_left", "middle", r"regions: black is 'middle', allowed: one of left, .*"),
+        (BINS, "black: top_left", "black: 3", r"regions: black is 3, allowed: one of left"),
+        (BINS, ", [0.15, 0.1]]", "]", r"white: bin_m is .*at least three corners"),
+        (BINS, "[0.15, 0.1]", "[0.3, 0]", r"white: bin_m is .*with an area"),
+        (BINS, "[0.15, 0.1]", "[0.1, 0.1], [0.2, 0.1]", r"white: bin_m is .*in order"),
+        (BINS, "goal_fraction: 0.5", "", r"goal_fraction is missing"),
+        (ASSEMBLE, ", [0.1, 0.1]]", "]", r"places_m has 1 places for class black, allowed: 2, one"),
+        (ASSEMBLE, ", grey: [[0, 0]]", "", r"places_m: grey is missing"),
+        (ASSEMBLE, "tolerance_m: 0.003", "tolerance_m: 0", r"tolerance_m is 0, allowed"),
         (
             FOLLOW,
             "[[0.0, 0.0]]",
@@ -112,6 +177,42 @@ def test_wrong_files_are_refused_with_key_value_and_allowed(tmp_path, text, old,
     with pytest.raises(ScenarioError, match=message) as info:
         load_scenario(write(tmp_path, text.replace(old, new, 1)))
     assert str(info.value).startswith("trial.yaml")
+
+
+def test_regions_are_sides_corners_and_bins(tmp_path):
+    task = load_scenario(write(tmp_path, BINS)).task
+    assert dict(task.regions) == {
+        "black": Side(-1, 1),
+        "grey": Side(0, -1),
+        "white": Bin(((0.1, 0.0), (0.2, 0.0), (0.15, 0.1))),
+    }
+
+
+def test_a_circle_and_a_spline_with_a_speed_profile(tmp_path):
+    circle = load_scenario(write(tmp_path, CIRCLE)).task.paths[0]
+    point = np.array(circle.waypoint)
+    assert (circle.closed, circle.laps, circle.speed, circle.profile) == (True, 2, 0.02, ())
+    assert point[0] == pytest.approx([0.1, 0.05])
+    assert point[1, 0] > 0.1  # turns right
+    assert np.hypot(*(point - [0.1, 0]).T) == pytest.approx(np.full(len(point), 0.05))
+    spline = load_scenario(write(tmp_path, SPLINE)).task.paths[0]
+    assert (spline.speed, spline.profile) == (0.03, ((0, 0.01), (1, 0.03)))
+    assert len(spline.waypoint) > 30
+
+
+def test_places_go_by_class(tmp_path):
+    task = load_scenario(write(tmp_path, ASSEMBLE)).task
+    assert task.labels == ("black", "black", "grey")
+    assert task.place == ((0.1, 0), (0.1, 0.1), (0, 0))
+
+
+def test_places_too_near_each_other_and_bins_off_the_plate_are_refused(tmp_path, rig):
+    near = load_scenario(write(tmp_path, ASSEMBLE.replace("[0.1, 0.1]", "[0.1, 0.019]")))
+    with pytest.raises(ScenarioError, match=r"places 0 and 1 are 0.019 m apart, allowed: 0.02 m"):
+        check_scenario(near, rig)
+    off = load_scenario(write(tmp_path, BINS.replace("[0.2, 0]", "[0.301, 0]")))
+    with pytest.raises(ScenarioError, match=r"bin of white is \(0.301, 0\) m, allowed: .* to 0.3,"):
+        check_scenario(off, rig)
 
 
 def test_a_missing_or_broken_file_is_one_line(tmp_path):

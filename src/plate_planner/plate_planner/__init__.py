@@ -1,5 +1,6 @@
 """Turns a task and the parts' positions into the force wanted on each part."""
 
+from .assembling import AssembleOptions
 from .pd import FollowOptions
 from .planner import Planner, PlannerOptions, PlannerState
 from .progress import Progress
@@ -7,6 +8,7 @@ from .sorting import SortOptions
 from .task import Phase, TaskState
 
 __all__ = [
+    "AssembleOptions",
     "FollowOptions",
     "Phase",
     "Planner",

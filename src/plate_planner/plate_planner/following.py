@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,9 @@ from .trajectory import PolygonPath
 EDGE = (0.70, 0.85)
 """Where parts without a path are held back from the edges [share of the half side]."""
 
+SPEED_UP = 0.1
+"""Growth of the pace in one cycle, after it was slow: smoother than the errors that slow it [-]."""
+
 
 @dataclass(frozen=True)
 class FollowState:
@@ -27,8 +30,14 @@ class FollowState:
     ----------
     match : tuple of str
         Id of the part of each path.
-    path_start : float
+    began : float
         Stamp at which the references leave their first corners [s].
+    anchor, progress : float
+        A stamp [s], and how far on their paths the references are then [s at full pace].
+    paces : (float, float)
+        Seconds on the path per second, before the anchor and after it: 1 is full pace.
+    bias : (P, 2)
+        Drift added along and across each path [m/s].
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and their number.
     max_error_m : float
@@ -36,7 +45,11 @@ class FollowState:
     """
 
     match: tuple[str, ...] = ()
-    path_start: float = 0.0
+    began: float = 0.0
+    anchor: float = 0.0
+    progress: float = 0.0
+    paces: tuple[float, float] = (1.0, 1.0)
+    bias: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
@@ -45,6 +58,11 @@ class FollowState:
     def rms_error_m(self) -> float:
         """Root mean square distance from the references so far [m]."""
         return float(np.sqrt(self.square_sum / self.samples)) if self.samples else 0.0
+
+    def path_time(self, t: float) -> float:
+        """How far the references are on their paths at a stamp t [s], in seconds at full pace."""
+        since = t - self.anchor
+        return self.progress + since * self.paces[0 if since < 0 else 1]
 
 
 @dataclass(frozen=True)
@@ -61,30 +79,81 @@ class Follower:
 
     def reference(self, state: FollowState, t: float) -> np.ndarray:
         """Where the part of each path should be (P, 2) [m, plate_home] at a stamp t [s]."""
-        return np.array([path.position(t - state.path_start) for path in self.paths])
+        time = state.path_time(t)
+        return np.array([path.position(time) for path in self.paths])
 
     def begin(self, parts: PartSet, t: float, period: float) -> FollowState:
         """Match parts to paths; the references leave when the first answer begins to act."""
-        state = FollowState(path_start=t + period)
+        state = FollowState(
+            began=t + period, anchor=t + period, bias=np.zeros((len(self.paths), 2))
+        )
         return replace(state, match=match_paths(self._labels, self.reference(state, t), parts))
 
-    def measure(self, state: FollowState, parts: PartSet, t: float) -> FollowState:
-        """Take one image into the match and into the error statistics."""
+    def measure(
+        self, state: FollowState, parts: PartSet, t: float, period: float, options: FollowOptions
+    ) -> FollowState:
+        """Take one image into the match, the error statistics, the bias and the pace."""
         reference = self.reference(state, t)
         match = rematch_paths(state.match, self._labels, reference, parts, self.task.max_error_m)
         state = replace(state, match=match)
         path, part = self._rows(state, parts)
-        error = np.hypot(*(parts.position[part] - reference[path]).T)
-        return replace(
+        error = reference[path] - parts.position[part]
+        distance = np.hypot(*error.T)
+        worst = float(np.max(distance, initial=0.0))
+        bias = state.bias
+        # What a part that is far off has to catch up is none of the bias's business.
+        if worst <= options.slow_from * self.task.max_error_m:
+            bias = self._learn(state, path, error, t - period / 2, period, options)
+        state = replace(
             state,
-            square_sum=state.square_sum + float(np.sum(error**2)),
-            samples=state.samples + len(error),
-            max_error_m=float(np.max(error, initial=state.max_error_m)),
+            bias=bias,
+            square_sum=state.square_sum + float(np.sum(distance**2)),
+            samples=state.samples + len(distance),
+            max_error_m=max(state.max_error_m, worst),
         )
+        return self._pace(state, worst, t + period, options)
+
+    def _learn(
+        self,
+        state: FollowState,
+        path: np.ndarray,
+        error: np.ndarray,
+        t: float,
+        period: float,
+        options: FollowOptions,
+    ) -> np.ndarray:
+        """Return the bias (P, 2) after errors (K, 2) [m] of the parts on some paths."""
+        along = self._headings(state, t)[path]
+        across = np.column_stack([-along[:, 1], along[:, 0]])
+        own = np.column_stack([np.sum(error * along, axis=1), np.sum(error * across, axis=1)])
+        bias, bound = state.bias.copy(), options.bias_max * self._speeds[path, None]
+        bias[path] = np.clip(bias[path] + options.ki * own / period, -bound, bound)
+        return bias
+
+    def _pace(
+        self, state: FollowState, worst: float, t: float, options: FollowOptions
+    ) -> FollowState:
+        """Choose the pace from stamp t on: until then the references do as was said before."""
+        share = worst / self.task.max_error_m
+        room = (options.slow_to - share) / (options.slow_to - options.slow_from)
+        pace = float(np.clip(room, 0, min(1.0, state.paces[1] + SPEED_UP)))
+        return replace(state, anchor=t, progress=state.path_time(t), paces=(state.paces[1], pace))
+
+    def to_go(self, state: FollowState, t: float) -> float:
+        """Length of the longest way still to go [m], at greatest speed."""
+        time = state.path_time(t)
+        return max(max(path.duration - time, 0) * path.speed for path in self.paths)
+
+    def errors(self, state: FollowState, parts: PartSet, t: float) -> np.ndarray:
+        """Distance of each part (M,) from its reference [m]; 0 for a part without one."""
+        result = np.zeros(len(parts))
+        path, part = self._rows(state, parts)
+        result[part] = np.hypot(*(parts.position[part] - self.reference(state, t)[path]).T)
+        return result
 
     def finished(self, state: FollowState, t: float) -> bool:
         """Whether all references have come to the end of their last lap."""
-        return t - state.path_start >= max(path.duration for path in self.paths) - 1e-6
+        return state.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def missing(self, state: FollowState, parts: PartSet) -> tuple[str, ...]:
         """Ids of the parts that have a path and are not seen."""
@@ -92,15 +161,14 @@ class Follower:
 
     def problem(self, state: FollowState, parts: PartSet, t: float, options: FollowOptions) -> str:
         """Say which part is too far off its path; empty if none is, or it is too early to say."""
-        if t - state.path_start < options.settle_s:
+        if t - state.began < options.settle_s:
             return ""
-        path, part = self._rows(state, parts)
-        error = np.hypot(*(parts.position[part] - self.reference(state, t)[path]).T)
+        error = self.errors(state, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
         worst = int(np.argmax(error))
         return (
-            f"{parts.ids[part[worst]]} is {error[worst] * 1e3:.1f} mm off its path, "
+            f"{parts.ids[worst]} is {error[worst] * 1e3:.1f} mm off its path, "
             f"allowed: {self.task.max_error_m * 1e3:g} mm"
         )
 
@@ -120,14 +188,17 @@ class Follower:
         low, high = self._keep_on_plate(parts)
         path, part = self._rows(state, parts)
         velocity = parts.velocity[part]
-        predicted = predict(parts.position[part], velocity, asked[part], period, options.trust)
+        # The bias is what does not arrive: what is asked with it is expected without it.
+        expected = asked[part] - self._turned(state, t + 0.5 * period)[path]
+        predicted = predict(parts.position[part], velocity, expected, period, options.trust)
         wanted = pd_drift(
             predicted,
             self.reference(state, t + period)[path],
             self.reference(state, t + 2 * period)[path],
             period,
             options.kp,
-            options.speed_ratio_max * np.array([self.paths[k].speed for k in path]),
+            self._turned(state, t + 1.5 * period)[path],
+            options.speed_ratio_max * self._speeds[path],
         )
         low[part] = high[part] = velocity + options.kd * (wanted - velocity)
         return DriftRequest(low, high)
@@ -135,6 +206,22 @@ class Follower:
     @property
     def _labels(self) -> list[str]:
         return [path.label for path in self.task.paths]
+
+    @cached_property
+    def _speeds(self) -> np.ndarray:
+        """Greatest speed of each path (P,) [m/s]."""
+        return np.array([path.speed for path in self.paths])
+
+    def _headings(self, state: FollowState, t: float) -> np.ndarray:
+        """Direction of each path (P, 2) at a stamp t [s]."""
+        time = state.path_time(t)
+        return np.array([path.heading(time) for path in self.paths])
+
+    def _turned(self, state: FollowState, t: float) -> np.ndarray:
+        """Bias of each path (P, 2) [m/s, plate_home] at a stamp t [s]."""
+        along = self._headings(state, t)
+        across = np.column_stack([-along[:, 1], along[:, 0]])
+        return state.bias[:, :1] * along + state.bias[:, 1:] * across
 
     def _rows(self, state: FollowState, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
         """Rows of paths, and of the parts that are seen on them: two index arrays (K,)."""

@@ -17,6 +17,7 @@ from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
 from plate_core.scenario import load_scenario
 
+from .assembling import AssembleOptions
 from .pd import FollowOptions
 from .planner import NOTHING, Planner, PlannerOptions
 from .progress import Progress
@@ -33,7 +34,9 @@ LEVELS = {
     Phase.IDLE.value: DiagnosticStatus.OK,
     Phase.RUNNING.value: DiagnosticStatus.OK,
     Phase.DONE.value: DiagnosticStatus.OK,
-    Phase.FAILED.value: DiagnosticStatus.ERROR,
+    Phase.STUCK.value: DiagnosticStatus.ERROR,
+    Phase.LOST.value: DiagnosticStatus.ERROR,
+    Phase.ABORTED.value: DiagnosticStatus.WARN,
 }
 
 
@@ -55,8 +58,15 @@ class PlannerParameters:
     patience_s: float = parameter(
         PlannerOptions.patience_s, "A part unseen for longer is lost [s]", 0.0, 60.0
     )
+    stuck_s: float = parameter(
+        PlannerOptions.stuck_s, "A task no nearer to its goal for longer is stuck [s]", 1.0, 3600.0
+    )
     drift_max: float = parameter(
-        SortOptions.drift_max, "Sorting: drift asked of a part [m/s]", 0.0005, 0.2, live=True
+        SortOptions.drift_max,
+        "Sorting and assembling: drift asked of a part [m/s]",
+        0.0005,
+        0.2,
+        live=True,
     )
     wander: float = parameter(
         SortOptions.wander,
@@ -90,14 +100,24 @@ class PlannerParameters:
         live=True,
     )
 
+    ki: float = parameter(
+        FollowOptions.ki,
+        "Following: share of the error added to the bias a cycle",
+        0.0,
+        0.5,
+        live=True,
+    )
+
     def options(self) -> PlannerOptions:
         """Return the core's options."""
         return PlannerOptions(
             sort=SortOptions(drift_max=self.drift_max, wander=self.wander, dodge=self.dodge),
-            follow=FollowOptions(kp=self.kp, kd=self.kd, trust=self.trust),
+            follow=FollowOptions(kp=self.kp, kd=self.kd, trust=self.trust, ki=self.ki),
+            assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
             wait_s=self.wait_s,
             patience_s=self.patience_s,
+            stuck_s=self.stuck_s,
         )
 
 
@@ -176,7 +196,7 @@ class PlannerNode(Node):
         self._task_state.publish(String(data=text))
         line = f"task {self._planner.scenario.name}: {text}"
         # Two lines of code: rclpy refuses two severities from one.
-        if self._state.task.phase is Phase.FAILED:
+        if self._state.task.phase.is_failure:
             self.get_logger().error(line)
         else:
             self.get_logger().info(line)

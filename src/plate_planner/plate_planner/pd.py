@@ -1,14 +1,18 @@
-"""One PD step per cycle, for parts that follow a path.
+"""One PD step per cycle, with a slow integral, for parts that follow a path.
 
 The answer to image k acts during cycle k+1. So the controller looks at the error where the part
 will be when its answer begins to act, and asks for the mean drift over that cycle:
 
     x_pred = x(t) + T v_now             v_now: drift during cycle k
-    v_des  = v_ref + kp (x_ref(t + T) - x_pred)/T
+    v_des  = v_ref + kp (x_ref(t + T) - x_pred)/T + bias
     F      = kd m (v_des - v)/T         v: drift as measured, during cycle k-1
 
 with v_ref = (x_ref(t + 2T) - x_ref(t + T))/T. Both gains are plain numbers: kp = 1 corrects the
 whole predicted error in one cycle, kd = 1 the whole drift.
+
+A part on a surface that is more slippery than assumed gets a share of what is asked, always the
+same share: so the bias is kept along and across the path, and turns with it at corners. It grows
+by ki times the error over T each cycle.
 """
 
 from __future__ import annotations
@@ -31,6 +35,12 @@ class FollowOptions:
     trust : float
         What the drift during the present cycle is taken to be [-]: 1, what was asked of it one
         message ago; 0, what was measured over the cycle before.
+    ki : float
+        Share of the position error that is added to the bias each cycle [-].
+    bias_max : float
+        Greatest bias along and across the path, in multiples of the path's speed [-].
+    slow_from, slow_to : float
+        Errors at which the references begin to slow down, and stand still [max_error_m].
     speed_ratio_max : float
         Greatest drift to ask for, in multiples of the path's speed [-].
     force_share_max : float
@@ -42,6 +52,10 @@ class FollowOptions:
     kp: float = 0.6
     kd: float = 1.0
     trust: float = 1.0
+    ki: float = 0.05
+    bias_max: float = 1.0
+    slow_from: float = 0.15
+    slow_to: float = 0.5
     speed_ratio_max: float = 3.0
     force_share_max: float = 1.0
     settle_s: float = 3.0
@@ -82,6 +96,7 @@ def pd_drift(
     reference_after: np.ndarray,
     period: float,
     kp: float,
+    bias: np.ndarray,
     speed_max: np.ndarray,
 ) -> np.ndarray:
     """Drift wanted over the cycle in which the answer acts.
@@ -96,6 +111,8 @@ def pd_drift(
         Length of a cycle [s].
     kp : float
         Share of the error to correct [-].
+    bias : (M, 2)
+        Added to the drift [m/s].
     speed_max : (M,)
         Bound of the result's magnitude [m/s].
 
@@ -104,6 +121,6 @@ def pd_drift(
     (M, 2)
         Drift [m/s, plate_home].
     """
-    wanted = (reference_after - reference + kp * (reference - predicted)) / period
+    wanted = (reference_after - reference + kp * (reference - predicted)) / period + bias
     magnitude = np.hypot(*wanted.T)
     return wanted * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]

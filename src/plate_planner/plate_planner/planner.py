@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from plate_core import PartSet, Rig
 from plate_core.parts import part_class
-from plate_core.scenario import FollowTask, Scenario, SortTask, check_scenario
+from plate_core.scenario import AssembleTask, FollowTask, Scenario, SortTask, check_scenario
 
+from .assembling import AssembleOptions, Assembly
+from .bins import check_bins
 from .clock import CycleClock
 from .following import Follower, FollowState
 from .pd import FollowOptions
 from .progress import Progress
 from .requests import Asked, DriftRequest
-from .sorting import SortOptions, is_sorted, part_sides, sort_request
-from .task import Phase, TaskLimits, TaskState, begin, judge, started
+from .sorting import Sorter, SortOptions
+from .task import NEARER_M, Findings, Phase, TaskLimits, TaskState, begin, judge, started, stopped
 
 NOTHING = PartSet.make((), np.zeros((0, 2)))
 """Nothing is asked of any part: the plate rests."""
@@ -31,19 +34,24 @@ class PlannerOptions:
     ----------
     sort : SortOptions
     follow : FollowOptions
+    assemble : AssembleOptions
     default_period : float
         Length of a cycle until two images have told it [s].
     wait_s : float
         Longest time from start until all parts are seen [s].
     patience_s : float
         A part unseen for longer than this is lost [s].
+    stuck_s : float
+        A task that comes no nearer to its goal for longer than this is stuck [s].
     """
 
     sort: SortOptions = field(default_factory=SortOptions)
     follow: FollowOptions = field(default_factory=FollowOptions)
+    assemble: AssembleOptions = field(default_factory=AssembleOptions)
     default_period: float = 0.1
     wait_s: float = 10.0
     patience_s: float = 1.0
+    stuck_s: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,27 @@ class PlannerState:
 
 
 @dataclass(frozen=True)
+class View:
+    """What one image means for the task.
+
+    Attributes
+    ----------
+    findings : Findings
+    request : DriftRequest or None
+        What is wanted of the parts, if the task goes on.
+    count : int
+        Parts that are where they belong.
+    error : (K,)
+        Distances of parts from where they should be now [m].
+    """
+
+    findings: Findings
+    request: DriftRequest | None
+    count: int = 0
+    error: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True)
 class Planner:
     """Plans one scenario on one rig.
 
@@ -85,6 +114,7 @@ class Planner:
 
     def __post_init__(self) -> None:
         check_scenario(self.scenario, self.rig)
+        check_bins(self.scenario, self.rig)
 
     @property
     def limits(self) -> TaskLimits:
@@ -92,9 +122,12 @@ class Planner:
         task = self.scenario.task
         return TaskLimits(
             time_limit_s=self.scenario.time_limit_s,
-            hold_s=task.hold_s if isinstance(task, SortTask) else 0.0,
+            hold_s=task.hold_s if isinstance(task, SortTask | AssembleTask) else 0.0,
             wait_s=self.options.wait_s,
             patience_s=self.options.patience_s,
+            stuck_s=self.options.stuck_s,
+            # References are known without noise: however slow, they come nearer or stand still.
+            nearer_m=0.0 if isinstance(task, FollowTask) else NEARER_M,
         )
 
     def initial(self) -> PlannerState:
@@ -107,8 +140,8 @@ class Planner:
         return replace(state, task=started(), follow=FollowState(), asked=Asked(), known=())
 
     def stop(self, state: PlannerState) -> PlannerState:
-        """Stop: nothing is asked from the next image on."""
-        return replace(state, task=TaskState())
+        """Stop: nothing is asked from the next image on; a running task is aborted."""
+        return replace(state, task=stopped(state.task, state.clock.stamp))
 
     def plan(
         self, state: PlannerState, parts: PartSet, t: float
@@ -137,67 +170,112 @@ class Planner:
             state = self.start(state)
         state = replace(state, clock=state.clock.tick(t))
         on_plate = self._on_plate(parts)
-        state, request, sorted_count = self._advance(state, on_plate, t)
+        state, view = self._advance(state, on_plate, t)
         asked = NOTHING
-        if request is not None:
-            asked, state = self._ask(state, on_plate, request, t)
-        progress = self._progress(state, len(on_plate), sorted_count, t)
+        if state.task.active and view.request is not None and len(on_plate):
+            asked, state = self._ask(state, on_plate, view.request, t)
+        progress = self._progress(state, len(on_plate), view, t)
         return replace(state, answer=(asked, progress)), asked, progress
 
-    def _advance(
-        self, state: PlannerState, parts: PartSet, t: float
-    ) -> tuple[PlannerState, DriftRequest | None, int]:
-        """Bring the task up to date, and say what drift it wants, and how many are sorted."""
-        if isinstance(self.scenario.task, SortTask):
-            return self._advance_sort(self.scenario.task, state, parts, t)
-        return self._advance_follow(self.scenario.task, state, parts, t)
-
-    def _advance_sort(
-        self, goal: SortTask, state: PlannerState, parts: PartSet, t: float
-    ) -> tuple[PlannerState, DriftRequest | None, int]:
+    def _advance(self, state: PlannerState, parts: PartSet, t: float) -> tuple[PlannerState, View]:
+        """Bring the task up to date."""
         missing = self._missing(state, parts)
-        there = is_sorted(parts, goal, self.rig)
-        count = int(np.sum(there))
-        goal_met = count == np.count_nonzero(part_sides(parts.ids, goal.sides))
         task = begin(state.task, t, missing, self.limits)
-        task = judge(task, t, missing, goal_met, "", self.limits)
+        begins = task.active and not state.task.active
         state = replace(state, task=task, known=state.known if missing else parts.ids)
-        if not task.active or not len(parts):
-            return state, None, count
-        request = sort_request(parts, goal, self.rig, state.clock.period, self.options.sort)
-        return state, request, count
+        if isinstance(self._rules, Sorter):
+            view = self._sort(self._rules, state, parts, missing)
+        elif isinstance(self._rules, Assembly):
+            view = self._assemble(self._rules, state, parts, missing)
+        else:
+            state, view = self._follow(self._rules, state, parts, t, begins)
+        return replace(state, task=judge(task, t, view.findings, self.limits)), view
 
-    def _advance_follow(
-        self, goal: FollowTask, state: PlannerState, parts: PartSet, t: float
-    ) -> tuple[PlannerState, DriftRequest | None, int]:
-        follower = Follower(goal, self.rig)
-        period, options = state.clock.period, self.options.follow
-        missing = self._missing(state, parts)
-        task = begin(state.task, t, missing, self.limits)
-        follow = state.follow
-        if task.active:
-            if not state.task.active:
-                follow = follower.begin(parts, t, period)
-            follow = follower.measure(follow, parts, t)
-            missing = follower.missing(follow, parts)
-            problem = follower.problem(follow, parts, t, options)
-            task = judge(task, t, missing, follower.finished(follow, t), problem, self.limits)
-        known = state.known if missing else parts.ids
-        state = replace(state, task=task, follow=follow, known=known)
-        if not task.active or not len(parts):
-            return state, None, 0
+    @cached_property
+    def _rules(self) -> Sorter | Assembly | Follower:
+        """The rules of the task: kept, since they hold tables of paths and bins."""
+        task = self.scenario.task
+        if isinstance(task, SortTask):
+            return Sorter(task, self.rig)
+        if isinstance(task, AssembleTask):
+            return Assembly(task, self.rig)
+        return Follower(task, self.rig)
+
+    def _sort(
+        self, sorter: Sorter, state: PlannerState, parts: PartSet, missing: tuple[str, ...]
+    ) -> View:
+        to_go = sorter.to_go(parts)
+        count = int(np.sum(to_go == 0))
+        met = count == np.count_nonzero(~np.isnan(to_go))
+        to_go = np.nan_to_num(to_go)
+        found = Findings(
+            missing, met, float(np.sum(to_go)), plight=self._plight(state, parts, to_go)
+        )
+        return View(found, sorter.request(parts, state.clock.period, self.options.sort), count)
+
+    def _assemble(
+        self, assembly: Assembly, state: PlannerState, parts: PartSet, missing: tuple[str, ...]
+    ) -> View:
+        distance = assembly.distance(parts)  # NaN for a part that has no place
+        error = distance[~np.isnan(distance)]
+        count = int(np.sum(error <= assembly.task.tolerance_m))
+        plight = self._plight(state, parts, np.nan_to_num(distance))
+        met = count == len(assembly.task.place)
+        found = Findings(missing, met, float(np.sum(error)), plight=plight)
+        request = assembly.request(parts, state.clock.period, self.options.assemble)
+        return View(found, request, count, error)
+
+    def _follow(
+        self, follower: Follower, state: PlannerState, parts: PartSet, t: float, begins: bool
+    ) -> tuple[PlannerState, View]:
+        period, options, follow = state.clock.period, self.options.follow, state.follow
+        if not state.task.active:
+            return state, View(Findings((), False, 0.0), None)
+        if begins:
+            follow = follower.begin(parts, t, period)
+        follow = follower.measure(follow, parts, t, period, options)
+        error = follower.errors(follow, parts, t)
+        found = Findings(
+            follower.missing(follow, parts),
+            follower.finished(follow, t),
+            follower.to_go(follow, t),
+            follower.problem(follow, parts, t, options),
+            self._plight(state, parts, error),
+        )
         asked = state.asked.of(parts.ids, t, period)
-        return state, follower.request(follow, parts, asked, t, period, options), 0
+        request = follower.request(follow, parts, asked, t, period, options)
+        return replace(state, follow=follow), View(found, request, 0, error)
+
+    def _plight(self, state: PlannerState, parts: PartSet, short: np.ndarray) -> str:
+        """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
+        if not len(parts):
+            return ""
+        worst = int(np.argmax(short))
+        name = parts.ids[worst]
+        text = f"{name} is {short[worst] * 1e3:.1f} mm short"
+        if name not in state.asked.ids:
+            return text
+        row = state.asked.ids.index(name)
+        drift, force = 1e3 * state.asked.drift[row], 1e3 * state.asked.force[row]
+        got, most = 1e3 * parts.velocity[worst], 1e3 * self.rig.force_unit
+        return (
+            f"{text}, asked for ({drift[0]:.1f}, {drift[1]:.1f}) mm/s with ({force[0]:.2f}, "
+            f"{force[1]:.2f}) mN of {most:.1f}, had ({got[0]:.1f}, {got[1]:.1f}) mm/s"
+        )
 
     def _ask(
         self, state: PlannerState, parts: PartSet, request: DriftRequest, t: float
     ) -> tuple[PartSet, PlannerState]:
         """Put a request into forces, and remember the drift that they lead to."""
         task, period = self.scenario.task, state.clock.period
-        options = self.options.sort if isinstance(task, SortTask) else self.options.follow
-        force, tolerance = request.force(parts.velocity, self.rig, period, options.force_share_max)
+        share: float = self.options.follow.force_share_max
+        if isinstance(task, SortTask):
+            share = self.options.sort.force_share_max
+        elif isinstance(task, AssembleTask):
+            share = self.options.assemble.force_share_max
+        force, tolerance = request.force(parts.velocity, self.rig, period, share)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
-        state = replace(state, asked=Asked(parts.ids, drift, t))
+        state = replace(state, asked=Asked(parts.ids, drift, t, force))
         return replace(parts, force=force, tolerance=tolerance), state
 
     def _on_plate(self, parts: PartSet) -> PartSet:
@@ -224,15 +302,20 @@ class Planner:
             names += gone[:short] if len(gone) >= short else [f"{short} of {wanted} {label} parts"]
         return tuple(names)
 
-    def _progress(self, state: PlannerState, seen: int, sorted_count: int, t: float) -> Progress:
+    def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:
+        rms, most = state.follow.rms_error_m, state.follow.max_error_m
+        if isinstance(self.scenario.task, AssembleTask) and len(view.error):
+            rms, most = float(np.sqrt(np.mean(view.error**2))), float(np.max(view.error))
         return Progress(
             phase=state.task.phase.value,
             text=state.task.text,
             time_s=state.task.elapsed(t),
             parts_total=self.scenario.count,
             parts_seen=seen,
-            parts_sorted=sorted_count,
-            rms_error_m=state.follow.rms_error_m,
-            max_error_m=state.follow.max_error_m,
+            parts_sorted=view.count,
+            to_go_m=view.findings.to_go_m,
+            rms_error_m=rms,
+            max_error_m=most,
+            pace=state.follow.paces[1],
             period_s=state.clock.period,
         )

@@ -12,17 +12,22 @@ class Progress:
     Attributes
     ----------
     phase : str
-        idle, running, done or failed.
+        idle, running, done, stuck, lost part or aborted.
     text : str
-        The phase, and the reason of a failure.
+        The phase, and time and reason of a failure.
     time_s : float
         Time since the task began, until now or its end [s].
     parts_total, parts_seen, parts_sorted : int
-        Parts of the scenario, parts on the plate in this image, parts beyond the goal line.
+        Parts of the scenario, parts on the plate in this image, parts that are where they belong.
+    to_go_m : float
+        Distance to the goal, summed over parts [m]; following: the longest way left.
     rms_error_m : float
-        Distance of parts from their references, root mean square over parts and images [m].
+        Following: distance of parts from their references, root mean square over parts and images;
+        assembling: of parts from their places in this image [m].
     max_error_m : float
         The greatest such distance [m].
+    pace : float
+        Following: how fast the references are, 1 at full speed [-].
     period_s : float
         Length of a cycle [s].
     """
@@ -33,9 +38,16 @@ class Progress:
     parts_total: int
     parts_seen: int
     parts_sorted: int
+    to_go_m: float
     rms_error_m: float
     max_error_m: float
+    pace: float
     period_s: float
+
+    @property
+    def ended(self) -> bool:
+        """Whether the task has come to an end, good or bad."""
+        return self.phase not in ("idle", "running")
 
     def values(self) -> dict[str, str]:
         """Return the numbers as diagnostics show them."""
@@ -44,7 +56,9 @@ class Progress:
             "parts_seen": str(self.parts_seen),
             "parts_total": str(self.parts_total),
             "time_s": f"{self.time_s:.3f}",
+            "to_go_m": f"{self.to_go_m:.6f}",
             "rms_error_m": f"{self.rms_error_m:.6f}",
             "max_error_m": f"{self.max_error_m:.6f}",
+            "pace": f"{self.pace:.3f}",
             "period_s": f"{self.period_s:.4f}",
         }

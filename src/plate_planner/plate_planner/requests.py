@@ -57,11 +57,15 @@ class DriftRequest:
 
 @dataclass(frozen=True)
 class Asked:
-    """The last request: what drift (M, 2) [m/s, plate_home] was asked of which part, and when."""
+    """The last request: what drift (M, 2) [m/s, plate_home] was asked of which part, and when.
+
+    `force` (M, 2) [N] is what it took.
+    """
 
     ids: tuple[str, ...] = ()
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     stamp: float = -np.inf
+    force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def of(self, ids: tuple[str, ...], t: float, period: float) -> np.ndarray:
         """Return what was asked of the cycle that begins at t (M, 2) [m/s]; NaN where unknown."""

@@ -1,21 +1,24 @@
-"""Sorting: which drift to ask of each part so that every class ends on its side.
+"""Sorting: which drift to ask of each part so that every class ends in its region.
 
 Only what the task needs is asked: a part on its way may be faster than asked, a part that has
-arrived may stay anywhere in its band, and y is free until an edge or another part is near. What is
-not asked leaves the solver freedom, and with many parts it has none to waste.
+arrived may stay anywhere in its region, and what the region leaves open is free until an edge or
+another part is near. What is not asked leaves the solver freedom, and with many parts it has none
+to waste.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from plate_core import PartSet, Rig
 from plate_core.parts import part_class
-from plate_core.scenario import SortTask
+from plate_core.scenario import Bin, Side, SortTask
 
+from .bins import inside, outline_distance, slots
+from .places import approach_drift, assign, hold_back, pass_by
 from .requests import DriftRequest, nearness, stay_within
 
 
@@ -63,54 +66,115 @@ class SortOptions:
     force_share_max: float = 1.0
 
 
-def part_sides(ids: tuple[str, ...], sides: Mapping[str, int]) -> np.ndarray:
-    """Side of every part (M,): -1 left, +1 right, 0 for a class without a goal."""
-    return np.array([sides.get(part_class(i), 0) for i in ids], dtype=float)
+@dataclass(frozen=True)
+class Sorter:
+    """The rules of sorting for one task on one rig."""
 
+    task: SortTask
+    rig: Rig
 
-def is_sorted(parts: PartSet, task: SortTask, rig: Rig) -> np.ndarray:
-    """Whether each part (M,) is beyond the goal line on its own side."""
-    side = part_sides(parts.ids, task.sides)
-    goal = task.goal_fraction * rig.plate.half[0]
-    return (side != 0) & (parts.position[:, 0] * side > goal)
+    def to_go(self, parts: PartSet) -> np.ndarray:
+        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
+        goal = self.task.goal_fraction * self.rig.plate.half
+        sign = self._signs(parts)
+        short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
+        # On the line itself is not beyond it.
+        on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
+        result = np.maximum(np.hypot(*short.T), np.where(on_line, np.finfo(float).tiny, 0))
+        result[~np.any(sign, axis=1)] = np.nan
+        for rows, corner, _ in self._binned(parts):
+            point = parts.position[rows]
+            away = np.maximum(outline_distance(point, corner), np.finfo(float).tiny)
+            result[rows] = np.where(inside(point, corner), 0, away)
+        return result
 
+    def request(self, parts: PartSet, period: float, options: SortOptions) -> DriftRequest:
+        """Return the drift wanted of each part.
 
-def sort_request(
-    parts: PartSet, task: SortTask, rig: Rig, period: float, options: SortOptions
-) -> DriftRequest:
-    """Return the drift wanted of each part.
+        Parameters
+        ----------
+        parts : PartSet
+            Parts as seen, M of them.
+        period : float
+            Length of a cycle [s]: the request acts one cycle after `parts` was seen.
+        options : SortOptions
 
-    Parameters
-    ----------
-    parts : PartSet
-        Parts as seen, M of them.
-    task : SortTask
-    rig : Rig
-    period : float
-        Length of a cycle [s]: the request acts one cycle after `parts` was seen.
-    options : SortOptions
+        Returns
+        -------
+        DriftRequest
+            Intervals (M, 2) [m/s, plate_home].
+        """
+        position = parts.position + period * parts.velocity
+        sign, half, goal = self._signs(parts), self.rig.plate.half, self.task.goal_fraction
+        ends = (options.end, options.edge_outer)
+        axes = [
+            _along(position[:, k], sign[:, k], goal, half[k], ends[k], options) for k in range(2)
+        ]
+        # Parts dodge across the axis along which they are sorted; to a corner that is x.
+        across = np.where((sign[:, 0] == 0) & (sign[:, 1] != 0), 0, 1)
+        request = DriftRequest(
+            np.column_stack([low for low, _ in axes]), np.column_stack([high for _, high in axes])
+        )
+        dodged = [_dodge(position, axis, request, self.rig, options) for axis in range(2)]
+        for axis, (low, high) in enumerate(dodged):
+            request.low[:, axis] = np.where(across == axis, low, request.low[:, axis])
+            request.high[:, axis] = np.where(across == axis, high, request.high[:, axis])
+        return self._to_slots(parts, position, request, options)
 
-    Returns
-    -------
-    DriftRequest
-        Intervals (M, 2) [m/s, plate_home].
-    """
-    position = parts.position + period * parts.velocity
-    side = part_sides(parts.ids, task.sides)
-    half = rig.plate.half
-    low_x, high_x = _along(position[:, 0], side, task.goal_fraction, half[0], options)
-    wander = options.wander * options.drift_max
-    low_y, high_y = stay_within(
-        position[:, 1], half[1], options.edge_inner, options.edge_outer, options.drift_max, wander
-    )
-    low_y, high_y = _dodge(position, (low_x + high_x) / 2, low_y, high_y, rig, options)
-    return DriftRequest(np.column_stack([low_x, low_y]), np.column_stack([high_x, high_y]))
+    def _to_slots(
+        self, parts: PartSet, position: np.ndarray, request: DriftRequest, options: SortOptions
+    ) -> DriftRequest:
+        """Replace what is asked of parts that belong in bins."""
+        radius = self.rig.parts.radius_m
+        low, high, aim = request.low.copy(), request.high.copy(), position.copy()
+        binned = np.zeros(len(parts), dtype=bool)
+        for rows, corner, slot in self._binned(parts):
+            names = tuple(parts.ids[i] for i in rows)
+            mine = PartSet.make(names, parts.position[rows])
+            label = part_class(names[0])
+            place = slot[assign((label,) * len(slot), slot, mine)]
+            room = outline_distance(place, corner).min() - radius
+            wanted = approach_drift(
+                position[rows], place, max(room, 0), options.drift_max, options.over,
+                options.approach,
+            )  # fmt: skip
+            low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
+        if not np.any(binned):
+            return request
+        wanted = pass_by(position, DriftRequest(low, high), radius)
+        wanted = hold_back(position, aim, self.rig.plate.half, wanted, options.approach)
+        rows = binned[:, None]
+        return DriftRequest(
+            np.where(rows, wanted.low, request.low), np.where(rows, wanted.high, request.high)
+        )
+
+    def _signs(self, parts: PartSet) -> np.ndarray:
+        """Signs (M, 2) of the sides where parts belong; 0 where they may be anywhere."""
+        sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
+        signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
+        return np.array(signs, dtype=float).reshape(-1, 2)
+
+    def _binned(self, parts: PartSet) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Rows of parts that belong in each bin, the bin's corners (n, 2), its slots (k, 2)."""
+        label = np.array([part_class(i) for i in parts.ids])
+        found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]
+        return [(rows, corner, slot) for rows, corner, slot in found if len(rows)]
+
+    @cached_property
+    def _bins(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
+        return {k: (np.array(v.corner), slots(v, self.rig)) for k, v in bins.items()}
 
 
 def _along(
-    x: np.ndarray, side: np.ndarray, goal: float, half: float, options: SortOptions
+    x: np.ndarray,
+    side: np.ndarray,
+    goal: float,
+    half: float,
+    end: float,
+    options: SortOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of drift (M,) along x that leads into the band beyond the goal line.
+    """Interval of drift (M,) along one axis that leads into the band beyond the goal line.
 
     Far from the band it is [drift_max, over drift_max] towards the own side; inside it, whatever
     does not lead out soon; beyond it, back.
@@ -118,7 +182,7 @@ def _along(
     speed, wander = options.drift_max, options.wander * options.drift_max
     own = x * side  # grows towards the own side, for either side
     inner = half * (goal + options.margin)
-    outer = half * max(options.end, goal + 2 * options.margin)
+    outer = half * max(end, goal + 2 * options.margin)
     low = np.clip(options.approach * (inner - own), -wander, speed)
     high = np.clip(options.approach * (outer - own), -speed, options.over * speed)
     low = np.minimum(low, high)
@@ -133,9 +197,8 @@ def _along(
 
 def _dodge(
     position: np.ndarray,
-    drift_x: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
+    across: int,
+    request: DriftRequest,
     rig: Rig,
     options: SortOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -143,9 +206,12 @@ def _dodge(
 
     Of two parts that are asked towards each other, and nearly level in y, the upper one is sent
     up, the lower one down (of two exactly level, the first in the list goes down). The nearer the
-    edge, the less they are: the edge comes first.
+    edge, the less they are: the edge comes first. With `across` 0, x and y change places.
     """
-    radius, half = rig.parts.radius_m, rig.plate.half[1]
+    drift_x = request.centre[:, 1 - across]
+    low, high = request.low[:, across], request.high[:, across]
+    position = position[:, ::-1] if across == 0 else position
+    radius, half = rig.parts.radius_m, rig.plate.half[across]
     gap = position[None] - position[:, None]  # [i, j]: from i to j
     closing = (drift_x[None] - drift_x[:, None]) * gap[..., 0] < 0
     # Over one radius from "far" to "near", so that a request does not jump.

@@ -1,9 +1,16 @@
-"""The supervisor: idle, running, done or failed, and why. A pure state machine."""
+"""The supervisor: where a task is, how it ended, when and why. A pure state machine.
+
+Done, stuck, lost part and aborted are ends: only a new start leads out of them.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import Enum
+
+NEARER_M = 0.002
+"""What counts as nearer to the goal, summed over parts [m]: more than the camera's noise."""
 
 TIME_TOLERANCE_S = 1e-6
 """Stamps are sums of periods in nanoseconds: closer than this, two times are the same."""
@@ -15,7 +22,14 @@ class Phase(Enum):
     IDLE = "idle"
     RUNNING = "running"
     DONE = "done"
-    FAILED = "failed"
+    STUCK = "stuck"
+    LOST = "lost part"
+    ABORTED = "aborted"
+
+    @property
+    def is_failure(self) -> bool:
+        """Whether a task ended without being done."""
+        return self in (Phase.STUCK, Phase.LOST, Phase.ABORTED)
 
 
 @dataclass(frozen=True)
@@ -32,12 +46,18 @@ class TaskLimits:
         Longest time from `start` until all parts are seen.
     patience_s : float
         A part unseen for longer than this is lost.
+    stuck_s : float
+        A task that comes no nearer to its goal for longer than this is stuck.
+    nearer_m : float
+        What counts as nearer, summed over parts [m].
     """
 
     time_limit_s: float
     hold_s: float = 0.0
     wait_s: float = 10.0
     patience_s: float = 1.0
+    stuck_s: float = 30.0
+    nearer_m: float = NEARER_M
 
 
 @dataclass(frozen=True)
@@ -48,15 +68,17 @@ class TaskState:
     ----------
     phase : Phase
     reason : str
-        Why it failed.
+        Why it ended without being done.
     asked : float or None
         First image after `start`.
     began : float or None
         First image with all parts: time zero of the task.
     ended : float or None
-        Image at which it was done or failed.
+        Image at which it ended.
     missing_since, met_since : float or None
         Since when a part has been unseen, the goal has been met, without a break.
+    nearest_m, nearest_at : float
+        Least distance to the goal so far, summed over parts [m], and when it was reached [s].
     """
 
     phase: Phase = Phase.IDLE
@@ -66,6 +88,8 @@ class TaskState:
     ended: float | None = None
     missing_since: float | None = None
     met_since: float | None = None
+    nearest_m: float = math.inf
+    nearest_at: float = math.inf
 
     @property
     def active(self) -> bool:
@@ -74,8 +98,13 @@ class TaskState:
 
     @property
     def text(self) -> str:
-        """The phase, with the reason of a failure: `failed: time limit ...`."""
-        return f"failed: {self.reason}" if self.phase is Phase.FAILED else self.phase.value
+        """The phase; of a failure with time and reason: `lost part after 3.1 s: black_2`."""
+        if not self.phase.is_failure:
+            return self.phase.value
+        time = ""
+        if self.began is not None and self.ended is not None:
+            time = f" after {self.ended - self.began:.1f} s"
+        return f"{self.phase.value}{time}: {self.reason}"
 
     def elapsed(self, t: float) -> float:
         """Time [s] since the task began, until `t` or its end."""
@@ -107,51 +136,71 @@ def begin(state: TaskState, t: float, missing: tuple[str, ...], limits: TaskLimi
     if not missing:
         return replace(state, asked=asked, began=t)
     if t - asked > limits.wait_s + TIME_TOLERANCE_S:
-        return _fail(state, t, f"{_listed(missing)} not seen within {limits.wait_s:g} s of start")
+        reason = f"{_listed(missing)} not seen within {limits.wait_s:g} s of start"
+        return _end(state, t, Phase.ABORTED, reason)
     return replace(state, asked=asked)
 
 
-def judge(
-    state: TaskState,
-    t: float,
-    missing: tuple[str, ...],
-    goal_met: bool,
-    problem: str,
-    limits: TaskLimits,
-) -> TaskState:
-    """Judge a running task after one image.
+def stopped(state: TaskState, t: float | None) -> TaskState:
+    """Stop: a running task is aborted at stamp t [s], None if there was no image; else idle."""
+    if state.phase is not Phase.RUNNING:
+        return TaskState()
+    return _end(state, t, Phase.ABORTED, "stopped")
 
-    Parameters
+
+@dataclass(frozen=True)
+class Findings:
+    """What one image says of a running task.
+
+    Attributes
     ----------
-    state : TaskState
-    t : float
-        Stamp of the image [s].
     missing : tuple of str
         Parts of the scenario that are not seen.
     goal_met : bool
         Whether the goal is met in this image.
+    to_go_m : float
+        Distance to the goal, summed over parts [m].
     problem : str
         Why the task cannot go on; empty if it can.
-    limits : TaskLimits
+    plight : str
+        Which part is furthest from its goal, and what was asked of it.
     """
+
+    missing: tuple[str, ...]
+    goal_met: bool
+    to_go_m: float
+    problem: str = ""
+    plight: str = ""
+
+
+def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
+    """Judge a running task after one image, stamp t [s]."""
     if not state.active:
         return state
-    missing_since = _since(state.missing_since, bool(missing), t)
-    met_since = _since(state.met_since, goal_met and not missing, t)
+    missing_since = _since(state.missing_since, bool(found.missing), t)
+    met_since = _since(state.met_since, found.goal_met and not found.missing, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
+    # Unseen parts have no distance: the sum without them would look like progress.
+    if not found.missing and found.to_go_m < state.nearest_m - limits.nearer_m:
+        state = replace(state, nearest_m=found.to_go_m, nearest_at=t)
     if missing_since is not None and t - missing_since > limits.patience_s + TIME_TOLERANCE_S:
-        return _fail(state, t, f"lost {_listed(missing)}")
-    if problem:
-        return _fail(state, t, problem)
+        return _end(state, t, Phase.LOST, _listed(found.missing))
+    if found.problem:
+        return _end(state, t, Phase.STUCK, found.problem)
     if met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S:
         return replace(state, phase=Phase.DONE, ended=t)
+    reason = ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:
-        return _fail(state, t, f"time limit of {limits.time_limit_s:g} s")
-    return state
+        reason = f"time limit of {limits.time_limit_s:g} s"
+    elif met_since is None and t - state.nearest_at > limits.stuck_s + TIME_TOLERANCE_S:
+        reason = f"no nearer to the goal for {limits.stuck_s:g} s"
+    if not reason:
+        return state
+    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.plight))))
 
 
-def _fail(state: TaskState, t: float, reason: str) -> TaskState:
-    return replace(state, phase=Phase.FAILED, reason=reason, ended=t)
+def _end(state: TaskState, t: float | None, phase: Phase, reason: str) -> TaskState:
+    return replace(state, phase=phase, reason=reason, ended=t)
 
 
 def _since(since: float | None, holds: bool, t: float) -> float | None:

@@ -1,8 +1,9 @@
-"""Polygons at constant speed: where a part should be at any time."""
+"""Polygons that are run through: where a part should be at any time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,10 @@ from plate_core.scenario import PathTask
 
 @dataclass(frozen=True)
 class PolygonPath:
-    """A polygon that is run through at constant speed, from rest at its first corner.
+    """A polygon that is run through, from rest at its first corner.
+
+    Between two entries of the profile the speed v changes linearly with the length s of the way:
+    dv/ds = k, so v = v_0 exp(k t) and s = s_0 + (v - v_0)/k.
 
     Attributes
     ----------
@@ -20,15 +24,19 @@ class PolygonPath:
     arc : (n,)
         Length of the path up to each corner [m].
     speed : float
-        Speed along the path [m/s].
+        Greatest speed along the path [m/s].
     laps : float
         Times round; 1 for an open path.
+    profile : (k, 3), or None
+        Arc length [m], speed [m/s] and time since the lap began [s] at the entries of the speed
+        profile; None: `speed` all the way.
     """
 
     corner: np.ndarray
     arc: np.ndarray
     speed: float
     laps: float
+    profile: np.ndarray | None = None
 
     @classmethod
     def from_task(cls, task: PathTask) -> PolygonPath:
@@ -37,17 +45,19 @@ class PolygonPath:
         if task.closed:
             corner = np.vstack([corner, corner[:1]])
         arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
-        return cls(corner, arc, task.speed, task.laps)
+        profile = _profile(task.profile, float(arc[-1])) if task.profile else None
+        return cls(corner, arc, task.speed, task.laps, profile)
 
     @property
     def length(self) -> float:
         """Length of one lap [m]."""
         return float(self.arc[-1])
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """Time from the first corner to the end of the last lap [s]."""
-        return self.laps * self.length / self.speed
+        whole, rest = divmod(self.laps, 1.0)
+        return float(whole * self._lap_time + self._time_at(rest * self.length))
 
     def position(self, t: np.ndarray | float) -> np.ndarray:
         """Reference position (..., 2) [m, plate_home] at times t (...) [s].
@@ -62,17 +72,69 @@ class PolygonPath:
 
         At a corner it is that of the edge that begins there.
         """
+        moving = (np.asarray(t) >= 0) & (np.asarray(t) < self.duration)
+        return self._speed(t)[..., None] * self.heading(t) * moving[..., None]
+
+    def heading(self, t: np.ndarray | float) -> np.ndarray:
+        """Direction (..., 2) of the edge that the reference is on at times t (...) [s]."""
         edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
-        direction = np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None]
-        moving = (np.asarray(t) >= 0) & (np.asarray(t) < self.duration)
-        return self.speed * direction[edge] * moving[..., None]
+        return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
 
     def lap(self, t: float) -> int:
         """Number of laps completed at time t [s]."""
-        return int(np.floor(np.clip(t, 0, self.duration) * self.speed / self.length + 1e-9))
+        return int(np.floor(np.clip(t, 0, self.duration) / self._lap_time + 1e-9))
+
+    @property
+    def _lap_time(self) -> float:
+        if self.profile is None:
+            return self.length / self.speed
+        return float(self.profile[-1, 2])
+
+    def _time_at(self, along: float) -> float:
+        """Time [s] from the beginning of a lap to an arc length [m]."""
+        if self.profile is None:
+            return along / self.speed
+        s, v, t = self.profile.T
+        i = int(np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(s) - 2))
+        there = np.interp(along, s, v)
+        return float(t[i] + (along - s[i]) / _log_mean(v[i], there))
 
     def _along(self, t: np.ndarray | float) -> np.ndarray:
         """Arc length within the lap (...) [m]; the end of a lap is the start of the next."""
-        total = np.clip(np.asarray(t, dtype=float), 0, self.duration) * self.speed
-        return total if self.laps == 1 else np.mod(total, self.length)
+        since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
+        if self.profile is None:
+            total = since * self.speed
+            return total if self.laps == 1 else np.mod(total, self.length)
+        if self.laps != 1:
+            since = np.mod(since, self._lap_time)
+        s, v, begin = self.profile.T
+        i = np.clip(np.searchsorted(begin, since, side="right") - 1, 0, len(s) - 2)
+        slope = np.diff(v)[i] / np.diff(s)[i]
+        since = since - begin[i]
+        return np.asarray(s[i] + v[i] * since * _expm1_over(slope * since))
+
+    def _speed(self, t: np.ndarray | float) -> np.ndarray:
+        """Speed (...) [m/s] at times t (...) [s]."""
+        if self.profile is None:
+            return np.full(np.shape(t), self.speed)
+        return np.asarray(np.interp(self._along(t), self.profile[:, 0], self.profile[:, 1]))
+
+
+def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
+    """Arc length, speed and time (k, 3) at the entries (share of the length, speed)."""
+    share, speed = np.array(pairs).T
+    step = length * np.diff(share) / _log_mean(speed[:-1], speed[1:])
+    return np.column_stack([length * share, speed, np.append(0.0, np.cumsum(step))])
+
+
+def _log_mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Mean speed over a stretch on which speed grows from a to b linearly with the way."""
+    ratio = np.log(np.asarray(b) / a)
+    return np.asarray(a * _expm1_over(ratio))
+
+
+def _expm1_over(x: np.ndarray) -> np.ndarray:
+    """Return (exp(x) - 1)/x, which is 1 at 0."""
+    small = np.abs(x) < 1e-12
+    return np.asarray(np.where(small, 1.0, np.expm1(x) / np.where(small, 1.0, x)))

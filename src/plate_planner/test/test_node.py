@@ -128,7 +128,10 @@ def test_stop_says_what_was_stopped(graph):
     answer = graph.call("stop")
     assert (answer.success, answer.message) == (True, "sort_4 stopped, was running")
     assert graph.image(0.2, APART).ids == ()
-    assert graph.call("stop").message == "sort_4 stopped, was idle"
+    aborted = "aborted after 0.0 s: stopped"
+    graph.until(lambda: graph.states[-1] == aborted)
+    assert graph.call("stop").message == f"sort_4 stopped, was {aborted}"
+    graph.until(lambda: graph.states[-1] == "idle")
 
 
 def test_a_failure_tells_its_reason(graph):
@@ -136,7 +139,7 @@ def test_a_failure_tells_its_reason(graph):
     graph.image(0.0, APART)
     for t in (0.1, 0.2, 0.3):
         graph.image(t, APART[:3], IDS[:3])
-    graph.until(lambda: graph.states[-1] == "failed: lost grey_2")
+    graph.until(lambda: graph.states[-1] == "lost part after 0.3 s: grey_2")
 
 
 def test_a_wrong_message_is_answered_with_rest(graph):
@@ -167,7 +170,7 @@ def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"scenario": "sort_11"}, r"scenario is 'sort_11', allowed: follow_2, "),
+        ({"scenario": "sort_11"}, r"scenario is 'sort_11', allowed: assemble_8, "),
         ({"drift_max": 1.0}, r"parameter drift_max is 1.0, allowed: 0.0005 to 0.2"),
         ({"rig_file": "nowhere.yaml"}, r"nowhere.yaml: no such file"),
     ],

@@ -34,6 +34,7 @@ def closed_loop(reference, start, cycles, kp, trust=1.0, drift_gain=1.0, noise=0
             reference(t + 2 * T),
             T,
             kp,
+            np.zeros((1, 2)),
             np.array([limit]),
         )
         force, tolerance = DriftRequest(wanted, wanted).force(v, RIG, T, 1.0)
@@ -89,7 +90,7 @@ def test_measurement_noise_is_not_amplified():
 
 def test_the_drift_asked_for_is_bounded_in_magnitude_not_in_direction():
     far = np.array([[0.3, 0.4], [0.0, 0.001]])
-    wanted = pd_drift(np.zeros((2, 2)), far, far, T, 0.5, np.array([0.06, 0.06]))
+    wanted = pd_drift(np.zeros((2, 2)), far, far, T, 0.5, np.zeros((2, 2)), np.array([0.06, 0.06]))
     assert wanted == pytest.approx(np.array([[0.036, 0.048], [0.0, 0.005]]))
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from plate_core import PartSet, ScenarioError, load_rig
 from plate_core.parts import part_class
-from plate_core.scenario import load_scenario, start_positions
+from plate_core.scenario import Bin, Side, SortTask, load_scenario, start_positions
 from plate_planner import FollowOptions, Planner, PlannerOptions
-from plate_planner.trajectory import PolygonPath
+from plate_planner.following import Follower
 
 RIG = load_rig()
 MASS = RIG.parts.mass_kg
@@ -21,6 +21,7 @@ class Plant:
     """Parts whose drift changes by F T/m, one cycle after the image: no friction model at all."""
 
     def __init__(self, scenario, seed=0, disturbance=0.0, shuffle=False):
+        self.scenario = scenario
         self.rng = np.random.default_rng(seed)
         labels, self.position = start_positions(scenario, RIG, self.rng)
         if shuffle:
@@ -70,7 +71,7 @@ def test_it_sorts(name):
     plant = Plant(scenario, seed=1, disturbance=2e-3)
     planner = Planner(RIG, scenario)
     _, asked, progress = run(planner, plant)
-    side = np.array([scenario.task.sides[part_class(i)] for i in plant.ids])
+    side = np.array([scenario.task.regions[part_class(i)].x for i in plant.ids])
     assert progress.text == "done"
     assert progress.parts_sorted == progress.parts_total == scenario.count
     assert np.all(plant.position[:, 0] * side > 0.6 * RIG.plate.half[0])
@@ -131,22 +132,114 @@ def test_following_corrects_an_offset_at_the_start():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
     plant.position += [0.02, -0.01]
-    _, _, progress = run(Planner(RIG, scenario), plant, cycles=100)
-    paths = [PolygonPath.from_task(task) for task in scenario.task.paths]
-    error = plant.position - [path.position(100 * T - T) for path in paths]
+    planner = Planner(RIG, scenario)
+    state, _, progress = run(planner, plant, cycles=100)
+    reference = Follower(scenario.task, RIG).reference(state.follow, 100 * T)
     assert progress.phase == "running"
-    assert np.max(np.abs(error)) < 1e-3
+    assert np.max(np.abs(plant.position - reference)) < 1e-3
 
 
-def test_a_part_that_stays_behind_fails_the_task():
+def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)
     plant.answer = lambda asked: np.zeros((2, 2))
     _, asked, progress = run(Planner(RIG, scenario), plant)
-    assert progress.text.startswith("failed: black_")
-    assert "mm off its path, allowed: 30 mm" in progress.text
-    assert progress.time_s == pytest.approx(3.2, abs=0.11)
+    assert progress.pace == 0
+    assert 0.0045 < progress.max_error_m <= 0.5 * scenario.task.max_error_m + 1e-3
+    assert progress.text.startswith("stuck after ")
+    assert "no nearer to the goal for 30 s; black_" in progress.text
+    assert "asked for (" in progress.text
     assert len(asked) == 0
+
+
+def test_a_part_pushed_far_off_its_path_ends_the_task():
+    scenario = load_scenario("follow_2")
+    plant, planner = Plant(scenario), Planner(RIG, scenario)
+    state, _, _ = run(planner, plant, cycles=50)
+    plant.position[1] += [0.0, 0.04]
+    _, asked, progress = planner.plan(state, plant.seen(), 5.0)
+    assert progress.text == "stuck after 5.0 s: black_2 is 40.0 mm off its path, allowed: 30 mm"
+    assert len(asked) == 0
+
+
+class Weak(Plant):
+    """A plant on which parts get a share of the drift that is asked of them, up to a bound."""
+
+    share, bound = 1.0, np.inf
+
+    def answer(self, asked):
+        drift = self.share * super().answer(asked)
+        return np.clip(drift, -self.bound, self.bound)
+
+
+def test_the_integral_takes_away_what_friction_costs():
+    errors = {}
+    for ki in (0.0, 0.05):
+        plant = Weak(load_scenario("follow_2"))
+        plant.share = 0.8
+        planner = Planner(RIG, plant.scenario, PlannerOptions(follow=FollowOptions(ki=ki)))
+        state, _, _ = run(planner, plant, cycles=240)
+        follower = Follower(plant.scenario.task, RIG)
+        errors[ki] = np.max(follower.errors(state.follow, plant.seen(), 240 * T))
+    # Without: (1/0.8 - 1) v (1 + 1/kp) T, as in test_pd, of which 0.8 arrives. With: none is left.
+    assert errors[0.0] > 0.8e-3
+    assert errors[0.05] < 0.02 * errors[0.0]
+
+
+def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
+    plant = Weak(load_scenario("follow_2"))
+    plant.bound = 0.014  # of the 20 mm/s that the paths are run at
+    _, _, progress = run(Planner(RIG, plant.scenario), plant)
+    assert progress.text == "done"
+    assert 0.9 < progress.time_s / (0.56 / 0.014) < 1.1
+    assert progress.max_error_m < 0.016
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_assembles(seed):
+    scenario = load_scenario("assemble_8")
+    plant = Plant(scenario, seed=seed, disturbance=1e-3)
+    _, asked, progress = run(Planner(RIG, scenario), plant)
+    assert progress.text == "done"
+    assert progress.parts_sorted == 8
+    assert progress.max_error_m <= scenario.task.tolerance_m
+    place = np.array(scenario.task.place)
+    distance = np.hypot(*(plant.position[:, None] - place[None]).transpose(2, 0, 1))
+    nearest = np.argmin(distance, axis=1)
+    assert sorted(nearest) == list(range(8))  # each place has one part, of its class
+    assert [scenario.task.labels[k] for k in nearest] == [part_class(i) for i in plant.ids]
+    assert np.max(np.min(distance, axis=1)) <= scenario.task.tolerance_m
+    assert len(asked) == 0
+
+
+BINS = {
+    "black": Bin(((-0.2, -0.12), (-0.08, -0.12), (-0.14, 0.02))),
+    "grey": Bin(((0.05, 0.02), (0.15, 0.02), (0.15, 0.12), (0.05, 0.12))),
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_sorts_into_bins(seed):
+    task = SortTask(BINS, goal_fraction=0.0, hold_s=0.5)
+    scenario = replace(load_scenario("sort_8"), task=task)
+    plant = Plant(scenario, seed=seed, disturbance=1e-3)
+    _, _, progress = run(Planner(RIG, scenario), plant)
+    assert (progress.text, progress.parts_sorted) == ("done", 8)
+    x, y = plant.position[[part_class(i) == "grey" for i in plant.ids]].T
+    assert np.all((x > 0.05) & (x < 0.15) & (y > 0.02) & (y < 0.12))
+    x, y = plant.position[[part_class(i) == "black" for i in plant.ids]].T
+    height = 0.14 * (1 - np.abs(x + 0.14) / 0.06)
+    assert np.all((y > -0.12) & (y < -0.12 + height))
+
+
+def test_it_sorts_into_corners():
+    corners = {"black": Side(-1, 1), "grey": Side(0, -1)}
+    scenario = replace(load_scenario("sort_8"), task=SortTask(corners, 0.4, 0.5))
+    plant = Plant(scenario, seed=4, disturbance=1e-3)
+    _, _, progress = run(Planner(RIG, scenario), plant)
+    assert progress.text == "done"
+    for part_id, (x, y) in zip(plant.ids, plant.position / RIG.plate.half, strict=True):
+        assert (x < -0.4 and y > 0.4) if part_class(part_id) == "black" else y < -0.4
 
 
 def test_idle_asks_nothing_of_anyone():
@@ -156,13 +249,13 @@ def test_idle_asks_nothing_of_anyone():
     assert (len(asked), progress.phase, progress.parts_seen) == (0, "idle", 4)
 
 
-def test_stop_goes_back_to_idle_and_start_begins_anew():
+def test_stop_aborts_and_start_begins_anew():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, progress = run(planner, plant, cycles=20)
     assert progress.time_s == pytest.approx(1.9)
     state, asked, progress = planner.plan(planner.stop(state), plant.seen(), 2.0)
-    assert (len(asked), progress.phase, progress.time_s) == (0, "idle", 0.0)
+    assert (len(asked), progress.text) == (0, "aborted after 1.9 s: stopped")
     state, asked, progress = planner.plan(planner.start(state), plant.seen(), 2.1)
     assert (len(asked), progress.phase, progress.time_s) == (4, "running", 0.0)
 
@@ -192,7 +285,7 @@ def test_parts_that_never_come_are_named():
     for t in (0.0, 10.0, 10.1):
         state, asked, progress = planner.plan(state, nobody, t)
         assert len(asked) == 0
-    expected = "failed: 2 of 2 black parts, 2 of 2 grey parts not seen within 10 s of start"
+    expected = "aborted: 2 of 2 black parts, 2 of 2 grey parts not seen within 10 s of start"
     assert progress.text == expected
 
 
@@ -212,7 +305,7 @@ def test_a_lost_part_is_named_and_the_others_go_on_meanwhile(name, fallen):
         assert progress.phase == "running"
         assert set(asked.ids) == set(plant.ids) - {"black_2"}
     state, asked, progress = planner.plan(state, parts, 16 * T)
-    assert progress.text == "failed: lost black_2"
+    assert progress.text == "lost part after 1.6 s: black_2"
     assert len(asked) == 0
 
 
@@ -298,7 +391,9 @@ def test_the_time_limit_counts_from_when_all_parts_were_seen():
     plant = Plant(scenario)
     plant.answer = lambda asked: np.zeros((4, 2))
     _, _, progress = run(Planner(RIG, scenario), plant)
-    assert progress.text == "failed: time limit of 2 s"
+    assert progress.text.startswith("stuck after 2.1 s: time limit of 2 s; black_")
+    assert "mm short, asked for (-" in progress.text
+    assert progress.text.endswith("had (0.0, 0.0) mm/s")
     assert progress.time_s == pytest.approx(2.1)
 
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import PartSet, load_rig
-from plate_core.scenario import SortTask
-from plate_planner.sorting import SortOptions, is_sorted, sort_request
+from plate_core import PartSet, ScenarioError, load_rig
+from plate_core.scenario import Bin, PartGroup, Side, SortTask, load_scenario
+from plate_planner.bins import check_bins, inside, outline_distance, slots
+from plate_planner.sorting import Sorter, SortOptions
 
 RIG = load_rig()
 HALF = RIG.plate.half
-TASK = SortTask(sides={"black": -1, "grey": 1}, goal_fraction=0.6, hold_s=0.5)
+TASK = SortTask({"black": Side(-1, 0), "grey": Side(1, 0)}, goal_fraction=0.6, hold_s=0.5)
 OPTIONS = SortOptions(drift_max=0.01)
 TINY = 1e-9
 
@@ -19,7 +20,7 @@ TINY = 1e-9
 def interval(part_id: str, x: float, y: float = 0.0, options: SortOptions = OPTIONS):
     """Return low, high (2,) in multiples of drift_max for one part at shares of the half sides."""
     parts = PartSet.make((part_id,), np.array([[x, y]]) * HALF)
-    request = sort_request(parts, TASK, RIG, 0.1, options)
+    request = Sorter(TASK, RIG).request(parts, 0.1, options)
     return request.low[0] / options.drift_max, request.high[0] / options.drift_max
 
 
@@ -79,7 +80,7 @@ def test_intervals_are_never_empty_and_never_lead_off_the_plate():
     for _ in range(200):
         position = rng.uniform(-HALF, HALF, (13, 2))
         parts = PartSet.make(ids, position, 0.01 * rng.normal(size=(13, 2)))
-        request = sort_request(parts, TASK, RIG, 0.1, OPTIONS)
+        request = Sorter(TASK, RIG).request(parts, 0.1, OPTIONS)
         assert np.all(request.low <= request.high + TINY)
         ahead = position + 0.1 * parts.velocity
         outside = np.abs(ahead) >= 0.9 * HALF
@@ -94,8 +95,8 @@ def test_the_mirror_image_asks_for_the_mirror_image():
     swapped = tuple(
         i.replace("black", "x").replace("grey", "black").replace("x", "grey") for i in ids
     )
-    request = sort_request(PartSet.make(ids, position), TASK, RIG, 0.1, OPTIONS)
-    mirror = sort_request(PartSet.make(swapped, position * [-1, 1]), TASK, RIG, 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(PartSet.make(ids, position), 0.1, OPTIONS)
+    mirror = Sorter(TASK, RIG).request(PartSet.make(swapped, position * [-1, 1]), 0.1, OPTIONS)
     assert mirror.low[:, 0] == pytest.approx(-request.high[:, 0])
     assert mirror.low[:, 1] == pytest.approx(request.low[:, 1])
 
@@ -107,14 +108,15 @@ def test_a_class_without_a_goal_is_only_kept_on_the_plate():
     low, high = interval("red_1", -0.9, 0.9)
     assert low == pytest.approx([1, -1])
     assert high == pytest.approx([1, -1])
-    assert not is_sorted(PartSet.make(("red_1",), np.array([[0.29, 0]])), TASK, RIG)[0]
+    parts = PartSet.make(("red_1",), np.array([[0.29, 0]]))
+    assert np.isnan(Sorter(TASK, RIG).to_go(parts)[0])
 
 
 def pair(gap_x: float, gap_y: float, left="grey_1", right="black_1", options=OPTIONS):
     """Request for two parts this far apart, in radii."""
     r = RIG.parts.radius_m
     position = np.array([[-gap_x / 2 * r, -gap_y / 2 * r], [gap_x / 2 * r, gap_y / 2 * r]])
-    return sort_request(PartSet.make((left, right), position), TASK, RIG, 0.1, options)
+    return Sorter(TASK, RIG).request(PartSet.make((left, right), position), 0.1, options)
 
 
 def test_parts_that_would_meet_dodge_along_y():
@@ -136,7 +138,7 @@ def test_dodging_begins_and_ends_gradually():
 
 def test_the_edge_comes_before_dodging():
     position = np.array([[-0.01, 0.9 * HALF[1]], [0.01, 0.9 * HALF[1] - 0.01]])
-    request = sort_request(PartSet.make(("grey_1", "black_1"), position), TASK, RIG, 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(PartSet.make(("grey_1", "black_1"), position), 0.1, OPTIONS)
     assert request.high[0, 1] == pytest.approx(-0.01)  # back from the edge, though upper
 
 
@@ -167,9 +169,68 @@ def test_others_are_left_alone(request_):
 )
 def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, share, expected):
     parts = PartSet.make((part_id,), np.array([[share * HALF[0], 0.0]]))
-    assert is_sorted(parts, TASK, RIG)[0] == expected
+    assert (Sorter(TASK, RIG).to_go(parts)[0] == 0) == expected
+
+
+def shares(*points: tuple[float, float]) -> np.ndarray:
+    """Return places [m] at shares of the half sides."""
+    return np.array(points) * HALF
+
+
+def test_a_corner_wants_both_axes_and_top_is_left_turned_round():
+    task = SortTask({"black": Side(-1, 1), "grey": Side(0, 1)}, goal_fraction=0.6, hold_s=0.5)
+    sorter = Sorter(task, RIG)
+    ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
+    points = shares((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.9, 0.7), (0.0, 0.0))
+    parts = PartSet.make(ids, points)
+    short = [0, 0.3 * HALF[1], np.hypot(0.9 * HALF[0], 0.4 * HALF[1]), 0, 0.6 * HALF[1]]
+    assert sorter.to_go(parts) == pytest.approx(np.array(short))
+    low, high = (x / OPTIONS.drift_max for x in vars(sorter.request(parts, 0.1, OPTIONS)).values())
+    assert (low[2, 1], high[2, 1]) == pytest.approx((1, 2))  # up
+    assert (low[2, 0], high[2, 0]) == pytest.approx((-2, -1))  # and to the left
+    assert (low[4, 0], high[4, 0]) == pytest.approx((-0.6, 0.6))  # grey's x is free
+    # On a square plate the rules along y are those along x.
+    square = replace(RIG, plate=replace(RIG.plate, width_m=RIG.plate.length_m))
+    up = Sorter(SortTask({"grey": Side(0, 1)}, 0.6, 0.5), square)
+    right = Sorter(SortTask({"grey": Side(1, 0)}, 0.6, 0.5), square)
+    point = np.array([[0.05, 0.06], [0.03, 0.09], [-0.2, -0.27]])
+    names = ("grey_1", "grey_2", "grey_3")
+    a = up.request(PartSet.make(names, point), 0.1, OPTIONS)
+    b = right.request(PartSet.make(names, point[:, ::-1]), 0.1, OPTIONS)
+    assert a.low == pytest.approx(b.low[:, ::-1])
+    assert a.high == pytest.approx(b.high[:, ::-1])
+
+
+BIN = Bin(((-0.2, -0.1), (-0.05, -0.1), (-0.05, -0.02), (-0.12, 0.04), (-0.2, -0.02)))
+
+
+def test_distance_to_a_bin_is_zero_within_and_to_the_outline_without():
+    sorter = Sorter(SortTask({"black": BIN}, 0.0, 0.5), RIG)
+    points = [(-0.1, -0.06), (0.05, -0.06), (-0.12, 0.05), (-0.2, -0.13), (-0.23, -0.14)]
+    parts = PartSet.make(tuple(f"black_{i}" for i in range(5)), np.array(points))
+    assert sorter.to_go(parts) == pytest.approx(np.array([0, 0.1, 0.01, 0.03, 0.05]))
+
+
+def test_slots_are_apart_and_clear_of_the_bins_sides():
+    slot = slots(BIN, RIG)
+    radius = RIG.parts.radius_m
+    gap = np.hypot(*(slot[:, None] - slot[None]).transpose(2, 0, 1)) + np.eye(len(slot))
+    assert len(slot) >= 8  # its area has room for 15 squares
+    assert np.min(gap) >= 3.5 * radius - 1e-9
+    assert np.all(inside(slot, np.array(BIN.corner)))
+    assert np.min(outline_distance(slot, np.array(BIN.corner))) >= 1.25 * radius - 1e-9
+
+
+def test_a_bin_too_small_for_its_parts_is_refused():
+    small = Bin(((0.0, 0.0), (0.05, 0.0), (0.05, 0.05), (0.0, 0.05)))
+    scenario = replace(load_scenario("sort_4"), task=SortTask({"black": small, "grey": BIN}, 0, 0))
+    room = len(slots(small, RIG))
+    assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
+    scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
+    with pytest.raises(ScenarioError, match=rf"bin of black is for {room + 1} parts, .*{room},"):
+        check_bins(scenario, RIG)
 
 
 def test_no_parts_no_request():
-    request = sort_request(PartSet.make((), np.zeros((0, 2))), TASK, RIG, 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(PartSet.make((), np.zeros((0, 2))), 0.1, OPTIONS)
     assert request.low.shape == request.high.shape == (0, 2)

@@ -1,10 +1,20 @@
 """The supervisor: every way from one phase to another, just before and just after."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
-from plate_planner.task import Phase, TaskLimits, TaskState, begin, judge, started
+from plate_planner.task import (
+    Findings,
+    Phase,
+    TaskLimits,
+    TaskState,
+    begin,
+    judge,
+    started,
+    stopped,
+)
 
 LIMITS = TaskLimits(time_limit_s=10.0, hold_s=0.5, wait_s=3.0, patience_s=1.0)
 EPS = 1e-3
@@ -15,7 +25,7 @@ GONE = ("black_1",)
 def run(*images, state=RUNNING):
     """Feed images (t, missing, goal met) and return the last state."""
     for t, missing, met in images:
-        state = judge(begin(state, t, missing, LIMITS), t, missing, met, "", LIMITS)
+        state = judge(begin(state, t, missing, LIMITS), t, Findings(missing, met, 0.0), LIMITS)
     return state
 
 
@@ -37,7 +47,7 @@ def test_it_gives_up_waiting_for_parts():
     waiting = run((5.0, GONE, False), state=started())
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
-    assert state.text == "failed: 2 of 5 black parts, grey_1 not seen within 3 s of start"
+    assert state.text == "aborted: 2 of 5 black parts, grey_1 not seen within 3 s of start"
 
 
 def test_done_when_the_goal_was_met_for_the_hold_time():
@@ -52,7 +62,7 @@ def test_a_break_starts_the_hold_time_again():
 
 
 def test_without_a_hold_time_the_first_image_counts():
-    state = judge(RUNNING, 101.0, (), True, "", replace(LIMITS, hold_s=0.0))
+    state = judge(RUNNING, 101.0, Findings((), True, 0.0), replace(LIMITS, hold_s=0.0))
     assert state.phase is Phase.DONE
 
 
@@ -62,12 +72,12 @@ def test_a_part_may_hide_for_a_while():
         run((101.0, GONE, False), (101.9, (), False), (102.8, GONE, False)).phase is Phase.RUNNING
     )
     state = run((101.0, GONE, False), (102.0 + EPS, GONE, False))
-    assert (state.text, state.ended) == ("failed: lost black_1", 102.0 + EPS)
+    assert (state.text, state.ended) == ("lost part after 2.0 s: black_1", 102.0 + EPS)
 
 
 def test_the_time_limit():
     assert run((110.0, (), False)).phase is Phase.RUNNING
-    assert run((110.0 + EPS, (), False)).text == "failed: time limit of 10 s"
+    assert run((110.0 + EPS, (), False)).text == "stuck after 10.0 s: time limit of 10 s"
 
 
 def test_done_at_the_last_moment_is_done():
@@ -75,12 +85,44 @@ def test_done_at_the_last_moment_is_done():
     assert state.phase is Phase.DONE
 
 
-def test_a_problem_fails_the_task_with_its_reason():
-    state = judge(RUNNING, 101.0, (), True, "black_1 is off", LIMITS)
-    assert state.text == "failed: black_1 is off"
+def test_a_problem_ends_the_task_with_its_reason():
+    state = judge(RUNNING, 101.0, Findings((), True, 0.0, "black_1 is off"), LIMITS)
+    assert (state.phase, state.text) == (Phase.STUCK, "stuck after 1.0 s: black_1 is off")
 
 
-@pytest.mark.parametrize("phase", [Phase.DONE, Phase.FAILED, Phase.IDLE])
+def at_distances(*to_go, missing=(), met=False, stuck_s=3.0):
+    """Return the last state after images a second apart with these distances to the goal [m]."""
+    state, limits = RUNNING, replace(LIMITS, stuck_s=stuck_s, patience_s=50.0)
+    for k, distance in enumerate(to_go):
+        found = Findings(missing, met, distance, plight="grey_2 is 8.0 mm short")
+        state = judge(state, 100.0 + k, found, limits)
+    return state
+
+
+def test_no_nearer_for_long_is_stuck_and_says_who():
+    assert at_distances(0.1, 0.09, 0.09, 0.0885, 0.09).phase is Phase.RUNNING
+    state = at_distances(0.1, 0.09, 0.09, 0.0885, 0.09, 0.0885)
+    reason = "no nearer to the goal for 3 s; grey_2 is 8.0 mm short"
+    assert state.text == f"stuck after 5.0 s: {reason}"
+    assert at_distances(0.1, 0.09, 0.09, 0.087, 0.09, 0.089).phase is Phase.RUNNING
+
+
+def test_unseen_parts_are_no_progress_and_a_goal_that_is_met_is_not_stuck():
+    hidden = at_distances(0.1, 0.02, 0.02, missing=GONE)
+    assert hidden.nearest_m == math.inf
+    limits = replace(LIMITS, stuck_s=0.2)
+    state = judge(RUNNING, 100.0, Findings((), True, 0.0), limits)
+    assert judge(state, 100.4, Findings((), True, 0.0), limits).phase is Phase.RUNNING
+
+
+def test_to_stop_aborts_a_running_task_only():
+    assert stopped(RUNNING, 103.0).text == "aborted after 3.0 s: stopped"
+    assert stopped(started(), None).text == "aborted: stopped"
+    done = replace(RUNNING, phase=Phase.DONE, ended=103.0)
+    assert stopped(done, 104.0) == stopped(TaskState(), 104.0) == TaskState()
+
+
+@pytest.mark.parametrize("phase", [Phase.DONE, Phase.STUCK, Phase.LOST, Phase.ABORTED, Phase.IDLE])
 def test_what_has_ended_stays_ended(phase):
     ended = replace(RUNNING, phase=phase, ended=103.0)
     assert run((104.0, (), True), (999.0, GONE, False), state=ended) == ended

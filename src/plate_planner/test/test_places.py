@@ -1,0 +1,89 @@
+"""Parts to places: intervals that lead there, round others, clear of the edges."""
+
+import numpy as np
+import pytest
+
+from plate_core import PartSet, load_rig
+from plate_core.scenario import AssembleTask
+from plate_planner.assembling import AssembleOptions, Assembly
+from plate_planner.places import LOOSE, approach_drift, assign, hold_back, pass_by
+from plate_planner.requests import DriftRequest
+
+RIG = load_rig()
+SPEED, OVER, RATE, BAND = 0.012, 2.0, 1.5, 0.001
+
+
+def drift(position, aim):
+    return approach_drift(np.array(position), np.array(aim), BAND, SPEED, OVER, RATE)
+
+
+def test_any_drift_in_the_interval_leads_nearer_until_the_band_is_reached():
+    rng = np.random.default_rng(0)
+    position, aim = rng.uniform(-0.2, 0.2, (2, 500, 2))
+    aim[::2] = position[::2] + rng.uniform(-0.01, 0.01, (250, 2))  # near ones too
+    request = drift(position, aim)
+    gap = aim - position
+    assert np.all(request.low <= request.high)
+    outside = np.max(np.abs(gap), axis=1) > 3 * BAND
+    assert np.sum(outside) > 400
+    worst = np.minimum(gap * request.low, gap * request.high).sum(axis=1)
+    assert np.all(worst[outside] > 0)
+    assert np.max(np.abs([request.low, request.high])) <= OVER * SPEED * (1 + 1e-12)
+
+
+def test_in_the_band_it_may_drift_but_not_out_within_a_time_constant():
+    request = drift([[0.0005, 0.0]], [[0.0, 0.0]])
+    beside = BAND + LOOSE * 0.5e-3
+    assert request.high[0] == pytest.approx([RATE * (beside - 0.5e-3), RATE * beside])
+    assert request.low[0] == pytest.approx([-RATE * (beside + 0.5e-3), -RATE * beside])
+
+
+def test_parts_that_meet_both_turn_right_and_one_at_rest_stays():
+    position = np.array([[0.0, 0.0], [0.02, 0.0]])
+    towards = np.array([[0.01, 0.0], [-0.01, 0.0]])
+    request = pass_by(position, DriftRequest(towards, towards), 0.008)
+    assert request.low[0, 1] < -0.005  # the one that goes right turns down
+    assert request.low[1, 1] > 0.005
+    assert 0 <= request.low[0, 0] < 0.003
+    one = pass_by(position, DriftRequest(towards * [[1], [0]], towards * [[1], [0]]), 0.008)
+    assert one.low[1] == pytest.approx([0, 0])
+    assert one.low[0] == pytest.approx(request.low[0])
+    apart = pass_by(position * 2, DriftRequest(towards, towards), 0.008)
+    assert apart.low == pytest.approx(towards)
+    away = pass_by(position, DriftRequest(-towards, -towards), 0.008)
+    assert away.low == pytest.approx(-towards)
+
+
+def test_drift_towards_an_edge_is_cut_off_but_a_place_near_it_is_reached():
+    half = RIG.plate.half
+    wild = DriftRequest(np.full((2, 2), -0.02), np.full((2, 2), 0.02))
+    position = np.array([[0.95 * half[0], 0.0], [0.0, -0.93 * half[1]]])
+    request = hold_back(position, np.zeros((2, 2)), half, wild, RATE)
+    assert request.high[0, 0] < 0  # beyond the line: back
+    assert request.low[1, 1] == pytest.approx(0, abs=1e-9)
+    assert request.high[1] == pytest.approx([0.02, 0.02])
+    near_edge = np.array([[0.97 * half[0], 0.0]] * 2)
+    assert hold_back(position, near_edge, half, wild, RATE).high[0, 0] > 0
+
+
+def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
+    parts = PartSet.make(
+        ("grey_1", "red_1", "black_1", "black_2"),
+        np.array([[0.0, 0.0], [0.0, 0.1], [0.1, 0.0], [0.0, 0.01]]),
+    )
+    place = np.array([[0.0, 0.0], [0.1, 0.01], [0.1, 0.02]])
+    assert list(assign(("black", "grey", "black"), place, parts)) == [1, -1, 2, 0]
+    task = AssembleTask(("black", "grey", "black"), tuple(map(tuple, place)), 0.003, 1.0)
+    assembly = Assembly(task, RIG)
+    distance = assembly.distance(parts)
+    assert distance == pytest.approx([np.hypot(0.1, 0.01), np.nan, 0.02, 0.01], nan_ok=True)
+    request = assembly.request(parts, 0.1, AssembleOptions())
+    assert request.low[1] == pytest.approx([-0.012, -0.012])
+    assert request.high[1] == pytest.approx([0.012, 0.012])
+
+
+def test_nobody_is_asked_nothing():
+    nobody = PartSet.make((), np.zeros((0, 2)))
+    assembly = Assembly(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
+    assert assembly.request(nobody, 0.1, AssembleOptions()).low.shape == (0, 2)
+    assert assembly.distance(nobody).shape == (0,)
