@@ -49,7 +49,7 @@ class FollowOptions:
         A part may be further off than the scenario allows for this long after the start [s].
     """
 
-    kp: float = 0.6
+    kp: float = 0.8
     kd: float = 1.0
     trust: float = 1.0
     ki: float = 0.05
