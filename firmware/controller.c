@@ -224,12 +224,12 @@ static void obey(Controller *c, const uint8_t *packet, size_t size)
     c->heard_us = c->now_us;
     if (type == HELLO)
         hello(c, sequence, fields);
-    else if (type == HEARTBEAT)
-        tell_pulse(c, fields);
     else if (type == STOP)
         stop(c, sequence, fields[0] == 1);
     else if (!c->session_open)
         acknowledge(c, sequence, STATUS_NO_SESSION);
+    else if (type == HEARTBEAT)
+        tell_pulse(c, fields);
     else if (type == KNOTS)
         acknowledge(c, sequence, fill(c, fields, size - HEADER_BYTES));
     else

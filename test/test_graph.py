@@ -185,7 +185,7 @@ WRONG_INPUT = [
     ("planner", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
     ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),
-    ("driver", {"transport": "serial"}, "transport is 'serial', allowed: sim"),
+    ("driver", {"transport": "serial"}, "port is '', allowed with transport serial: "),
     ("detector", {"rig_file": "none.yaml"}, "none.yaml: no such file"),
 ]
 

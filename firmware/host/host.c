@@ -94,6 +94,7 @@ int main(void)
             }
             printf("state %d %d %u\n", controller.state, controller.faults,
                    (unsigned)controller.reader.refused);
+            fflush(stdout);
         }
     }
     free(input);

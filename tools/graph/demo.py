@@ -90,7 +90,7 @@ def checked(args: argparse.Namespace) -> Plan:
     scenario = load_scenario(args.scenario)
     if args.method not in METHODS:
         raise PlateError(f"method is {args.method!r}, allowed: {', '.join(sorted(METHODS))}")
-    check_transport(args.transport)
+    check_transport(args.transport, args.port)
     if not 0 <= args.seed < 2**31:
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
@@ -100,6 +100,7 @@ def checked(args: argparse.Namespace) -> Plan:
         method=METHODS[args.method],
         seed=args.seed,
         transport=args.transport,
+        port=args.port,
         lockstep=args.lockstep,
         autostart=False,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,10 +25,14 @@ from plate_core.ros.qos import DATA
 
 from .motor_table import MotorTable, check_order, prepare
 from .record import Record
+from .serial_transport import Measured, SerialTransport, open_port
 from .transport import SimTransport, Transport, check_transport
 from .watchdog import Watchdog
 
 WATCH_PERIOD_S = 0.02
+POLL_PERIOD_S = 0.005
+"""Time between looks at the serial port [s]: an upload takes some four of them."""
+
 REPORT_PERIOD_S = 1.0
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
@@ -44,7 +49,8 @@ class Options:
     """Parameters of the driver."""
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
-    transport: str = parameter("sim", "What moves the plate: sim.")
+    transport: str = parameter("sim", "What moves the plate: sim or serial.")
+    port: str = parameter("", "Serial port of the motor controller, if transport is serial.")
     hold_cycles: int = parameter(
         5, "Periods that the plate goes on without a new cycle before it rests.", 1, 1000, live=True
     )
@@ -79,7 +85,10 @@ def logged(transition: Transition) -> Transition:
 
 class DriverNode(LifecycleNode):
     """Lifecycle node `driver`: subscribes plate_cycle, publishes motor_setpoints, motor_states and
-    diagnostics while active, and brings the plate to rest before it stops being active."""
+    diagnostics while active, and brings the plate to rest before it stops being active.
+
+    With serial transport motor_states are measured: position [m], and in `effort`, since JointState
+    has no field for it, acceleration [m/s2]; stamped by the device's clock."""
 
     def __init__(self) -> None:
         super().__init__("driver")
@@ -94,7 +103,8 @@ class DriverNode(LifecycleNode):
         self._subscription: Any = None
         self._publishers_made: list[Any] = []
         self._options = declare(self, Options)
-        check_transport(self._options.transport)
+        check_transport(self._options.transport, self._options.port)
+        self._measured: Measured | None = None
         self._follow = follow(self, self._options, self._set_options)
         if self._options.autostart:
             self._autostart()
@@ -117,13 +127,15 @@ class DriverNode(LifecycleNode):
         self._states = self.create_lifecycle_publisher(JointState, "motor_states", DATA)
         self._diagnostics = self.create_lifecycle_publisher(DiagnosticArray, "diagnostics", DATA)
         self._publishers_made = [self._setpoints, self._states, self._diagnostics]
-        self._transport: Transport = SimTransport(self._publish)
+        self._transport: Transport = self._make_transport()
         self._transport.open()
         self._subscription = self.create_subscription(
             JointTrajectory, "plate_cycle", self._on_cycle, DATA
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # ticks also while simulated time stands
         timers = [(WATCH_PERIOD_S, self._watch), (REPORT_PERIOD_S, self._report)]
+        if isinstance(self._transport, SerialTransport):
+            timers.append((POLL_PERIOD_S, self._poll))
         if self._options.state_rate > 0:
             timers.append((1 / self._options.state_rate, self._publish_state))
         self._timers_made = [self.create_timer(t, tick, clock=steady) for t, tick in timers]
@@ -186,8 +198,25 @@ class DriverNode(LifecycleNode):
             self.destroy_lifecycle_publisher(publisher)
         self._timers_made, self._subscription, self._publishers_made = [], None, []
         self._last_ns, self._table, self._watchdog = None, None, Watchdog()
+        self._measured = None
 
     # Work
+
+    def _make_transport(self) -> Transport:
+        if self._options.transport == "sim":
+            return SimTransport(self._publish)
+        port = self._options.port
+        return SerialTransport(lambda: open_port(port), time.monotonic, time.time_ns() % 2**32)
+
+    def _poll(self) -> None:
+        """Serve the serial link, and tell what is wrong with it."""
+        if not isinstance(self._transport, SerialTransport):
+            return
+        for measured in self._transport.poll():
+            self._measured = measured
+        for trouble in self._transport.troubles():
+            self._record = self._record.trouble(trouble)
+            self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
 
     def _now(self) -> float:
         return self.get_clock().now().nanoseconds * 1e-9
@@ -199,11 +228,11 @@ class DriverNode(LifecycleNode):
         try:
             check_order(self._last_ns, stamp_ns)
             table, fit = prepare(self._rig, msg_to_cycle(msg), stamp_ns, self._options.repeats)
+            self._send(table)
         except PlateError as error:
             self._record = self._record.refusal()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
             return
-        self._send(table)
         self._last_ns = stamp_ns
         self._watchdog = self._watchdog.fed(
             self._sent_at, table.cycle.period, self._options.hold_cycles
@@ -219,6 +248,8 @@ class DriverNode(LifecycleNode):
 
     def _send(self, table: MotorTable) -> None:
         self._transport.send(table)
+        if isinstance(self._transport, SerialTransport):
+            self._publish(table)
         self._table, self._sent_at = table, self._now()
 
     def _publish(self, table: MotorTable) -> None:
@@ -247,7 +278,10 @@ class DriverNode(LifecycleNode):
             self._rest()
 
     def _publish_state(self) -> None:
-        """Publish what the motors were told to do now: not measured, up to one cycle ahead."""
+        """Publish what was measured, or else what the motors were told to do now."""
+        if isinstance(self._transport, SerialTransport):
+            self._publish_measured()
+            return
         if not self._active or self._table is None:
             return
         now = self.get_clock().now()
@@ -257,6 +291,17 @@ class DriverNode(LifecycleNode):
         msg = JointState(name=[motor.name for motor in self._rig.motors])
         msg.header.stamp = now.to_msg()
         msg.position, msg.velocity = q[0].tolist(), qd[0].tolist()
+        self._states.publish(msg)
+
+    def _publish_measured(self) -> None:
+        measured, self._measured = self._measured, None
+        if not self._active or measured is None:
+            return
+        msg = JointState(name=[motor.name for motor in self._rig.motors])
+        age = Duration(seconds=max(0.0, time.monotonic() - measured.time))
+        msg.header.stamp = (self.get_clock().now() - age).to_msg()
+        msg.position = list(measured.telemetry.position)
+        msg.effort = list(measured.telemetry.acceleration)
         self._states.publish(msg)
 
     def _report(self) -> None:

@@ -52,6 +52,10 @@ class Record:
         """Count a stop because cycles ceased to come."""
         return replace(self, rests=self.rests + 1)._with("cycles ceased to come")
 
+    def trouble(self, trouble: str) -> Record:
+        """Note what a transport says."""
+        return self._with(trouble)
+
     def reported(self) -> Record:
         """Begin the next report."""
         return replace(self, worst=0.0, factor=1.0, troubles=())

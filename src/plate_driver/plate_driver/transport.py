@@ -9,8 +9,6 @@ from plate_core import PlateError
 
 from .motor_table import MotorTable
 
-ARRIVES_LATER = {"serial": "serial arrives with the hardware release"}
-
 
 class Transport(Protocol):
     """The way to the motors."""
@@ -48,8 +46,9 @@ class SimTransport:
         """Nothing to close."""
 
 
-def check_transport(name: str) -> None:
-    """Refuse a transport that does not exist, or not yet."""
-    if name != "sim":
-        notes = "".join(f" ({note})" for note in ARRIVES_LATER.values())
-        raise PlateError(f"transport is {name!r}, allowed: sim{notes}")
+def check_transport(name: str, port: str) -> None:
+    """Refuse a transport that does not exist, or lacks its port."""
+    if name not in ("sim", "serial"):
+        raise PlateError(f"transport is {name!r}, allowed: sim, serial")
+    if name == "serial" and not port:
+        raise PlateError("port is '', allowed with transport serial: the name of a serial port")

@@ -290,16 +290,14 @@ def test_lifecycle(peer):
 
 def test_wrong_parameter_ends_the_process():
     result = subprocess.run(
-        [*DRIVER, "--ros-args", "-p", "transport:=serial"],
+        [*DRIVER, "--ros-args", "-p", "transport:=can"],
         env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
         capture_output=True,
         text=True,
         timeout=15,
     )
     assert result.returncode == 2
-    assert result.stderr.endswith(
-        "error: transport is 'serial', allowed: sim (serial arrives with the hardware release)\n"
-    )
+    assert result.stderr.endswith("error: transport is 'can', allowed: sim, serial\n")
     assert "Traceback" not in result.stderr
 
 

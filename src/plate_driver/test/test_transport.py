@@ -17,14 +17,18 @@ def test_sim_publishes():
     assert sent == [table]
 
 
-def test_sim_is_allowed():
-    check_transport("sim")
+def test_what_exists_is_allowed():
+    check_transport("sim", "")
+    check_transport("serial", "/dev/ttyUSB0")
 
 
-@pytest.mark.parametrize("name", ["serial", "can", ""])
+@pytest.mark.parametrize("name", ["can", ""])
 def test_others_are_not(name):
     with pytest.raises(PlateError) as caught:
-        check_transport(name)
-    assert str(caught.value) == (
-        f"transport is {name!r}, allowed: sim (serial arrives with the hardware release)"
-    )
+        check_transport(name, "")
+    assert str(caught.value) == f"transport is {name!r}, allowed: sim, serial"
+
+
+def test_serial_needs_a_port():
+    with pytest.raises(PlateError, match="port is '', allowed with transport serial: the name"):
+        check_transport("serial", "")

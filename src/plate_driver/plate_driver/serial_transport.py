@@ -1,0 +1,217 @@
+"""Motor tables over a serial port: opens it, keeps the link alive, begins anew when it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import serial
+
+from plate_core import CycleError, PlateError
+from plate_core.errors import FrameError
+from plate_core.serial_protocol import Knot, Reader, Telemetry, frame, pack, parse
+from plate_core.serial_protocol.messages import TICK_S
+
+from .link import HARMLESS, Link
+from .motor_table import MotorTable
+
+BAUD = 921_600
+REOPEN_S = (0.1, 0.2, 0.4, 0.8)
+"""Waits between attempts to begin anew [s]; the last one from then on."""
+
+READ_BYTES = 65_536
+"""Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
+
+
+class Port(Protocol):
+    """What is used of `serial.Serial`: reading and writing return at once."""
+
+    def read(self, size: int) -> bytes: ...
+
+    def write(self, data: bytes) -> int | None: ...
+
+    def close(self) -> None: ...
+
+
+def open_port(name: str) -> Port:
+    """Open a serial port.
+
+    Raises
+    ------
+    PlateError
+        If it is not there or cannot be used.
+    """
+    try:
+        # A write that finds the line full for 50 ms is a fault, not something to wait for.
+        port: Port = serial.Serial(name, BAUD, timeout=0, write_timeout=0.05, exclusive=True)
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        raise PlateError(f"port is {name!r}, allowed: a serial port that opens ({error})") from None
+    return port
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Telemetry and when it was measured, on the host's clock [s]."""
+
+    telemetry: Telemetry
+    time: float
+
+
+class SerialTransport:
+    """To a motor controller that speaks docs/protocol.md.
+
+    Parameters
+    ----------
+    make_port : callable
+        Opens the port; called again after a failure.
+    clock : callable
+        Time that never runs back [s].
+    seed : int
+        Where session numbers begin: another one for each run.
+    """
+
+    def __init__(self, make_port: Callable[[], Port], clock: Callable[[], float], seed: int):
+        self._make_port, self._clock, self._session = make_port, clock, seed
+        self._port: Port | None = None
+        self._reader = Reader()
+        self._link = Link.begun(self._session, 0.0)
+        self._newest: MotorTable | None = None
+        self._table = 0
+        self._failures = 0
+        self._reopen_at = 0.0
+        self._troubles: list[str] = []
+        self.refused = 0
+        self.retries = 0
+
+    def open(self) -> None:
+        """Open the port and say hello; a PlateError says what is missing."""
+        self._connect(self._make_port())
+
+    def send(self, table: MotorTable) -> None:
+        """Upload a table: the device takes it at its next cycle boundary.
+
+        Raises
+        ------
+        CycleError
+            If the device cannot hold so many knots.
+        """
+        device = self._link.device
+        if device is not None and len(table.q) > device.max_knots:
+            raise CycleError(
+                f"plate_cycle: {len(table.q)} knots, allowed by the device: {device.max_knots}"
+            )
+        self._newest = table
+        self._upload()
+        self.poll()
+
+    def poll(self) -> list[Measured]:
+        """Read, answer and repeat; call it every few milliseconds. Returns what was measured."""
+        now = self._clock()
+        if self._port is None:
+            self._reopen(now)
+            return []
+        measured = []
+        try:
+            reader, packets = self._reader.fed(self._port.read(READ_BYTES))
+            self.refused += reader.refused - self._reader.refused
+            self._reader = reader
+            for data in packets:
+                telemetry = self._heard(data, now)
+                if telemetry is not None:
+                    when = self._link.clock.host_time(telemetry.device_us)
+                    measured.append(Measured(telemetry, min(when, now)))
+            link, due = self._link.due(now)
+            self.retries += link.retries - self._link.retries
+            self._link = link
+            if due:
+                # A zero first ends whatever noise has left on the line.
+                self._port.write(b"\0" + b"".join(frame(pack(packet)) for packet in due))
+        except OSError as error:
+            self._fail(f"serial port: {error}", now)
+            return measured
+        if self._link.failed:
+            self._fail(self._link.failed, now)
+        elif self._link.refusal:
+            self._tell(self._link.refusal)
+            self._link = self._link.forgiven()
+        return measured
+
+    def troubles(self) -> list[str]:
+        """Return what went wrong since the last call."""
+        told, self._troubles = self._troubles, []
+        return told
+
+    def close(self) -> None:
+        """Have the device brake, and release the port."""
+        self._newest = None
+        if self._port is None:
+            return
+        self._link = self._link.stopping()
+        self.poll()
+        self._release()
+
+    def _tell(self, trouble: str) -> None:
+        if trouble not in self._troubles:
+            self._troubles.append(trouble)
+
+    def _heard(self, data: bytes, now: float) -> Telemetry | None:
+        try:
+            packet = parse(data)
+        except FrameError:
+            self.refused += 1
+            return None
+        before = self._link.device
+        self._link = self._link.heard(packet, now)
+        if before is None and self._link.device is not None:
+            self._failures = 0
+        message = packet.message
+        if not isinstance(message, Telemetry):
+            return None
+        if message.faults & ~HARMLESS:
+            self._tell(f"device has stopped: {message.faults!r}")
+        # Until a pulse has come nobody knows when it was.
+        return message if np.isfinite(self._link.clock.trip_s) else None
+
+    def _upload(self) -> None:
+        if self._newest is None:
+            return
+        self._table = self._table % 65_535 + 1
+        self._link = self._link.uploading(self._table, knots(self._newest))
+
+    def _connect(self, port: Port) -> None:
+        self._port, self._reader = port, Reader()
+        self._session = (self._session + 1) % 2**32
+        self._link = Link.begun(self._session, self._clock())
+        self._upload()
+
+    def _reopen(self, now: float) -> None:
+        if now < self._reopen_at:
+            return
+        try:
+            self._connect(self._make_port())
+        except PlateError as error:
+            self._fail(str(error), now)
+
+    def _fail(self, reason: str, now: float) -> None:
+        self._tell(reason)
+        self._release()
+        self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
+        self._failures += 1
+
+    def _release(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            try:
+                port.close()
+            except OSError as error:
+                self._tell(f"serial port: {error}")
+
+
+def knots(table: MotorTable) -> tuple[Knot, ...]:
+    """Return the knots of a motor table, as the device gets them."""
+    q, qd, qdd = (np.asarray(x, np.float32).tolist() for x in (table.q, table.qd, table.qdd))
+    ticks = np.round(table.cycle.times / TICK_S).astype(int).tolist()
+    rows = zip(ticks, q, qd, qdd, strict=True)
+    return tuple(Knot(t, tuple(x), tuple(v), tuple(a)) for t, x, v, a in rows)

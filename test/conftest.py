@@ -1,0 +1,30 @@
+"""What several tests here share: the firmware, built for this machine."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+STRICT = [
+    "-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion",
+    "-Werror",
+]  # fmt: skip
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+@pytest.fixture(name="program", scope="session")
+def _program(tmp_path_factory):
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler `cc` on this machine: the firmware is not tested")
+    program = tmp_path_factory.mktemp("firmware") / "host"
+    sources = sorted(map(str, [*FIRMWARE.glob("*.c"), FIRMWARE / "host" / "host.c"]))
+    built = None
+    for extra in (SANITIZED, []):  # not every compiler has sanitizers
+        command = [compiler, *STRICT, *extra, "-o", str(program), *sources, "-lm"]
+        built = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        if built.returncode == 0:
+            return program
+    pytest.fail(built.stderr)
