@@ -6,6 +6,7 @@ The truth is quad itself, told where the surface almost stands still, to a toler
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from math import cos, hypot, pi, sin
 from typing import Any
@@ -117,9 +118,9 @@ def batch_rows(
         kinks, shares = intervals(number)
         rule = rules(number)
         calls: dict[str, Callable[[], np.ndarray]] = {
-            BATCHED: lambda c=motion, r=rule: forces(c, position, still, r),
-            PLAIN: lambda c=motion, w=steps: plain_forces(c, position, w),
-            CLOSED: lambda c=motion, k=kinks, s=shares: triangular_forces(c, position, k, s),
+            BATCHED: partial(forces, motion, position, still, rule),
+            PLAIN: partial(plain_forces, motion, position, steps),
+            CLOSED: partial(triangular_forces, motion, position, kinks, shares),
         }
         if number > NUMBER:
             truth = calls[BATCHED]()  # at N = 2 it has been judged

@@ -104,9 +104,9 @@ def race_with_scipy(rig: Rig, count: int) -> list[dict[str, Any]]:
         targets(rig, 2, count + 1, np.random.default_rng(SEED))
     ):
         for name, solver in (("SinusoidSolver", ours), ("scipy lm", peer)):
-            solver.reset()  # type: ignore[attr-defined]
+            solver.reset()
             began = cpu_time()
-            answer = solver.solve(position, force)  # type: ignore[attr-defined]
+            answer = solver.solve(position, force)
             seconds = cpu_time() - began
             if not index:  # the first one compiles
                 continue

@@ -63,7 +63,7 @@ def measure(quick: bool) -> Result:
         hostile_row(rig, method, kind, 10 if quick else 100) for method in METHODS for kind in KINDS
     ]
     reach = [reach_row(rig, parts, 5 if quick else 40) for parts in (1, 2, 4, 6, 10, 16)]
-    x, y, force = manipulability_map(rig, [[0.1, 0.05], [-0.1, 0.0], [-0.15, 0.05]])
+    x, y, force = manipulability_map(rig, np.array([[0.1, 0.05], [-0.1, 0.0], [-0.15, 0.05]]))
     return Result(
         [
             Table(

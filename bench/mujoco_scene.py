@@ -66,8 +66,10 @@ class MujocoScene:
     ) -> None:  # fmt: skip
         meets, size = int(radius > 0), radius or POINT_M
         parts = [PART.format(x=x, y=y, radius=size, meets=meets) for x, y in position]
-        sides = () if half is None else ((1, 0), (-1, 0), (0, 1), (0, -1))
-        walls = [WALL.format(x=-i * half[0], y=-j * half[1], i=i, j=j) for i, j in sides]
+        walls = []
+        if half is not None:
+            sides = ((1, 0), (-1, 0), (0, 1), (0, -1))
+            walls = [WALL.format(x=-i * half[0], y=-j * half[1], i=i, j=j) for i, j in sides]
         # The stiffest that MuJoCo takes is a time constant of two steps.
         text = SCENE.format(
             dt=dt, soft=2 * dt, loss=MASS * GRAVITY * mu, mass=MASS,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -52,11 +53,9 @@ def force_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
     }
     rows = []
     for name, library in sets.items():
-        rows.append(
-            force_row(rig, name, "least time", count, lambda p, f, m=library: by_time(m, p, f))
-        )
+        rows.append(force_row(rig, name, "least time", count, partial(by_time, library)))
         if name != "library":
-            rows.append(force_row(rig, name, "SVD", count, lambda p, f, m=library: by_svd(m, p, f)))
+            rows.append(force_row(rig, name, "SVD", count, partial(by_svd, library)))
         rows[-1]["number"] = len(library.twist)
     few = [sets["24 on a grid"], sets["24 on a ring"]]
     rows.append(
