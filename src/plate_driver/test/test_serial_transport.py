@@ -1,0 +1,82 @@
+"""The real port: pyserial on a pseudo-terminal. The protocol over it: test/test_serial_path.py."""
+
+import os
+import time
+import tty
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, PlateError, load_rig
+from plate_core.serial_protocol import Hello, Reader, parse
+from plate_driver.motor_table import MotorTable
+from plate_driver.serial_transport import SerialTransport, knots, open_port
+
+RIG = load_rig()
+
+
+@pytest.fixture(name="terminal")
+def _terminal():
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    ends = [master, slave]
+    yield ends
+    for end in ends:
+        os.close(end)
+
+
+def test_bytes_go_both_ways_and_nothing_waits(terminal):
+    master, slave = terminal
+    port = open_port(os.ttyname(slave))
+    everything = bytes(range(256))
+    assert port.read(100) == b""
+    os.write(master, everything)
+    assert port.read(1000) == everything
+    assert port.write(everything) == 256
+    assert os.read(master, 1000) == everything
+    port.close()
+
+
+def test_missing_port_is_told():
+    with pytest.raises(PlateError, match="port is '/dev/nowhere', allowed: a serial port that"):
+        open_port("/dev/nowhere")
+
+
+def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
+    master, slave = terminal
+    name = os.ttyname(slave)
+    transport = SerialTransport(lambda: open_port(name), time.monotonic, 1)
+    transport.open()
+    assert transport.poll() == []
+    _, [hello] = Reader().fed(os.read(master, 1000))
+    assert isinstance(parse(hello).message, Hello)
+    os.close(master)
+    os.close(slave)
+    terminal.clear()
+    transport.poll()
+    told = transport.troubles()
+    assert len(told) == 1
+    assert told[0].startswith("serial port: ")
+    transport.poll()
+    transport.close()
+
+
+def test_what_does_not_open_is_told_at_start():
+    transport = SerialTransport(lambda: open_port("/dev/nowhere"), time.monotonic, 1)
+    with pytest.raises(PlateError, match="/dev/nowhere"):
+        transport.open()
+
+
+def test_knots_are_the_table():
+    pose = 1e-3 * np.random.default_rng(0).normal(size=(8, 3))
+    table = MotorTable.of(RIG, PlateCycle.from_samples(0.1, pose), 1)
+    made = knots(table)
+    np.testing.assert_allclose([k.ticks * 1e-8 for k in made], table.cycle.times, atol=5e-9)
+    for name, values in (
+        ("position", table.q),
+        ("velocity", table.qd),
+        ("acceleration", table.qdd),
+    ):
+        got = np.array([getattr(k, name) for k in made])
+        np.testing.assert_allclose(got, values, rtol=1e-7)
+        assert np.array_equal(got, got.astype(np.float32))
