@@ -92,7 +92,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             elif key == "blur":
                 dirt = replace(dirt, blur=_flag(key, text))
             elif key in {f.name for f in fields(Dirt)}:
-                dirt = replace(dirt, **{key: float(text)})
+                dirt = replace(dirt, **{key: float(text)})  # type: ignore[arg-type]
             elif key in {f.name for f in fields(SortOptions)}:
                 sort = replace(sort, **{key: float(text)})
             elif key in {f.name for f in fields(FollowOptions)}:
