@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from plate_core.scenario import FollowTask, Scenario
+from plate_core.scenario import AssembleTask, FollowTask, Scenario
 
 from .record import Record
 
@@ -18,6 +18,7 @@ class ProgressLine:
 
     def __init__(self, scenario: Scenario) -> None:
         self._following = isinstance(scenario.task, FollowTask)
+        self._there = "placed" if isinstance(scenario.task, AssembleTask) else "sorted"
         self._terminal = sys.stdout.isatty()
         self._shown_at = 0.0
 
@@ -40,7 +41,7 @@ class ProgressLine:
             done = f"{record.last('planner', 'parts_sorted')}/" + record.last(
                 "planner", "parts_total"
             )
-            done += " parts there"
+            done += f" parts {self._there}"
         missed = 100 * float(record.last("solver", "missed_share", "0"))
         return (
             f"{done} | {float(record.last('planner', 'time_s')):5.1f} s"

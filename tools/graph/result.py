@@ -8,6 +8,7 @@ import numpy as np
 
 from plate_core import Rig
 from plate_core.graph import RunOptions
+from plate_core.scenario import AssembleTask, FollowTask, load_scenario
 
 from .film import check_limits, develop
 from .record import Record
@@ -26,7 +27,9 @@ def judge(
     film = develop(record, rig)
     limits = check_limits(record, rig)
     state = record.states[-1]
-    follows = float(record.last("planner", "max_error_m")) > 0
+    task = load_scenario(options.scenario).task
+    follows = isinstance(task, FollowTask)
+    follows &= float(record.last("planner", "max_error_m")) > 0
     return {
         "scenario": options.scenario,
         "method": options.method,
@@ -37,6 +40,7 @@ def judge(
         "message": state,
         "dropped": film.dropped,
         "parts": len(film.ids),
+        "there": "placed" if isinstance(task, AssembleTask) else "sorted",
         "parts_sorted": int(record.last("planner", "parts_sorted")),
         "time_s": round(film.end, 3),
         "cycles": film.cycles,
@@ -67,7 +71,7 @@ def typical(record: Record, key: str) -> float | None:
 def summary(result: dict[str, Any]) -> str:
     """Return the result in a line or two for a reader."""
     if result["rms_error_m"] is None:
-        done = f"{result['parts_sorted']} of {result['parts']} parts sorted"
+        done = f"{result['parts_sorted']} of {result['parts']} parts {result['there']}"
     else:
         done = f"{result['parts']} parts followed their paths, "
         done += f"error {1e3 * result['rms_error_m']:.2f} mm rms"
