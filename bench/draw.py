@@ -40,9 +40,11 @@ def draw_sim(figure: Figure, rows: list[dict[str, Any]]) -> None:
                 continue
             x, y = [r["speed"] for r in mine], [max(r["error_mm"], LEAST_MM) for r in mine]
             axes.plot(x, y, look, color=colour, label=method, ms=5)
-            for k in {0, len(mine) - 1}:
-                note(axes, mine[k]["setting"], (x[k], y[k]), colour, 6, 5)
-            if method == "by events":
+            if method != "by events":
+                up = 6 if method == "MuJoCo" else -10
+                for k in (0, len(mine) - 1):
+                    note(axes, mine[k]["setting"], (x[k], y[k]), colour, 2, up)
+            else:
                 k = next(k for k, r in enumerate(mine) if r["setting"] == DEFAULT_TOLERANCE)
                 mark(axes, x[k], y[k], "our default")
         axes.set(xscale="log", yscale="log", xlabel="simulated s per s of one core")
