@@ -75,8 +75,10 @@ class TaskState:
         First image with all parts: time zero of the task.
     ended : float or None
         Image at which it ended.
-    missing_since, met_since : float or None
-        Since when a part has been unseen, the goal has been met, without a break.
+    missing_since : tuple of (str, float)
+        Parts that are unseen, and since when, without a break.
+    met_since : float or None
+        Since when the goal has been met, as far as parts were seen.
     nearest_m, nearest_at : float
         Least distance to the goal so far, summed over parts [m], and when it was reached [s].
     """
@@ -86,7 +88,7 @@ class TaskState:
     asked: float | None = None
     began: float | None = None
     ended: float | None = None
-    missing_since: float | None = None
+    missing_since: tuple[tuple[str, float], ...] = ()
     met_since: float | None = None
     nearest_m: float = math.inf
     nearest_at: float = math.inf
@@ -177,17 +179,23 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     """Judge a running task after one image, stamp t [s]."""
     if not state.active:
         return state
-    missing_since = _since(state.missing_since, bool(found.missing), t)
-    met_since = _since(state.met_since, found.goal_met and not found.missing, t)
+    before = dict(state.missing_since)
+    missing_since = tuple((name, before.get(name, t)) for name in found.missing)
+    met_since = state.met_since
+    if not (found.missing and found.goal_met):  # else what is not seen may have met it, or not
+        met_since = _since(met_since, found.goal_met, t)
     state = replace(state, missing_since=missing_since, met_since=met_since)
     # Unseen parts have no distance: the sum without them would look like progress.
     if not found.missing and found.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=found.to_go_m, nearest_at=t)
-    if missing_since is not None and t - missing_since > limits.patience_s + TIME_TOLERANCE_S:
-        return _end(state, t, Phase.LOST, _listed(found.missing))
+    patience = limits.patience_s + TIME_TOLERANCE_S
+    lost = tuple(name for name, since in missing_since if t - since > patience)
+    if lost:
+        return _end(state, t, Phase.LOST, _listed(lost))
     if found.problem:
         return _end(state, t, Phase.STUCK, found.problem)
-    if met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S:
+    held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
+    if held and not found.missing:
         return replace(state, phase=Phase.DONE, ended=t)
     reason = ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:

@@ -58,7 +58,7 @@ def test_done_when_the_goal_was_met_for_the_hold_time():
 
 def test_a_break_starts_the_hold_time_again():
     assert run((101.0, (), True), (101.3, (), False), (101.6, (), True)).phase is Phase.RUNNING
-    assert run((101.0, (), True), (101.3, GONE, True), (101.6, (), True)).phase is Phase.RUNNING
+    assert run((101.0, (), True), (101.3, GONE, False), (101.6, (), True)).phase is Phase.RUNNING
 
 
 def test_without_a_hold_time_the_first_image_counts():
@@ -126,3 +126,22 @@ def test_to_stop_aborts_a_running_task_only():
 def test_what_has_ended_stays_ended(phase):
     ended = replace(RUNNING, phase=phase, ended=103.0)
     assert run((104.0, (), True), (999.0, GONE, False), state=ended) == ended
+
+
+def test_patience_is_for_each_part():
+    # Every image lacks a part, but never the same one for long.
+    images = [(100.0 + 0.4 * k, (f"black_{k % 2 + 1}",), False) for k in range(20)]
+    assert run(*images).active
+    same = [(100.0 + 0.4 * k, ("black_3", f"black_{k % 2 + 1}"), False) for k in range(20)]
+    state = run(*same)
+    assert state.phase is Phase.LOST
+    assert state.reason == "black_3"
+
+
+def test_an_incomplete_image_does_not_break_the_hold_nor_end_the_task():
+    unseen = run((100.0, (), True), (100.3, GONE, True), (100.6, GONE, True))
+    assert unseen.active
+    assert run((100.7, (), True), state=unseen).phase is Phase.DONE
+    # A part that is seen short of its goal does break it.
+    assert run((100.7, (), False), (100.8, (), True), state=unseen).active
+    assert run((100.0, GONE, True), (100.6, (), True)).active
