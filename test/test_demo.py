@@ -45,7 +45,7 @@ def marked(mark):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: follow_2, "),
+        (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: assemble_8, follow_2, "),
         (["--method", "C"], "method is 'C', allowed: A, B, rotations, sinusoids"),
         (["--transport", "usb"], "transport is 'usb', allowed: sim"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
