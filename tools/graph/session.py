@@ -15,8 +15,8 @@ from .processes import Processes, free_domain
 START_S = 180.0
 """Longest wait for the nodes [s]: at their first start they compile."""
 
-ANSWER_S = 30.0
-"""Longest wait for the answer to the first image [s]."""
+ANSWER_S = 180.0
+"""Longest wait for the answer to the first image [s]: some compile when they are already seen."""
 
 
 @dataclass(frozen=True)
