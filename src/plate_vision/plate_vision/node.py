@@ -5,18 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
+from std_srvs.srv import Trigger
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import image_to_array, parts_to_msg, seconds
+from plate_core.ros.convert import parts_to_msg, seconds
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import CAMERA, DATA
 
 from .calibration import Lens
 from .detection import DetectorOptions
+from .encodings import decode, decode_file
 from .errors import CalibrationError, ImageError
+from .light import light_problem
 from .tracking import Tracker, TrackerOptions
 from .vision import look, make_vision
 
@@ -27,11 +31,19 @@ LENS_MODELS = ("plumb_bob", "rational_polynomial")
 """Distortion models of sensor_msgs/CameraInfo that the core understands."""
 
 
+TRANSPORTS = ("raw", "compressed")
+"""Of image_transport those that are understood."""
+
+
 @dataclass(frozen=True)
 class DetectorParameters:
     """Parameters of the node."""
 
     rig_file: str = parameter("", "Rig file; empty: the default rig")
+    image_transport: str = parameter(
+        "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
+    )
+    bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
     threshold: float = parameter(
         DetectorOptions.threshold,
         "Share of the bare plate's brightness below which a pixel belongs to a part [-]",
@@ -118,23 +130,58 @@ class DetectorNode(Node):
         super().__init__("detector")
         values = declare(self, DetectorParameters)
         self._rig = load_rig(values.rig_file)
+        self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
         self._vision = make_vision(self._rig, values.detector())
         self._tracker = Tracker(values.tracker())
         self._follow = follow(self, values, self._retune)
         self._parts = self.create_publisher(MultiDOFJointState, "parts", DATA)
         self.create_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
-        self.create_subscription(Image, "image_raw", self._on_image, CAMERA)
+        if values.image_transport == "raw":
+            self.create_subscription(Image, "image_raw", self._on_image, CAMERA)
+        else:
+            self.create_subscription(CompressedImage, "image_raw/compressed", self._on_file, CAMERA)
+        self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _on_image(self, msg: Image) -> None:
         try:
-            image = image_to_array(msg)
-            self._tracker = look(self._vision, self._tracker, image, seconds(msg.header.stamp))
+            size_px = (msg.width, msg.height)
+            big = bool(msg.is_bigendian)
+            image = decode(msg.data, size_px, msg.encoding, msg.step, big, self._bits)
         except PlateError as error:
-            text = f"image_raw ignored: {error}"
-            self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+            self._warn(f"image_raw ignored: {error}")
             return
-        self._parts.publish(parts_to_msg(self._tracker.parts, msg.header.stamp))
+        self._answer(image, msg.header.stamp, "image_raw")
+
+    def _on_file(self, msg: CompressedImage) -> None:
+        try:
+            image = decode_file(msg.data, msg.format, self._bits, self._vision.size_px)
+        except PlateError as error:
+            self._warn(f"image_raw/compressed ignored: {error}")
+            return
+        self._answer(image, msg.header.stamp, "image_raw/compressed")
+
+    def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
+        try:
+            self._tracker = look(self._vision, self._tracker, image, seconds(stamp))
+        except PlateError as error:
+            self._warn(f"{topic} ignored: {error}")
+            return
+        problem = light_problem(image, self._vision.options.min_plate_grey)
+        if problem:
+            self._warn(f"{topic}: {problem}")
+        self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget all parts: numbers begin at 1 again with the next image."""
+        response.message = f"{len(self._tracker.tracks)} parts forgotten"
+        self._tracker = Tracker(self._tracker.options)
+        response.success = True
+        self.get_logger().info(response.message)
+        return response
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))
@@ -151,6 +198,7 @@ class DetectorNode(Node):
         options = replace(values.detector(), radius_px=self._vision.options.radius_px)
         self._vision = replace(self._vision, options=options)
         self._tracker = replace(self._tracker, options=values.tracker())
+        self._bits = values.bits
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:

@@ -1,5 +1,6 @@
 """The node over real topics, in one process."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,7 +8,8 @@ rclpy = pytest.importorskip("rclpy")
 
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros.convert import array_to_image, msg_to_parts, to_time  # noqa: E402
@@ -36,7 +38,10 @@ class Graph:
         self.executor.add_node(self.detector)
         self.executor.add_node(self.probe)
         self.parts = []
-        self.images = self.probe.create_publisher(Image, "image_raw", IMAGE)
+        raw = parameters.get("image_transport", "raw") == "raw"
+        kind, topic = (Image, "image_raw") if raw else (CompressedImage, "image_raw/compressed")
+        self.images = self.probe.create_publisher(kind, topic, IMAGE)
+        self.resets = self.probe.create_client(Trigger, "detector/reset")
         self.infos = self.probe.create_publisher(CameraInfo, "camera_info", IMAGE)
         self.probe.create_subscription(MultiDOFJointState, "parts", self.parts.append, DATA)
         self.until(lambda: self.images.get_subscription_count())
@@ -95,10 +100,90 @@ def test_every_image_is_answered_with_its_stamp(graph, draw, rng):
     assert graph.warnings == []
 
 
-def test_colour_images(graph, draw, rng):
-    frame = np.dstack([draw(CENTRE_PX, LABEL, rng, radius=7.9)] * 3)
-    for k, encoding in enumerate(("bgr8", "rgb8")):
-        assert graph.answer(image(frame, k, encoding)).joint_names == ["black_1", "grey_1"]
+def packed(frame, encoding):
+    """Grey levels in another encoding, packed by hand: a grey mosaic is the grey image itself."""
+    if encoding in ("bgr8", "rgb8"):
+        return np.dstack([frame] * 3)
+    if encoding in ("mono16", "bayer_rggb16"):
+        return frame.astype("<u2") << 8
+    if encoding.startswith("yuv422"):
+        grey = np.rint(16 + frame * (219 / 255)).astype(np.uint8)
+        pair = [np.full_like(grey, 128), grey]
+        return np.dstack(pair if encoding == "yuv422" else pair[::-1])
+    return frame
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    ["bgr8", "rgb8", "mono16", "yuv422", "yuv422_yuy2", "bayer_rggb16"]
+    + [f"bayer_{first}8" for first in ("rggb", "bggr", "gbrg", "grbg")],
+)
+def test_encodings(graph, draw, rng, encoding):
+    frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
+    data = packed(frame, encoding)
+    msg = image(frame, 1.0)
+    msg.encoding, msg.step, msg.data = encoding, data.nbytes // 480, data.tobytes()
+    answer = graph.answer(msg)
+    assert answer.joint_names == ["black_1", "grey_1"]
+    seen = graph.detector._vision.calibration.to_image(msg_to_parts(answer).position)
+    assert np.abs(seen - CENTRE_PX).max() < 0.1
+    assert graph.warnings == []
+
+
+def compressed(frame, stamp_s, extension=".jpg", form="mono8; jpeg compressed mono8"):
+    msg = CompressedImage(format=form)
+    msg.header.stamp = to_time(round(stamp_s * 1e9))
+    msg.data = cv2.imencode(extension, frame)[1].tobytes()
+    return msg
+
+
+def test_compressed_images(draw, rng):
+    graph = Graph(image_transport="compressed")
+    try:
+        frame = draw(CENTRE_PX, LABEL, rng, radius=7.9)
+        msg = compressed(frame, 3.0)
+        answer = graph.answer(msg)
+        assert answer.header.stamp == msg.header.stamp
+        assert answer.joint_names == ["black_1", "grey_1"]
+        seen = graph.detector._vision.calibration.to_image(msg_to_parts(answer).position)
+        assert np.abs(seen - CENTRE_PX).max() < 0.1
+        colour = compressed(np.dstack([frame] * 3), 4.0, ".png", "bgr8; png compressed bgr8")
+        assert graph.answer(colour).joint_names == ["black_1", "grey_1"]
+        for content in (b"", b"no picture", bytes(msg.data)[:-100], bytes(msg.data)[:2000]):
+            assert graph.answer(CompressedImage(format="jpeg", data=content)) is None
+            assert "image_raw/compressed ignored: image: " in graph.warnings[-1]
+        assert graph.answer(compressed(frame[:1, :1], 5.0)) is None
+        assert "size is 1 x 1 px, allowed: 640 x 480" in graph.warnings[-1]
+        assert len(graph.parts) == 2
+    finally:
+        graph.close()
+
+
+@pytest.mark.parametrize(("grey", "words"), [(0, "is the light on"), (255, "burnt out")])
+def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
+    graph.images.publish(image(np.full((480, 640), grey, np.uint8), 1.0))
+    graph.until(lambda: graph.parts)
+    assert graph.parts[-1].joint_names == []
+    assert words in graph.warnings[-1]
+    assert "allowed: " in graph.warnings[-1]
+
+
+def test_noise_alone_is_no_part(graph, rng):
+    for k, low in enumerate((0, 100, 200)):
+        frame = rng.integers(low, 256, (480, 640), dtype=np.uint8)
+        assert graph.answer(image(frame, 1.0 + k)).joint_names == []
+
+
+def test_reset_forgets_all_parts(graph, draw, rng):
+    two = image(draw(CENTRE_PX, ["grey", "grey"], rng, radius=7.9), 1.0)
+    one = [draw(CENTRE_PX[1:], ["grey"], rng, radius=7.9) for _ in range(2)]
+    assert graph.answer(two).joint_names == ["grey_1", "grey_2"]
+    assert graph.answer(image(one[0], 1.1)).joint_names == ["grey_2"]
+    done = graph.resets.call_async(Trigger.Request())
+    graph.until(done.done)
+    assert done.result().success
+    assert done.result().message == "2 parts forgotten"
+    assert graph.answer(image(one[1], 1.2)).joint_names == ["grey_1"]
 
 
 def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
@@ -112,12 +197,17 @@ def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
         for word in ("image_raw ignored", "allowed", *words):
             assert word in graph.warnings[-1]
 
-    wrong(["encoding", "16UC1", "mono8, bgr8, rgb8"], encoding="16UC1")
+    wrong(["encoding", "32FC1", "mono8, bgr8, rgb8"], encoding="32FC1")
     wrong(["step", "600", "640"], step=600)
     wrong(["bytes", "307199", "307200"], data=image(frame, 1.0).data[:-1])
     wrong(["size", "320 x 480", "640 x 480"], width=320)
     wrong(["size", "0 x 0"], width=0, height=0, step=0, data=[])
-    assert len(graph.warnings) == 5
+    wrong(["size", "1 x 1"], width=1, height=1, step=1, data=[0])
+    wrong(["bytes", "0 bytes"], data=[])
+    wrong(["size", "4000000000"], width=4_000_000_000, height=4_000_000_000, step=4_000_000_000)
+    wrong(["size", "even"], width=639, encoding="bayer_rggb8", data=bytes(640 * 480))
+    assert len(graph.warnings) == 9
+    assert graph.parts == []
     padded = np.zeros((480, 704), np.uint8)
     padded[:, :640] = frame
     msg = image(padded, 2.0)

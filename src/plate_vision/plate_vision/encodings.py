@@ -1,0 +1,205 @@
+"""Pixels of any usual encoding to grey levels (H, W) or blue, green, red (H, W, 3), 8 bits each."""
+
+from __future__ import annotations
+
+import struct
+
+import cv2
+import numpy as np
+
+from .errors import ImageError
+
+BAYER = {
+    "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
+    "bayer_bggr": cv2.COLOR_BayerRG2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGR2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGB2BGR,
+}
+"""Colour filters, by their first two rows and columns, and OpenCV's codes to undo them."""
+
+CODES = {
+    "mono": None,
+    "bgr": None,
+    "rgb": cv2.COLOR_RGB2BGR,
+    "bgra": cv2.COLOR_BGRA2BGR,
+    "rgba": cv2.COLOR_RGBA2BGR,
+    "yuv422": cv2.COLOR_YUV2BGR_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2BGR_YUY2,
+    **BAYER,
+}
+"""OpenCV's codes from a kind of pixels to blue, green, red; None: nothing to convert."""
+
+CHANNELS = {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4, "yuv422": 2, "yuv422_yuy2": 2}
+"""Numbers for each pixel, where there is more than one."""
+
+ENCODINGS = {
+    **{f"{kind}8": (kind, 1) for kind in CODES if not kind.startswith("yuv")},
+    **{f"{kind}16": (kind, 2) for kind in CODES if not kind.startswith("yuv")},
+    "yuv422": ("yuv422", 1),
+    "uyvy": ("yuv422", 1),
+    "yuv422_yuy2": ("yuv422_yuy2", 1),
+    "yuyv": ("yuv422_yuy2", 1),
+    "8UC1": ("mono", 1),
+    "8UC3": ("bgr", 1),
+    "16UC1": ("mono", 2),
+}
+"""Encodings of sensor_msgs/Image: kind of pixels and bytes of each number."""
+
+MOST_PIXELS = 50_000_000
+"""Largest image that is unpacked: 0.15 GB in colour. A few bytes can claim to be far more."""
+
+TAIL = 64
+"""Bytes at the end of a file among which its end mark must be: some cameras pad."""
+
+
+def decode(
+    data: bytes | bytearray | memoryview,
+    size_px: tuple[int, int],
+    encoding: str,
+    step: int,
+    big_endian: bool = False,
+    bits: int = 16,
+) -> np.ndarray:
+    """Return the pixels of a sensor_msgs/Image.
+
+    Parameters
+    ----------
+    data : bytes-like
+        Rows one after the other.
+    size_px : (int, int)
+        Width and height.
+    encoding : str
+        A key of `ENCODINGS`.
+    step : int
+        Bytes from one row to the next.
+    big_endian : bool
+        Order of the bytes of numbers of 16 bits.
+    bits : int
+        Of numbers of 16 bits those that are used: of a camera with 12 bits the largest value is
+        4095.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red. Where nothing is to be converted it shares the memory.
+
+    Raises
+    ------
+    ImageError
+        If the encoding is not understood, or size, step and number of bytes disagree.
+    """
+    if encoding not in ENCODINGS:
+        raise ImageError(f"image: encoding is {encoding!r}, allowed: {', '.join(ENCODINGS)}")
+    kind, size = ENCODINGS[encoding]
+    width, height = size_px
+    check_size(width, height)
+    channels = CHANNELS.get(kind, 1)
+    row = width * channels * size
+    if step < row:
+        raise ImageError(f"image: step is {step} bytes, allowed: at least {row}")
+    if len(data) != step * height:
+        raise ImageError(f"image: {len(data)} bytes of data, allowed: {step * height}")
+    if (kind in BAYER or kind.startswith("yuv")) and (width % 2 or height % 2):
+        raise ImageError(
+            f"image: size is {width} x {height} px, allowed: even numbers with encoding {encoding}"
+        )
+    pixels = np.frombuffer(data, np.uint8).reshape(height, step)[:, :row]
+    if size == 2:
+        wide = np.ascontiguousarray(pixels).view(">u2" if big_endian else "<u2")
+        pixels = to_8_bits(wide, bits)
+    return to_colour(pixels if channels == 1 else pixels.reshape(height, width, channels), kind)
+
+
+def decode_file(
+    data: bytes | bytearray | memoryview,
+    form: str,
+    bits: int = 16,
+    size_px: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """Return the pixels of a sensor_msgs/CompressedImage, such as image_transport publishes.
+
+    Parameters
+    ----------
+    data : bytes-like
+        A JPEG or PNG file.
+    form : str
+        The message's format: `jpeg`, `png`, or image_transport's `bgr8; jpeg compressed bgr8`.
+    bits : int
+        As in `decode`.
+    size_px : (int, int), optional
+        Width and height that are expected: files of others are refused before they cost time.
+
+    Returns
+    -------
+    (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+
+    Raises
+    ------
+    ImageError
+        If it is neither, or is damaged: a file that breaks off is refused as a whole.
+    """
+    if "compressedDepth" in form:
+        raise ImageError(f"image: format is {form!r}, allowed: jpeg, png")
+    content = bytes(data)
+    seen = _file_size(content)
+    check_size(*seen)
+    if size_px is not None and seen != size_px:
+        raise ImageError(
+            f"image: size is {seen[0]} x {seen[1]} px, allowed: {size_px[0]} x {size_px[1]} px"
+        )
+    tail = content[-TAIL:]
+    if not (b"\xff\xd9" in tail or b"IEND\xae\x42\x60\x82" in tail):
+        raise ImageError(
+            f"image: {len(content)} bytes break off before the file's end, allowed: whole files"
+        )
+    try:
+        pixels = cv2.imdecode(
+            np.frombuffer(content, np.uint8), cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
+        )
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise ImageError(f"image: {len(content)} bytes are damaged, allowed: a JPEG or PNG file")
+    if pixels.dtype != np.uint8:
+        pixels = to_8_bits(pixels, bits)
+    kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
+    return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def check_size(width: int, height: int) -> None:
+    """Refuse images without pixels, or with far too many."""
+    if width < 1 or height < 1 or width * height > MOST_PIXELS:
+        raise ImageError(
+            f"image: size is {width} x {height} px, allowed: at least 1 x 1, "
+            f"at most {MOST_PIXELS:,} pixels"
+        )
+
+
+def to_8_bits(wide: np.ndarray, bits: int) -> np.ndarray:
+    """Return the upper eight of the `bits` that are used of numbers of 16 bits."""
+    return np.minimum(wide >> (bits - 8), 255).astype(np.uint8)
+
+
+def to_colour(pixels: np.ndarray, kind: str) -> np.ndarray:
+    """Return blue, green, red (H, W, 3), or grey levels (H, W), of a key of `CODES`."""
+    code = CODES[kind]
+    if code is None:
+        return pixels
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
+
+
+def _file_size(content: bytes) -> tuple[int, int]:
+    """Return width and height as a file's first bytes tell them, before anything is unpacked."""
+    if content[:8] == b"\x89PNG\r\n\x1a\n" and len(content) >= 24:
+        width, height = struct.unpack(">II", content[16:24])
+        return int(width), int(height)
+    if content[:2] == b"\xff\xd8":
+        place = 2
+        while place + 9 <= len(content) and content[place] == 0xFF:
+            mark = content[place + 1]
+            if 0xC0 <= mark <= 0xCF and mark not in (0xC4, 0xC8, 0xCC):  # a frame's header
+                height, width = struct.unpack(">HH", content[place + 5 : place + 9])
+                return int(width), int(height)
+            place += 2 + int.from_bytes(content[place + 2 : place + 4], "big")
+    raise ImageError(f"image: {len(content)} bytes are no JPEG or PNG file, allowed: these")

@@ -1,0 +1,161 @@
+"""Encodings against pixels packed by hand, and files against OpenCV's own writer."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plate_vision.encodings import ENCODINGS, MOST_PIXELS, decode, decode_file
+from plate_vision.errors import ImageError
+
+WIDTH, HEIGHT = 12, 8
+
+
+@pytest.fixture
+def bgr(rng):
+    """A picture whose colours change slowly, so that a colour filter loses little."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    return np.stack([40 + 3 * x, 120 + 2 * y, 200 - x - y], axis=2).astype(np.uint8)
+
+
+def unpack(array, encoding, **options):
+    data = np.ascontiguousarray(array)
+    return decode(data.tobytes(), (WIDTH, HEIGHT), encoding, data.nbytes // HEIGHT, **options)
+
+
+def test_grey_and_colours(bgr):
+    grey = bgr[:, :, 1]
+    for encoding in ("mono8", "8UC1"):
+        assert np.array_equal(unpack(grey, encoding), grey)
+    for encoding in ("bgr8", "8UC3"):
+        assert np.array_equal(unpack(bgr, encoding), bgr)
+    opaque = np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
+    assert np.array_equal(unpack(bgr[:, :, ::-1], "rgb8"), bgr)
+    assert np.array_equal(unpack(np.dstack([bgr, opaque]), "bgra8"), bgr)
+    assert np.array_equal(unpack(np.dstack([bgr[:, :, ::-1], opaque]), "rgba8"), bgr)
+
+
+def test_rows_may_be_padded(bgr):
+    padded = np.zeros((HEIGHT, WIDTH + 5), np.uint8)
+    padded[:, :WIDTH] = bgr[:, :, 0]
+    seen = decode(padded.tobytes(), (WIDTH, HEIGHT), "mono8", WIDTH + 5)
+    assert np.array_equal(seen, bgr[:, :, 0])
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+@pytest.mark.parametrize(("order", "big"), [("<u2", False), (">u2", True)])
+def test_sixteen_bits(bgr, bits, order, big):
+    wide = (bgr.astype(np.uint16) << (bits - 8)) + 1
+    seen = unpack(wide[:, :, 0].astype(order), "mono16", big_endian=big, bits=bits)
+    assert np.array_equal(seen, bgr[:, :, 0])
+    seen = unpack(wide[:, :, ::-1].astype(order), "rgb16", big_endian=big, bits=bits)
+    assert np.array_equal(seen, bgr)
+
+
+def test_values_beyond_the_bits_are_white(bgr):
+    assert np.all(unpack(np.full((HEIGHT, WIDTH), 60000, "<u2"), "mono16", bits=12) == 255)
+
+
+@pytest.mark.parametrize("first", ["rggb", "bggr", "gbrg", "grbg"])
+def test_colour_filters(bgr, first):
+    mosaic = np.empty((HEIGHT, WIDTH), np.uint8)
+    for k, colour in enumerate(first):
+        mosaic[k // 2 :: 2, k % 2 :: 2] = bgr[k // 2 :: 2, k % 2 :: 2, "bgr".index(colour)]
+    seen = unpack(mosaic, f"bayer_{first}8")
+    assert np.abs(seen[2:-2, 2:-2].astype(int) - bgr[2:-2, 2:-2]).max() <= 2
+    seen = unpack(mosaic.astype("<u2") << 8, f"bayer_{first}16")
+    assert np.abs(seen[2:-2, 2:-2].astype(int) - bgr[2:-2, 2:-2]).max() <= 2
+
+
+@pytest.mark.parametrize(("encoding", "grey", "colour"), [("yuv422", 1, 0), ("yuv422_yuy2", 0, 1)])
+def test_brightness_and_colour_apart(encoding, grey, colour):
+    pairs = np.empty((HEIGHT, WIDTH, 2), np.uint8)
+    pairs[:, :, grey] = np.arange(30, 30 + 10 * WIDTH, 10)
+    pairs[:, :, colour] = 128  # no colour
+    seen = unpack(pairs, encoding)
+    expected = (np.arange(30, 30 + 10 * WIDTH, 10) - 16) * 255 / 219
+    assert np.abs(seen - expected[None, :, None]).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("words", "change"),
+    [
+        ("encoding is '32FC1', allowed: mono8", {"encoding": "32FC1"}),
+        ("encoding is '', allowed", {"encoding": ""}),
+        ("step is 11 bytes, allowed: at least 12", {"step": 11}),
+        ("95 bytes of data, allowed: 96", {"data": bytes(95)}),
+        ("0 bytes of data, allowed: 96", {"data": b""}),
+        ("size is 0 x 8", {"size_px": (0, 8)}),
+        ("size is 4000000000 x 4000000000", {"size_px": (4_000_000_000, 4_000_000_000)}),
+        ("size is 11 x 8 px, allowed: even", {"size_px": (11, 8), "encoding": "bayer_rggb8"}),
+    ],
+)
+def test_wrong_images_are_refused(words, change):
+    good = {"data": bytes(96), "size_px": (12, 8), "encoding": "mono8", "step": 12}
+    assert decode(**good).shape == (8, 12)
+    with pytest.raises(ImageError, match=words):
+        decode(**{**good, **change})
+
+
+def test_one_pixel():
+    for encoding, (kind, size) in ENCODINGS.items():
+        if kind.startswith(("bayer", "yuv")):
+            continue
+        count = size * {"bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4}.get(kind, 1)
+        assert decode(bytes(count), (1, 1), encoding, count).shape[:2] == (1, 1)
+
+
+def test_files(bgr):
+    for extension, limit in ((".png", 0), (".jpg", 4)):
+        content = cv2.imencode(extension, bgr)[1].tobytes()
+        for form in (extension[1:], f"bgr8; {extension[1:]} compressed bgr8"):
+            assert np.abs(decode_file(content, form).astype(int) - bgr).max() <= limit
+        grey = cv2.imencode(extension, bgr[:, :, 1])[1].tobytes()
+        assert decode_file(grey, extension[1:]).shape == (HEIGHT, WIDTH)
+    wide = cv2.imencode(".png", bgr[:, :, 1].astype(np.uint16) << 4)[1].tobytes()
+    assert np.array_equal(decode_file(wide, "mono16; png compressed", bits=12), bgr[:, :, 1])
+    filtered = cv2.imencode(".png", np.full((HEIGHT, WIDTH), 7, np.uint8))[1].tobytes()
+    seen = decode_file(filtered, "bayer_rggb8; png compressed bayer_rggb8")
+    assert seen.shape == (HEIGHT, WIDTH, 3)
+    assert np.all(seen == 7)
+
+
+@pytest.mark.parametrize("extension", [".png", ".jpg"])
+def test_files_that_break_off_are_refused(rng, extension):
+    """At whatever byte: OpenCV would fill up with grey what is missing of a JPEG."""
+    picture = rng.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
+    content = cv2.imencode(extension, picture)[1].tobytes()
+    for length in range(len(content) - 1):
+        with pytest.raises(ImageError, match="allowed: "):
+            decode_file(content[:length], extension[1:])
+
+
+def test_files_that_are_none_are_refused(rng):
+    for content in (b"", b"\xff\xd8", b"\xff" * 40, rng.bytes(1000), b"\xff\xd8\xff\xd9"):
+        with pytest.raises(ImageError, match="allowed: "):
+            decode_file(content, "jpeg")
+    with pytest.raises(ImageError, match="compressedDepth"):
+        decode_file(b"", "16UC1; compressedDepth png")
+
+
+def test_files_that_claim_to_be_huge_are_not_unpacked(bgr):
+    content = bytearray(cv2.imencode(".png", bgr)[1].tobytes())
+    content[16:24] = (60_000).to_bytes(4, "big") * 2
+    with pytest.raises(ImageError, match=f"60000 x 60000 px.*{MOST_PIXELS:,}"):
+        decode_file(bytes(content), "png")
+    content = cv2.imencode(".png", bgr)[1].tobytes()
+    with pytest.raises(ImageError, match="size is 12 x 8 px, allowed: 640 x 480 px"):
+        decode_file(content, "png", size_px=(640, 480))
+
+
+def test_damaged_files_never_raise_anything_else(rng, bgr):
+    for extension in (".png", ".jpg"):
+        content = cv2.imencode(extension, bgr)[1].tobytes()
+        for _ in range(40):
+            damaged = bytearray(content)
+            for place in rng.integers(0, len(content), 3):
+                damaged[place] = rng.integers(256)
+            try:
+                seen = decode_file(bytes(damaged), extension[1:], size_px=(WIDTH, HEIGHT))
+                assert seen.shape == (HEIGHT, WIDTH, 3)
+            except ImageError:
+                pass
