@@ -57,11 +57,28 @@ class Parts:
 @dataclass(frozen=True)
 class Limits:
     """What the rig can do: stroke [m] to either side and speed [m/s] of each motor,
-    acceleration [m/s2] of any point of the plate."""
+    acceleration [m/s2] of any point of the plate, force [N] of each motor and its heat.
+
+    Attributes
+    ----------
+    stroke_m, speed, accel : float
+    force : float
+        Peak force of a motor [N].
+    continuous_force : float
+        Root mean square [N] that a motor bears for ever.
+    thermal_time_s : float
+        Time constant of a winding's heat [s].
+    heat_rise_k : float
+        Winding over ambient at the continuous force [K].
+    """
 
     stroke_m: float
     speed: float
     accel: float
+    force: float = 200.0
+    continuous_force: float = 100.0
+    thermal_time_s: float = 60.0
+    heat_rise_k: float = 80.0
 
 
 @dataclass(frozen=True)
@@ -214,6 +231,12 @@ def _limits(fields: Fields) -> Limits:
         stroke_m=fields.number("stroke_m", 1e-5, 1),
         speed=fields.number("speed_mps", 1e-3, 100),
         accel=fields.number("accel_mps2", 0.1, 1e4),
+        force=fields.number("force_n", 1e-3, 1e6, default=Limits.force),
+        continuous_force=fields.number(
+            "continuous_force_n", 1e-3, 1e6, default=Limits.continuous_force
+        ),
+        thermal_time_s=fields.number("thermal_time_s", 0.1, 1e5, default=Limits.thermal_time_s),
+        heat_rise_k=fields.number("heat_rise_k", 0.1, 1e3, default=Limits.heat_rise_k),
     )
     fields.finish()
     return limits

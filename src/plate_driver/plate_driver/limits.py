@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.limits import CycleUsage, usage
+from plate_core.cycle import quintic_pieces
+
+from .peaks import Peaks, derivative, peaks, polynomial_peak
 
 TARGET = 0.999
-"""Share of the worst limit that a scaled cycle uses: the rest is for rounding, and for the 2e-4 by
-which `usage` may miss the peak of a wild cycle."""
+"""Share of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
 
 CLOSE_ENOUGH = 0.99
 """A scaled cycle that uses this share or more of the worst limit is not scaled up again."""
@@ -19,8 +20,8 @@ CLOSE_ENOUGH = 0.99
 ROUNDS = 60
 """Trials of a factor: most cycles need one or two, absurd ones (poses of 1e100 m) some ten."""
 
-ROUNDING = 1e-9
-"""Relative rounding error that is no excess."""
+ROUNDING = 3e-6
+"""Excess that is none: peaks are told up to 1e-6 too high, and solvers round too."""
 
 HOME_TOLERANCE = 2e-5
 """How far a motor may be from home where a table begins and ends [m], for each metre from the
@@ -38,21 +39,26 @@ class Fit:
         The motion asked for, all amplitudes times `factor`, in the same time.
     factor : float
         1 if the cycle was within the limits as it came.
-    asked, usage : CycleUsage
+    asked, usage : Peaks
         Peaks of the cycle as it came, and of the one returned.
     """
 
     cycle: PlateCycle
     factor: float
-    asked: CycleUsage
-    usage: CycleUsage
+    asked: Peaks
+    usage: Peaks
 
 
-def fit(rig: Rig, cycle: PlateCycle) -> Fit:
+def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
     """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
 
     Scaling keeps the directions of the surface's motion, and those alone decide friction;
     clipping the peaks would make another motion with other forces.
+
+    Parameters
+    ----------
+    heat : (4,) or float
+        What the motors may take, see `peaks`.
 
     Raises
     ------
@@ -60,7 +66,7 @@ def fit(rig: Rig, cycle: PlateCycle) -> Fit:
         If the cycle's peaks are too large to compute, or no factor makes it fit.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        asked = usage(rig, cycle)
+        asked = peaks(rig, cycle, heat)
         if not np.isfinite(asked.worst):
             raise CycleError(
                 "plate_cycle: its speed or acceleration is too large to compute, "
@@ -68,10 +74,10 @@ def fit(rig: Rig, cycle: PlateCycle) -> Fit:
             )
         if asked.worst <= 1 + ROUNDING:
             return Fit(cycle, 1.0, asked, asked)
-        return _scaled(rig, cycle, asked)
+        return _scaled(rig, cycle, asked, heat)
 
 
-def _scaled(rig: Rig, cycle: PlateCycle, asked: CycleUsage) -> Fit:
+def _scaled(rig: Rig, cycle: PlateCycle, asked: Peaks, heat: np.ndarray | float) -> Fit:
     """Search the largest factor that fits.
 
     Peaks are not quite proportional to the factor (turning adds its square), so this is a search
@@ -83,7 +89,7 @@ def _scaled(rig: Rig, cycle: PlateCycle, asked: CycleUsage) -> Fit:
     factor = TARGET / asked.worst
     for trial in range(ROUNDS):
         scaled = cycle.scaled(factor)
-        used = usage(rig, scaled)
+        used = peaks(rig, scaled, heat)
         if used.worst <= TARGET * (1 + ROUNDING):
             small = Fit(scaled, factor, asked, used)
             if used.worst >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
@@ -111,7 +117,9 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     return float(np.exp(low + share * (high - low)) * 0.998)
 
 
-def check_setpoints(rig: Rig, times: np.ndarray, q: np.ndarray, qd: np.ndarray) -> None:
+def check_setpoints(
+    rig: Rig, times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> None:
     """Refuse motor setpoints beyond the rig's limits, or that do not begin and end at home.
 
     The last look before the motors: it knows nothing of how the setpoints were made.
@@ -120,37 +128,38 @@ def check_setpoints(rig: Rig, times: np.ndarray, q: np.ndarray, qd: np.ndarray) 
     ----------
     times : (k + 1,)
         [s], rising from 0.
-    q, qd : (k + 1, 4)
-        Travel [m] and speed [m/s] of the motors.
+    q, qd, qdd : (k + 1, 4)
+        Travel [m], speed [m/s] and acceleration [m/s2] of the motors; quintics between.
 
     Raises
     ------
     CycleError
         Naming the motor, its value and what is allowed.
     """
-    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(qd)) and np.all(np.isfinite(times))):
+    if not all(np.all(np.isfinite(values)) for values in (times, q, qd, qdd)):
         raise CycleError("motor setpoints: a value is not finite")
     if times[0] != 0 or np.any(np.diff(times) <= 0):
         raise CycleError("motor setpoints: times must start at 0 and rise")
     home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
-    for what, unit, values, limit in (
-        ("travel", "m", q, rig.limits.stroke_m),
-        ("speed", "m/s", qd, rig.limits.speed),
-        ("travel at rest", "m", q[[0, -1]], home),
-        ("speed at rest", "m/s", qd[[0, -1]], 100 * home),
-    ):
-        worst = np.max(np.abs(values), axis=0)
-        motor = int(np.argmax(worst))
-        if worst[motor] > limit * (1 + ROUNDING):
-            raise CycleError(
-                f"{rig.motors[motor].name}: {what} is {worst[motor]:.6g} {unit}, "
-                f"allowed: {limit:g} {unit}"
-            )
+    travel, steps, ends = quintic_pieces(times, q, qd, qdd), np.diff(times), [0, -1]
+    for number, motor in enumerate(rig.motors):
+        pieces = travel[:, :, number : number + 1]
+        for what, unit, value, limit in (
+            ("travel", "m", polynomial_peak(pieces, steps), rig.limits.stroke_m),
+            ("speed", "m/s", polynomial_peak(derivative(pieces), steps), rig.limits.speed),
+            ("travel at rest", "m", np.max(np.abs(q[ends, number])), home),
+            ("speed at rest", "m/s", np.max(np.abs(qd[ends, number])), 100 * home),
+        ):
+            if not value <= limit * (1 + ROUNDING):
+                raise CycleError(
+                    f"{motor.name}: {what} is {value:.6g} {unit}, allowed: {limit:g} {unit}"
+                )
 
 
 def limits_text(rig: Rig) -> str:
     """Return the rig's limits for a message."""
     return (
         f"{rig.limits.stroke_m * 1e3:g} mm of stroke, {rig.limits.speed:g} m/s, "
-        f"{rig.limits.accel:g} m/s2"
+        f"{rig.limits.accel:g} m/s2, {rig.limits.force:g} N and for ever "
+        f"{rig.limits.continuous_force:g} N of force"
     )

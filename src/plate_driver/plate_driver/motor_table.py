@@ -54,8 +54,21 @@ class MotorTable:
         return cls.of(rig, PlateCycle.rest(period), stamp_ns)
 
 
-def prepare(rig: Rig, cycle: PlateCycle, stamp_ns: int, repeats: int = 1) -> tuple[MotorTable, Fit]:
+def prepare(
+    rig: Rig,
+    cycle: PlateCycle,
+    stamp_ns: int,
+    repeats: int = 1,
+    heat: np.ndarray | float = 1.0,
+) -> tuple[MotorTable, Fit]:
     """Make the table that does what a plate cycle asks for, within the rig's limits.
+
+    Parameters
+    ----------
+    repeats : int
+        See `transition.table`.
+    heat : (4,) or float
+        What the motors may take, see `peaks`.
 
     Raises
     ------
@@ -72,9 +85,9 @@ def prepare(rig: Rig, cycle: PlateCycle, stamp_ns: int, repeats: int = 1) -> tup
                 f"plate_cycle: period is {cycle.period:g} s{fades}, "
                 f"allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
             )
-    fitted = fit(rig, whole)
+    fitted = fit(rig, whole, heat)
     made = MotorTable.of(rig, fitted.cycle, stamp_ns)
-    check_setpoints(rig, fitted.cycle.times, made.q, made.qd)
+    check_setpoints(rig, fitted.cycle.times, made.q, made.qd, made.qdd)
     return made, fitted
 
 

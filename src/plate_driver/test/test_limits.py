@@ -7,8 +7,9 @@ import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.kinematics import motor_state
-from plate_core.limits import corner_accel, usage
-from plate_driver.limits import check_setpoints, fit
+from plate_core.limits import corner_accel
+from plate_driver.limits import ROUNDING, check_setpoints, fit
+from plate_driver.peaks import peaks
 
 RIG = load_rig()
 
@@ -43,24 +44,23 @@ def dense_shares(cycle: PlateCycle) -> np.ndarray:
 
 @pytest.mark.parametrize("size", [1e-5, 1e-3, 0.1, 10.0, 1e6])
 def test_limits_are_never_exceeded(size):
-    for seed in range(40):
+    for seed in range(20):
         cycle = random_cycle(seed, size)
         found = fit(RIG, cycle)
         shares = dense_shares(found.cycle)
-        # As it came, a wild turning motion may lie 3e-4 above what usage() says.
-        assert np.all(shares <= (1 if found.factor < 1 else 1 + 3e-4)), f"seed {seed}: {shares}"
-        assert found.usage == usage(RIG, found.cycle)
+        assert np.all(shares <= 1 + ROUNDING), f"seed {seed}: {shares}"
+        assert found.usage.worst == peaks(RIG, found.cycle).worst
         np.testing.assert_allclose(found.cycle.knot_pose, found.factor * cycle.knot_pose)
         np.testing.assert_array_equal(found.cycle.times, cycle.times)
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.1, 10.0, 1e6])
 def test_no_more_is_taken_than_needed(size):
-    for seed in range(40):
+    for seed in range(20):
         cycle = random_cycle(seed, size)
         found = fit(RIG, cycle)
         if found.factor < 1:
-            larger = usage(RIG, cycle.scaled(1.02 * found.factor)).worst
+            larger = peaks(RIG, cycle.scaled(1.02 * found.factor)).worst
             assert found.usage.worst > 0.97 or larger > 1
 
 
@@ -74,19 +74,19 @@ def test_gentle_cycle_is_not_touched():
 
 def test_exactly_at_the_limit_is_allowed():
     cycle = random_cycle(0, 1e-4)
-    rig = replace(RIG, limits=replace(RIG.limits, accel=usage(RIG, cycle).accel))
+    rig = replace(RIG, limits=replace(RIG.limits, accel=peaks(RIG, cycle).accel))
     assert fit(rig, cycle).factor == 1
-    tighter = replace(rig, limits=replace(rig.limits, accel=rig.limits.accel * (1 - 1e-6)))
+    tighter = replace(rig, limits=replace(rig.limits, accel=rig.limits.accel * (1 - 1e-5)))
     found = fit(tighter, cycle)
     assert 0.99 < found.factor < 1
     assert found.usage.accel <= tighter.limits.accel
 
 
-@pytest.mark.parametrize("limit", ["stroke_m", "speed", "accel"])
+@pytest.mark.parametrize("limit", ["stroke_m", "speed", "accel", "force"])
 def test_every_limit_counts(limit):
     cycle = random_cycle(0, 1e-4)
-    free = {"stroke_m": 1.0, "speed": 100.0, "accel": 1e4}
-    peak = getattr(usage(RIG, cycle), limit)
+    free = {"stroke_m": 1.0, "speed": 100.0, "accel": 1e4, "force": 1e4, "continuous_force": 1e4}
+    peak = getattr(peaks(RIG, cycle), limit)
     rig = replace(RIG, limits=replace(RIG.limits, **(free | {limit: peak / 4})))
     found = fit(rig, cycle)
     assert found.asked.worst == pytest.approx(4)
@@ -104,27 +104,38 @@ def absurd_cycle(size: float) -> PlateCycle:
     return PlateCycle.from_samples(0.1, size * np.column_stack(wave))
 
 
-@pytest.mark.parametrize("size", [1e30, 1e60, 1e120])
+@pytest.mark.parametrize("size", [1e30, 1e60])
 def test_absurd_cycles_are_scaled(size):
     assert np.all(dense_shares(fit(RIG, absurd_cycle(size)).cycle) <= 1)
 
 
-@pytest.mark.parametrize("size", [1e180, 1e290])
+@pytest.mark.parametrize("size", [1e120, 1e290])
 def test_what_cannot_be_computed_is_refused(size):
     cycle = absurd_cycle(size)
     with pytest.raises(CycleError, match="too large to compute, allowed: 10 mm of stroke, 1 m/s, "):
         fit(RIG, cycle)
 
 
-def setpoints() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.array([0, 0.01, 0.02]), np.zeros((3, 4)), np.zeros((3, 4))
+def setpoints() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return np.array([0, 0.01, 0.02]), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
 
 
 def test_setpoints_at_the_limits_pass():
-    times, q, qd = setpoints()
-    q[1] = RIG.limits.stroke_m
-    qd[1] = -RIG.limits.speed
-    check_setpoints(RIG, times, q, qd)
+    # The quintic from rest to a stroke in a time h has its greatest speed, 15/8 stroke/h, halfway.
+    limits = RIG.limits
+    h = 15 / 8 * limits.stroke_m / limits.speed
+    times, q, qd, qdd = setpoints()
+    q[1] = -limits.stroke_m
+    check_setpoints(RIG, times * h / 0.01, q, qd, qdd)
+    with pytest.raises(CycleError, match=r"motor_1: speed is 1\.001 m/s, allowed: 1 m/s"):
+        check_setpoints(RIG, times * h / 0.01 / 1.001, q, qd, qdd)
+
+
+def test_what_lies_between_knots_counts():
+    times, q, qd, qdd = setpoints()
+    q[1, 2], qd[1, 2] = 0.0099, 0.5
+    with pytest.raises(CycleError, match=r"motor_3: travel is 0\.0103\d* m, allowed: 0\.01 m"):
+        check_setpoints(RIG, times, q, qd, qdd)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +144,7 @@ def test_setpoints_at_the_limits_pass():
         (1, (1, 2), 0.0101, "motor_3: travel is 0.0101 m, allowed: 0.01 m"),
         (1, (1, 0), -0.0101, "motor_1: travel is 0.0101 m"),
         (2, (1, 3), 1.001, "motor_4: speed is 1.001 m/s, allowed: 1 m/s"),
+        (3, (1, 3), -np.inf, "a value is not finite"),
         (1, (0, 1), 1e-4, "motor_2: travel at rest is 0.0001 m, allowed: 2e-05 m"),
         (2, (2, 1), 0.1, "motor_2: speed at rest is 0.1 m/s"),
         (1, (1, 1), np.nan, "a value is not finite"),
