@@ -11,6 +11,7 @@
 #define WINDOW 8        /* knot messages that may be on their way: what hal_read's buffer holds */
 #define JUMP_M 2e-6f    /* how far a table may begin from where the plate is [m]: f32 rounding */
 #define JUMP_SPEED 2e-3f /* [m/s] */
+#define BRAKE_ROOM 0.1f  /* acceleration beyond the limit while braking [share] */
 
 static void send(Controller *c, uint8_t type, const uint8_t *fields, size_t size)
 {
@@ -30,14 +31,15 @@ static void acknowledge(Controller *c, uint16_t sequence, uint8_t status)
 
 static void tell_capabilities(Controller *c, uint32_t session)
 {
-    uint8_t fields[32], *at = fields;
+    uint8_t fields[48], *at = fields;
     *at++ = VERSION;
     at = put_u32(put_u32(at, session), hal_boot());
     *at++ = MOTORS;
     at = put_u16(at, MAX_KNOTS);
     *at++ = WINDOW;
     at = put_u16(at, WATCHDOG_US / 1000);
-    at = put_f32(put_f32(at, c->limits.stroke_m), c->limits.speed);
+    at = put_f32(put_f32(put_f32(at, c->limits.stroke_m), c->limits.speed), c->limits.accel);
+    at = put_f32(put_f32(at, c->limits.force), c->limits.lasting);
     send(c, CAPABILITIES, fields, (size_t)(at - fields));
 }
 
@@ -47,6 +49,12 @@ static void tell_pulse(Controller *c, const uint8_t host_ns[8])
     memcpy(fields, host_ns, 8);
     put_u64(fields + 8, c->now_us);
     send(c, PULSE, fields, sizeof fields);
+}
+
+/* Mean square of a motor's force that it bears for ever [N2]. */
+static double bearable(const Controller *c)
+{
+    return (double)c->limits.lasting * (double)c->limits.lasting;
 }
 
 static void tell_state(Controller *c)
@@ -62,6 +70,8 @@ static void tell_state(Controller *c)
     hal_measure(values[0], values[1]);
     for (int i = 0; i < 2 * MOTORS; i++)
         at = put_f32(at, values[i / MOTORS][i % MOTORS]);
+    double hottest = fmax(fmax(c->heat[0], c->heat[1]), fmax(c->heat[2], c->heat[3]));
+    at = put_f32(at, (float)(hottest / bearable(c)));
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
 
@@ -72,7 +82,7 @@ static uint8_t enable(Controller *c)
     float measured[MOTORS];
     if (c->state == STATE_READY || c->state == STATE_PLAYING)
         return STATUS_DONE;
-    if (c->state != STATE_OFF || hal_faults())
+    if (c->state != STATE_OFF || hal_faults() || c->faults & FAULT_NO_HOME)
         return STATUS_WRONG_STATE;
     c->faults = 0;
     memset(&c->from, 0, sizeof c->from);
@@ -129,7 +139,7 @@ static uint8_t commit(Controller *c, const uint8_t *fields)
         return STATUS_WRONG_STATE;
     if (table->id == 0 || table->id != get_u16(fields))
         return STATUS_WRONG_TABLE;
-    uint8_t status = table_check(table, c->limits.stroke_m, c->limits.speed);
+    uint8_t status = table_check(table, &c->limits);
     if (status != STATUS_DONE)
         return status;
     const Table *now = &c->tables[c->playing];
@@ -240,8 +250,33 @@ void controller_start(Controller *c, Limits limits)
 {
     memset(c, 0, sizeof *c);
     c->limits = limits;
+    c->faults = FAULT_NO_HOME;
     c->now_us = c->heard_us = c->told_us = hal_time_us();
     hal_drive(false);
+}
+
+/* What may be commanded; a brake adds at most 1.5 (v / Tb)^2 / accel, a tenth, to the table's. */
+static bool sane(const Controller *c, const Setpoint *at)
+{
+    bool inside = true;
+    for (int m = 0; m < MOTORS; m++) /* false for what is not finite, too */
+        inside = inside && fabsf(at->position[m]) <= c->limits.stroke_m * (1 + LIMIT_SLACK) &&
+                 fabsf(at->velocity[m]) <= c->limits.speed * (1 + LIMIT_SLACK) &&
+                 fabsf(at->acceleration[m]) <= c->limits.accel * (1 + BRAKE_ROOM);
+    return inside;
+}
+
+/* Heat of the motors follows the square of their force; returns whether they bear it. */
+static bool heat_step(Controller *c, double dt, const Setpoint *at)
+{
+    double share = fmin(dt / (double)c->limits.heat_s, 1);
+    bool bears = true;
+    for (int m = 0; m < MOTORS; m++) {
+        double force = at ? force_of(&c->limits, m, at->acceleration) : 0;
+        c->heat[m] += share * (force * force - c->heat[m]);
+        bears = bears && c->heat[m] <= bearable(c);
+    }
+    return bears;
 }
 
 void controller_tick(Controller *c)
@@ -263,15 +298,16 @@ void controller_tick(Controller *c)
         motion_brake(c, FAULT_HOST_SILENT);
 
     Setpoint at;
-    if (motion_step(c, (double)(c->now_us - before) * 1e-6, &at)) {
-        bool sane = true;
-        for (int m = 0; m < MOTORS; m++)
-            sane = sane && fabsf(at.position[m]) <= c->limits.stroke_m * (1 + LIMIT_SLACK);
-        if (sane)
-            hal_command(at.position, at.velocity, at.acceleration);
-        else
-            motion_off(c, FAULT_LIMIT);
+    double dt = (double)(c->now_us - before) * 1e-6;
+    bool moves = motion_step(c, dt, &at);
+    if (moves && !sane(c, &at)) {
+        motion_off(c, FAULT_LIMIT);
+        moves = false;
     }
+    if (moves)
+        hal_command(at.position, at.velocity, at.acceleration);
+    if (!heat_step(c, dt, moves ? &at : NULL) && c->state != STATE_OFF)
+        motion_brake(c, FAULT_HEAT);
     if (c->now_us - c->told_us >= TELEMETRY_US) {
         c->told_us = c->now_us;
         tell_state(c);

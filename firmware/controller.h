@@ -6,10 +6,6 @@
 #include "table.h"
 
 typedef struct {
-    float stroke_m, speed; /* limits of each motor [m], [m/s] */
-} Limits;
-
-typedef struct {
     Limits limits;
     Reader reader;
     uint16_t sent; /* sequence number of the next packet */
@@ -28,6 +24,7 @@ typedef struct {
     bool going_home;
     double home_time;
     Setpoint from;   /* where the way home begins */
+    double heat[MOTORS]; /* mean square of each motor's force, of late [N2] */
 } Controller;
 
 void controller_start(Controller *c, Limits limits);

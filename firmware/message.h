@@ -24,7 +24,7 @@ enum {
 
 enum {
     FAULT_HOST_SILENT = 1, FAULT_STOPPED = 2, FAULT_LIMIT = 4, FAULT_SUPPLY = 8,
-    FAULT_HARDWARE = 16
+    FAULT_HARDWARE = 16, FAULT_HEAT = 32, FAULT_NO_HOME = 64
 };
 
 static inline uint16_t get_u16(const uint8_t *b) { return (uint16_t)(b[0] | b[1] << 8); }

@@ -39,6 +39,15 @@ void motion_brake(Controller *c, uint8_t faults)
     }
 }
 
+/* The table that waits begins to play; the buffer of the one before is empty. */
+static void take_over(Controller *c)
+{
+    c->tables[c->playing].id = 0;
+    c->playing = !c->playing;
+    c->waiting = false;
+    c->played = 0;
+}
+
 /* Integral of the brake's rate 1 - 3 u^2 + 2 u^3. */
 static double brake_path(double u)
 {
@@ -63,9 +72,7 @@ static void play(Controller *c, double dt, Setpoint *at)
         c->time -= period;
         c->played++;
         if (c->waiting) {
-            c->playing = !c->playing;
-            c->waiting = false;
-            c->played = 0;
+            take_over(c);
             table = &c->tables[c->playing];
             period = table_period(table);
         } else if (c->state == STATE_PLAYING && table->repeats && c->played >= table->repeats) {
@@ -113,11 +120,9 @@ static bool homeward(Controller *c, double dt, Setpoint *at)
 bool motion_step(Controller *c, double dt, Setpoint *at)
 {
     if (c->state == STATE_READY && c->waiting) {
-        c->playing = !c->playing;
-        c->waiting = false;
+        take_over(c);
         c->state = STATE_PLAYING;
         c->time = -dt; /* it begins now */
-        c->played = 0;
     }
     if (c->going_home)
         return homeward(c, dt, at);
@@ -130,7 +135,9 @@ bool motion_step(Controller *c, double dt, Setpoint *at)
         memcpy(at->position, c->from.position, sizeof at->position);
         return true;
     }
-    if (c->state == STATE_HOMING && hal_home())
+    if (c->state == STATE_HOMING && hal_home()) {
         motion_off(c, 0);
+        c->faults &= (uint8_t)~FAULT_NO_HOME;
+    }
     return false;
 }

@@ -63,19 +63,71 @@ static bool exceeds(const float *points, int n, float limit, int halvings)
     return exceeds(left, n, limit, halvings - 1) || exceeds(right, n, limit, halvings - 1);
 }
 
-static bool piece_exceeds(const Knot *a, const Knot *b, int motor, float stroke, float speed)
+double force_of(const Limits *limits, int motor, const float acceleration[MOTORS])
+{
+    double force = 0;
+    for (int i = 0; i < MOTORS; i++)
+        force += (double)limits->load[motor][i] * (double)acceleration[i];
+    return force;
+}
+
+/* Integral of the square of a cubic over [0, 1], from its Bezier points (Farouki 2012, 4.2). */
+static double mean_square(const float points[4])
+{
+    static const double PRODUCTS[4][4] = {
+        {20, 10, 4, 1}, {10, 12, 9, 4}, {4, 9, 12, 10}, {1, 4, 10, 20}};
+    double sum = 0;
+    for (int i = 0; i < 4; i++)
+        for (int j = 0; j < 4; j++)
+            sum += PRODUCTS[i][j] * (double)points[i] * (double)points[j];
+    return sum / 140;
+}
+
+/* Bezier points of position, speed and acceleration of one motor between two knots. */
+typedef struct {
+    float position[6], speed[5], accel[4];
+} Hull;
+
+/* From differences of positions, without the cancellation of near-equal points. */
+static Hull hull(const Knot *a, const Knot *b, int motor)
 {
     float h = (float)((b->ticks - a->ticks) * TICK_S);
     float va = h * a->velocity[motor] / 5, vb = h * b->velocity[motor] / 5;
     float aa = h * h * a->acceleration[motor] / 20, ab = h * h * b->acceleration[motor] / 20;
-    float pa = a->position[motor], pb = b->position[motor];
-    float points[6] = {pa, pa + va, pa + 2 * va + aa, pb - 2 * vb + ab, pb - vb, pb};
-    float slopes[5] = {a->velocity[motor], 0, 0, 0, b->velocity[motor]};
-    /* Differences of points, without the cancellation of near-equal positions. */
-    slopes[1] = 5 * (va + aa) / h;
-    slopes[3] = 5 * (vb - ab) / h;
-    slopes[2] = 5 * ((pb - pa) - 2 * (va + vb) + (ab - aa)) / h;
-    return exceeds(points, 6, stroke, HALVINGS) || exceeds(slopes, 5, speed, HALVINGS);
+    float pa = a->position[motor], pb = b->position[motor], step = pb - pa;
+    return (Hull){
+        {pa, pa + va, pa + 2 * va + aa, pb - 2 * vb + ab, pb - vb, pb},
+        {a->velocity[motor], 5 * (va + aa) / h, 5 * (step - 2 * (va + vb) + (ab - aa)) / h,
+         5 * (vb - ab) / h, b->velocity[motor]},
+        {a->acceleration[motor], 20 * (step - 2 * vb + ab - 3 * va - 2 * aa) / (h * h),
+         20 * (3 * vb - 2 * ab + 2 * va + aa - step) / (h * h), b->acceleration[motor]},
+    };
+}
+
+/* Whether a piece keeps the limits of motion and force; adds its integral of force squared. */
+static bool piece_keeps(const Knot *a, const Knot *b, const Limits *limits, double heat[MOTORS])
+{
+    const float slack = 1 + LIMIT_SLACK;
+    Hull hulls[MOTORS];
+    for (int m = 0; m < MOTORS; m++) {
+        hulls[m] = hull(a, b, m);
+        if (exceeds(hulls[m].position, 6, limits->stroke_m * slack, HALVINGS) ||
+            exceeds(hulls[m].speed, 5, limits->speed * slack, HALVINGS) ||
+            exceeds(hulls[m].accel, 4, limits->accel * slack, HALVINGS))
+            return false;
+    }
+    for (int m = 0; m < MOTORS; m++) {
+        float force[4], accel[MOTORS];
+        for (int i = 0; i < 4; i++) {
+            for (int k = 0; k < MOTORS; k++)
+                accel[k] = hulls[k].accel[i];
+            force[i] = (float)force_of(limits, m, accel);
+        }
+        if (exceeds(force, 4, limits->force * slack, HALVINGS))
+            return false;
+        heat[m] += mean_square(force) * ((b->ticks - a->ticks) * TICK_S);
+    }
+    return true;
 }
 
 static uint8_t check_whole(const Table *table)
@@ -98,17 +150,20 @@ static uint8_t check_whole(const Table *table)
     return STATUS_DONE;
 }
 
-uint8_t table_check(const Table *table, float stroke, float speed)
+uint8_t table_check(const Table *table, const Limits *limits)
 {
+    double heat[MOTORS] = {0};
     uint8_t status = check_whole(table);
     if (status != STATUS_DONE)
         return status;
+    for (int k = 0; k + 1 < table->count; k++)
+        if (!piece_keeps(&table->knots[k], &table->knots[k + 1], limits, heat))
+            return STATUS_LIMIT;
+    double bearable = (double)limits->lasting * (double)limits->lasting * table_period(table);
     const Knot *first = &table->knots[0], *last = &table->knots[table->count - 1];
     for (int m = 0; m < MOTORS; m++) {
-        for (int k = 0; k + 1 < table->count; k++)
-            if (piece_exceeds(&table->knots[k], &table->knots[k + 1], m, stroke * (1 + LIMIT_SLACK),
-                              speed * (1 + LIMIT_SLACK)))
-                return STATUS_LIMIT;
+        if (!(heat[m] <= bearable))
+            return STATUS_LIMIT;
         if (!(fabsf(first->position[m] - last->position[m]) <= CLOSES_M) ||
             !(fabsf(first->velocity[m] - last->velocity[m]) <= CLOSES_SPEED))
             return STATUS_JUMP;

@@ -30,12 +30,24 @@ typedef struct {
     float position[MOTORS], velocity[MOTORS], acceleration[MOTORS];
 } Setpoint;
 
+/* What each motor may do. */
+typedef struct {
+    float stroke_m, speed, accel;  /* [m], [m/s], [m/s2] */
+    float force;                   /* peak [N] */
+    float lasting;                 /* root mean square that it bears for ever [N] */
+    float heat_s;                  /* time constant of its heat [s] */
+    float load[MOTORS][MOTORS];    /* forces for the accelerations of all motors [kg] */
+} Limits;
+
 /* Knot from and to its bytes. */
 void knot_read(Knot *knot, const uint8_t bytes[KNOT_BYTES]);
 void knot_write(const Knot *knot, uint8_t bytes[KNOT_BYTES]);
 
 /* Status of a whole table: DONE, or why it must not play. */
-uint8_t table_check(const Table *table, float stroke, float speed);
+uint8_t table_check(const Table *table, const Limits *limits);
+
+/* Force [N] of a motor for the accelerations of all. */
+double force_of(const Limits *limits, int motor, const float acceleration[MOTORS]);
 
 double table_period(const Table *table);
 

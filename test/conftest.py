@@ -1,10 +1,11 @@
-"""What several tests here share: the firmware, built for this machine."""
+"""What several tests here share: the firmware, built for this machine, and its twin in Python."""
 
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+from desk import running, twin
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
 STRICT = [
@@ -28,3 +29,11 @@ def _program(tmp_path_factory):
         if built.returncode == 0:
             return program
     pytest.fail(built.stderr)
+
+
+@pytest.fixture(name="device", params=["firmware", "twin"])
+def _device(request):
+    """Each of both, as a function from orders to what is printed."""
+    if request.param == "twin":
+        return twin
+    return running(request.getfixturevalue("program"))

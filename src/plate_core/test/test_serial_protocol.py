@@ -54,6 +54,8 @@ KNOTS = (
     Knot(5_000_000, f32(0.001, -0.002, 0, 0.004), f32(0.25, 0, 0, -0.5), f32(0, 12.5, 0, 0)),
     Knot(10_000_000, REST, REST, REST),
 )
+SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
+LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0)
 SAID = [
     Packet(1, Hello(1, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
@@ -64,15 +66,13 @@ SAID = [
     Packet(256, Begin(7, 3, table_crc(KNOTS))),
     Packet(257, Knots(7, 0, KNOTS)),
     Packet(258, Commit(7, 5)),
-    Packet(1, Capabilities(1, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *f32(0.01, 1.0))),
+    Packet(1, Capabilities(1, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS)),
     Packet(2, Acknowledgement(258, Status.DONE)),
     Packet(3, Acknowledgement(258, Status.JUMP)),
     Packet(4, Pulse(1_500_000_000, 2_000_000)),
     Packet(
         5,
-        Telemetry(
-            2_000_500, State.PLAYING, Fault.NONE, 7, 8, 1, KNOTS[1].position, KNOTS[1].acceleration
-        ),
+        Telemetry(2_000_500, State.PLAYING, Fault.NONE, 7, 8, 1, *SHAKEN, 0.25),
     ),
 ]
 
@@ -121,14 +121,14 @@ messages = st.one_of(
     st.builds(Commit, u("H"), u("H")),
     st.builds(
         Capabilities,
-        u("B"), u("I"), u("I"), u("B"), u("H"), u("B"), u("H"), floats, floats,
+        u("B"), u("I"), u("I"), u("B"), u("H"), u("B"), u("H"), *[floats] * 5,
     ),
     st.builds(Acknowledgement, u("H"), st.sampled_from(Status)),
     st.builds(Pulse, u("Q"), u("Q")),
     st.builds(
         Telemetry,
-        u("Q"), st.sampled_from(State), st.integers(0, 31).map(Fault), u("H"), u("H"), u("H"),
-        four, four,
+        u("Q"), st.sampled_from(State), st.integers(0, 127).map(Fault), u("H"), u("H"), u("H"),
+        four, four, floats,
     ),
 )  # fmt: skip
 packets = st.builds(Packet, u("H"), messages)

@@ -14,6 +14,7 @@ from plate_core.serial_protocol import (
     Fault,
     Heartbeat,
     Hello,
+    Home,
     Knot,
     Knots,
     Message,
@@ -37,14 +38,15 @@ HEARTBEAT_S = 0.05
 SILENCE_S = 0.25
 """Telemetry comes every 10 ms: after so long without a message the device is gone [s]."""
 
-ENABLE_S = 0.5
-"""Least time between two requests to enable the motors [s]."""
+ROUSE_S = 0.5
+"""Least time between two requests to find home, or to enable the motors [s]."""
 
 PULSE_AGE_S = 5.0
 """How long the pulse with the shortest round trip is kept [s]: 50 ppm of drift make 0.25 ms."""
 
-HARMLESS = Fault.HOST_SILENT | Fault.STOPPED
-"""Faults after which the motors may be enabled again without a look at the rig."""
+HARMLESS = Fault.HOST_SILENT | Fault.STOPPED | Fault.NO_HOME
+"""Faults after which the motors may be enabled again without a look at the rig: a device that was
+reset finds home and goes on; one whose supply, drive, limit or heat failed waits for a person."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,10 @@ class Link:
         What the device refused since the last `forgiven`.
     retries : int
         Messages repeated so far.
+    roused, roused_at
+        The last request to find home or enable, and when it was made [s].
+    inspected : bool
+        Someone has looked at the rig: the next Enable may clear any fault.
     """
 
     session: int
@@ -123,7 +129,9 @@ class Link:
     telemetry: Telemetry | None = None
     clock: DeviceClock = field(default_factory=DeviceClock)
     heartbeat_at: float = float("-inf")
-    enable_at: float = float("-inf")
+    roused: Message | None = None
+    roused_at: float = float("-inf")
+    inspected: bool = False
     failed: str = ""
     refusal: str = ""
     retries: int = 0
@@ -147,9 +155,18 @@ class Link:
             messages.append(Knots(table, first, some))
         return replace(self, next_table=(*messages, Commit(table, 0)))
 
-    def stopping(self) -> Link:
-        """Return the link that wants the plate to brake, and nothing else."""
-        return replace(self, queue=(), next_table=())._asked(Stop(0))
+    def stopping(self, now: bool = False) -> Link:
+        """Return the link that wants the plate to brake, or to lose its current `now`."""
+        cleared = replace(self, queue=(), next_table=(), inspected=False)
+        return cleared._asked(Stop(int(now)))
+
+    def homing(self) -> Link:
+        """Return the link that wants the device, which must be off, to find home again."""
+        return self._asked(Home())
+
+    def enabling(self) -> Link:
+        """Return the link that may enable the motors once, whatever the device stopped for."""
+        return replace(self, inspected=True)
 
     def forgiven(self) -> Link:
         """Return the link without its refusal, which was told."""
@@ -197,9 +214,9 @@ class Link:
             return self
         queue = tuple(p for p in self.queue if p.sequence != answer.sequence)
         if answer.status is Status.DONE:
-            # What waits is known again by the next telemetry: the last may be from before.
-            committed = isinstance(about[0].message, Commit)
-            telemetry = None if committed else self.telemetry
+            # State and waiting table are known by the next telemetry: the last is from before.
+            changed = isinstance(about[0].message, Commit | Home | Enable)
+            telemetry = None if changed else self.telemetry
             return replace(self, queue=queue, telemetry=telemetry)
         name = type(about[0].message).__name__
         reason = f"device refuses {name}: {answer.status.name.lower().replace('_', ' ')}"
@@ -237,13 +254,20 @@ class Link:
             return self  # Begin would throw it away
         if self.telemetry.state in (State.READY, State.PLAYING):
             return replace(self, next_table=())._asked(*self.next_table)
-        if (
-            self.telemetry.state is State.OFF
-            and not self.telemetry.faults & ~HARMLESS
-            and now - self.enable_at >= ENABLE_S
-        ):
-            return replace(self, enable_at=now)._asked(Enable())
-        return self
+        return self._roused(self.telemetry, now)
+
+    def _roused(self, telemetry: Telemetry, now: float) -> Link:
+        """Return the link that has a device that is off find home, or enable its motors."""
+        if telemetry.state is not State.OFF:
+            return self
+        if telemetry.faults & ~HARMLESS and not self.inspected:
+            return self
+        wanted = Home() if telemetry.faults & Fault.NO_HOME else Enable()
+        if wanted == self.roused and now - self.roused_at < ROUSE_S:
+            return self
+        inspected = self.inspected and not isinstance(wanted, Enable)
+        link = replace(self, roused=wanted, roused_at=now, inspected=inspected)
+        return link._asked(wanted)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
         """Tell whether the answer to a command may still come."""

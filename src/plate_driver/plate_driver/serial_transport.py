@@ -143,13 +143,25 @@ class SerialTransport:
         told, self._troubles = self._troubles, []
         return told
 
+    def stop(self, now: bool = False) -> None:
+        """Have the device brake, or take the current away at once; the last table is forgotten."""
+        self._newest = None
+        self._link = self._link.stopping(now)
+        self.poll()
+
+    def home(self) -> None:
+        """Have the device find home; it refuses unless its motors are off."""
+        self._link = self._link.homing()
+
+    def enable(self) -> None:
+        """Let the next table enable the motors, whatever the device stopped for: once."""
+        self._link = self._link.enabling()
+
     def close(self) -> None:
         """Have the device brake, and release the port."""
+        if self._port is not None:
+            self.stop()
         self._newest = None
-        if self._port is None:
-            return
-        self._link = self._link.stopping()
-        self.poll()
         self._release()
 
     def _tell(self, trouble: str) -> None:

@@ -30,13 +30,14 @@ KNOTS = [Knot(i, REST, REST, REST) for i in range(49)]
 
 
 def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0) -> Packet:
-    return Packet(0, Telemetry(0, state, faults, 0, waiting, 0, REST, REST))
+    return Packet(0, Telemetry(0, state, faults, 0, waiting, 0, REST, REST, 0.0))
 
 
 def capabilities(**changes) -> Packet:
     values = {
         "version": 1, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
         "watchdog_ms": 250, "stroke_m": 0.01, "speed": 1.0,
+        "accel": 100.0, "force": 200.0, "lasting": 60.0,
     }  # fmt: skip
     return Packet(0, Capabilities(**(values | changes)))
 

@@ -43,13 +43,13 @@ class Status(IntEnum):
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
     WRONG_TIMES = 6  # they do not begin at 0 or do not rise
-    LIMIT = 7  # stroke or speed, on the spline, not only at knots
+    LIMIT = 7  # stroke, speed, acceleration, force or heat; on the spline, not only at knots
     JUMP = 8  # the table does not begin where the one before ends, or does not close
     TOO_LONG = 9
 
 
 class Fault(IntFlag):
-    """Why the device is not playing; kept until it is enabled again."""
+    """Why the device is not playing; all but NO_HOME are kept until it is enabled again."""
 
     NONE = 0
     HOST_SILENT = 1
@@ -57,6 +57,8 @@ class Fault(IntFlag):
     LIMIT = 4
     SUPPLY = 8
     HARDWARE = 16
+    HEAT = 32
+    NO_HOME = 64  # until it is told to find home: not since the last reset
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -134,7 +136,7 @@ class Commit:
 
 @dataclass(frozen=True)
 class Capabilities:
-    """Device: answer to Hello. Limits in SI; `boot` is another number after each reset."""
+    """Device: answer to Hello. Limits of a motor in SI; `boot` is another number after a reset."""
 
     version: int = field(metadata=_wire("B"))
     session: int = field(metadata=_wire("I"))
@@ -145,6 +147,9 @@ class Capabilities:
     watchdog_ms: int = field(metadata=_wire("H"))
     stroke_m: float = field(metadata=_wire("f"))
     speed: float = field(metadata=_wire("f"))
+    accel: float = field(metadata=_wire("f"))
+    force: float = field(metadata=_wire("f"))
+    lasting: float = field(metadata=_wire("f"))  # root mean square of force, for ever
 
 
 @dataclass(frozen=True)
@@ -175,6 +180,7 @@ class Telemetry:
     refused: int = field(metadata=_wire("H"))  # damaged frames, modulo 2^16
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
+    heat: float = field(metadata=_wire("f"))  # mean square of force over what a motor bears: worst
 
 
 Message = (

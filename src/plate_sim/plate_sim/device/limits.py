@@ -1,0 +1,98 @@
+"""What the device's motors may do, and what they need for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from plate_core import Rig
+
+FORCE_N = 200.0
+"""Peak force of a motor [N]: voice coils for this plate; the default rig's cycles need 92."""
+
+LASTING_N = 60.0
+"""Root mean square of its force that a motor bears for ever [N]; those cycles have 32."""
+
+HEAT_S = 30.0
+"""Time in which a voice coil's winding warms up [s]."""
+
+SLACK = np.float32(1) + np.float32(2e-3)
+"""A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
+own splines differ from that by the curvature of the kinematics, up to 1e-3."""
+
+BRAKE_ROOM = np.float32(1) + np.float32(0.1)
+"""Acceleration while braking may be this much more: at most 1.5 (v / Tb)^2 / accel is needed."""
+
+
+@dataclass(frozen=True)
+class DeviceLimits:
+    """Limits of each motor; single precision on the wire and in the firmware.
+
+    Attributes
+    ----------
+    stroke_m, speed, accel : float
+        [m], [m/s], [m/s2].
+    force, lasting : float
+        Peak and root mean square [N].
+    heat_s : float
+        Time constant of the winding's heat [s].
+    load : (4, 4)
+        Forces that the motors need for accelerations of all of them [kg].
+    """
+
+    stroke_m: float
+    speed: float
+    accel: float
+    force: float
+    lasting: float
+    heat_s: float
+    load: np.ndarray
+
+    @classmethod
+    def of_rig(cls, rig: Rig) -> DeviceLimits:
+        """Return the limits for a rig's plate, its suspension left out.
+
+        Forces f = B^+ M c'' of least norm push the plate with B; c'' = (B^T)^+ q'' follows from the
+        motors' accelerations at home, so the load is B^+ M (B^T)^+.
+        """
+        (x, y), (dx, dy) = (
+            np.array([getattr(motor, name) for motor in rig.motors]).T
+            for name in ("point", "direction")
+        )
+        share = np.linalg.pinv(np.stack([dx, dy, x * dy - y * dx]))
+        plate = rig.plate
+        inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
+        mass = np.diag([plate.mass_kg, plate.mass_kg, inertia])
+        # Rounded, so that no rounding error of the inverse decides about a limit.
+        load = np.round(share @ mass @ share.T, 9)
+        limits = rig.limits
+        return cls(
+            limits.stroke_m, limits.speed, limits.accel, FORCE_N, LASTING_N, HEAT_S, load
+        )  # fmt: skip
+
+    @cached_property
+    def commanded(self) -> np.ndarray:
+        """Most that may be commanded of position, speed and acceleration (3, 1), float32."""
+        room = (SLACK, SLACK, BRAKE_ROOM)
+        bounds = (self.stroke_m, self.speed, self.accel)
+        return np.array([[np.float32(b) * r] for b, r in zip(bounds, room, strict=True)])
+
+    @cached_property
+    def bearable(self) -> float:
+        """Mean square of force that a motor bears for ever [N2]."""
+        return float(np.float32(self.lasting)) ** 2
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Columns of `load`, one after the other, of single precision's values."""
+        return np.asarray(self.load.astype(np.float32).astype(float).T)
+
+    def forces(self, acceleration: np.ndarray) -> np.ndarray:
+        """Return the motors' forces (..., 4) [N] for their accelerations (..., 4) [m/s2]."""
+        wide = acceleration.astype(float)
+        force = self.columns[0] * wide[..., :1]
+        for i in range(1, wide.shape[-1]):
+            force = force + self.columns[i] * wide[..., i : i + 1]
+        return np.asarray(force)
