@@ -26,6 +26,7 @@ MEASUREMENTS = {
     "vision": "Finding discs in an image: time, misses, error of the centres",
     "camera": "The simulated camera: time for one image, error of the centres",
     "stages": "What each stage of the loop costs for one image",
+    "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
     "tracking": "Two parts on rectangles: tracking error against speed",
     "closed_loop": "Whole tasks in the closed loop",
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import RigError
+from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .suspension import Suspension, read_suspension
 from .yaml_fields import Fields, read_yaml
@@ -105,7 +106,8 @@ class Camera:
 
 @dataclass(frozen=True)
 class Rig:
-    """All facts of one rig; without a suspension the plate is rigid and does as commanded."""
+    """All facts of one rig; without a suspension the plate is rigid and does as commanded, without
+    fiducials the camera sees only the plate's edges."""
 
     plate: Plate
     friction: Friction
@@ -114,6 +116,7 @@ class Rig:
     motors: tuple[Motor, ...]
     camera: Camera
     suspension: Suspension | None = None
+    fiducials: Fiducials | None = None
 
     @property
     def gamma(self) -> float:
@@ -183,6 +186,7 @@ def load_rig(path: str | Path | None = None) -> Rig:
         motors=_motors(fields.child("motors")),
         camera=_camera(fields.child("camera")),
         suspension=_suspension(fields, plate),
+        fiducials=read_fiducials(fields.child("fiducials")) if fields.has("fiducials") else None,
     )
     fields.finish()
     if rig.gamma <= 1:

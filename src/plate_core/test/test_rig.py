@@ -118,3 +118,39 @@ def test_missing_file_is_named():
 def test_rig_is_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         load_rig().plate.mass_kg = 1.0
+
+
+MARKERS = {
+    "dictionary": "4X4_50",
+    "side_m": 0.03,
+    "centre_m": {
+        "marker_0": [-0.28, -0.13], "marker_1": [0.28, -0.13], "marker_2": [0.28, 0.13],
+        "marker_17": [-0.28, 0.13],
+    },
+}  # fmt: skip
+
+
+def test_fiducials(data, load):
+    assert load(data).fiducials is None
+    fiducials = load({**data, "fiducials": MARKERS}).fiducials
+    assert fiducials.numbers == (0, 1, 2, 17)
+    corners = [[-0.295, 0.145], [-0.265, 0.145], [-0.265, 0.115], [-0.295, 0.115]]
+    np.testing.assert_allclose(fiducials.corners[3], corners)
+
+
+@pytest.mark.parametrize(
+    ("words", "change"),
+    [
+        ("side_m is 0", {"side_m": 0}),
+        ("dictionary is 5", {"dictionary": 5}),
+        ("2 markers, allowed: 4 to 16", {"centre_m": {"marker_0": [0, 0], "marker_1": [1, 1]}}),
+        ("allowed: marker_0", {"centre_m": {f"m{i}": [i, i] for i in range(4)}}),
+        ("allowed: 2 numbers", {"centre_m": {f"marker_{i}": [i] for i in range(4)}}),
+        ("apart", {"centre_m": {f"marker_{i}": [i // 2 * 0.1, 0.03 * i] for i in range(4)}}),
+        ("in one line", {"centre_m": {f"marker_{i}": [i, 2 * i] for i in range(4)}}),
+        ("unknown key colour", {"colour": "red"}),
+    ],
+)
+def test_wrong_fiducials_are_refused(data, load, words, change):
+    with pytest.raises(RigError, match=words):
+        load({**data, "fiducials": {**MARKERS, **change}})

@@ -96,3 +96,70 @@ def corners_px():
 @pytest.fixture
 def rng():
     return np.random.default_rng(20261121)
+
+
+class Scene:
+    """Pictures of a flat print through a lens: every pixel is traced back to the print.
+
+    Parameters
+    ----------
+    texture : (h, w) uint8
+        The print; its row 0 is at the largest y.
+    size : (float, float)
+        Its length along x and y [m]; the origin is its centre.
+    """
+
+    SUB = 3
+    """Sub-pixels along each side of a pixel."""
+
+    def __init__(self, texture, size, matrix, distortion=None):
+        import cv2
+
+        self.texture, self.size = texture, size
+        self.matrix = np.asarray(matrix, float)
+        bend = np.zeros(5) if distortion is None else np.asarray(distortion, float)
+        pixel = np.stack(np.meshgrid(np.arange(WIDTH_PX), np.arange(HEIGHT_PX)), axis=2)
+        pixel = pixel.reshape(-1, 1, 2).astype(float)
+        ray = first = cv2.undistortPoints(pixel, self.matrix, bend)[:, 0]
+        for _ in range(4):  # OpenCV's answer is not exact: each time a hundredth remains
+            space = np.column_stack([ray, np.ones(len(ray))])
+            seen = cv2.projectPoints(space, np.zeros(3), np.zeros(3), self.matrix, bend)[0]
+            ray = ray + first - cv2.undistortPoints(seen, self.matrix, bend)[:, 0]
+        ray = ray.reshape(HEIGHT_PX, WIDTH_PX, 2)
+        step = (np.arange(self.SUB) + 0.5) / self.SUB - 0.5
+        down, across = np.gradient(ray, axis=(0, 1))
+        fine = (
+            ray[:, None, :, None]
+            + step[:, None, None, None] * down[:, None, :, None]
+            + step[:, None] * across[:, None, :, None]
+        )  # (rows, sub-rows, columns, sub-columns, 2)
+        fine = fine.reshape(-1, 2)
+        self.ray = np.column_stack([fine, np.ones(len(fine))]).astype(np.float32)
+
+    def take(self, rotation, translation, rng, blur=0.7, noise=2.0, light=1.0):
+        """Return the picture (H, W) uint8 of the print at a pose in the camera's frame [m]."""
+        import cv2
+
+        plane = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
+        place = self.ray @ np.linalg.inv(plane).T.astype(np.float32)
+        place = place[:, :2] / place[:, 2:]
+        rows, columns = self.texture.shape
+        column = (place[:, 0] / self.size[0] + 0.5) * columns - 0.5
+        row = (0.5 - place[:, 1] / self.size[1]) * rows - 0.5
+        shape = (HEIGHT_PX * self.SUB, WIDTH_PX * self.SUB)
+        fine = cv2.remap(
+            self.texture, column.reshape(shape).astype(np.float32),
+            row.reshape(shape).astype(np.float32), cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=int(ROOM),
+        )  # fmt: skip
+        image = cv2.resize(fine, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_AREA).astype(float)
+        if blur:
+            image = cv2.GaussianBlur(image, (0, 0), blur)
+        v, u = np.mgrid[-1 : 1 : HEIGHT_PX * 1j, -1 : 1 : WIDTH_PX * 1j]
+        image = image * slope(u, v) * light + noise * rng.standard_normal(image.shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def make_scene():
+    return Scene

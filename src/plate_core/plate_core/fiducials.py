@@ -1,0 +1,82 @@
+"""Markers on the plate by which a camera sees where it is."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import RigError
+from .yaml_fields import Fields
+
+LEAST, MOST = 4, 16
+"""How many there may be: fewer than four cannot be checked against each other."""
+
+NAME = re.compile(r"marker_(0|[1-9]\d{0,3})")
+"""Keys of the markers in a rig file: their numbers in the dictionary."""
+
+
+@dataclass(frozen=True)
+class Fiducials:
+    """ArUco markers that lie flat on the plate, their upper sides towards +y of the plate.
+
+    Attributes
+    ----------
+    dictionary : str
+        Set of markers, by OpenCV's name without DICT_, such as 4X4_50.
+    side_m : float
+        Side of the black square [m].
+    numbers : (n,) tuple of int
+        Which markers.
+    centres : (n,) tuple of (x, y)
+        Their centres [m, plate frame].
+    """
+
+    dictionary: str
+    side_m: float
+    numbers: tuple[int, ...]
+    centres: tuple[tuple[float, float], ...]
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Corners (n, 4, 2) [m, plate frame]: top left, top right, bottom right, bottom left."""
+        square = 0.5 * self.side_m * np.array([[-1.0, 1], [1, 1], [1, -1], [-1, -1]])
+        return np.array(self.centres)[:, None] + square
+
+
+def read_fiducials(fields: Fields) -> Fiducials:
+    """Read the section `fiducials` of a rig file.
+
+    Raises
+    ------
+    RigError
+        If a key is missing, unknown, or its value is not allowed.
+    """
+    dictionary = fields.text("dictionary")
+    side = fields.number("side_m", 0.001, 1)
+    centres = fields.child("centre_m")
+    names = centres.keys()
+    if not LEAST <= len(names) <= MOST:
+        raise RigError(f"{centres.where}: {len(names)} markers, allowed: {LEAST} to {MOST}")
+    if not all(NAME.fullmatch(name) for name in names):
+        raise RigError(
+            f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1 and so on"
+        )
+    places = [centres.array(name, (2,), -10, 10) for name in names]
+    gap = np.linalg.norm(np.array(places)[:, None] - places, axis=2)
+    if np.any(gap[~np.eye(len(places), dtype=bool)] < 1.2 * side):
+        raise RigError(
+            f"{centres.where}: two centres are {gap[gap > 0].min(initial=0):g} m apart, allowed: "
+            f"more than 1.2 sides, {1.2 * side:g} m"
+        )
+    spread = np.linalg.svd(places - np.mean(places, axis=0), compute_uv=False)
+    if spread[1] < side:
+        raise RigError(f"{centres.where}: all in one line, allowed: the corners of an area")
+    fields.finish()
+    return Fiducials(
+        dictionary,
+        side,
+        tuple(int(name.removeprefix("marker_")) for name in names),
+        tuple((float(x), float(y)) for x, y in places),
+    )

@@ -1,0 +1,208 @@
+"""The plate's pose by its markers, against pictures traced through camera and lens."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from plate_core import load_rig
+from plate_core.fiducials import Fiducials
+from plate_core.frames import camera_pose, to_home
+from plate_vision import CalibrationError, Lens, detect, make_vision
+from plate_vision.fiducials import find_home, find_pose, fit_pose, hide
+from plate_vision.markers import DICTIONARIES, draw_marker, find_markers
+
+PER_M = 5000
+"""Texels of the print for a metre."""
+
+FIDUCIALS = Fiducials(
+    "4X4_50", 0.03, (0, 1, 2, 3), ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
+)
+BENT = [-0.25, 0.08, 0.001, -0.0005, 0.0]
+STROKE_M, TURN_RAD = 0.01, 0.03
+
+
+@lru_cache
+def plate_print():
+    """The bare plate with its markers."""
+    texture = np.full((round(0.3 * PER_M), round(0.6 * PER_M)), 220, np.uint8)
+    side = round(FIDUCIALS.side_m * PER_M)
+    for number, (x, y) in zip(FIDUCIALS.numbers, FIDUCIALS.centres, strict=True):
+        column = round((x + 0.3 - FIDUCIALS.side_m / 2) * PER_M)
+        row = round((0.15 - y - FIDUCIALS.side_m / 2) * PER_M)
+        marker = draw_marker("4X4_50", number, side)
+        texture[row : row + side, column : column + side] = np.where(marker > 0, 220, 30)
+    return texture
+
+
+class Plate:
+    """A plate with markers under the default rig's camera."""
+
+    def __init__(self, make_scene, distortion=None, texture=None):
+        self.rig = load_rig()
+        self.matrix = self.rig.camera.lens.matrix
+        self.lens = None if distortion is None else Lens(self.matrix, np.array(distortion))
+        self.scene = make_scene(
+            plate_print() if texture is None else texture, (0.6, 0.3), self.matrix, distortion
+        )
+        self.rotation, self.translation = camera_pose(self.rig)
+
+    def take(self, pose, rng, **light):
+        x, y, theta = pose
+        turn = np.array(
+            [[np.cos(theta), -np.sin(theta), 0], [np.sin(theta), np.cos(theta), 0], [0, 0, 1]]
+        )
+        there = self.translation + self.rotation @ [x, y, 0]
+        return self.scene.take(self.rotation @ turn, there, rng, **light)
+
+    def seen_at(self, point):
+        """Where OpenCV projects points (n, 2) [m, plate_home] to."""
+        space = np.column_stack([point, np.zeros(len(point))])
+        turn = cv2.Rodrigues(self.rotation)[0]
+        distortion = np.zeros(5) if self.lens is None else self.lens.distortion
+        return cv2.projectPoints(space, turn, self.translation, self.matrix, distortion)[0][:, 0]
+
+
+@pytest.fixture(params=[None, BENT], ids=["straight", "bent"])
+def plate(request, make_scene):
+    return Plate(make_scene, request.param)
+
+
+HOME = np.zeros(3)
+
+
+def test_home_by_markers(plate, rng):
+    calibration, error = find_home(plate.take(HOME, rng), FIDUCIALS, plate.lens)
+    assert error < 2e-4
+    point = np.stack(np.meshgrid([-0.28, 0, 0.28], [-0.13, 0, 0.13]), axis=2).reshape(-1, 2)
+    assert np.abs(calibration.to_home(plate.seen_at(point)) - point).max() < 1e-4
+    assert (calibration.lens is None) == (plate.lens is None)
+
+
+def test_poses_over_the_stroke(plate, rng):
+    """Within 0.1 mm and 0.05 degrees, in noise and blur, followed and from scratch."""
+    calibration, _ = find_home(plate.take(HOME, rng), FIDUCIALS, plate.lens)
+    grid = np.array([(x, y, t) for x in (-1, 0, 1) for y in (-1, 1) for t in (-1, 1)])
+    random = rng.uniform(-1, 1, (8, 3))
+    last, errors = HOME, []
+    for k, share in enumerate(np.concatenate([grid, random])):
+        pose = share * [STROKE_M, STROKE_M, TURN_RAD]
+        image = plate.take(pose, rng, blur=(0.5, 1.0, 1.5)[k % 3], noise=(1.0, 3.0)[k % 2])
+        near = pose + rng.uniform(-1, 1, 3) * [1e-3, 1e-3, 1e-3]
+        for guess in (None, near, last):  # from scratch, followed, followed from too far
+            found = find_pose(image, FIDUCIALS, calibration, guess)
+            assert found.seen == FIDUCIALS.numbers
+            errors.append(found.pose - pose)
+        last = found.pose
+    errors = np.abs(errors)
+    assert np.linalg.norm(errors[:, :2], axis=1).max() < 1e-4
+    assert errors[:, 2].max() < np.deg2rad(0.05)
+
+
+@pytest.fixture
+def straight(make_scene):
+    return Plate(make_scene)
+
+
+def test_covered_markers(straight, rng):
+    """Two that are seen are enough; one is not."""
+    calibration, _ = find_home(straight.take(HOME, rng), FIDUCIALS)
+    pose = np.array([0.004, -0.003, 0.01])
+    image = straight.take(pose, rng)
+    for count, number in enumerate((2, 0, 3)):
+        middle = straight.seen_at(to_home(pose, np.array([FIDUCIALS.centres[number]])))[0]
+        cv2.circle(image, np.rint(middle).astype(int).tolist(), 25, 130, -1)
+        for last in (None, pose):
+            found = find_pose(image, FIDUCIALS, calibration, last)
+            if count == 2:
+                assert found is None
+                continue
+            assert number not in found.seen
+            assert len(found.seen) == 3 - count
+            assert np.linalg.norm(found.pose[:2] - pose[:2]) < 1.5e-4
+            assert abs(found.pose[2] - pose[2]) < 1e-3
+        with pytest.raises(CalibrationError, match=f"{number}.* not seen, allowed: all of 0, 1"):
+            find_home(image, FIDUCIALS)
+
+
+def test_other_pictures_have_no_pose(straight, rng, draw):
+    calibration, _ = find_home(straight.take(HOME, rng), FIDUCIALS)
+    others = [
+        np.zeros((480, 640), np.uint8),
+        np.full((480, 640), 255, np.uint8),
+        rng.integers(0, 256, (480, 640), dtype=np.uint8),
+        draw(rng.uniform([40, 110], [600, 370], (30, 2)), ["black"] * 30, rng),
+    ]
+    for image in others:
+        for last in (None, HOME):
+            assert find_pose(image, FIDUCIALS, calibration, last) is None
+
+
+def test_markers_that_are_not_where_they_should_be(straight, rng):
+    image = straight.take(HOME, rng)
+    swapped = Fiducials("4X4_50", 0.03, (0, 1, 3, 2), FIDUCIALS.centres)
+    with pytest.raises(CalibrationError, match="mm from where the rig file has them, allowed: 1"):
+        find_home(image, swapped)
+    with pytest.raises(CalibrationError, match="mm from where the rig file has them"):
+        find_home(image, Fiducials("4X4_50", 0.04, (0, 1, 2, 3), FIDUCIALS.centres))
+    with pytest.raises(CalibrationError, match=r"dictionary is '4X4', allowed: .*4X4_50"):
+        find_home(image, Fiducials("4X4", 0.03, (0, 1, 2, 3), FIDUCIALS.centres))
+
+
+def test_markers_are_no_parts(straight, rng):
+    """Hidden, they leave the parts between them as they are."""
+    texture = plate_print().copy()
+    place = np.array([[0.1, 0.05], [-0.2, -0.04], [-0.235, -0.12]])  # the last beside a marker
+    for x, y in place:
+        middle = (round((x + 0.3) * PER_M), round((0.15 - y) * PER_M))
+        cv2.circle(texture, middle, round(0.008 * PER_M), 40, -1)
+    plate = Plate(type(straight.scene), texture=texture)
+    pose = np.array([0.003, 0.002, 0.01])
+    calibration, _ = find_home(plate.take(HOME, rng), FIDUCIALS)
+    image = plate.take(pose, rng)
+    before = image.copy()
+    vision = make_vision(plate.rig)
+    clean = hide(image, FIDUCIALS, calibration, pose)
+    assert np.array_equal(image, before)
+    found = detect(clean, vision.options)
+    seen = calibration.to_home(np.stack([found["x_px"], found["y_px"]], axis=1))
+    assert len(seen) == 3
+    gap = np.linalg.norm(seen[:, None] - to_home(pose, place), axis=2)
+    assert gap.min(axis=0).max() < 3e-4
+    colour = hide(np.dstack([image] * 3), FIDUCIALS, calibration, pose)
+    assert np.array_equal(colour[:, :, 0], clean)
+
+
+def test_rigid_fit_is_the_least(rng):
+    """Against scipy, which knows nothing of rotations in closed form."""
+    from scipy.optimize import least_squares
+
+    point = rng.uniform(-0.3, 0.3, (16, 2))
+    seen = to_home(np.array([0.004, -0.007, 0.3]), point) + 1e-4 * rng.standard_normal((16, 2))
+    pose, error = fit_pose(point, seen)
+    best = least_squares(
+        lambda p: (to_home(p, point) - seen).ravel(),
+        np.zeros(3),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    assert np.allclose(pose, best.x, atol=1e-8)
+    assert error == pytest.approx(np.sqrt(2 * best.cost / 16), rel=1e-9)
+
+
+def test_markers_are_told_apart(rng):
+    image = np.full((300, 400), 200, np.uint8)
+    for k, (x, y) in enumerate([(30, 40), (150, 40), (270, 40), (30, 180), (150, 180)]):
+        image[y : y + 72, x : x + 72] = draw_marker("5X5_100", 10 + k // 2 * 2, 72)
+    noisy = np.clip(image + 5 * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
+    found = find_markers(noisy, "5X5_100")
+    assert sorted(found) == [14]  # 10 and 12 are there twice
+    assert (
+        np.abs(found[14] - [[149.5, 179.5], [221.5, 179.5], [221.5, 251.5], [149.5, 251.5]]).max()
+        < 0.1
+    )
+    assert "5X5_100" in DICTIONARIES
+    with pytest.raises(CalibrationError, match="marker 100 of 5X5_100, allowed: 0 to 99"):
+        draw_marker("5X5_100", 100, 72)
