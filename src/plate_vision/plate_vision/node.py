@@ -93,6 +93,13 @@ class DetectorParameters:
         1000,
         live=True,
     )
+    confirm: int = parameter(
+        TrackerOptions.confirm,
+        "Images in a row in which a new part must be seen before it gets an id",
+        1,
+        100,
+        live=True,
+    )
     velocity_frames: int = parameter(
         TrackerOptions.velocity_frames,
         "Images over which the drift is taken",
@@ -114,7 +121,10 @@ class DetectorParameters:
     def tracker(self) -> TrackerOptions:
         """Return the options of the tracking."""
         return TrackerOptions(
-            gate_m=self.gate_m, max_missed=self.max_missed, velocity_frames=self.velocity_frames
+            gate_m=self.gate_m,
+            max_missed=self.max_missed,
+            confirm=self.confirm,
+            velocity_frames=self.velocity_frames,
         )
 
 

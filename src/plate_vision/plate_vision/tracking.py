@@ -26,6 +26,9 @@ class TrackerOptions:
         it was expected.
     max_missed : int
         Images in a row that a part may be missed before its id is given up, 0 to 1000.
+    confirm : int
+        Images in a row in which a new part must be seen before it gets an id, 1 to 100; those of
+        the first image are believed at once. With 2 a speck that is seen once is no part.
     velocity_frames : int
         Images over which the drift is taken, 1 to 100. With 1 it is the drift of the last cycle,
         which is what the planner controls and without delay; its noise is that of two positions,
@@ -34,12 +37,14 @@ class TrackerOptions:
 
     gate_m: float = 0.02
     max_missed: int = 5
+    confirm: int = 2
     velocity_frames: int = 1
 
     def __post_init__(self) -> None:
         ranges = {
             "gate_m": (0.001, 1.0),
             "max_missed": (0, 1000),
+            "confirm": (1, 100),
             "velocity_frames": (1, 100),
         }
         for name, (low, high) in ranges.items():
@@ -57,18 +62,21 @@ class Track:
     label : str
         Class.
     number : int
-        Running number within the class, from 1.
+        Running number within the class, from 1; 0 while it is not confirmed.
     history : tuple of (stamp [s], x [m], y [m])
         When and where in plate_home it was seen, oldest first; at most `velocity_frames` + 1.
         Plain numbers: for so few of them they are ten times faster than arrays.
     missed : int
         Images since it was last seen.
+    sights : int
+        Images in which it was seen.
     """
 
     label: str
     number: int
     history: tuple[tuple[float, float, float], ...]
     missed: int = 0
+    sights: int = 0
 
     @property
     def id(self) -> str:
@@ -98,7 +106,8 @@ class Track:
     def seen(self, stamp: float, position: np.ndarray, keep: int) -> Track:
         """Return the track with one more position (2,) [m]; the last `keep` are kept."""
         point = (stamp, float(position[0]), float(position[1]))
-        return Track(self.label, self.number, (*self.history, point)[-keep:])
+        history = (*self.history, point)[-keep:]
+        return Track(self.label, self.number, history, sights=self.sights + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +132,8 @@ class Tracker:
 
     @property
     def parts(self) -> PartSet:
-        """The parts seen in the last image."""
-        seen = [track for track in self.tracks if track.missed == 0]
+        """The parts seen in the last image that are confirmed."""
+        seen = [track for track in self.tracks if track.missed == 0 and track.number]
         return PartSet.make(
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
@@ -167,21 +176,33 @@ def step(
     if tracker.stamp is not None and stamp < tracker.stamp:
         tracker = Tracker(tracker.options)
     options = tracker.options
+    keep = options.velocity_frames + 1
     tracks = []
     is_new = np.ones(len(labels), dtype=bool)
     for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
         if found >= 0:
             is_new[found] = False
-            tracks.append(track.seen(stamp, position[found], options.velocity_frames + 1))
-        elif track.missed < options.max_missed:
+            tracks.append(track.seen(stamp, position[found], keep))
+        elif track.number and track.missed < options.max_missed:
             tracks.append(replace(track, missed=track.missed + 1))
-    given = dict(tracker.given)
-    # From left to right, so that the first names do not depend on the order of detection.
-    for i in sorted(np.flatnonzero(is_new).tolist(), key=lambda i: (*position[i], labels[i])):
-        given[labels[i]] = given.get(labels[i], 0) + 1
-        tracks.append(Track(labels[i], given[labels[i]], ()).seen(stamp, position[i], 1))
-    tracks.sort(key=lambda track: (track.label, track.number))
+    for i in np.flatnonzero(is_new):
+        tracks.append(Track(labels[i], 0, ()).seen(stamp, position[i], keep))
+    tracks, given = _number(tracks, tracker.given, options.confirm if tracker.given else 1)
     return Tracker(options, stamp, tuple(tracks), given)
+
+
+def _number(
+    tracks: list[Track], given: Mapping[str, int], confirm: int
+) -> tuple[list[Track], dict[str, int]]:
+    """Number tracks that have been seen `confirm` times; all by class and number."""
+    given = dict(given)
+    # From left to right, so that the first names do not depend on the order of detection.
+    for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
+        track = tracks[i]
+        if track.number == 0 and track.sights >= confirm:
+            given[track.label] = given.get(track.label, 0) + 1
+            tracks[i] = replace(track, number=given[track.label])
+    return sorted(tracks, key=lambda track: (track.label, track.number)), given
 
 
 def _checked(

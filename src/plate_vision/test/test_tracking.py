@@ -110,25 +110,65 @@ def test_parts_missed_too_long_are_retired():
     seen, unseen = ([[0.0, 0.0]], ["grey"]), (np.empty((0, 2)), [])
     back = follow([seen, *[unseen] * 5, seen], TrackerOptions(max_missed=5))[-1]
     assert back.ids == ("grey_1",)
-    back = follow([seen, *[unseen] * 6, seen], TrackerOptions(max_missed=5))[-1]
+    back = follow([seen, *[unseen] * 6, seen, seen], TrackerOptions(max_missed=5))[-1]
     assert back.ids == ("grey_2",)  # numbers are not used twice
-    back = follow([seen, unseen, seen], TrackerOptions(max_missed=0))[-1]
+    back = follow([seen, unseen, seen], TrackerOptions(max_missed=0, confirm=1))[-1]
     assert back.ids == ("grey_2",)
 
 
 def test_new_parts_get_new_numbers():
     one = ([[0.0, 0.0]], ["grey"])
     two = ([[0.0, 0.0], [-0.1, 0.0]], ["grey", "grey"])
-    answers = follow([one, two])
-    assert answers[1].ids == ("grey_1", "grey_2")
-    assert answers[1].position.tolist() == [[0, 0], [-0.1, 0]]
-    assert answers[1].velocity.tolist() == [[0, 0], [0, 0]]
+    answers = follow([one, two, two])
+    assert answers[1].ids == ("grey_1",)
+    assert answers[2].ids == ("grey_1", "grey_2")
+    assert answers[2].position.tolist() == [[0, 0], [-0.1, 0]]
+    assert answers[2].velocity.tolist() == [[0, 0], [0, 0]]
+
+
+@pytest.mark.parametrize("confirm", [1, 2, 3])
+def test_what_is_seen_too_seldom_is_no_part(confirm):
+    """Specks that come and go at one place: never in `confirm` images in a row."""
+    empty = (np.empty((0, 2)), [])
+    part, both = ([[0.0, 0.0]], ["grey"]), ([[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
+    options = TrackerOptions(confirm=confirm)
+    speck = [both] * (confirm - 1)
+    for parts in follow([empty, part, *speck, part, *speck, part], options)[1:]:
+        assert parts.ids == ("grey_1",)
+    assert follow([part, *speck, both], options)[-1].ids == ("grey_1", "grey_2")
 
 
 @pytest.mark.parametrize(("jump", "name"), [(0.0199, "grey_1"), (0.0201, "grey_2")])
 def test_gate(jump, name):
-    answers = follow([([[0, 0]], ["grey"]), ([[jump, 0]], ["grey"])], TrackerOptions(gate_m=0.02))
+    options = TrackerOptions(gate_m=0.02, confirm=1)
+    answers = follow([([[0, 0]], ["grey"]), ([[jump, 0]], ["grey"])], options)
     assert answers[1].ids == (name,)
+
+
+def test_ids_stay_when_a_crowd_is_missed_and_specks_come(rng):
+    """Twelve parts of one class at speeds up to 60 mm/s, a tenth missed, a tenth of specks."""
+    count, options, tracker = 12, TrackerOptions(), Tracker()
+    phase, rate = rng.uniform(0, 2 * np.pi, (2, count)), rng.uniform(0.5, 1.5, (2, count))
+    middle = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 4), [-0.1, 0, 0.1]), axis=2).reshape(-1, 2)
+    owner, nearest, seen_as = {}, np.inf, 0
+    for k in range(2000):
+        position = middle + [0.05, 0.045] * np.sin(phase + rate * k * DT).T
+        gap = np.linalg.norm(position[:, None] - position, axis=2)
+        nearest = min(nearest, gap[~np.eye(count, dtype=bool)].min())
+        here = np.flatnonzero(rng.random(count) > 0.1) if k else np.arange(count)
+        specks = rng.uniform([-0.3, -0.15], [0.3, 0.15], (rng.binomial(count, 0.01), 2))
+        places = np.concatenate(
+            [position[here] + 2e-5 * rng.standard_normal((len(here), 2)), specks]
+        )
+        tracker = step(tracker, k * DT, places, ["grey"] * len(places))
+        for name, place in zip(tracker.parts.ids, tracker.parts.position, strict=True):
+            true = int(np.argmin(np.linalg.norm(position - place, axis=1)))
+            if np.linalg.norm(position[true] - place) < 1e-3:
+                assert owner.setdefault(name, true) == true, f"image {k}: {name}"
+                seen_as += 1
+    assert nearest < 0.9 * options.gate_m
+    assert seen_as > 0.85 * 2000 * count
+    assert tracker.given["grey"] >= count
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4])
