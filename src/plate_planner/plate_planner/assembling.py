@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import PartSet, Rig
 from plate_core.scenario import AssembleTask
 
-from .places import approach_drift, assign, hold_back, pass_by
+from .places import approach_drift, assign, hold_back, paces, pass_by
 from .requests import DriftRequest
 
 
@@ -20,7 +20,9 @@ class AssembleOptions:
     Attributes
     ----------
     drift_max : float
-        Drift asked of a part on its way [m/s].
+        Drift asked of the part with the longest way [m/s].
+    least : float
+        Least drift asked of a part with a shorter way, in multiples of drift_max [-].
     over : float
         Greatest welcome drift, in multiples of drift_max [-].
     approach : float
@@ -31,7 +33,8 @@ class AssembleOptions:
         Greatest component of the force to ask for [mu m g].
     """
 
-    drift_max: float = 0.012
+    drift_max: float = 0.024
+    least: float = 0.3
     over: float = 2.0
     approach: float = 1.5
     band: float = 0.3
@@ -70,7 +73,8 @@ class Assembly:
         position = parts.position + period * parts.velocity
         speed, rate = options.drift_max, options.approach
         band = options.band * self.task.tolerance_m
-        wanted = approach_drift(position, aim, band, speed, options.over, rate)
+        pace = speed * paces(self.distance(parts), options.least)
+        wanted = approach_drift(position, aim, band, pace, options.over * speed, rate)
         free = ~placed[:, None]
         wanted = DriftRequest(
             np.where(free, -speed, wanted.low), np.where(free, speed, wanted.high)

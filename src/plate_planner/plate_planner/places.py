@@ -19,6 +19,10 @@ LOOSE = 0.3
 PASS_REACH, PASS_CLEAR = 4.5, 2.2
 """Distance of centres at which a part begins to turn aside, and does so fully [part radii]."""
 
+NEARLY_THERE = 0.02
+"""Ways that differ by much less than this count as equal [m]: a part that arrives is not slowed by
+arriving."""
+
 EDGE = 0.93
 """Parts are held back from the edges beyond this [share of the half side], unless their place is
 nearer to them."""
@@ -40,12 +44,33 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: PartSet) -> np.nda
     return result
 
 
+def paces(to_go: np.ndarray, least: float) -> np.ndarray:
+    """How fast each part should go, so that all arrive together: 1 for the longest way.
+
+    What is not asked of the parts with shorter ways is left to those with longer ones.
+
+    Parameters
+    ----------
+    to_go : (M,)
+        Ways [m]; NaN for a part that belongs nowhere.
+    least : float
+        Of the parts with the shortest ways [-].
+
+    Returns
+    -------
+    (M,)
+        From `least` to 1.
+    """
+    way = np.nan_to_num(to_go) + NEARLY_THERE
+    return np.maximum(way / way.max(initial=NEARLY_THERE), least)
+
+
 def approach_drift(
     position: np.ndarray,
     aim: np.ndarray,
     band: float,
-    speed: float,
-    over: float,
+    pace: np.ndarray,
+    fastest: float,
     rate: float,
 ) -> DriftRequest:
     """Interval of drift that leads parts into the squares of half side `band` round their aims.
@@ -56,10 +81,10 @@ def approach_drift(
         Where the parts are, and where they are to be [m, plate_home].
     band : float
         [m].
-    speed : float
-        Drift asked of a part on its way [m/s].
-    over : float
-        Greatest welcome drift, in multiples of speed [-].
+    pace : (M,)
+        Drift asked of the parts on their ways [m/s].
+    fastest : float
+        Greatest welcome drift [m/s].
     rate : float
         Rate at which the asked drift falls with the distance still to go [1/s].
     """
@@ -67,7 +92,7 @@ def approach_drift(
     distance = np.hypot(*gap.T)[:, None]
     share = np.maximum(np.abs(gap) / np.maximum(distance, 1e-12), LOOSE)
     beside = band + LOOSE * distance
-    slow, fast = speed * share, over * speed * share
+    slow, fast = pace[:, None] * share, fastest * share
     low = np.maximum(np.minimum(rate * (gap - beside), slow), -fast)
     high = np.minimum(np.maximum(rate * (gap + beside), -slow), fast)
     return DriftRequest(low, high)

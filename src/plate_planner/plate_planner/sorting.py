@@ -18,8 +18,11 @@ from plate_core.parts import part_class
 from plate_core.scenario import Bin, Side, SortTask
 
 from .bins import inside, outline_distance, slots
-from .places import approach_drift, assign, hold_back, pass_by
+from .places import approach_drift, assign, hold_back, paces, pass_by
 from .requests import DriftRequest, nearness, stay_within
+
+CLOSING = 0.5
+"""Speed of approach at which parts begin to dodge [drift_max]."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,9 @@ class SortOptions:
     Attributes
     ----------
     drift_max : float
-        Drift asked of a part on its way; up to `over` times this is welcome [m/s].
+        Drift asked of the part with the longest way; up to `over` times this is welcome [m/s].
+    least : float
+        Least drift asked of a part with a shorter way, in multiples of drift_max [-].
     over : float
         Greatest welcome drift, in multiples of drift_max [-].
     approach : float
@@ -52,7 +57,8 @@ class SortOptions:
         Greatest component of the force to ask for [mu m g].
     """
 
-    drift_max: float = 0.012
+    drift_max: float = 0.024
+    least: float = 0.3
     over: float = 2.0
     approach: float = 1.5
     wander: float = 0.6
@@ -107,8 +113,10 @@ class Sorter:
         position = parts.position + period * parts.velocity
         sign, half, goal = self._signs(parts), self.rig.plate.half, self.task.goal_fraction
         ends = (options.end, options.edge_outer)
+        pace = options.drift_max * paces(self.to_go(parts), options.least)
         axes = [
-            _along(position[:, k], sign[:, k], goal, half[k], ends[k], options) for k in range(2)
+            _along(position[:, k], sign[:, k], goal, half[k], ends[k], pace, options)
+            for k in range(2)
         ]
         # Parts dodge across the axis along which they are sorted; to a corner that is x.
         across = np.where((sign[:, 0] == 0) & (sign[:, 1] != 0), 0, 1)
@@ -119,10 +127,15 @@ class Sorter:
         for axis, (low, high) in enumerate(dodged):
             request.low[:, axis] = np.where(across == axis, low, request.low[:, axis])
             request.high[:, axis] = np.where(across == axis, high, request.high[:, axis])
-        return self._to_slots(parts, position, request, options)
+        return self._to_slots(parts, position, pace, request, options)
 
     def _to_slots(
-        self, parts: PartSet, position: np.ndarray, request: DriftRequest, options: SortOptions
+        self,
+        parts: PartSet,
+        position: np.ndarray,
+        pace: np.ndarray,
+        request: DriftRequest,
+        options: SortOptions,
     ) -> DriftRequest:
         """Replace what is asked of parts that belong in bins."""
         radius = self.rig.parts.radius_m
@@ -135,8 +148,8 @@ class Sorter:
             place = slot[assign((label,) * len(slot), slot, mine)]
             room = outline_distance(place, corner).min() - radius
             wanted = approach_drift(
-                position[rows], place, max(room, 0), options.drift_max, options.over,
-                options.approach,
+                position[rows], place, max(room, 0), pace[rows],
+                options.over * options.drift_max, options.approach,
             )  # fmt: skip
             low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
         if not np.any(binned):
@@ -172,18 +185,19 @@ def _along(
     goal: float,
     half: float,
     end: float,
+    pace: np.ndarray,
     options: SortOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interval of drift (M,) along one axis that leads into the band beyond the goal line.
 
-    Far from the band it is [drift_max, over drift_max] towards the own side; inside it, whatever
-    does not lead out soon; beyond it, back.
+    Far from the band it is from `pace` (M,) [m/s] to over drift_max towards the own side; inside
+    it, whatever does not lead out soon; beyond it, back.
     """
     speed, wander = options.drift_max, options.wander * options.drift_max
     own = x * side  # grows towards the own side, for either side
     inner = half * (goal + options.margin)
     outer = half * max(end, goal + 2 * options.margin)
-    low = np.clip(options.approach * (inner - own), -wander, speed)
+    low = np.clip(options.approach * (inner - own), -wander, pace)
     high = np.clip(options.approach * (outer - own), -speed, options.over * speed)
     low = np.minimum(low, high)
     free_low, free_high = stay_within(
@@ -205,15 +219,17 @@ def _dodge(
     """Narrow the interval of drift along y of parts about to run into each other along x.
 
     Of two parts that are asked towards each other, and nearly level in y, the upper one is sent
-    up, the lower one down (of two exactly level, the first in the list goes down). The nearer the
-    edge, the less they are: the edge comes first. With `across` 0, x and y change places.
+    up, the lower one down (of two exactly level, the first in the list goes down). Parts on the
+    same way at different paces are left alone. The nearer the edge, the less they are sent: the
+    edge comes first. With `across` 0, x and y change places.
     """
     drift_x = request.centre[:, 1 - across]
     low, high = request.low[:, across], request.high[:, across]
     position = position[:, ::-1] if across == 0 else position
     radius, half = rig.parts.radius_m, rig.plate.half[across]
     gap = position[None] - position[:, None]  # [i, j]: from i to j
-    closing = (drift_x[None] - drift_x[:, None]) * gap[..., 0] < 0
+    approach = (drift_x[:, None] - drift_x[None]) * np.sign(gap[..., 0])
+    closing = np.clip(approach / options.drift_max - CLOSING, 0, 1)
     # Over one radius from "far" to "near", so that a request does not jump.
     near = np.clip(options.dodge_reach - np.abs(gap[..., 0]) / radius, 0, 1)
     level = np.clip(options.dodge_clear - np.abs(gap[..., 1]) / radius, 0, 1)

@@ -6,7 +6,7 @@ import pytest
 from plate_core import PartSet, load_rig
 from plate_core.scenario import AssembleTask
 from plate_planner.assembling import AssembleOptions, Assembly
-from plate_planner.places import LOOSE, approach_drift, assign, hold_back, pass_by
+from plate_planner.places import LOOSE, approach_drift, assign, hold_back, paces, pass_by
 from plate_planner.requests import DriftRequest
 
 RIG = load_rig()
@@ -14,7 +14,9 @@ SPEED, OVER, RATE, BAND = 0.012, 2.0, 1.5, 0.001
 
 
 def drift(position, aim):
-    return approach_drift(np.array(position), np.array(aim), BAND, SPEED, OVER, RATE)
+    position = np.array(position)
+    pace = np.full(len(position), SPEED)
+    return approach_drift(position, np.array(aim), BAND, pace, OVER * SPEED, RATE)
 
 
 def test_any_drift_in_the_interval_leads_nearer_until_the_band_is_reached():
@@ -78,8 +80,8 @@ def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
     distance = assembly.distance(parts)
     assert distance == pytest.approx([np.hypot(0.1, 0.01), np.nan, 0.02, 0.01], nan_ok=True)
     request = assembly.request(parts, 0.1, AssembleOptions())
-    assert request.low[1] == pytest.approx([-0.012, -0.012])
-    assert request.high[1] == pytest.approx([0.012, 0.012])
+    assert request.low[1] == pytest.approx([-AssembleOptions.drift_max] * 2)
+    assert request.high[1] == pytest.approx([AssembleOptions.drift_max] * 2)
 
 
 def test_nobody_is_asked_nothing():
@@ -87,3 +89,12 @@ def test_nobody_is_asked_nothing():
     assembly = Assembly(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
     assert assembly.request(nobody, 0.1, AssembleOptions()).low.shape == (0, 2)
     assert assembly.distance(nobody).shape == (0,)
+
+
+def test_parts_with_shorter_ways_are_asked_for_less_and_all_arrive_together():
+    pace = paces(np.array([0.3, 0.24, 0.02, 0.0, np.nan]), 0.3)
+    assert pace[0] == 1
+    assert pace[1] == pytest.approx(0.8, abs=0.02)
+    assert list(pace[2:]) == [0.3, 0.3, 0.3]
+    assert list(paces(np.zeros(2), 0.3)) == [1, 1]  # all there: nobody is slowed for others
+    assert len(paces(np.zeros(0), 0.3)) == 0
