@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from .region import SEAM_PX, Region
 
@@ -48,12 +49,28 @@ class PlateBrightness:
     centre: tuple[float, float]
     scale: float
 
+    def light(self, share: float = 1.0) -> np.ndarray:
+        """Return the numbers (9,) by which `bare` gives a share of the brightness at a pixel."""
+        return np.array([*share * self.coefficients, *self.centre, 1 / self.scale], np.float32)
+
     def at(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
         """Brightness of the bare plate [grey levels] at image points [px]; they broadcast."""
         a, b, c, d, e, f = self.coefficients.astype(np.float32)
         u = (np.asarray(x_px, np.float32) - np.float32(self.centre[0])) / np.float32(self.scale)
         v = (np.asarray(y_px, np.float32) - np.float32(self.centre[1])) / np.float32(self.scale)
         return (u * (b + d * u)) + (a + v * (c + f * v)) + u * (e * v)
+
+
+@njit(cache=True, fastmath=True)
+def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
+    """Brightness of the bare plate [grey levels] at a pixel, of `PlateBrightness.light`."""
+    u = (np.float32(x_px) - light[6]) * light[8]
+    v = (np.float32(y_px) - light[7]) * light[8]
+    return (
+        (u * (light[1] + light[3] * u))
+        + (light[0] + v * (light[2] + light[5] * v))
+        + u * (light[4] * v)
+    )
 
 
 def fit_brightness(grey: np.ndarray, region: Region, min_grey: float) -> PlateBrightness | None:
@@ -76,31 +93,52 @@ def fit_brightness(grey: np.ndarray, region: Region, min_grey: float) -> PlateBr
     rows, columns, design, centre, scale = _samples(region)
     if rows.size == 0:
         return None
-    value = grey[rows, columns].astype(float)
+    value = grey[rows, columns].astype(np.float32)
     middle = int(value.size * BRIGHT_PERCENTILE / 100)
     guess = float(np.partition(value, middle)[middle])
     if guess < min_grey:
         return None
     fitted = np.full_like(value, guess)
-    coefficients = np.zeros(design.shape[1])
+    coefficients = np.zeros(len(design))
     for low, high in (ROUGH_RANGE, FINE_RANGE):
-        plate = (value > low * fitted) & (value < high * fitted)
-        if np.count_nonzero(plate) < max(2 * design.shape[1], MIN_SHARE * value.size):
+        normal, right, kept = _normal_equations(value, fitted, design, low, high)
+        if kept < max(2 * len(design), MIN_SHARE * value.size):
             return None
-        kept = design[plate]
-        normal = kept.T @ kept + RIDGE * value.size * np.eye(design.shape[1])
-        coefficients = np.linalg.solve(normal, kept.T @ value[plate])
-        fitted = design @ coefficients
+        normal += RIDGE * value.size * np.eye(len(design))
+        coefficients = np.linalg.solve(normal, right)
+        fitted = coefficients.astype(np.float32) @ design
     if fitted.min() < 0.5 * min_grey:
         return None
     return PlateBrightness(coefficients, centre, scale)
+
+
+@njit(cache=True, fastmath=True)
+def _normal_equations(
+    value: np.ndarray, fitted: np.ndarray, design: np.ndarray, low: float, high: float
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return matrix and right side of the least squares over values (K,) that are `low` to `high`
+    times the fitted ones, and how many these are; `design` is (6, K)."""
+    size = len(design)
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    weight = np.empty(len(value), np.float32)
+    kept = 0
+    for i in range(len(value)):
+        plate = low * fitted[i] < value[i] < high * fitted[i]
+        weight[i] = plate
+        kept += plate
+    for a in range(size):
+        row = design[a] * weight
+        right[a] = np.sum(row * value)
+        for b in range(a + 1):
+            normal[a, b] = normal[b, a] = np.sum(row * design[b])
+    return normal, right, kept
 
 
 @lru_cache(maxsize=16)
 def _samples(
     region: Region,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float], float]:
-    """Return rows (K,), columns (K,) and design (K, 6) of the pixels looked at; centre; scale."""
+    """Return rows (K,), columns (K,) and design (6, K) of the pixels looked at; centre; scale."""
     x0, y0, x1, y1 = region.box
     step = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / SAMPLES)))
     rows, columns = np.mgrid[y0 + step // 2 : y1 : step, x0 + step // 2 : x1 : step]
@@ -109,5 +147,5 @@ def _samples(
     centre = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
     scale = 0.5 * max(x1 - x0, y1 - y0)
     u, v = (columns - centre[0]) / scale, (rows - centre[1]) / scale
-    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v]).astype(np.float32)
     return rows, columns, design, centre, scale

@@ -9,8 +9,9 @@ import numpy as np
 
 from .brightness import fit_brightness
 from .errors import ImageError, OptionError
-from .measure import RIM_PX, Discs, cut_windows, fit_discs, measure_alone, neighbour_pairs
-from .region import SEAM_PX, Region, check_region, make_region
+from .fit import fit_discs
+from .measure import RIM_PX, Discs, crowded, measure_alone
+from .region import SEAM_PX, Region, check_region, make_region, usable_pixels
 from .seeds import find_seeds
 
 CLASSES = ("black", "grey")
@@ -145,20 +146,15 @@ def _find_discs(
     brightness = fit_brightness(grey, region, options.min_plate_grey)
     seeds = np.empty((0, 2))
     if brightness is not None:
-        seeds = find_seeds(grey, region, brightness, options.threshold, radius)
+        usable = usable_pixels(region, *grey.shape)
+        seeds = find_seeds(grey, region, brightness, usable, options.threshold, radius)
     if brightness is None or not len(seeds):
         return Discs(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
-    windows = cut_windows(grey, brightness, seeds, radius)
-    discs, shared = measure_alone(windows, radius)
-    x, y = seeds.T
-    height, width = grey.shape
-    room = np.min([region.depth(x, y) - SEAM_PX, x, y, width - 1 - x, height - 1 - y], axis=0)
-    shared |= room < radius + RIM_PX + 1
-    shared[neighbour_pairs(seeds, 2 * radius + RIM_PX + BLUR_PX)[:, 0]] = True
+    discs, shared = measure_alone(grey, brightness, seeds, radius)
+    shared |= region.depth(*seeds.T) - SEAM_PX < radius + RIM_PX + 1
+    shared |= crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
     if np.any(shared):
-        rest = np.flatnonzero(shared)
-        beside = cut_windows(grey, brightness, seeds[rest], radius)
-        fitted = fit_discs(beside, seeds[rest], radius, region, (height, width))
+        fitted = fit_discs(grey, brightness, usable, seeds[shared], radius)
         discs = discs.select(np.flatnonzero(~shared)).join(fitted)
     expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)
     return discs.select(np.flatnonzero(_is_part(discs, region, options, expected)))

@@ -169,3 +169,14 @@ def check_quadrilateral(polygon: np.ndarray, name: str) -> np.ndarray:
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the z components (n,) of the cross products of planar vectors (n, 2)."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+@lru_cache(maxsize=16)
+def usable_pixels(region: Region, height_px: int, width_px: int) -> np.ndarray:
+    """Return which pixels (height, width) show the plate, clear of its edge: bool, read-only."""
+    x0, y0, x1, y1 = region.box
+    usable = np.zeros((height_px, width_px), np.bool_)
+    columns, rows = np.arange(x0, x1)[None, :], np.arange(y0, y1)[:, None]
+    usable[y0:y1, x0:x1] = region.depth(columns, rows) >= SEAM_PX
+    usable.setflags(write=False)
+    return usable
