@@ -85,7 +85,7 @@ def desk_for(motions: Motions) -> Desk:
     return Desk(
         np.empty((rows, 3)),
         np.empty((rows + 1, 2)),
-        np.empty((4, len(motions.rule.shares[-1]))),
+        np.empty((5, len(motions.rule.shares[-1]))),
         np.empty((3, rows)),
         np.empty((0, 0)),
     )

@@ -2,9 +2,9 @@
 
 Equal steps integrate a smooth periodic function with an error of exp(-n b), where b is how far its
 nearest singularity lies from the real axis. Here the singularities are the complex times at which
-the slip under the part is zero. At a dip, where the surface almost stands still, b is small. So
-each dip is looked at: b follows from the parabola through the squared slip, and decides how many
-steps there are; where even the most would not do, panels are halved towards the dip instead.
+the slip under the part is zero. At a dip, where the surface almost stands still, b is small: so the
+samples are searched for dips, and what equal steps miss there is added in closed form (`dips`).
+Where two dips are as good as one, panels are halved towards them instead.
 
 At a part the motion is `slip` (2 N + 1, 2): rows sin 1..N, cos 1..N, constant; columns x, y [m/s].
 """
@@ -18,23 +18,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from .dips import excess, find_dips
 from .force_map import FAR, NODES, WEIGHTS
 
 STEPS_PER_HARMONIC = 64
-"""Steps of the first pass per harmonic: half of the random motions with N = 2 need no more."""
+"""Steps per harmonic: most random motions with N = 2 need one correction or none."""
 
 FEW_STEPS_PER_HARMONIC = 16
 """Steps that tell good motions from bad ones, per harmonic."""
-
-DOUBLINGS = 4
-"""Times that the number of steps is doubled at most; beyond, panels are cheaper."""
-
-DECAY = 13.0
-"""n b at which equal steps err by less than 1e-6 mu m g."""
-
-UNSURE = 0.15
-"""Dips this near to the real axis, in steps of the first pass, are not measured well by a parabola
-and go to the panels."""
 
 DEEPEST = 34
 """Halvings of the period at most: what is left of a jump is 1e-10 of it."""
@@ -43,7 +34,7 @@ FIRST_LEVEL = 4
 """Halvings of the period with which panels begin, for up to two harmonics."""
 
 FEW, FIRST, ADAPTIVE, PANELS = 0, 1, -1, -2
-"""Grids: few steps, those of the first pass, as many as the dips need, and panels at once."""
+"""Grids: few steps, the usual ones, those with dips corrected, and panels."""
 
 TINY_SQUARE = 1e-24
 """Squared slip [m2/s2] below which the direction of friction is taken as none."""
@@ -55,7 +46,7 @@ class Rules(NamedTuple):
     Attributes
     ----------
     grids : tuple of (2 N, n)
-        Equal steps: few, those of the first pass, twice as many, ...; rows sin 1..N, cos 1..N.
+        Equal steps: few, and the usual ones; rows sin 1..N, cos 1..N.
     shares : tuple of (n,)
         Their weights 1/n.
     panels : (levels, 2 N, 8)
@@ -78,9 +69,7 @@ def rules(number: int) -> Rules:
         angle = np.outer(np.arange(1, number + 1), t)
         return np.ascontiguousarray(np.vstack([np.sin(angle), np.cos(angle)]))
 
-    first = STEPS_PER_HARMONIC * max(number, 2)
-    counts = [FEW_STEPS_PER_HARMONIC * max(number, 2)]
-    counts += [first * 2**k for k in range(DOUBLINGS + 1)]
+    counts = [steps * max(number, 2) for steps in (FEW_STEPS_PER_HARMONIC, STEPS_PER_HARMONIC)]
     return Rules(
         tuple(table(2 * pi * (np.arange(n) + 0.5) / n) for n in counts),
         tuple(np.full(n, 1 / n) for n in counts),
@@ -112,9 +101,9 @@ def force_of(
     slip : (2 N + 1, 2)
         [m/s].
     grid : int
-        Index of `rule.grids`; `ADAPTIVE` looks at dips and takes what they need.
-    work : (4, n)
-        Room for the samples of the finest grid.
+        Index of `rule.grids`; `ADAPTIVE` corrects the usual one for its dips.
+    work : (5, n)
+        Room for the samples.
     gradient : (3, 2 N) or (0, 0)
         Takes the derivatives by the slip's rows, unless it is empty: d f_x / d slip_x,
         d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y [s/m].
@@ -123,20 +112,35 @@ def force_of(
         gradient[:] = 0.0
     if grid == PANELS:
         return _graded(slip, rule, work, gradient)
-    level = FIRST if grid == ADAPTIVE else grid
-    while True:
-        fx, fy = _sum(slip, rule.grids[level], rule.shares[level], work)
-        if grid != ADAPTIVE or level != FIRST:
-            break
-        more = _doublings(work[2], len(rule.shares[FIRST]))
-        if more > DOUBLINGS:
-            return _graded(slip, rule, work, gradient)
-        if more == 0:
-            break
-        level = FIRST + more
+    if grid == ADAPTIVE:
+        fx, fy, good = _corrected(slip, rule.grids[FIRST], rule.shares[FIRST], work, gradient)
+        return (fx, fy) if good else _graded(slip, rule, work, gradient)
+    fx, fy = _sum(slip, rule.grids[grid], rule.shares[grid], work)
     if len(gradient):
-        _slopes(rule.grids[level], rule.shares[level], work, gradient)
+        _slopes(rule.grids[grid], rule.shares[grid], work, gradient)
     return fx, fy
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _corrected(
+    slip: np.ndarray, grid: np.ndarray, share: np.ndarray, work: np.ndarray, gradient: np.ndarray
+) -> tuple[float, float, bool]:
+    """Sum over equal steps and take off what dips add; whether that holds. The derivatives are
+    added to `gradient`."""
+    n = len(share)
+    fx, fy = _sum(slip, grid, share, work)
+    dips = find_dips(work[2], n, work[4])
+    if len(gradient):
+        _slopes(grid, share, work, gradient)
+    good = True
+    for dip in range(dips):
+        k = int(work[4, dip])
+        start = complex(grid[len(grid) // 2, k], grid[0, k])
+        x, y, fine = excess(slip, start, n, gradient)
+        good = good and fine
+        fx -= x
+        fy -= y
+    return fx, fy, good
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -187,34 +191,12 @@ def _slopes(grid: np.ndarray, share: np.ndarray, work: np.ndarray, gradient: np.
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _doublings(square: np.ndarray, n: int) -> int:
-    """Return how often the steps must be doubled for all dips; too often means panels."""
-    most = 1e30  # the nearest singularity, squared, in steps
-    before, here = square[n - 1], square[0]
-    for k in range(n):
-        after = square[k + 1] if k + 1 < n else square[0]
-        if here <= before and here < after:
-            bend = before - 2 * here + after
-            lowest = here - (after - before) ** 2 / (8 * bend)
-            most = min(most, 2 * lowest / bend)
-        before, here = here, after
-    enough = DECAY / (2 * pi)
-    if most >= enough * enough:
-        return 0
-    if most < UNSURE * UNSURE:
-        return DOUBLINGS + 1
-    level = 0
-    while most < enough * enough and level <= DOUBLINGS:
-        enough /= 2
-        level += 1
-    return level
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
 def _graded(
     slip: np.ndarray, rule: Rules, work: np.ndarray, gradient: np.ndarray
 ) -> tuple[float, float]:
     """Integrate over panels that are halved towards the dips; gradient (3, 2 N), or (0, 0)."""
+    if len(gradient):
+        gradient[:] = 0.0
     rows = len(slip) - 1
     half_rows = rows // 2
     turned = np.empty_like(slip)
@@ -294,10 +276,14 @@ def forces(
     count = len(coefficients)
     force = np.empty((count, 2))
     slip = np.empty((coefficients.shape[1] + 1, 2))
-    work, none = np.empty((4, len(rule.shares[-1]))), np.empty((0, 0))
+    grid, share = rule.grids[FIRST], rule.shares[FIRST]
+    work, none = np.empty((5, len(share))), np.empty((0, 0))
     for i in range(count):
         slip_at(
             coefficients[i], position[i, 0], position[i, 1], velocity[i, 0], velocity[i, 1], slip
         )
-        force[i, 0], force[i, 1] = force_of(slip, rule, ADAPTIVE, work, none)
+        fx, fy, good = _corrected(slip, grid, share, work, none)
+        if not good:
+            fx, fy = _graded(slip, rule, work, none)
+        force[i, 0], force[i, 1] = fx, fy
     return force
