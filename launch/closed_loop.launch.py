@@ -1,6 +1,7 @@
-"""The closed loop in simulation: the five nodes of config/graph.yaml.
+"""The closed loop in simulation: the nodes of config/graph.yaml.
 
 ros2 launch plate_core closed_loop.launch.py scenario:=sort_10 method:=sinusoids
+ros2 launch plate_core closed_loop.launch.py transport:=serial   # over a simulated motor controller
 ros2 service call /start std_srvs/srv/Trigger
 """
 
@@ -15,6 +16,7 @@ ARGUMENTS = {
     "scenario": ("sort_10", "Name in config/scenarios, or path of a .yaml file"),
     "method": ("sinusoids", "Method of the solver: rotations or sinusoids"),
     "seed": ("0", "Seed of scattered parts, image noise and the solver"),
+    "transport": ("sim", "What moves the plate: sim or serial"),
     "lockstep": ("false", "true: the simulator waits for every answer"),
     "rate": ("1.0", "Simulated seconds per second"),
     "rig_file": ("", "Rig file; empty: config/rig.yaml"),
@@ -30,6 +32,7 @@ def start_nodes(context):
         scenario=given["scenario"],
         method=given["method"],
         seed=int(given["seed"]),
+        transport=given["transport"],
         lockstep=given["lockstep"].lower() == "true",
         rate=float(given["rate"]),
         rig_file=given["rig_file"],
@@ -42,6 +45,9 @@ def start_nodes(context):
             namespace=given["namespace"],
             parameters=[given["params_file"], options.parameters(node)],
             output="screen",
+            # Until the port is there
+            respawn=node.name == "driver" and options.transport == "serial",
+            respawn_delay=1.0,
         )
         for node in options.nodes(load_graph())
     ]

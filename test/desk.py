@@ -156,7 +156,7 @@ def changed(at: int, **values) -> tuple[Knot, ...]:
 def twin(orders: str, *arguments: str) -> str:
     """Do what firmware/host/host.c does, with the device in Python; returns what it prints."""
     limits = DeviceLimits.of_rig(load_rig())
-    changes = zip(("heat_s", "force"), map(float, arguments), strict=False)
+    changes = zip(("heat_s", "lasting", "force"), map(float, arguments), strict=False)
     limits = replace(limits, **dict(changes))
     device, data, fault, lines = Device.started(limits, 0xCAFE), b"", Fault.NONE, []
     for order in orders.splitlines():

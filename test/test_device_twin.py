@@ -46,7 +46,8 @@ def swing(size: float, period: float, share: tuple[float, ...]) -> tuple[Knot, .
 
 
 def answer(device, knots: tuple[Knot, ...]) -> Status:
-    done = run(device, *READY, upload(1, knots, 110), *alive(0.1))
+    orders = ordered(*READY, upload(1, knots, 110), *alive(0.1))
+    done = heard(device(orders, "60", "60"))  # motors that bear 60 N for ever
     return done.answers()[110 + 1 + -(-len(knots) // 4)]
 
 
@@ -68,13 +69,13 @@ def test_peak_force_is_looked_at(device):
     # Motors 3 and 4: 0.15 * 2 * 40 - or + (0.8 + 0.2) * 40 N, 52 N at most
     orders = ordered(*READY, upload(1, swing(40, 0.02, (1.0, -1.0, 1.0, 1.0)), 110))
     for limit, status in (("52.5", Status.DONE), ("51.5", Status.LIMIT)):
-        assert heard(device(orders, "30", limit)).answers()[110 + 1 + 11] is status
+        assert heard(device(orders, "60", "60", limit)).answers()[110 + 1 + 11] is status
 
 
 def test_heat_builds_up_and_brakes(device):
     orders = ordered(*READY, upload(1, swing(84.0, 0.045, LIFT), 110), *alive(0.6))
-    assert heard(device(orders)).faults is Fault.NONE  # half a minute to warm up
-    done = heard(device(orders, "0.02"))  # quicker than the table
+    assert heard(device(orders, "60", "60")).faults is Fault.NONE  # a minute to warm up
+    done = heard(device(orders, "0.02", "60"))  # quicker than the table
     assert (done.state, done.faults) == (State.OFF, Fault.HEAT)
     heats = [p.message.heat for p in done.said if isinstance(p.message, Telemetry)]
     assert max(heats) > 0.8
@@ -130,7 +131,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     count = 0
     for trial in range(40):
         orders = ordered(*drawn_orders(rng))
-        heat = ["0.05"] if trial % 5 == 0 else []
+        heat = ["0.05", "20"] if trial % 5 == 0 else []
         printed = firmware(orders, *heat)
         assert twin(orders, *heat) == printed
         done = heard(printed)

@@ -60,7 +60,7 @@ def test_bytes_are_those_of_the_document(device):
     done = run(device, host)
     assert done.refused == 0
     [told] = [p.message for p in done.said if isinstance(p.message, Capabilities)]
-    limits = (float(np.float32(0.01)), 1.0, 100.0, 200.0, 60.0)
+    limits = (float(np.float32(0.01)), 1.0, 100.0, 200.0, 100.0)
     assert told == Capabilities(1, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits)
     assert done.answers() == {
         3: Status.WRONG_STATE, 4: Status.DONE, 5: Status.DONE, 6: Status.DONE,

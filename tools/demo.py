@@ -36,7 +36,11 @@ def arguments() -> argparse.Namespace:
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add("--transport", default="sim", help="what moves the plate: sim (default) or serial")
-    add("--port", default="", help="serial port of the motor controller, with --transport serial")
+    add(
+        "--port",
+        default="",
+        help="of a motor controller; serial without one: a simulated one",
+    )
     add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
     add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")

@@ -4,8 +4,8 @@
      run US     let time pass, in ticks of 1 ms
      fault N    the board has faults N
 
-   Arguments, if not those of the default rig: the time constant of the motors' heat [s], and their
-   peak force [N].
+   Arguments, if not those of the default rig: the time constant of the motors' heat [s], their
+   lasting and their peak force [N].
    Printed: `at US ON q1..q4 v1..v4 a1..a4` of each tick while current is on, and `tx HEX`. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -80,7 +80,7 @@ static void receive(const char *hex)
 /* Of config/rig.yaml: load is what plate_sim's device computes from plate and motors. */
 static const Limits LIMITS = {
     .stroke_m = 0.010f, .speed = 1.0f, .accel = 100.0f,
-    .force = 200.0f, .lasting = 60.0f, .heat_s = 30.0f,
+    .force = 200.0f, .lasting = 100.0f, .heat_s = 60.0f,
     .load = {{0.575f, 0.425f, 0.15f, -0.15f}, {0.425f, 0.575f, -0.15f, 0.15f},
              {0.15f, -0.15f, 0.8f, 0.2f}, {-0.15f, 0.15f, 0.2f, 0.8f}},
 };
@@ -93,7 +93,9 @@ int main(int argc, char **argv)
     if (argc > 1)
         limits.heat_s = strtof(argv[1], NULL);
     if (argc > 2)
-        limits.force = strtof(argv[2], NULL);
+        limits.lasting = strtof(argv[2], NULL);
+    if (argc > 3)
+        limits.force = strtof(argv[3], NULL);
     controller_start(&controller, limits);
     while (fgets(line, sizeof line, stdin)) {
         line[strcspn(line, "\n")] = 0;

@@ -20,5 +20,7 @@ setup(
     maintainer_email="plate@example.org",
     description="Simulates parts on the vibrating plate, its camera and its motor controller.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"simulator = {NAME}.node:main"]},
+    entry_points={
+        "console_scripts": [f"simulator = {NAME}.node:main", f"device = {NAME}.device.node:main"]
+    },
 )

@@ -90,7 +90,10 @@ def checked(args: argparse.Namespace) -> Plan:
     scenario = load_scenario(args.scenario)
     if args.method not in METHODS:
         raise PlateError(f"method is {args.method!r}, allowed: {', '.join(sorted(METHODS))}")
-    check_transport(args.transport, args.port)
+    link = str((args.out / "device").absolute())
+    check_transport(args.transport, args.port or link)
+    if args.lockstep and args.transport == "serial":
+        raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
     if not 0 <= args.seed < 2**31:
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
@@ -101,6 +104,7 @@ def checked(args: argparse.Namespace) -> Plan:
         seed=args.seed,
         transport=args.transport,
         port=args.port,
+        link=link,
         lockstep=args.lockstep,
         autostart=False,
     )

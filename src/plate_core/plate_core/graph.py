@@ -27,12 +27,15 @@ class GraphNode:
         What `ros2 run PACKAGE EXECUTABLE` starts, and the name it has in the graph.
     on_hardware : bool
         Whether it runs on hardware too; False for what stands in for the hardware.
+    transport : str
+        The only transport that it is for; empty: all.
     """
 
     name: str
     package: str
     executable: str
     on_hardware: bool
+    transport: str = ""
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
@@ -63,6 +66,7 @@ def _node(fields: Fields) -> GraphNode:
         fields.text("package"),
         fields.text("executable"),
         fields.flag("on_hardware"),
+        fields.text("transport") if fields.has("transport") else "",
     )
     fields.finish()
     return node
@@ -81,7 +85,9 @@ class RunOptions:
     seed : int
         Of simulator and solver.
     transport, port : str
-        Of the driver; the port only where it is not empty.
+        Of the driver; serial without a port: to the simulated device.
+    link : str
+        The simulated device's port.
     lockstep : bool
         The simulator waits for every answer; time is the simulator's.
     rate : float
@@ -97,6 +103,7 @@ class RunOptions:
     seed: int = 0
     transport: str = "sim"
     port: str = ""
+    link: str = "/tmp/plate_device"
     lockstep: bool = False
     rate: float = 1.0
     rig_file: str = ""
@@ -104,7 +111,11 @@ class RunOptions:
 
     def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
         """Return the nodes of the graph that this run needs."""
-        return tuple(node for node in graph if self.transport == "sim" or node.on_hardware)
+        return tuple(
+            node
+            for node in graph
+            if (node.on_hardware or not self.port) and node.transport in ("", self.transport)
+        )
 
     def parameters(self, node: GraphNode) -> dict[str, Value]:
         """Return the parameters of a node, over those of nodes.yaml."""
@@ -120,8 +131,13 @@ class RunOptions:
             "driver": {"transport": self.transport, "autostart": self.autostart},
         }
         values = dict(own.get(node.name, {}))
-        if self.port and node.name == "driver":
-            values["port"] = self.port
+        if self.transport == "serial":
+            added: dict[str, dict[str, Value]] = {
+                "driver": {"port": self.port or self.link},
+                "device": {"link": self.link, "seed": self.seed},
+                "simulator": {"driven_by": "device"},
+            }
+            values |= added.get(node.name, {})
         if self.rig_file:
             values["rig_file"] = self.rig_file
         if (self.lockstep or self.rate != 1) and node.on_hardware:

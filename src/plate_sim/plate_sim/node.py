@@ -19,6 +19,7 @@ from plate_core.limits import CycleUsage
 from plate_core.ros.convert import (
     array_to_image,
     camera_to_info,
+    msg_to_knots,
     msg_to_motors,
     nanoseconds,
     parts_to_msg,
@@ -32,6 +33,7 @@ from plate_core.scenario import load_scenario
 from .camera import NOISE, Camera
 from .dirt import RANGES, Dirt
 from .models import AUTO, BODIES, DISCS, MODELS, POINTS
+from .plate_motion import PlateMotion
 from .playback import Playback, check_table, next_playback
 from .simulation import Simulation
 from .world import run_cycle
@@ -44,6 +46,9 @@ CLOCK_PERIOD_S = 0.01
 
 REPORT_PERIOD_S = 1.0
 """Time between two diagnostics, and between two copies of an unanswered image [s, wall]."""
+
+SHORTEST_NS = 20_000_000
+"""Stretches of the device's motion that are shorter have no image of their own [ns]."""
 
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
@@ -63,6 +68,10 @@ class Options:
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     scenario: str = parameter("sort_10", "Scenario whose parts are put on the plate.")
     seed: int = parameter(0, "Seed of scattered parts and of the image noise.", 0, 2**31 - 1)
+    driven_by: str = parameter(
+        "setpoints", "What moves the plate: motor_setpoints, or what the device has played.",
+        choices=("setpoints", "device"),
+    )  # fmt: skip
     lockstep: bool = parameter(False, "Wait for the answer to each image, as fast as they come.")
     rate: float = parameter(1.0, "Simulated seconds per wall second, if not lockstep.", 0.01, 100)
     noise: float = parameter(NOISE, "Standard deviation of the image noise [grey values].", 0, 50)
@@ -97,7 +106,9 @@ class SimulatorNode(Node):
     angles, velocities and spins) is for judging a run: no stage may subscribe to it.
 
     Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
-    are moved to t_k+1. In real time the next cycle begins on schedule; in lockstep as soon as a
+    are moved to t_k+1. Driven by the device it is the device's clock that counts: the parts follow
+    each stretch of `motor_motion` when it has been played, and an image is taken at its end.
+    In real time the next cycle begins on schedule; in lockstep as soon as a
     table with the stamp of image k has come, or at once if image k is missed: there will be none.
     """
 
@@ -118,6 +129,9 @@ class SimulatorNode(Node):
         }  # fmt: skip
         self._told = ""  # the model that was logged last
         self._simulated_time = options.lockstep or options.rate != 1
+        self._driven = options.driven_by == "device"
+        if self._driven and self._simulated_time:
+            raise PlateError("driven_by is 'device' with lockstep or rate, allowed: in real time")
         self._compile()
         self._connect()
         self._start()
@@ -137,13 +151,16 @@ class SimulatorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         if self._simulated_time:
             self._clocks = self.create_publisher(ClockMsg, "/clock", DATA)
-        self.create_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
+        if self._driven:
+            self.create_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
+        else:
+            self.create_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
         # Wall time: our own /clock must not drive the timers that make it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
         if self._options.lockstep:
             self._repeat = self.create_timer(REPORT_PERIOD_S, self._publish_image, clock=steady)
-        else:
+        elif not self._driven:
             self._alarm = self.create_timer(REPORT_PERIOD_S, self._on_alarm, clock=steady)
             if self._simulated_time:
                 self.create_timer(CLOCK_PERIOD_S, self._publish_clock, clock=steady)
@@ -153,7 +170,8 @@ class SimulatorNode(Node):
         self._time_ns = START_NS if self._simulated_time else system.now().nanoseconds
         self._next_ns = self._time_ns  # when the next cycle begins
         self._due_ns = time.monotonic_ns()  # the same on the wall
-        self._begin_cycle()
+        if not self._driven:
+            self._begin_cycle()
 
     # Time
 
@@ -232,6 +250,25 @@ class SimulatorNode(Node):
             )
         if lockstep:
             self._begin_cycle()
+
+    def _on_motion(self, msg: JointTrajectory) -> None:
+        """Move the parts as the device has moved the motors, and take an image at the end."""
+        try:
+            times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
+            motion = PlateMotion.of_motors(self._rig, times, np.stack(motors, axis=1))
+        except PlateError as error:
+            self._count["refused tables"] += 1
+            self.get_logger().warning(
+                f"motor motion refused, the parts stay: {error}", throttle_duration_sec=QUIET_S
+            )
+            return
+        end_ns = nanoseconds(msg.header.stamp) + round(motion.period * 1e9)
+        self._simulation.run(motion)
+        self._count["cycles"] += 1
+        self._tell_model()
+        if end_ns - self._time_ns >= SHORTEST_NS:
+            self._time_ns = end_ns
+            self._count["missed images"] += not self._take_image()
 
     # Messages
 

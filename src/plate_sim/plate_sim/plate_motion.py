@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PPoly
 
-from plate_core import PlateCycle
+from plate_core import CycleError, PlateCycle, Rig
+from plate_core.cycle import quintic_pieces
+from plate_core.kinematics import plate_state
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,29 @@ class PlateMotion:
     def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
         """Return a cycle done exactly as commanded."""
         return cls(cycle.times, cycle.coefficients)
+
+    @classmethod
+    def of_motors(cls, rig: Rig, times: np.ndarray, motors: np.ndarray) -> PlateMotion:
+        """Return the motion that four motors give.
+
+        Parameters
+        ----------
+        times : (k + 1,)
+            [s], from 0.
+        motors : (k + 1, 3, 4)
+            Travel [m], speed [m/s] and acceleration [m/s2]; quintics between.
+
+        Raises
+        ------
+        CycleError
+            If they disagree with each other, a value is not finite, or times do not rise from 0.
+        """
+        times = np.asarray(times, dtype=float)
+        if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
+            raise CycleError("motor motion: a value is not finite")
+        if times[0] != 0 or np.any(np.diff(times) <= 0):
+            raise CycleError("motor motion: times must start at 0 and rise")
+        return cls(times, quintic_pieces(times, *plate_state(rig, *np.moveaxis(motors, 1, 0))))
 
     @property
     def period(self) -> float:

@@ -97,8 +97,8 @@ class Simulation:
             pose=pose,
         )
 
-    def run(self, cycle: PlateCycle) -> None:
-        """Command a cycle, and move the parts to its end."""
+    def run(self, cycle: PlateCycle | PlateMotion) -> None:
+        """Command a cycle, or what a motor controller has played, and move the parts to its end."""
         motion: PlateCycle | PlateMotion = cycle
         mu, ground = self.mu, self.dirt.ground
         if self._rig.suspension is not None:

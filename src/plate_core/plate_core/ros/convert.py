@@ -117,7 +117,7 @@ def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
     CycleError
         If joints, lengths or times are wrong, a value is not finite, or it does not close.
     """
-    return PlateCycle.from_knots(*_knots(msg, PLATE_JOINTS))
+    return PlateCycle.from_knots(*msg_to_knots(msg, PLATE_JOINTS))
 
 
 def motors_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> JointTrajectory:
@@ -134,7 +134,7 @@ def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
     CycleError
         As `msg_to_cycle`, or if the motors disagree with each other.
     """
-    times, *motors = _knots(msg, [motor.name for motor in rig.motors])
+    times, *motors = msg_to_knots(msg, [motor.name for motor in rig.motors])
     return PlateCycle.from_knots(times, *plate_state(rig, *motors))
 
 
@@ -159,9 +159,16 @@ def trajectory_to_msg(
     return msg
 
 
-def _knots(
+def msg_to_knots(
     msg: JointTrajectory, joints: list[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return times (k,) [s] and position, velocity, acceleration (k, joints) of a trajectory.
+
+    Raises
+    ------
+    CycleError
+        If joints or lengths are wrong.
+    """
     if list(msg.joint_names) != joints:
         raise CycleError(f"trajectory: joints are {list(msg.joint_names)}, allowed: {joints}")
     if len(msg.points) < 2:

@@ -1,6 +1,18 @@
-"""A motor controller that speaks docs/protocol.md: the firmware's twin, in Python."""
+"""A motor controller that speaks docs/protocol.md: the firmware's twin, its line and its plate."""
 
 from .controller import Device
+from .emulator import Accidents, Emulator
 from .limits import DeviceLimits
+from .line import Line, Trouble
+from .played import Recorder, Stretch
 
-__all__ = ["Device", "DeviceLimits"]
+__all__ = [
+    "Accidents",
+    "Device",
+    "DeviceLimits",
+    "Emulator",
+    "Line",
+    "Recorder",
+    "Stretch",
+    "Trouble",
+]

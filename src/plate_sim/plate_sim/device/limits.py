@@ -9,15 +9,6 @@ import numpy as np
 
 from plate_core import Rig
 
-FORCE_N = 200.0
-"""Peak force of a motor [N]: voice coils for this plate; the default rig's cycles need 92."""
-
-LASTING_N = 60.0
-"""Root mean square of its force that a motor bears for ever [N]; those cycles have 32."""
-
-HEAT_S = 30.0
-"""Time in which a voice coil's winding warms up [s]."""
-
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
 own splines differ from that by the curvature of the kinematics, up to 1e-3."""
@@ -69,7 +60,8 @@ class DeviceLimits:
         load = np.round(share @ mass @ share.T, 9)
         limits = rig.limits
         return cls(
-            limits.stroke_m, limits.speed, limits.accel, FORCE_N, LASTING_N, HEAT_S, load
+            limits.stroke_m, limits.speed, limits.accel, limits.force, limits.continuous_force,
+            limits.thermal_time_s, load,
         )  # fmt: skip
 
     @cached_property

@@ -1,0 +1,251 @@
+"""The closed loop over the serial line, in simulated time: the driver's transport, a line with its
+troubles, the device, the simulated plate; all but ROS and the operating system.
+
+The device's clock rules: an image is taken at each of its boundaries; the answer reaches the driver
+`ANSWER_S` later, and is uploaded while the cycle before it is played.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from loop import HOLD_CYCLES, IDLE_PERIOD, Setup
+
+from plate_core import PlateCycle, PlateError, Rig, load_rig
+from plate_core.scenario import load_scenario
+from plate_core.serial_protocol import State
+from plate_driver.motor_table import MotorTable, prepare
+from plate_driver.serial_transport import SerialTransport
+from plate_driver.watchdog import Watchdog
+from plate_planner import Planner
+from plate_planner.progress import Progress
+from plate_sim.device import Accidents, DeviceLimits, Emulator, Stretch
+from plate_sim.plate_motion import PlateMotion
+from plate_sim.simulation import Simulation
+from plate_solver import Controller
+from plate_vision.tracking import Tracker
+from plate_vision.vision import look, make_vision
+
+ANSWER_S = 0.05
+"""From an image to the driver [s]: what detector, planner and solver take together, and margin."""
+
+POLL_TICKS = 5
+"""Ticks of 1 ms between two looks of the driver at its port."""
+
+SHORTEST_S = 0.02
+"""Stretches that are shorter have no image of their own [s]."""
+
+CALM_S = 3.0
+"""Longest time that a plate without a new cycle takes to come to rest [s]."""
+
+
+class Port:
+    """The driver's end of the line."""
+
+    def __init__(self, emulator: Emulator) -> None:
+        self._emulator = emulator
+
+    def _check(self) -> None:
+        if not self._emulator.connected:
+            raise OSError("the device is gone")
+
+    def read(self, size: int) -> bytes:
+        """Take what has come."""
+        self._check()
+        return self._emulator.to_host.arrived(self._emulator.now)
+
+    def write(self, data: bytes) -> int:
+        """Send."""
+        self._check()
+        self._emulator.to_device.sent(data, self._emulator.now)
+        return len(data)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def opened(emulator: Emulator) -> Port:
+    """Open the port, if it is there."""
+    if not emulator.connected:
+        raise PlateError("port is 'device', allowed: a serial port that opens (it is gone)")
+    return Port(emulator)
+
+
+@dataclass
+class Watch:
+    """What the motors were told, tick by tick, against the rig's limits: an independent judge.
+
+    Attributes
+    ----------
+    rig : Rig
+    stroke, speed, accel : float
+        Greatest share of a limit in any setpoint.
+    jump : float
+        Greatest difference of two setpoints from what their speeds say [m].
+    """
+
+    rig: Rig
+    stroke: float = 0.0
+    speed: float = 0.0
+    accel: float = 0.0
+    jump: float = 0.0
+    _last: tuple[float, np.ndarray] | None = None
+
+    def see(self, now: float, at: np.ndarray | None) -> None:
+        """Look at one tick."""
+        if at is None:
+            self._last = None
+            return
+        limits = self.rig.limits
+        peak = np.max(np.abs(at), axis=1)
+        self.stroke = max(self.stroke, float(peak[0]) / limits.stroke_m)
+        self.speed = max(self.speed, float(peak[1]) / limits.speed)
+        self.accel = max(self.accel, float(peak[2]) / limits.accel)
+        if self._last is not None:
+            dt, before = now - self._last[0], self._last[1]
+            step = dt * (at[1] + before[1]) / 2 - dt**2 * (at[2] - before[2]) / 12
+            self.jump = max(self.jump, float(np.max(np.abs(at[0] - before[0] - step))))
+        self._last = now, at.astype(float)
+
+    @property
+    def kept(self) -> bool:
+        """Whether all limits were kept, to 0.2 %, and nothing jumped by more than 2 um."""
+        worst = max(self.stroke, self.speed, self.accel)
+        return bool(worst <= 1.002 and self.jump < 2e-6)
+
+
+@dataclass
+class Ending:
+    """How a run ended.
+
+    Attributes
+    ----------
+    phase, text : str
+        Of the planner; what the driver last said was wrong.
+    time_s : float
+        Of the device's clock [s].
+    dropped : int
+        Parts.
+    watch : Watch
+    resting : bool
+        Whether the motors were off or held at home a while after the end.
+    retries, refused, troubles
+        Of the driver.
+    late, images : int
+        Cycles that were played again since the next one was late, and images.
+    """
+
+    phase: str
+    text: str
+    time_s: float
+    dropped: int
+    watch: Watch
+    resting: bool
+    retries: int
+    refused: int
+    late: int
+    images: int
+    troubles: dict[str, int] = field(default_factory=dict)
+
+
+class Loop:
+    """A run; `go` plays it to its end."""
+
+    def __init__(self, setup: Setup, rig: Rig, accidents: Accidents) -> None:
+        self.watch = Watch(rig)
+        self._rig, self._scenario = rig, load_scenario(setup.scenario)
+        self.emulator = Emulator(DeviceLimits.of_rig(rig), setup.seed, accidents, self.watch.see)
+        self.transport = SerialTransport(
+            lambda: opened(self.emulator), lambda: self.emulator.now, seed=setup.seed
+        )
+        self._simulation = Simulation(
+            rig, self._scenario, setup.seed, setup.dirt, noise=setup.noise,
+            mu_scale=setup.mu_scale, model=setup.model,
+        )  # fmt: skip
+        self._vision, self._tracker = make_vision(rig), Tracker()
+        self._planner = Planner(rig, self._scenario, setup.planner)
+        self._state = self._planner.start(self._planner.initial())
+        self._controller = Controller(rig, setup.method, seed=setup.seed)
+        self._answers: list[tuple[float, PlateCycle]] = []
+        self._sent: list[PlateCycle] = []
+        self._looked_at = float("-inf")
+        self._watchdog = Watchdog()
+        self._troubles: dict[str, int] = {}
+        self._ticks, self._late, self._images, self._table = 0, 0, 0, 0
+        self._newest = ""  # trouble
+
+    def go(self, after_image: Callable[[Loop], None] | None = None) -> Ending:
+        """Run until the planner ends the task, then let the plate come to rest."""
+        self.transport.open()
+        progress: Progress | None = None
+        while progress is None or not progress.ended:
+            for stretch in self._tick():
+                seen = self._followed(stretch)
+                if seen is not None:
+                    progress = seen
+                    if after_image is not None:
+                        after_image(self)
+        time_s = self.emulator.now
+        self._answers = []
+        for _ in range(round(CALM_S / 1e-3)):
+            self._tick()
+        resting = self.emulator.device.motion.state in (State.OFF, State.READY) or bool(
+            np.max(np.abs(self.emulator.device.motion.start)) < 1e-6
+        )
+        text = progress.text + (f" ({self._newest})" if self._newest else "")
+        return Ending(
+            progress.phase, text, time_s, self._simulation.state.dropped, self.watch, resting,
+            self.transport.retries, self.transport.refused, self._late, self._images,
+            self._troubles,
+        )  # fmt: skip
+
+    def _tick(self) -> list[Stretch]:
+        """Let a millisecond pass for all."""
+        stretches = self.emulator.tick()
+        now = self.emulator.now
+        self._ticks += 1
+        while self._answers and self._answers[0][0] <= now:
+            self._send(self._answers.pop(0)[1], now)
+        if self._watchdog.tripped(now):
+            self._watchdog = self._watchdog.rested()
+            self.transport.send(MotorTable.rest(self._rig, IDLE_PERIOD, 0))
+        if self._ticks % POLL_TICKS == 0:
+            self.transport.poll()
+            for trouble in self.transport.troubles():
+                self._troubles[trouble] = self._troubles.get(trouble, 0) + 1
+                self._newest = trouble
+        return stretches
+
+    def _send(self, cycle: PlateCycle, now: float) -> None:
+        table, _ = prepare(self._rig, cycle, round(now * 1e9))
+        self.transport.send(table)
+        self._sent = [*self._sent[-1:], table.cycle]
+        self._watchdog = self._watchdog.fed(now, table.cycle.period, HOLD_CYCLES)
+
+    def _followed(self, stretch: Stretch) -> Progress | None:
+        """Move the parts, look, plan and solve; returns the planner's progress, if it looked."""
+        motion = PlateMotion.of_motors(self._rig, stretch.times, stretch.motors)
+        self._simulation.run(motion)
+        if stretch.end - self._looked_at < SHORTEST_S:
+            return None
+        self._looked_at = now = stretch.end
+        image = self._simulation.look()
+        if image is None:
+            return None
+        self._images += 1
+        self._late += 0 < stretch.table == self._table
+        self._table = stretch.table
+        self._tracker = look(self._vision, self._tracker, image, now)
+        self._state, asked, progress = self._planner.plan(self._state, self._tracker.parts, now)
+        # As the solver's node: the cycle that was sent last is the one that runs now.
+        running = self._sent[-1] if self._sent else PlateCycle.rest(IDLE_PERIOD)
+        answer = self._controller.answer(asked, running)
+        self._answers.append((self.emulator.now + ANSWER_S, answer.cycle))
+        return progress
+
+
+def serial_run(setup: Setup, rig: Rig | None = None, accidents: Accidents | None = None) -> Ending:
+    """Run a task over the serial line, with accidents."""
+    return Loop(setup, rig or load_rig(), accidents or Accidents()).go()

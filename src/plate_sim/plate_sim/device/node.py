@@ -1,0 +1,134 @@
+"""The device node: a motor controller on a pseudo-terminal, in real time."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import load_rig
+from plate_core.ros.convert import to_time, trajectory_to_msg
+from plate_core.ros.main import run_node
+from plate_core.ros.params import declare, follow, parameter
+from plate_core.ros.qos import DATA
+
+from .emulator import TICK_US, Accidents, Emulator
+from .limits import DeviceLimits
+from .line import Trouble
+from .played import Stretch
+from .terminal import Terminal
+
+SERVE_PERIOD_S = 0.002
+"""Time between two looks at the port [s]: two ticks of the device."""
+
+REPORT_PERIOD_S = 1.0
+
+
+def _share(description: str) -> Any:
+    return parameter(0.0, description, 0.0, 1.0, live=True)
+
+
+def _every(description: str) -> Any:
+    return parameter(0.0, description, 0.0, 1e5, live=True)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Parameters of the device."""
+
+    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
+    seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
+    baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
+    dropped: float = _share("Bytes that vanish on the line [share].")
+    corrupted: float = _share("Bytes that change on the line [share].")
+    repeated: float = _share("Bytes that come twice [share].")
+    split: float = _share("Transmissions that come in two parts [share].")
+    delay: float = parameter(0.0, "Delay of the line, each way [s].", 0.0, 1.0, live=True)
+    disconnect_every: float = _every("Time from one disconnection to the next [s]; 0: none.")
+    disconnect_s: float = parameter(2.0, "Length of a disconnection [s].", 0.0, 1e3, live=True)
+    reset_every: float = _every("Time from one reset of the device to the next [s]; 0: none.")
+    brown_out_every: float = _every("Time from one brown-out to the next [s]; 0: none.")
+
+    @property
+    def accidents(self) -> Accidents:
+        """Return what is to go wrong."""
+        line = Trouble(**{f.name: getattr(self, f.name) for f in fields(Trouble)})
+        own = [f.name for f in fields(Accidents) if f.name != "trouble"]
+        return Accidents(line, **{name: getattr(self, name) for name in own})
+
+
+class DeviceNode(Node):
+    """Node `device`: serves a pseudo-terminal, and publishes on `motor_motion` what the motors have
+    done, stretch by stretch, stamped with its start: what the simulated plate follows."""
+
+    def __init__(self) -> None:
+        super().__init__("device")
+        options = declare(self, Options)
+        self._rig = load_rig(options.rig_file)
+        self._emulator = Emulator(DeviceLimits.of_rig(self._rig), options.seed, options.accidents)
+        self._terminal = Terminal(options.link)
+        self._terminal.plug()
+        self._motions = self.create_publisher(JointTrajectory, "motor_motion", DATA)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        follow(self, options, lambda new: self._emulator.configure(new.accidents))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._begin_ns = self.get_clock().now().nanoseconds
+        self._steady_ns = time.monotonic_ns()
+        self._late_ms = 0.0
+        self.create_timer(SERVE_PERIOD_S, self._serve, clock=steady)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        self.get_logger().info(f"serial port: {options.link}")
+
+    def destroy_node(self) -> None:
+        """Take the port away."""
+        if hasattr(self, "_terminal"):
+            self._terminal.unplug()
+        super().destroy_node()
+
+    def _serve(self) -> None:
+        """Let the device catch up with the clock."""
+        emulator = self._emulator
+        due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.device.now_us
+        self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
+        if emulator.connected != self._terminal.plugged:
+            (self._terminal.plug if emulator.connected else self._terminal.unplug)()
+        emulator.to_device.sent(self._terminal.read(), emulator.now)
+        for _ in range(due // TICK_US):
+            for stretch in emulator.tick():
+                self._publish(stretch)
+        self._terminal.write(emulator.to_host.arrived(emulator.now))
+
+    def _publish(self, stretch: Stretch) -> None:
+        joints = [motor.name for motor in self._rig.motors]
+        stamp = to_time(self._begin_ns + round(stretch.start * 1e9))
+        q, qd, qdd = stretch.motors.transpose(1, 0, 2)
+        self._motions.publish(trajectory_to_msg(joints, stretch.times, q, qd, qdd, stamp))
+
+    def _report(self) -> None:
+        device = self._emulator.device
+        motion, late_ms, self._late_ms = device.motion, self._late_ms, 0.0
+        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="device")
+        status.level = DiagnosticStatus.WARN if motion.faults else DiagnosticStatus.OK
+        names = [fault.name.lower().replace("_", " ") for fault in motion.faults if fault.name]
+        status.message = ", ".join(names) or motion.state.name.lower()
+        values = {
+            "state": motion.state.name.lower(),
+            "damaged frames": device.reader.refused,
+            "hottest motor": f"{device.heat.max() / device.limits.bearable:.3f}",
+            "latest tick [ms]": f"{late_ms:.1f}",
+        }
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(msg)
+
+
+def main() -> None:
+    """Run the device."""
+    run_node(DeviceNode)

@@ -1,0 +1,84 @@
+"""A pseudo-terminal under a name of its own: what a serial port looks like to the driver."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tty
+from pathlib import Path
+
+from plate_core import PlateError
+
+READ_BYTES = 65_536
+
+
+class Terminal:
+    """A pseudo-terminal that can be pulled out and put in again.
+
+    Parameters
+    ----------
+    link : path
+        The port's name: a symbolic link, made anew; an older one is replaced.
+    """
+
+    def __init__(self, link: str | Path) -> None:
+        self._link = Path(link)
+        self._ends: tuple[int, int] | None = None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._ends is not None
+
+    def plug(self) -> None:
+        """Make the port.
+
+        Raises
+        ------
+        PlateError
+            If its name cannot be used.
+        """
+        if self._ends is not None:
+            return
+        if self._link.exists() and not self._link.is_symlink():
+            raise PlateError(f"link is {str(self._link)!r}, which is a file, allowed: a new name")
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        draft = self._link.with_name(f"{self._link.name}.{os.getpid()}")
+        try:
+            draft.unlink(missing_ok=True)
+            draft.symlink_to(os.ttyname(slave))
+            draft.replace(self._link)
+        except OSError as error:
+            os.close(master)
+            os.close(slave)
+            raise PlateError(f"link is {str(self._link)!r}: {error}") from None
+        # The slave stays open here, or a host that leaves would end the line.
+        self._ends = master, slave
+
+    def unplug(self) -> None:
+        """Take the port away: a host that has it open finds it gone."""
+        if self._ends is None:
+            return
+        with contextlib.suppress(OSError):
+            self._link.unlink()
+        for end in self._ends:
+            os.close(end)
+        self._ends = None
+
+    def read(self) -> bytes:
+        """Take what the host has written."""
+        if self._ends is None:
+            return b""
+        try:
+            return os.read(self._ends[0], READ_BYTES)
+        except OSError:  # nothing there
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the host; what does not fit is lost, as on a UART that nobody reads."""
+        if self._ends is None or not data:
+            return
+        with contextlib.suppress(OSError):
+            os.write(self._ends[0], data)
