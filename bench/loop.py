@@ -175,7 +175,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         model=setup.model,
     )  # fmt: skip
     vision, tracker = make_vision(rig), Tracker()
-    planner = Planner(rig, scenario, setup.planner)
+    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.dirt.latency))
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, seed=setup.seed)
     playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None
@@ -193,6 +193,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
             solve_s = time.perf_counter() - began
             table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
             newest = table.cycle
+            state = planner.hear(state, answer.cycle, t)
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
             yield Moment(
                 t, world, tracker.parts, asked, answer, progress, image, solve_s,

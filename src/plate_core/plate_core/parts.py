@@ -27,6 +27,8 @@ class PartSet:
         Any force within +-tolerance [N] of `force` is as good.
     torque : (M,)
         Wanted spin [N m].
+    grip : (M,)
+        Greatest friction on it [N], mu m g; 0 where no more is known than the rig's facts.
     """
 
     ids: tuple[str, ...]
@@ -36,6 +38,7 @@ class PartSet:
     force: np.ndarray
     tolerance: np.ndarray
     torque: np.ndarray
+    grip: np.ndarray
 
     @classmethod
     def make(
@@ -47,6 +50,7 @@ class PartSet:
         tolerance: np.ndarray | None = None,
         torque: np.ndarray | None = None,
         angle: np.ndarray | None = None,
+        grip: np.ndarray | None = None,
     ) -> PartSet:
         """Build a set; what is missing is zero."""
         count = len(ids)
@@ -65,6 +69,7 @@ class PartSet:
             pairs(force),
             pairs(tolerance),
             column(torque),
+            column(grip),
         )
 
     def __len__(self) -> int:

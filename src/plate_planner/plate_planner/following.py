@@ -11,7 +11,7 @@ from plate_core import PartSet, Rig
 from plate_core.scenario import FollowTask
 
 from .assignment import UNMATCHED, match_paths, rematch_paths
-from .pd import FollowOptions, pd_drift, predict
+from .pd import FollowOptions, pd_drift
 from .requests import DriftRequest, stay_within
 from .trajectory import PolygonPath
 
@@ -82,17 +82,18 @@ class Follower:
         time = state.path_time(t)
         return np.array([path.position(time) for path in self.paths])
 
-    def begin(self, parts: PartSet, t: float, period: float) -> FollowState:
-        """Match parts to paths; the references leave when the first answer begins to act."""
-        state = FollowState(
-            began=t + period, anchor=t + period, bias=np.zeros((len(self.paths), 2))
-        )
-        return replace(state, match=match_paths(self._labels, self.reference(state, t), parts))
+    def begin(self, parts: PartSet, start: float) -> FollowState:
+        """Match parts to paths; the references leave at `start` [s], when the first answer acts."""
+        state = FollowState(began=start, anchor=start, bias=np.zeros((len(self.paths), 2)))
+        return replace(state, match=match_paths(self._labels, self.reference(state, start), parts))
 
     def measure(
-        self, state: FollowState, parts: PartSet, t: float, period: float, options: FollowOptions
+        self, state: FollowState, parts: PartSet, t: float, start: float, options: FollowOptions
     ) -> FollowState:
-        """Take one image into the match, the error statistics, the bias and the pace."""
+        """Take one image into the match, the error statistics, the bias and the pace.
+
+        Its answer begins to act at `start` [s].
+        """
         reference = self.reference(state, t)
         match = rematch_paths(state.match, self._labels, reference, parts, self.task.max_error_m)
         state = replace(state, match=match)
@@ -103,7 +104,7 @@ class Follower:
         bias = state.bias
         # What a part that is far off has to catch up is none of the bias's business.
         if worst <= options.slow_from * self.task.max_error_m:
-            bias = self._learn(state, path, error, t - period / 2, period, options)
+            bias = self._learn(state, path, error, t - (start - t) / 2, start - t, options)
         state = replace(
             state,
             bias=bias,
@@ -111,7 +112,7 @@ class Follower:
             samples=state.samples + len(distance),
             max_error_m=max(state.max_error_m, worst),
         )
-        return self._pace(state, worst, t + period, options)
+        return self._pace(state, worst, start, options)
 
     def _learn(
         self,
@@ -176,31 +177,27 @@ class Follower:
         self,
         state: FollowState,
         parts: PartSet,
-        asked: np.ndarray,
-        t: float,
+        ahead: np.ndarray,
+        start: float,
         period: float,
         options: FollowOptions,
     ) -> DriftRequest:
         """Return the drift wanted of each part; parts without a path are only kept on the plate.
 
-        `asked` (M, 2) [m/s] is what was asked of the present cycle, NaN where nothing was.
+        `ahead` (M, 2) [m] is where the parts will be at `start` [s], when the answer begins to act
+        for `period` [s].
         """
         low, high = self._keep_on_plate(parts)
         path, part = self._rows(state, parts)
-        velocity = parts.velocity[part]
-        # The bias is what does not arrive: what is asked with it is expected without it.
-        expected = asked[part] - self._turned(state, t + 0.5 * period)[path]
-        predicted = predict(parts.position[part], velocity, expected, period, options.trust)
-        wanted = pd_drift(
-            predicted,
-            self.reference(state, t + period)[path],
-            self.reference(state, t + 2 * period)[path],
+        low[part] = high[part] = pd_drift(
+            ahead[part],
+            self.reference(state, start)[path],
+            self.reference(state, start + period)[path],
             period,
             options.kp,
-            self._turned(state, t + 1.5 * period)[path],
+            self._turned(state, start + 0.5 * period)[path],
             options.speed_ratio_max * self._speeds[path],
         )
-        low[part] = high[part] = velocity + options.kd * (wanted - velocity)
         return DriftRequest(low, high)
 
     @property

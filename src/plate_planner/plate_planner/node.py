@@ -1,4 +1,7 @@
-"""The planner node: `parts` in, `part_forces` out, and a task that is started and stopped."""
+"""The planner node: `parts` in, `part_forces` out, and a task that is started and stopped.
+
+It listens to `plate_cycle` too: what the plate does carries the parts from image to image.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import msg_to_parts, parts_to_msg, seconds
+from plate_core.ros.convert import msg_to_cycle, msg_to_parts, parts_to_msg, seconds
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
@@ -23,12 +27,16 @@ from .planner import NOTHING, Planner, PlannerOptions
 from .progress import Progress
 from .sorting import SortOptions
 from .task import Phase
+from .watch import warm_up
 
 DIAGNOSTICS_PERIOD_S = 0.5
 """Time between diagnostics while nothing changes [s]: quick enough to watch, slow enough to log."""
 
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
+
+SAME_CLOCK_S = 1.0
+"""A stamp further than this from our time is of a clock that is not ours [s]."""
 
 LEVELS = {
     Phase.IDLE.value: DiagnosticStatus.OK,
@@ -61,6 +69,9 @@ class PlannerParameters:
     stuck_s: float = parameter(
         PlannerOptions.stuck_s, "A task no nearer to its goal for longer is stuck [s]", 1.0, 3600.0
     )
+    image_age_s: float = parameter(
+        PlannerOptions.image_age_s, "How old an image is at its stamp [s]", 0.0, 1.0
+    )
     drift_max: float = parameter(
         SortOptions.drift_max,
         "Sorting and assembling: drift asked of a part [m/s]",
@@ -85,21 +96,6 @@ class PlannerParameters:
     kp: float = parameter(
         FollowOptions.kp, "Following: share of the error corrected a cycle [-]", 0.0, 2.0, live=True
     )
-    kd: float = parameter(
-        FollowOptions.kd,
-        "Following: share of the drift error corrected a cycle [-]",
-        0.0,
-        2.0,
-        live=True,
-    )
-    trust: float = parameter(
-        FollowOptions.trust,
-        "Following: request (1) or measured drift (0) predicts",
-        0.0,
-        1.0,
-        live=True,
-    )
-
     ki: float = parameter(
         FollowOptions.ki,
         "Following: share of the error added to the bias a cycle",
@@ -112,12 +108,13 @@ class PlannerParameters:
         """Return the core's options."""
         return PlannerOptions(
             sort=SortOptions(drift_max=self.drift_max, wander=self.wander, dodge=self.dodge),
-            follow=FollowOptions(kp=self.kp, kd=self.kd, trust=self.trust, ki=self.ki),
+            follow=FollowOptions(kp=self.kp, ki=self.ki),
             assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
             wait_s=self.wait_s,
             patience_s=self.patience_s,
             stuck_s=self.stuck_s,
+            image_age_s=self.image_age_s,
         )
 
 
@@ -130,6 +127,7 @@ class PlannerNode(Node):
         rig = load_rig(values.rig_file)
         self._planner = Planner(rig, load_scenario(values.scenario), values.options())
         self._state = self._planner.initial()
+        warm_up()
         self._reported = ""
         self._diagnosed_at = 0.0
         follow(self, values, self._retune)
@@ -138,6 +136,7 @@ class PlannerNode(Node):
         self._task_state = self.create_publisher(String, "task_state", LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         self.create_subscription(MultiDOFJointState, "parts", self._on_parts, DATA)
+        self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.create_service(Trigger, "start", self._on_start)
         self.create_service(Trigger, "stop", self._on_stop)
 
@@ -160,6 +159,17 @@ class PlannerNode(Node):
         self._forces.publish(parts_to_msg(asked, msg.header.stamp))
         changed = self._report()
         self._diagnose(progress, msg, changed)
+
+    def _on_cycle(self, msg: JointTrajectory) -> None:
+        stamp = seconds(msg.header.stamp)
+        try:
+            cycle = msg_to_cycle(msg)
+        except PlateError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=WARN_PERIOD_S)
+            return
+        now = 1e-9 * self.get_clock().now().nanoseconds
+        arrival = now if abs(now - stamp) < SAME_CLOCK_S else stamp
+        self._state = self._planner.hear(self._state, cycle, arrival)
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self._planner.scenario.name

@@ -3,12 +3,10 @@
 The answer to image k acts during cycle k+1. So the controller looks at the error where the part
 will be when its answer begins to act, and asks for the mean drift over that cycle:
 
-    x_pred = x(t) + T v_now             v_now: drift during cycle k
-    v_des  = v_ref + kp (x_ref(t + T) - x_pred)/T + bias
-    F      = kd m (v_des - v)/T         v: drift as measured, during cycle k-1
+    v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T + bias
 
-with v_ref = (x_ref(t + 2T) - x_ref(t + T))/T. Both gains are plain numbers: kp = 1 corrects the
-whole predicted error in one cycle, kd = 1 the whole drift.
+kp = 1 corrects the whole predicted error in one cycle. The solver brings a part from the drift it
+has to the one it should have: that is the D of PD, with a gain of 1.
 
 A part on a surface that is more slippery than assumed gets a share of what is asked, always the
 same share: so the bias is kept along and across the path, and turns with it at corners. It grows
@@ -30,11 +28,6 @@ class FollowOptions:
     ----------
     kp : float
         Share of the predicted position error to correct in one cycle [-].
-    kd : float
-        Share of the drift error to correct in one cycle [-].
-    trust : float
-        What the drift during the present cycle is taken to be [-]: 1, what was asked of it one
-        message ago; 0, what was measured over the cycle before.
     ki : float
         Share of the position error that is added to the bias each cycle [-].
     bias_max : float
@@ -50,8 +43,6 @@ class FollowOptions:
     """
 
     kp: float = 0.8
-    kd: float = 1.0
-    trust: float = 1.0
     ki: float = 0.05
     bias_max: float = 1.0
     slow_from: float = 0.15
@@ -59,35 +50,6 @@ class FollowOptions:
     speed_ratio_max: float = 3.0
     force_share_max: float = 1.0
     settle_s: float = 3.0
-
-
-def predict(
-    position: np.ndarray,
-    velocity: np.ndarray,
-    asked: np.ndarray,
-    period: float,
-    trust: float,
-) -> np.ndarray:
-    """Predict positions one cycle ahead.
-
-    Parameters
-    ----------
-    position, velocity : (M, 2)
-        As measured [m], and drift over the cycle before [m/s], plate_home.
-    asked : (M, 2)
-        Drift that was asked of the present cycle [m/s]; NaN where nothing was.
-    period : float
-        Length of a cycle [s].
-    trust : float
-        Weight of `asked` against `velocity`, 0 to 1.
-
-    Returns
-    -------
-    (M, 2)
-        Positions [m, plate_home].
-    """
-    expected = np.where(np.isnan(asked), velocity, asked)
-    return position + period * (trust * expected + (1 - trust) * velocity)
 
 
 def pd_drift(

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from plate_core import PartSet, Rig
-from plate_core.parts import part_class
+from plate_core import PartSet, PlateCycle, Rig
 from plate_core.scenario import AssembleTask, FollowTask, Scenario, SortTask, check_scenario
 
 from .assembling import AssembleOptions, Assembly
@@ -21,6 +19,7 @@ from .progress import Progress
 from .requests import Asked, DriftRequest
 from .sorting import Sorter, SortOptions
 from .task import NEARER_M, Findings, Phase, TaskLimits, TaskState, begin, judge, started, stopped
+from .watch import Watch, missing_parts, on_plate
 
 NOTHING = PartSet.make((), np.zeros((0, 2)))
 """Nothing is asked of any part: the plate rests."""
@@ -43,6 +42,8 @@ class PlannerOptions:
         A part unseen for longer than this is lost [s].
     stuck_s : float
         A task that comes no nearer to its goal for longer than this is stuck [s].
+    image_age_s : float
+        How old an image is at its stamp [s].
     """
 
     sort: SortOptions = field(default_factory=SortOptions)
@@ -52,6 +53,7 @@ class PlannerOptions:
     wait_s: float = 10.0
     patience_s: float = 1.0
     stuck_s: float = 30.0
+    image_age_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ class PlannerState:
     ----------
     task : TaskState
     clock : CycleClock
+    watch : Watch
+        Estimate of the parts.
     follow : FollowState
     asked : Asked
         The last request.
@@ -73,10 +77,21 @@ class PlannerState:
 
     task: TaskState
     clock: CycleClock
+    watch: Watch
     follow: FollowState = field(default_factory=FollowState)
     asked: Asked = field(default_factory=Asked)
     known: tuple[str, ...] = ()
     answer: tuple[PartSet, Progress] | None = None
+
+    @property
+    def period(self) -> float:
+        """Length of a cycle [s]: of the one that runs, or what the images' stamps tell."""
+        return self.watch.log.period if self.watch.log.known else self.clock.period
+
+    @property
+    def next_start(self) -> float:
+        """Stamp at which the answer to the last image begins to act [s]."""
+        return self.watch.log.end if self.watch.log.known else self.watch.stamp + self.clock.period
 
 
 @dataclass(frozen=True)
@@ -133,7 +148,9 @@ class Planner:
     def initial(self) -> PlannerState:
         """Return the state of a planner that has seen nothing and does nothing."""
         clock = CycleClock.starting(self.options.default_period)
-        return PlannerState(TaskState(), clock)
+        facts = self.rig.friction.accel, self.rig.parts.mass_kg
+        watch = Watch(*facts, self.options.image_age_s)
+        return PlannerState(TaskState(), clock, watch)
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen."""
@@ -142,6 +159,13 @@ class Planner:
     def stop(self, state: PlannerState) -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted."""
         return replace(state, task=stopped(state.task, state.clock.stamp))
+
+    def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
+        """Take in a cycle that the solver sent, and when [s, the time of the stamps].
+
+        Without it the planner takes parts to do as was asked of them.
+        """
+        return replace(state, watch=state.watch.hear(cycle, arrival))
 
     def plan(
         self, state: PlannerState, parts: PartSet, t: float
@@ -168,18 +192,18 @@ class Planner:
             return state, *state.answer
         if state.clock.went_back(t) and state.task.phase is Phase.RUNNING:
             state = self.start(state)
-        state = replace(state, clock=state.clock.tick(t))
-        on_plate = self._on_plate(parts)
-        state, view = self._advance(state, on_plate, t)
+        state = replace(state, clock=state.clock.tick(t), watch=state.watch.look(parts, t))
+        inside = on_plate(state.watch.parts, self.rig)
+        state, view = self._advance(state, inside, t)
         asked = NOTHING
-        if state.task.active and view.request is not None and len(on_plate):
-            asked, state = self._ask(state, on_plate, view.request, t)
-        progress = self._progress(state, len(on_plate), view, t)
+        if state.task.active and view.request is not None and len(inside):
+            asked, state = self._ask(state, inside, view.request, t)
+        progress = self._progress(state, len(inside), view, t)
         return replace(state, answer=(asked, progress)), asked, progress
 
     def _advance(self, state: PlannerState, parts: PartSet, t: float) -> tuple[PlannerState, View]:
         """Bring the task up to date."""
-        missing = self._missing(state, parts)
+        missing = missing_parts(self.scenario, state.known, parts)
         task = begin(state.task, t, missing, self.limits)
         begins = task.active and not state.task.active
         state = replace(state, task=task, known=state.known if missing else parts.ids)
@@ -211,7 +235,7 @@ class Planner:
         found = Findings(
             missing, met, float(np.sum(to_go)), plight=self._plight(state, parts, to_go)
         )
-        return View(found, sorter.request(parts, state.clock.period, self.options.sort), count)
+        return View(found, sorter.request(parts, state.period, self.options.sort), count)
 
     def _assemble(
         self, assembly: Assembly, state: PlannerState, parts: PartSet, missing: tuple[str, ...]
@@ -222,18 +246,19 @@ class Planner:
         plight = self._plight(state, parts, np.nan_to_num(distance))
         met = count == len(assembly.task.place)
         found = Findings(missing, met, float(np.sum(error)), plight=plight)
-        request = assembly.request(parts, state.clock.period, self.options.assemble)
+        request = assembly.request(parts, state.period, self.options.assemble)
         return View(found, request, count, error)
 
     def _follow(
         self, follower: Follower, state: PlannerState, parts: PartSet, t: float, begins: bool
     ) -> tuple[PlannerState, View]:
-        period, options, follow = state.clock.period, self.options.follow, state.follow
+        period, options, follow = state.period, self.options.follow, state.follow
+        start = state.next_start
         if not state.task.active:
             return state, View(Findings((), False, 0.0), None)
         if begins:
-            follow = follower.begin(parts, t, period)
-        follow = follower.measure(follow, parts, t, period, options)
+            follow = follower.begin(parts, start)
+        follow = follower.measure(follow, parts, t, start, options)
         error = follower.errors(follow, parts, t)
         found = Findings(
             follower.missing(follow, parts),
@@ -242,8 +267,10 @@ class Planner:
             follower.problem(follow, parts, t, options),
             self._plight(state, parts, error),
         )
-        asked = state.asked.of(parts.ids, t, period)
-        request = follower.request(follow, parts, asked, t, period, options)
+        ahead = state.watch.ahead(parts.ids)
+        if ahead is None:
+            ahead = state.asked.places(parts, t, period)
+        request = follower.request(follow, parts, ahead, start, period, options)
         return replace(state, follow=follow), View(found, request, 0, error)
 
     def _plight(self, state: PlannerState, parts: PartSet, short: np.ndarray) -> str:
@@ -267,7 +294,7 @@ class Planner:
         self, state: PlannerState, parts: PartSet, request: DriftRequest, t: float
     ) -> tuple[PartSet, PlannerState]:
         """Put a request into forces, and remember the drift that they lead to."""
-        task, period = self.scenario.task, state.clock.period
+        task, period = self.scenario.task, state.period
         share: float = self.options.follow.force_share_max
         if isinstance(task, SortTask):
             share = self.options.sort.force_share_max
@@ -277,30 +304,6 @@ class Planner:
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
         state = replace(state, asked=Asked(parts.ids, drift, t, force))
         return replace(parts, force=force, tolerance=tolerance), state
-
-    def _on_plate(self, parts: PartSet) -> PartSet:
-        """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
-        keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
-        if np.all(keep):
-            return parts
-        return PartSet.make(
-            tuple(i for i, k in zip(parts.ids, keep, strict=True) if k),
-            position=parts.position[keep],
-            velocity=parts.velocity[keep],
-            angle=parts.angle[keep],
-        )
-
-    def _missing(self, state: PlannerState, parts: PartSet) -> tuple[str, ...]:
-        """Name the parts of the scenario that are not seen, by id where it is known."""
-        seen = Counter(part_class(i) for i in parts.ids)
-        names: list[str] = []
-        for label, wanted in Counter(self.scenario.labels).items():
-            short = wanted - seen[label]
-            if short <= 0:
-                continue
-            gone = [i for i in state.known if part_class(i) == label and i not in parts.ids]
-            names += gone[:short] if len(gone) >= short else [f"{short} of {wanted} {label} parts"]
-        return tuple(names)
 
     def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:
         rms, most = state.follow.rms_error_m, state.follow.max_error_m
@@ -317,5 +320,5 @@ class Planner:
             rms_error_m=rms,
             max_error_m=most,
             pace=state.follow.paces[1],
-            period_s=state.clock.period,
+            period_s=state.period,
         )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import Rig
+from plate_core import PartSet, Rig
 
 FRESH = 1.5
 """A request is what the present cycle does if it is at most this many periods old."""
@@ -67,15 +67,18 @@ class Asked:
     stamp: float = -np.inf
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def of(self, ids: tuple[str, ...], t: float, period: float) -> np.ndarray:
-        """Return what was asked of the cycle that begins at t (M, 2) [m/s]; NaN where unknown."""
-        drift = np.full((len(ids), 2), np.nan)
+    def places(self, parts: PartSet, t: float, period: float) -> np.ndarray:
+        """Where parts (M, 2) [m] seen at t [s] are a cycle later, if they do as they were asked.
+
+        Parts that were not asked go on drifting.
+        """
+        drift = parts.velocity.copy()
         if t - self.stamp <= FRESH * period:
             row = {part_id: i for i, part_id in enumerate(self.ids)}
-            for i, part_id in enumerate(ids):
+            for i, part_id in enumerate(parts.ids):
                 if part_id in row:
                     drift[i] = self.drift[row[part_id]]
-        return drift
+        return parts.position + period * drift
 
 
 def stay_within(

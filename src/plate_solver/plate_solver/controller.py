@@ -116,7 +116,7 @@ class Controller:
         period = solver.steering_period(len(parts))
         goal = self._goal(parts, running, period)
         asked = float(np.sqrt(np.mean(goal.displacement**2)))
-        unit = self._rig.friction.accel * period**2
+        unit = goal.friction_accel[:, None] * period**2
         for share in SHARES:
             part = replace(goal, displacement=share * goal.displacement)
             good = max(GOOD_SHARE * share * asked, DRIFT_TOLERANCE * period)
@@ -153,8 +153,10 @@ class Controller:
         """Predict the state in which the answer starts, and say what it is to do."""
         start = np.array([self._velocity.get(name, np.zeros(2)) for name in parts.ids])
         position, velocity = parts.position, np.zeros_like(start)
+        grip = parts.grip / self._rig.parts.mass_kg
+        friction = np.where(grip > 0, grip, self._rig.friction.accel)
         if running is not None:
-            position, velocity = self._after(running, parts.position, start)
+            position, velocity = after(running, parts.position, start, friction)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         gain = period / self._rig.parts.mass_kg
         wanted = (parts.velocity + gain * parts.force) * period
@@ -168,17 +170,12 @@ class Controller:
             velocity=velocity,
             displacement=(low + high) / 2,
             tolerance=(high - low) / 2,
-            friction_accel=self._rig.friction.accel,
+            friction_accel=friction,
         )
-
-    def _after(
-        self, cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        return after(cycle, position, velocity, self._rig.friction.accel)
 
     def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""
-        end, _ = self._after(cycle, goal.position, goal.velocity)
+        end, _ = after(cycle, goal.position, goal.velocity, goal.friction_accel)
         edge = self._rig.plate.half - 0.5 * self._rig.parts.radius_m
         out = np.abs(end) > edge
         return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))

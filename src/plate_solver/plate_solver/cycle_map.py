@@ -20,7 +20,7 @@ def end_state(
     pose: np.ndarray,
     twist: np.ndarray,
     dt: float,
-    friction_accel: float,
+    friction_accel: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the parts' position and velocity (M, 2) after the sampled motion.
 
@@ -32,13 +32,13 @@ def end_state(
         Plate at the middles of the steps, plate_home.
     dt : float
         Length of a step [s].
-    friction_accel : float
-        mu g [m/s2].
+    friction_accel : (M,)
+        mu g of each part [m/s2].
     """
     p = position.copy()
     v = velocity.copy()
-    bound = friction_accel * dt
     for i in range(len(p)):
+        bound = friction_accel[i] * dt
         px, py, vx, vy = p[i, 0], p[i, 1], v[i, 0], v[i, 1]
         for k in range(len(twist)):
             dx = twist[k, 0] - twist[k, 2] * (py - pose[k, 1]) - vx
@@ -60,7 +60,7 @@ def end_position_gradient(
     pose: np.ndarray,
     twist: np.ndarray,
     dt: float,
-    friction_accel: float,
+    friction_accel: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return `end_state` and the derivatives of the end positions.
 
@@ -78,10 +78,10 @@ def end_position_gradient(
     v = velocity.copy()
     by_twist = np.empty((2 * count, n, 3))
     by_pose = np.empty((2 * count, n, 2))
-    bound = friction_accel * dt
     xx, xy, yy = np.empty(n), np.empty(n), np.empty(n)  # d velocity step / d surface velocity
     arm_x, arm_y = np.empty(n), np.empty(n)
     for i in range(count):
+        bound = friction_accel[i] * dt
         px, py, vx, vy = p[i, 0], p[i, 1], v[i, 0], v[i, 1]
         for k in range(n):
             rx, ry = px - pose[k, 0], py - pose[k, 1]

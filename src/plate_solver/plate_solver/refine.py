@@ -44,9 +44,13 @@ ON_CYCLE = 0.5
 
 
 def after(
-    cycle: PlateCycle, position: np.ndarray, velocity: np.ndarray, friction_accel: float
+    cycle: PlateCycle,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    friction_accel: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predict the state (M, 2) [m], [m/s] of parts after a cycle, in steps of `STEP`."""
+    friction_accel = np.array(np.broadcast_to(friction_accel, len(position)), dtype=float)
     steps = max(1, round(cycle.period / STEP))
     dt = cycle.period / steps
     t = (np.arange(steps) + 0.5) * dt
@@ -112,7 +116,11 @@ def on_cycle(
     def correct() -> tuple[Solution, np.ndarray]:
         nonlocal force
         goal = Goal(
-            position, velocity, velocity * period + force * unit, slack * unit, friction_accel
+            position,
+            velocity,
+            velocity * period + force * unit,
+            slack * unit,
+            np.full(len(position), friction_accel),
         )
         found = steer(goal, 0.1 * bound * unit, good * unit)
         end, _ = after(found.cycle, position, velocity, friction_accel)

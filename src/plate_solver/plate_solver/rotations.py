@@ -256,7 +256,7 @@ class RotationSolver(MotionSolver):
     def planned(self, goal: Goal, spread: bool = False) -> tuple[RotationFamily, np.ndarray]:
         """Plan with the force that would move parts from rest by what is asked at least."""
         period = self.steering_period(len(goal.position))
-        unit = 0.5 * period**2 * goal.friction_accel
+        unit = 0.5 * period**2 * goal.friction_accel[:, None]
         push = goal.displacement - SETTLE * goal.velocity
         force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
         plan = self._plan(goal.position, force, None, spread)

@@ -35,15 +35,19 @@ class Goal:
         Wanted displacement over the cycle [m].
     tolerance : (M, 2)
         Any displacement within +-tolerance [m] is as good.
-    friction_accel : float
-        mu g [m/s2].
+    friction_accel : (M,)
+        mu g of each part [m/s2]; one number stands for all.
     """
 
     position: np.ndarray
     velocity: np.ndarray
     displacement: np.ndarray
     tolerance: np.ndarray
-    friction_accel: float
+    friction_accel: np.ndarray
+
+    def __post_init__(self) -> None:
+        same = np.broadcast_to(self.friction_accel, len(self.position))
+        object.__setattr__(self, "friction_accel", np.array(same, dtype=float))
 
 
 class Family(Protocol):
@@ -121,7 +125,7 @@ def steering_solution(
         success=bool(np.sqrt(np.mean(error**2)) <= good_enough),
         message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
         cycle=within_limits(rig, cycle),
-        residual=error / (goal.friction_accel * cycle.period**2),
+        residual=error / (goal.friction_accel[:, None] * cycle.period**2),
         iterations=iterations,
         condition=condition,
     )

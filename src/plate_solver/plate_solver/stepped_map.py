@@ -15,7 +15,7 @@ from numba import njit
 @njit(cache=True, fastmath=True)
 def end_positions(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
-    dt: np.ndarray, friction_accel: float,
+    dt: np.ndarray, friction_accel: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Return the parts' positions (M, 2) after the motion.
 
@@ -27,8 +27,8 @@ def end_positions(
         Plate at the middles of the steps, plate_home.
     dt : (n,)
         Lengths of the steps [s].
-    friction_accel : float
-        mu g [m/s2].
+    friction_accel : (M,)
+        mu g of each part [m/s2].
     """
     p = position.copy()
     for i in range(len(p)):
@@ -37,7 +37,7 @@ def end_positions(
             dx = twist[k, 0] - twist[k, 2] * (py - pose[k, 1]) - vx
             dy = twist[k, 1] + twist[k, 2] * (px - pose[k, 0]) - vy
             d = sqrt(dx * dx + dy * dy)
-            bound = friction_accel * dt[k]
+            bound = friction_accel[i] * dt[k]
             share = 1.0 if d <= bound else bound / d
             vx += share * dx
             vy += share * dy
@@ -50,7 +50,7 @@ def end_positions(
 @njit(cache=True, fastmath=True)
 def end_position_slopes(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
-    dt: np.ndarray, friction_accel: float,
+    dt: np.ndarray, friction_accel: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Return the derivatives of `end_positions`: rows are part 1 x, part 1 y, part 2 x, ...
 
@@ -70,7 +70,7 @@ def end_position_slopes(
             dx = twist[k, 0] - twist[k, 2] * ry - vx
             dy = twist[k, 1] + twist[k, 2] * rx - vy
             d = sqrt(dx * dx + dy * dy)
-            bound = friction_accel * dt[k]
+            bound = friction_accel[i] * dt[k]
             row = path[k]
             row[0], row[1] = rx, ry
             if d <= bound:
@@ -82,7 +82,7 @@ def end_position_slopes(
                 vx += bound * a
                 vy += bound * b
                 row[2], row[3], row[4] = share * (1 - a * a), -share * a * b, share * (1 - b * b)
-                row[5], row[6] = friction_accel * a, friction_accel * b
+                row[5], row[6] = friction_accel[i] * a, friction_accel[i] * b
             row[7], row[8] = vx, vy
             px += dt[k] * vx
             py += dt[k] * vy

@@ -9,6 +9,8 @@ from plate_solver.cycle_map import end_position_gradient, end_state
 
 MU, GRAVITY = 0.25, 9.81
 ACCEL = MU * GRAVITY
+EACH = np.full(20, ACCEL)  # of as many parts as any test has
+UNEVEN = np.linspace(0.7, 1.3, 20) * ACCEL
 
 
 def sampled(cycle: PlateCycle, steps: int, share: float = 1.0):
@@ -43,7 +45,7 @@ def test_part_on_a_plate_that_moves_off_slips_then_rides(way):
     twist = np.tile([*speed * unit, 0.0], (n, 1))
     start = np.array([[0.1, -0.05]])
     position, velocity = end_state(
-        start, np.zeros((1, 2)), t[:, None] * twist, twist, period / n, ACCEL
+        start, np.zeros((1, 2)), t[:, None] * twist, twist, period / n, EACH
     )
     slipping = speed / ACCEL
     assert slipping < period
@@ -55,7 +57,7 @@ def test_part_on_a_plate_that_moves_off_slips_then_rides(way):
 def test_sliding_part_brakes_to_rest_on_a_still_plate():
     n, period, velocity = 2000, 0.2, np.array([[0.3, -0.4], [0.06, 0.08], [0.0, 0.0]])
     still = np.zeros((n, 3))
-    end, left = end_state(np.zeros((3, 2)), velocity, still, still, period / n, ACCEL)
+    end, left = end_state(np.zeros((3, 2)), velocity, still, still, period / n, EACH)
     speed = np.hypot(*velocity.T)
     unit = velocity / np.where(speed > 0, speed, 1)[:, None]
     lasts = np.minimum(period, speed / ACCEL)
@@ -76,7 +78,7 @@ def test_gently_moved_part_sticks_and_rides(sinusoid_cycle):
         turned = arm @ [[cos, sin], [-sin, cos]]
         return pose[:2] + turned, twist[:2] + twist[2] * turned[:, ::-1] * [-1, 1]
 
-    position, velocity = end_state(*riding(start_pose, start_twist), pose, twist, dt, ACCEL)
+    position, velocity = end_state(*riding(start_pose, start_twist), pose, twist, dt, EACH)
     t = 0.37 * cycle.period
     ridden, moving = riding(cycle.pose(t)[0], cycle.twist(t)[0])
     np.testing.assert_allclose(position, ridden, atol=5e-7)
@@ -91,7 +93,7 @@ def test_gently_moved_part_sticks_and_rides(sinusoid_cycle):
 def test_fine_steps_agree_with_the_simulator(shaken, seed):
     cycle, position, velocity = shaken(seed)
     truth = simulate(cycle, position, velocity, MU, GRAVITY)
-    end, left = end_state(position, velocity, *sampled(cycle, 8000), ACCEL)
+    end, left = end_state(position, velocity, *sampled(cycle, 8000), EACH)
     moved = np.hypot(*(truth.position[-1] - position).T)
     assert np.max(moved) > 1e-3
     np.testing.assert_allclose(end, truth.position[-1], atol=2e-6)
@@ -105,7 +107,7 @@ def test_error_falls_at_least_in_proportion_to_the_step(shaken):
         cycle, position, velocity = shaken(seed)
         truth = simulate(cycle, position, velocity, MU, GRAVITY).position[-1]
         for k, n in enumerate(steps):
-            end, _ = end_state(position, velocity, *sampled(cycle, n), ACCEL)
+            end, _ = end_state(position, velocity, *sampled(cycle, n), EACH)
             error[k] += np.mean(np.abs(end - truth)) / 10
     order = -np.polyfit(np.log(steps), np.log(error), 1)[0]
     assert order > 0.85
@@ -115,9 +117,9 @@ def test_error_falls_at_least_in_proportion_to_the_step(shaken):
 def test_parts_do_not_feel_each_other(shaken):
     cycle, position, velocity = shaken(0)
     pose, twist, dt = sampled(cycle, 200)
-    together, _ = end_state(position, velocity, pose, twist, dt, ACCEL)
+    together, _ = end_state(position, velocity, pose, twist, dt, EACH)
     for i in range(len(position)):
-        alone, _ = end_state(position[i : i + 1], velocity[i : i + 1], pose, twist, dt, ACCEL)
+        alone, _ = end_state(position[i : i + 1], velocity[i : i + 1], pose, twist, dt, EACH)
         np.testing.assert_array_equal(alone[0], together[i])
 
 
@@ -133,7 +135,7 @@ def differences(position, velocity, pose, twist, dt, step):
             kept, ends = target[k, c], []
             for sign in (1, -1):
                 target[k, c] = kept + sign * step
-                ends.append(end_state(position, velocity, pose, twist, dt, ACCEL)[0].ravel())
+                ends.append(end_state(position, velocity, pose, twist, dt, UNEVEN)[0].ravel())
             target[k, c] = kept
             out[:, k, c] = (ends[0] - ends[1]) / (2 * step)
     return by_twist, by_pose
@@ -147,8 +149,10 @@ def test_gradient_agrees_with_differences(sinusoid_cycle, scene, seed, size):
     sin, cos = size * rng.normal(size=(2, 3, 3)) * [0.15, 0.15, 0.6]
     velocity = size * rng.normal(size=(3, 2)) * 0.1
     pose, twist, dt = sampled(sinusoid_cycle(sin, cos), 60)
-    end, left, by_twist, by_pose = end_position_gradient(position, velocity, pose, twist, dt, ACCEL)
-    plain = end_state(position, velocity, pose, twist, dt, ACCEL)
+    end, left, by_twist, by_pose = end_position_gradient(
+        position, velocity, pose, twist, dt, UNEVEN
+    )
+    plain = end_state(position, velocity, pose, twist, dt, UNEVEN)
     np.testing.assert_allclose(end, plain[0], rtol=0, atol=1e-15)
     np.testing.assert_allclose(left, plain[1], rtol=0, atol=1e-15)
     slope_twist, slope_pose = differences(position, velocity, pose, twist, dt, 1e-7)

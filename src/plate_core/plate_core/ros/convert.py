@@ -42,7 +42,7 @@ def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
 
     wrench.force.x and .y are the wanted mean force [N], torque.z the wanted spin [N m]. A planar
     part feels no torque about x or y: torque.x and torque.y carry the tolerance of force.x and
-    force.y [N].
+    force.y [N]. Nor is it lifted: force.z is its grip, the greatest friction on it [N].
     """
     msg = MultiDOFJointState(header=Header(stamp=stamp, frame_id=FRAME))
     msg.joint_names = list(parts.ids)
@@ -56,6 +56,7 @@ def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
         twist.linear.y = float(parts.velocity[i, 1])
         wrench.force.x = float(parts.force[i, 0])
         wrench.force.y = float(parts.force[i, 1])
+        wrench.force.z = float(parts.grip[i])
         wrench.torque.x = float(parts.tolerance[i, 0])
         wrench.torque.y = float(parts.tolerance[i, 1])
         wrench.torque.z = float(parts.torque[i])
@@ -91,10 +92,14 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
         force=np.array([(w.force.x, w.force.y) for w in msg.wrench]) if msg.wrench else None,
         tolerance=np.array([(w.torque.x, w.torque.y) for w in msg.wrench]) if msg.wrench else None,
         torque=np.array([w.torque.z for w in msg.wrench]) if msg.wrench else None,
+        grip=np.array([w.force.z for w in msg.wrench]) if msg.wrench else None,
     )
     columns = np.column_stack(
-        [parts.position, parts.angle, parts.velocity, parts.force, parts.tolerance, parts.torque]
-    )
+        [
+            parts.position, parts.angle, parts.velocity, parts.force, parts.tolerance,
+            parts.torque, parts.grip,
+        ]
+    )  # fmt: skip
     finite = np.all(np.isfinite(columns), axis=1)
     if not np.all(finite):
         name = parts.ids[int(np.argmin(finite))]

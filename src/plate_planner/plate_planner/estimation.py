@@ -1,0 +1,200 @@
+"""Where the parts are, how fast, and how slippery: a Kalman filter on the stick-slip motion.
+
+A camera that fires once per cycle sees places only, and may show them late. The filter's motion
+model is what the plate did: from image to image every part is carried along by the very cycles that
+ran, so an image of the middle of a cycle is compared with the middle of a cycle. What a part does
+unlike the model tells its friction. State of a part: x, y [m], vx, vy [m/s] in plate_home, and the
+logarithm of its friction over the rig's. Parts do not influence each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from plate_core import PartSet, PlateCycle
+
+from .plate_log import PlateLog
+
+STEP_S = 0.25e-3
+"""Step of the motion model [s]: its error over a cycle is below the camera's noise."""
+
+NUDGE = np.array([1e-4, 1e-4, 5e-3, 5e-3, 0.03])
+"""Differences by which the motion is differentiated [m, m, m/s, m/s, -]: as large as what is
+uncertain, for the motion bends where parts stick."""
+
+CAMERA_M = 0.02e-3
+"""Error of a place that is seen [m]: the camera's noise, and what motion blur adds."""
+
+DRIVEN = np.array([0.02e-3, 0.02e-3, 5e-3, 5e-3, 0.01])
+"""What the model misses in a cycle (as NUDGE): friction that is uneven under the part, finite
+steps, a plate that does not quite do as told."""
+
+UNSEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
+"""Standard deviations of a part seen for the first time (as NUDGE)."""
+
+KNOCKED = 6.0
+"""A part this many standard deviations from where it should be was pushed by something that the
+model does not know: it is taken to be where it is seen, at any speed."""
+
+FRICTION = np.log(3.0)
+"""Friction is looked for between a third and three times the rig's [log]."""
+
+SURE = 2
+"""Images that must show a part before it counts, unless all are new: specks come and go."""
+
+SAMPLES = np.vstack([np.zeros(5), np.diag(NUDGE)])
+"""The state and its neighbours, (6, 5)."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known of the parts when the last image was taken.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    time : float
+        When that was [s, the time of the stamps].
+    mean : (M, 5)
+    covariance : (M, 5, 5)
+    drift : (M, 2)
+        As it was seen last [m/s].
+    seen, unseen : (M,)
+        Images that showed the part, and images in a row that do not.
+    """
+
+    ids: tuple[str, ...] = ()
+    time: float = -np.inf
+    mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 5)))
+    drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    seen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    unseen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Friction of each part (M,) over the rig's."""
+        return np.exp(self.mean[:, 4])
+
+    def parts(self, log: PlateLog, t: float, friction_accel: float, mass: float) -> PartSet:
+        """Return the parts where they are at a later time t [s]; one seen only once may be none."""
+        sure = (self.seen >= SURE) | (len(self.ids) > 0 and np.max(self.seen) < SURE)
+        state = carried(log, self.mean[sure], self.time, t, friction_accel)
+        names = tuple(name for name, s in zip(self.ids, sure, strict=True) if s)
+        grip = mass * friction_accel * self.friction[sure]
+        return PartSet.make(names, state[:, :2], self.drift[sure], grip=grip)
+
+    def see(
+        self, log: PlateLog, parts: PartSet, time: float, friction_accel: float, most: int
+    ) -> Belief:
+        """Take in the parts of an image taken at `time` [s].
+
+        A part that is not seen is carried on for `most` images.
+        """
+        if time < self.time:
+            return Belief().see(log, parts, time, friction_accel, most)
+        now = self._carry(log, time, friction_accel)._without(most)
+        row = {name: i for i, name in enumerate(now.ids)}
+        old = [i for i, name in enumerate(parts.ids) if name in row]
+        new = [i for i, name in enumerate(parts.ids) if name not in row]
+        rows = np.array([row[parts.ids[i]] for i in old], int)
+        mean, covariance, drift = now.mean.copy(), now.covariance.copy(), now.drift.copy()
+        seen, unseen = now.seen.copy(), now.unseen + 1
+        mean[rows], covariance[rows] = updated(mean[rows], covariance[rows], parts.position[old])
+        drift[rows], seen[rows], unseen[rows] = parts.velocity[old], now.seen[rows] + 1, 0
+        first = np.hstack([parts.position[new], np.zeros((len(new), 3))])
+        return Belief(
+            (*now.ids, *(parts.ids[i] for i in new)),
+            time,
+            np.vstack([mean, first]),
+            np.concatenate([covariance, np.tile(np.diag(UNSEEN**2), (len(new), 1, 1))]),
+            np.vstack([drift, parts.velocity[new]]),
+            np.append(seen, np.ones(len(new), int)),
+            np.append(unseen, np.zeros(len(new), int)),
+        )
+
+    def _carry(self, log: PlateLog, time: float, friction_accel: float) -> Belief:
+        """Carry the belief on to a later time [s]."""
+        if not len(self.ids):
+            return replace(self, time=time)
+        cloud = (self.mean[:, None] + SAMPLES).reshape(-1, 5)
+        cloud = carried(log, cloud, self.time, time, friction_accel).reshape(-1, 6, 5)
+        slope = ((cloud[:, 1:] - cloud[:, :1]) / NUDGE[:, None]).transpose(0, 2, 1)
+        covariance = slope @ self.covariance @ slope.transpose(0, 2, 1) + np.diag(DRIVEN**2)
+        return replace(self, time=time, mean=cloud[:, 0], covariance=covariance)
+
+    def _without(self, most: int) -> Belief:
+        """Leave out parts that `most` images did not show, or one if it is not sure to be any."""
+        keep = self.unseen < np.where(self.seen < SURE, 1, most)
+        if np.all(keep):
+            return self
+        return Belief(
+            tuple(name for name, k in zip(self.ids, keep, strict=True) if k), self.time,
+            self.mean[keep], self.covariance[keep], self.drift[keep], self.seen[keep],
+            self.unseen[keep],
+        )  # fmt: skip
+
+
+def updated(
+    mean: np.ndarray, covariance: np.ndarray, seen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (K, 5) and covariance (K, 5, 5) after places (K, 2) [m] were seen."""
+    innovation = seen - mean[:, :2]
+    spread = covariance[:, :2, :2] + CAMERA_M**2 * np.eye(2)
+    gain = covariance[:, :, :2] @ np.linalg.inv(spread)
+    square = np.einsum("ki,kij,kj->k", innovation, np.linalg.inv(spread), innovation)
+    after = mean + np.einsum("kij,kj->ki", gain, innovation)
+    after[:, 4] = np.clip(after[:, 4], -FRICTION, FRICTION)
+    rest = covariance - gain @ covariance[:, :2]
+    knocked = square > KNOCKED**2
+    after[knocked, 2:] = mean[knocked, 2:]
+    after[knocked, :2] = seen[knocked]
+    rest[knocked] = np.diag(UNSEEN**2)
+    rest[knocked, 4, 4] = covariance[knocked, 4, 4]
+    return after, (rest + rest.transpose(0, 2, 1)) / 2
+
+
+def carried(
+    log: PlateLog, state: np.ndarray, begin: float, end: float, friction_accel: float
+) -> np.ndarray:
+    """Carry states (K, 5) from `begin` to `end` [s] with the cycles that ran."""
+    state = state.copy()
+    bound = friction_accel * np.exp(state[:, 4])
+    for cycle, a, b in log.between(begin, end):
+        pose, twist, dt = _sampled(cycle, a, b)
+        _slide(state, bound, pose, twist, dt)
+    return state
+
+
+def _sampled(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndarray, float]:
+    steps = max(1, round((b - a) / STEP_S))
+    dt = (b - a) / steps
+    t = a + (np.arange(steps) + 0.5) * dt
+    return cycle.pose(t), cycle.twist(t), dt
+
+
+@njit(cache=True)
+def _slide(
+    state: np.ndarray, bound: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float
+) -> None:
+    """Carry states (K, 5), in place, through a sampled motion: the implicit Coulomb step.
+
+    `bound` (K,) is mu g [m/s2]; pose and twist (n, 3) are the plate's at the middles of n steps.
+    """
+    for i in range(len(state)):
+        x, y, vx, vy = state[i, 0], state[i, 1], state[i, 2], state[i, 3]
+        most = bound[i] * dt
+        for k in range(len(twist)):
+            dx = twist[k, 0] - twist[k, 2] * (y - pose[k, 1]) - vx
+            dy = twist[k, 1] + twist[k, 2] * (x - pose[k, 0]) - vy
+            d = sqrt(dx * dx + dy * dy)
+            share = 1.0 if d <= most else most / d
+            vx += share * dx
+            vy += share * dy
+            x += dt * vx
+            y += dt * vy
+        state[i, 0], state[i, 1], state[i, 2], state[i, 3] = x, y, vx, vy

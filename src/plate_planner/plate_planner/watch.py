@@ -1,0 +1,107 @@
+"""What the planner makes of the images: where the parts are, and where its answer finds them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from plate_core import PartSet, PlateCycle, Rig
+from plate_core.parts import part_class
+from plate_core.scenario import Scenario
+
+from .estimation import Belief, carried
+from .plate_log import PlateLog
+
+COAST = 5
+"""Images for which a part that is not seen is carried on: as long as vision keeps its name."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """The parts as last seen, and the plate's motion since.
+
+    Attributes
+    ----------
+    friction_accel, mass : float
+        mu g of the rig [m/s2], and of a part [kg].
+    age : float
+        How old an image is at its stamp [s].
+    stamp : float
+        Of the last image [s].
+    seen : PartSet
+        As vision saw them.
+    log : PlateLog
+    belief : Belief
+    """
+
+    friction_accel: float
+    mass: float
+    age: float = 0.0
+    stamp: float = 0.0
+    seen: PartSet = field(default_factory=lambda: PartSet.make((), np.zeros((0, 2))))
+    log: PlateLog = field(default_factory=PlateLog)
+    belief: Belief = field(default_factory=Belief)
+
+    def hear(self, cycle: PlateCycle, arrival: float) -> Watch:
+        """Take in a cycle that was sent to the plate, and when [s, the time of the stamps]."""
+        return replace(self, log=self.log.hear(cycle, arrival))
+
+    def look(self, parts: PartSet, t: float) -> Watch:
+        """Take in one image: its parts and its stamp [s]."""
+        log = self.log.advance(t)
+        belief = self.belief.see(log, parts, t - self.age, self.friction_accel, COAST)
+        return replace(self, stamp=t, seen=parts, log=log, belief=belief)
+
+    @property
+    def parts(self) -> PartSet:
+        """The parts at the stamp; as they were seen, as long as the plate's motion is not known."""
+        if not self.log.known:
+            return self.seen
+        return self.belief.parts(self.log, self.stamp, self.friction_accel, self.mass)
+
+    def ahead(self, ids: tuple[str, ...]) -> np.ndarray | None:
+        """Where parts will be (K, 2) [m] when the answer to the last image begins to act.
+
+        None as long as the plate's motion is not known.
+        """
+        if not self.log.known:
+            return None
+        row = {name: i for i, name in enumerate(self.belief.ids)}
+        state = self.belief.mean[[row[name] for name in ids]]
+        return carried(self.log, state, self.belief.time, self.log.end, self.friction_accel)[:, :2]
+
+
+def on_plate(parts: PartSet, rig: Rig) -> PartSet:
+    """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
+    keep = np.all(np.abs(parts.position) <= rig.plate.half, axis=1)
+    if np.all(keep):
+        return parts
+    return PartSet.make(
+        tuple(i for i, k in zip(parts.ids, keep, strict=True) if k),
+        position=parts.position[keep],
+        velocity=parts.velocity[keep],
+        angle=parts.angle[keep],
+        grip=parts.grip[keep],
+    )
+
+
+def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: PartSet) -> tuple[str, ...]:
+    """Name the parts of the scenario that are not there, by id where it is `known`."""
+    there = Counter(part_class(i) for i in parts.ids)
+    names: list[str] = []
+    for label, wanted in Counter(scenario.labels).items():
+        short = wanted - there[label]
+        if short <= 0:
+            continue
+        gone = [i for i in known if part_class(i) == label and i not in parts.ids]
+        names += gone[:short] if len(gone) >= short else [f"{short} of {wanted} {label} parts"]
+    return tuple(names)
+
+
+def warm_up() -> None:
+    """Compile the motion model before the first image comes."""
+    part = PartSet.make(("part_1",), np.zeros((1, 2)))
+    watch = Watch(1.0, 1.0).look(part, 0.0).hear(PlateCycle.rest(0.1), 0.0)
+    watch.look(part, 0.1).ahead(part.ids)
