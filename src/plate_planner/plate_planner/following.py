@@ -83,7 +83,7 @@ class Follower:
         return np.array([path.position(time) for path in self.paths])
 
     def begin(self, parts: PartSet, start: float) -> FollowState:
-        """Match parts to paths; the references leave at `start` [s], when the first answer acts."""
+        """Match parts to paths; the references leave at `start` [s]."""
         state = FollowState(began=start, anchor=start, bias=np.zeros((len(self.paths), 2)))
         return replace(state, match=match_paths(self._labels, self.reference(state, start), parts))
 

@@ -256,8 +256,10 @@ class Planner:
         start = state.next_start
         if not state.task.active:
             return state, View(Findings((), False, 0.0), None)
-        if begins:
-            follow = follower.begin(parts, start)
+        known = state.watch.log.known
+        if begins or (known and t < follow.began - period / 2):
+            # How long the solver's cycles are is known from the first that runs: so wait for it.
+            follow = follower.begin(parts, start if known else start + period)
         follow = follower.measure(follow, parts, t, start, options)
         error = follower.errors(follow, parts, t)
         found = Findings(

@@ -31,6 +31,9 @@ GOOD_SHARE = 0.15
 """Share of the wanted displacement that may be missed (root mean square) before a solver looks
 for other motions than the last one's relatives."""
 
+EXACT_SHARE = 0.02
+"""The same where no part has any slack: whoever asks so wants it exactly."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -117,9 +120,10 @@ class Controller:
         goal = self._goal(parts, running, period)
         asked = float(np.sqrt(np.mean(goal.displacement**2)))
         unit = goal.friction_accel[:, None] * period**2
+        missable = GOOD_SHARE if np.any(goal.tolerance) else EXACT_SHARE
         for share in SHARES:
             part = replace(goal, displacement=share * goal.displacement)
-            good = max(GOOD_SHARE * share * asked, DRIFT_TOLERANCE * period)
+            good = max(missable * share * asked, DRIFT_TOLERANCE * period)
             solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
             if not self._leaves_plate(goal, solution.cycle):
                 break

@@ -255,7 +255,7 @@ class SinusoidSolver(MotionSolver):
 def _harmonics_for(constraints: int, at_rest: bool) -> int:
     """Fewest harmonics with some parameters to spare (DESIGN: measured, not derived)."""
     if at_rest:  # rank 6 N - 7
-        return 3 if constraints <= 4 else 6 if constraints <= 8 else 8
+        return 4 if constraints <= 4 else 6 if constraints <= 8 else 8
     return max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
 
 
