@@ -41,7 +41,11 @@ def motor_state(
 
 
 def plate_state(
-    rig: Rig, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+    rig: Rig,
+    q: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
+    tolerance: float = CONSISTENCY_TOLERANCE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Motion of the plate for a motion of the motors: the inverse of `motor_state`.
 
@@ -49,16 +53,18 @@ def plate_state(
     ----------
     q, qd, qdd : (n, 4)
         Motors: [m], [m/s], [m/s2].
+    tolerance : float
+        Greatest disagreement of the motors [m]; inf for what sensors measure.
 
     Returns
     -------
     pose, twist, accel : (n, 3)
-        Plate in plate_home.
+        Plate in plate_home, the best in the sense of least squares.
 
     Raises
     ------
     CycleError
-        If no pose of a rigid plate fits all four motors within `CONSISTENCY_TOLERANCE`.
+        If no pose of a rigid plate fits all four motors within `tolerance`.
     """
     point, direction = _geometry(rig)
     home = np.sum(direction * point, axis=1)
@@ -72,12 +78,12 @@ def plate_state(
         )
     along, across = _projections(point, direction, pose[:, 2])
     error = q - (pose[:, :2] @ direction.T + along - home)
-    if error.size and np.max(np.abs(error)) > CONSISTENCY_TOLERANCE:
+    if error.size and np.max(np.abs(error)) > tolerance:
         sample, motor = np.unravel_index(np.argmax(np.abs(error)), error.shape)
         raise CycleError(
             f"{rig.motors[motor].name} disagrees with the other motors by "
             f"{abs(error[sample, motor]) * 1e3:.4g} mm at sample {sample}, "
-            f"allowed: {CONSISTENCY_TOLERANCE * 1e3:g} mm"
+            f"allowed: {tolerance * 1e3:g} mm"
         )
     jacobian = _jacobian(direction, across)
     normal = _normal(jacobian)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from plate_core.kinematics import motor_state
 
 from . import transition
 from .limits import Fit, check_setpoints, fit
+from .peaks import peaks
 
 PERIOD_S = (0.01, 10.0)
 """Allowed length of a table [s]: one image is taken in each, so it is 0.1 to 100 Hz of sight."""
@@ -20,6 +22,10 @@ MAX_KNOTS = 2000
 
 RESTART_NS = 1_000_000_000
 """A stamp this much older than the last means that the simulator or camera began anew [ns]."""
+
+
+Correction = Callable[[PlateCycle], PlateCycle]
+"""From the motion that the plate is to make to the one to command; linear."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,7 @@ def prepare(
     stamp_ns: int,
     repeats: int = 1,
     heat: np.ndarray | float = 1.0,
+    correction: Correction | None = None,
 ) -> tuple[MotorTable, Fit]:
     """Make the table that does what a plate cycle asks for, within the rig's limits.
 
@@ -69,6 +76,8 @@ def prepare(
         See `transition.table`.
     heat : (4,) or float
         What the motors may take, see `peaks`.
+    correction : callable, optional
+        What was learned of the plate. Wanted motion and command both keep the limits.
 
     Raises
     ------
@@ -86,9 +95,26 @@ def prepare(
                 f"allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
             )
     fitted = fit(rig, whole, heat)
-    made = MotorTable.of(rig, fitted.cycle, stamp_ns)
-    check_setpoints(rig, fitted.cycle.times, made.q, made.qd, made.qdd)
+    command = fitted.cycle
+    if correction is not None:
+        command, fitted = _corrected(rig, fitted, correction, heat)
+    made = MotorTable.of(rig, command, stamp_ns)
+    check_setpoints(rig, command.times, made.q, made.qd, made.qdd)
     return made, fitted
+
+
+def _corrected(
+    rig: Rig, fitted: Fit, correction: Correction, heat: np.ndarray | float
+) -> tuple[PlateCycle, Fit]:
+    """Return the command for a motion, both scaled until the command keeps the limits too."""
+    # Motors carry what the plate does, not what it is told to do.
+    told = replace(rig.limits, force=np.inf, continuous_force=np.inf)
+    shorter = fit(replace(rig, limits=told, suspension=None), correction(fitted.cycle))
+    if shorter.factor == 1:
+        return shorter.cycle, fitted
+    wanted = fitted.cycle.scaled(shorter.factor)
+    used = peaks(rig, wanted, heat)
+    return shorter.cycle, Fit(wanted, fitted.factor * shorter.factor, fitted.asked, used)
 
 
 def check_order(last_ns: int | None, stamp_ns: int) -> None:

@@ -1,0 +1,132 @@
+"""The procedure that learns the plate: three known motions, one after the other, and what they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError, Rig
+
+from .learning import Response, excitation, harmonics, identified, plate_amplitudes
+
+PERIOD_S = 1.033
+"""Of the motions [s]: harmonics are then 1 Hz apart, finer than a resonance is wide; and samples
+every 10 ms fall on other places of each cycle, so that they tell more than 50 harmonics."""
+
+COUNT = 150
+"""Harmonics: up to 145 Hz. Well beyond what motions consist of, to begin and end them at rest."""
+
+ACCEL = 10.0
+"""Root mean square of the commanded acceleration [m/s2]: a resonance of 3 % makes some 20 of it."""
+
+SETTLE, MEASURE = 2, 6
+"""Cycles until the plate has found its rhythm, and that are measured then."""
+
+AXES = ("x", "y", "theta")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration under way.
+
+    Attributes
+    ----------
+    rig : Rig
+    cycles : tuple of PlateCycle
+        One for each axis.
+    commanded, measured : tuple of (n, 3)
+        Amplitudes of the experiments so far.
+    """
+
+    rig: Rig
+    cycles: tuple[PlateCycle, ...]
+    commanded: tuple[np.ndarray, ...] = ()
+    measured: tuple[np.ndarray, ...] = ()
+    settle: int = SETTLE
+    measure: int = MEASURE
+
+    @classmethod
+    def begun(cls, rig: Rig, seed: int = 0) -> Calibration:
+        """Return the calibration at its beginning."""
+        rng = np.random.default_rng(seed)
+        axes = range(len(AXES))
+        return cls(rig, tuple(excitation(rig, k, PERIOD_S, COUNT, ACCEL, rng) for k in axes))
+
+    @property
+    def cycle(self) -> PlateCycle | None:
+        """The cycle to play now, `settle` times and then `measure` times; None at the end."""
+        done = len(self.measured)
+        return self.cycles[done] if done < len(self.cycles) else None
+
+    @property
+    def duration(self) -> float:
+        """Length of one experiment [s]."""
+        return (self.settle + self.measure) * PERIOD_S
+
+    @property
+    def progress(self) -> str:
+        """Say how far it is."""
+        done = len(self.measured)
+        if done == len(self.cycles):
+            return "done"
+        return f"shaking {AXES[done]}, experiment {done + 1} of {len(self.cycles)}"
+
+    def heard(self, t: np.ndarray, q: np.ndarray, qdd: np.ndarray) -> Calibration:
+        """Return the calibration after an experiment.
+
+        Parameters
+        ----------
+        t : (n,)
+            Times since a cycle's start [s].
+        q, qdd : (n, 4)
+            Travel [m] and acceleration [m/s2] that the motors' sensors told then.
+
+        Raises
+        ------
+        PlateError
+            If there are too few samples.
+        """
+        assert self.cycle is not None
+        found = plate_amplitudes(self.rig, t, q, qdd, PERIOD_S, COUNT)
+        asked = harmonics(self.cycle, COUNT)
+        return replace(self, commanded=(*self.commanded, asked), measured=(*self.measured, found))
+
+    @property
+    def response(self) -> Response:
+        """What was learned, at the end."""
+        frequency = np.arange(1, COUNT + 1) / PERIOD_S
+        return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
+
+
+def save_response(path: str | Path, response: Response) -> None:
+    """Write a response to a file (numpy's .npz).
+
+    Raises
+    ------
+    PlateError
+        If that cannot be written.
+    """
+    try:
+        with Path(path).open("wb") as file:
+            np.savez(
+                file, frequency=response.frequency, matrix=response.matrix, lever=response.lever
+            )
+    except OSError as error:
+        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
+
+
+def saved_response(path: str | Path) -> Response:
+    """Read a response from a file.
+
+    Raises
+    ------
+    PlateError
+        If it is none.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return Response(data["frequency"], data["matrix"], float(data["lever"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None

@@ -1,0 +1,310 @@
+"""What the plate makes of a command, harmonic by harmonic, and the command that makes it do better.
+
+A plate on flexures answers a command of the frequency f with H(f), a complex 3 x 3 matrix: it
+amplifies, delays and couples x, y and theta. H is found from the accelerations that the motors'
+sensors measure while known cycles are repeated; a wanted motion is then commanded as H^-1 of it.
+Whatever is measured later corrects H (Broyden's update, which changes only what was excited), so
+errors shrink from iteration to iteration, for every motion and not only for the one repeated.
+
+Amplitudes are complex, (k, 3): a(t) = sum over k of Re(A_k exp(2 pi i f_k t)) [m/s2, m/s2, rad/s2].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from plate_core import PlateCycle, PlateError, Rig
+from plate_core.kinematics import motor_state, plate_state
+
+SAMPLES = 512
+"""Instants at which a cycle is read: far more than twice its harmonics."""
+
+KNOTS_PER_WAVE = 6
+"""Of the highest harmonic that is corrected: splines then miss 1e-4 of it."""
+
+STRESS = 30.0
+"""How much more an error counts at the strongest harmonic of a motion than where it has none."""
+
+WEAKEST = 0.02
+"""Below this gain the plate does not follow a command: more is not asked of the motors."""
+
+SLOW_HZ = 5.0
+"""Below, positions tell accelerations better than accelerometers do, and stroke is short [Hz]."""
+
+FAINT = 1e-3
+"""Share of the strongest harmonic below which a command says nothing of the plate."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """H at some frequencies.
+
+    Attributes
+    ----------
+    frequency : (n,)
+        [Hz], rising; at least four.
+    matrix : (n, 3, 3)
+        Measured over commanded acceleration, complex; theta times `lever`, so that all are lengths.
+    lever : float
+        [m].
+
+    Raises
+    ------
+    PlateError
+        If a shape is wrong or a value is not finite.
+    """
+
+    frequency: np.ndarray
+    matrix: np.ndarray
+    lever: float
+
+    def __post_init__(self) -> None:
+        count = len(self.frequency)
+        if self.matrix.shape != (count, 3, 3) or count < 4 or not np.all(np.diff(self.frequency)):
+            raise PlateError(
+                f"response: {count} frequencies and matrices of shape {self.matrix.shape}, "
+                "allowed: at least 4, rising, and (n, 3, 3)"
+            )
+        finite = np.all(np.isfinite(self.matrix)) and np.all(np.isfinite(self.frequency))
+        if not finite or self.frequency[0] <= 0 or np.any(np.diff(self.frequency) <= 0):
+            raise PlateError("response: a value is not finite, or frequencies do not rise from 0")
+
+    @classmethod
+    def obedient(cls, rig: Rig, frequency: np.ndarray) -> Response:
+        """Return the response of a plate that does as commanded."""
+        matrix = np.tile(np.eye(3, dtype=complex), (len(frequency), 1, 1))
+        return cls(np.asarray(frequency, dtype=float), matrix, float(np.hypot(*rig.plate.half)))
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """H^-1 (n, 3, 3), nowhere more than 1/`WEAKEST`."""
+        u, gain, v = np.linalg.svd(self.matrix)
+        gain = np.maximum(gain, WEAKEST)
+        return np.asarray(np.conj(v.swapaxes(1, 2)) @ (np.conj(u.swapaxes(1, 2)) / gain[..., None]))
+
+    @cached_property
+    def _scale(self) -> np.ndarray:
+        return np.array([1.0, 1.0, self.lever])
+
+    def _at(self, matrices: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """Matrices between the frequencies, by a cubic spline; at 0 as at the lowest, but real."""
+        below = np.concatenate([matrices[:1].real.astype(complex), matrices])
+        return np.asarray(CubicSpline(np.append(0.0, self.frequency), below)(frequency))
+
+    def command(self, cycle: PlateCycle) -> PlateCycle:
+        """Return the motion to command so that the plate makes the motion of a cycle.
+
+        Only harmonics up to the highest frequency known are corrected. The command begins and ends
+        at rest at home: as little as possible is given up for that, and mostly where the plate
+        hardly answers.
+        """
+        count = int(self.frequency[-1] * cycle.period * (1 + 1e-9))
+        if count == 0 or not np.any(cycle.knot_pose):
+            return cycle
+        frequency = np.arange(count + 1) / cycle.period
+        wanted = pose_harmonics(cycle, count) * self._scale
+        inverse = self._at(self.inverse, frequency)
+        more = (np.einsum("kij,kj->ki", inverse, wanted) - wanted) / self._scale
+        strong = np.abs(wanted * frequency[:, None] ** 2)
+        stress = 1 + STRESS * strong / np.max(strong)
+        more = settled(frequency, more, stress * self._costs(frequency))
+        pieces = max(len(cycle.times) - 1, KNOTS_PER_WAVE * count)
+        t = np.linspace(0, cycle.period, pieces + 1)
+        added = _motion(frequency, more, t)
+        known = cycle.pose(t), cycle.twist(t), cycle.accel(t)
+        states = [old + new for old, new in zip(known, added, strict=True)]
+        for state in states:
+            state[[0, -1]] = 0.0
+        return PlateCycle.from_knots(t, *states)
+
+    def _costs(self, frequency: np.ndarray) -> np.ndarray:
+        """How much (k, 3) the plate's acceleration answers to a command's pose, squared.
+
+        The mean counts as what comes and goes with each cycle: as the plate swings by itself.
+        """
+        gain = np.sum(np.abs(self._at(self.matrix, frequency)) ** 2, axis=1)
+        own = self.frequency[np.argmax(np.linalg.norm(self.matrix, axis=(1, 2)))]
+        rate = 2 * np.pi * np.where(frequency > 0, frequency, own)
+        return np.asarray(np.maximum(gain, FAINT**2) * rate[:, None] ** 4)
+
+    def learned(self, commanded: np.ndarray, measured: np.ndarray, trust: float = 1.0) -> Response:
+        """Return the response after a look at what a command did.
+
+        Parameters
+        ----------
+        commanded, measured : (n, 3)
+            Amplitudes at `frequency`.
+        trust : float
+            Share of the difference that is believed: less than 1 where sensors are noisy.
+        """
+        asked, got = commanded * self._scale, measured * self._scale
+        power = np.sum(np.abs(asked) ** 2, axis=1)
+        miss = got - np.einsum("kij,kj->ki", self.matrix, asked)
+        heard = power > FAINT**2 * np.max(power, initial=0.0)
+        step = trust * miss[:, :, None] * np.conj(asked)[:, None, :]
+        step[heard] /= power[heard, None, None]
+        step[~heard] = 0.0
+        return replace(self, matrix=self.matrix + step)
+
+
+def identified(
+    rig: Rig, frequency: np.ndarray, commanded: np.ndarray, measured: np.ndarray
+) -> Response:
+    """Return the response that explains several experiments best.
+
+    Parameters
+    ----------
+    frequency : (n,)
+        [Hz].
+    commanded, measured : (j, n, 3)
+        Amplitudes of at least three experiments.
+
+    Raises
+    ------
+    PlateError
+        If they do not excite x, y and theta at all frequencies.
+    """
+    response = Response.obedient(rig, frequency)
+    asked = (commanded * response._scale).transpose(1, 2, 0)
+    got = (measured * response._scale).transpose(1, 2, 0)
+    gain = np.linalg.svd(asked, compute_uv=False)
+    if np.any(gain[:, -1] < FAINT * np.max(gain)):
+        raise PlateError("experiments do not excite x, y and theta at every frequency")
+    return replace(response, matrix=got @ np.linalg.pinv(asked))
+
+
+def harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
+    """Amplitudes (count, 3) of a cycle's acceleration at 1, 2, ... over its period."""
+    rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / cycle.period
+    return np.asarray(rate**2 * pose_harmonics(cycle, count)[1:])
+
+
+def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
+    """Amplitudes (count + 1, 3) of a cycle's pose, the first its mean."""
+    samples = max(SAMPLES, 4 * count)
+    pose = cycle.pose(np.arange(samples) * cycle.period / samples)
+    amplitude = 2 / samples * np.fft.rfft(pose, axis=0)[: count + 1]
+    amplitude[0] /= 2
+    return np.asarray(amplitude)
+
+
+def fitted(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
+    """Amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a motion of known period.
+
+    By least squares, with a constant besides, so times need not be equal nor cover whole periods.
+
+    Raises
+    ------
+    PlateError
+        If the times do not tell the harmonics apart.
+    """
+    waves = np.exp(2j * np.pi * np.outer(t / period, np.arange(1, count + 1)))
+    columns = np.hstack([np.ones((len(t), 1)), waves.real, -waves.imag])
+    found, _, rank, _ = np.linalg.lstsq(columns, values, rcond=1e-6)
+    if rank < columns.shape[1]:
+        raise PlateError(
+            f"{len(t)} samples tell {(rank - 1) // 2} harmonics of {period:g} s apart, "
+            f"allowed: at least {count}"
+        )
+    return np.asarray(found[1 : count + 1] + 1j * found[count + 1 :])
+
+
+def plate_amplitudes(
+    rig: Rig, t: np.ndarray, q: np.ndarray, qdd: np.ndarray, period: float, count: int
+) -> np.ndarray:
+    """Amplitudes (count, 3) of the plate's acceleration from what its motors' sensors say.
+
+    Parameters
+    ----------
+    t : (n,)
+        Times since a cycle's start [s].
+    q, qdd : (n, 4)
+        Travel [m] and acceleration [m/s2]. The four sensors need not quite agree.
+    """
+    nothing = np.zeros_like(q)
+    pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
+    # Turning makes speed appear in the motors' acceleration, so twist is needed: from the poses.
+    amplitude = fitted(t, pose, period, count)
+    rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / period
+    waves = np.exp(np.outer(t, rate[:, 0]))
+    twist = (waves @ (rate * amplitude)).real
+    _, qd, _ = motor_state(rig, pose, twist, np.zeros_like(pose))
+    _, _, accel = plate_state(rig, q, qd, qdd, tolerance=np.inf)
+    slow = np.arange(1, count + 1)[:, None] / period < SLOW_HZ
+    return np.where(slow, rate**2 * amplitude, fitted(t, accel, period, count))
+
+
+def settled(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Change amplitudes (k, 3) of a pose least so that it begins at rest at home.
+
+    Parameters
+    ----------
+    frequency : (k,)
+        [Hz]; of the mean 0.
+    cost : (k, 3)
+        Of a change's square.
+    """
+    rate = 2 * np.pi * frequency
+    # Pose, twist and acceleration at the beginning, of real and imaginary parts.
+    real = np.stack([np.ones_like(rate), np.zeros_like(rate), -(rate**2)])
+    imag = np.stack([np.zeros_like(rate), -rate, np.zeros_like(rate)])
+    rows = np.hstack([real, imag])
+    new = np.array(amplitude)
+    for axis in range(3):
+        ease = np.tile(1 / cost[:, axis], 2)
+        begins = rows @ np.concatenate([amplitude[:, axis].real, amplitude[:, axis].imag])
+        scale = np.diag(1 / np.sqrt(np.sum(rows**2 * ease, axis=1)))
+        normal = scale @ (rows * ease) @ rows.T @ scale
+        change = -ease * (rows.T @ scale @ np.linalg.solve(normal, scale @ begins))
+        new[:, axis] += change[: len(rate)] + 1j * change[len(rate) :]
+    return new
+
+
+def excitation(
+    rig: Rig, axis: int, period: float, count: int, accel: float, rng: np.random.Generator
+) -> PlateCycle:
+    """Return a cycle that shakes one axis at all harmonics, at rest where it begins.
+
+    All have the same acceleration, those below `SLOW_HZ` the same amplitude of the pose.
+
+    Parameters
+    ----------
+    axis : int
+        0: x, 1: y, 2: theta.
+    accel : float
+        Root mean square of the acceleration, of theta's at the plate's corners [m/s2].
+    rng : numpy.random.Generator
+        Of the phases: even ones would make one great peak.
+    """
+    frequency = np.arange(count + 1) / period
+    rate = 2 * np.pi * np.maximum(frequency, frequency[1])[:, None]
+    amplitude = np.zeros((count + 1, 3), dtype=complex)
+    phases = np.exp(2j * np.pi * rng.random(count))
+    slowest = np.maximum(rate[1:, 0], 2 * np.pi * SLOW_HZ)
+    amplitude[1:, axis] = accel * np.sqrt(2 / count) * phases / slowest**2
+    if axis == 2:
+        amplitude /= float(np.hypot(*rig.plate.half))
+    amplitude = settled(frequency, amplitude, np.tile(rate**4, 3))
+    t = np.linspace(0, period, KNOTS_PER_WAVE * count + 1)
+    states = _motion(frequency, amplitude, t)
+    for state in states:
+        state[[0, -1]] = 0.0
+    return PlateCycle.from_knots(t, *states)
+
+
+def harmonic_error(wanted: np.ndarray, measured: np.ndarray, lever: float) -> float:
+    """Size of the difference of two sets of amplitudes (k, 3) over that of the first."""
+    scale = np.array([1.0, 1.0, lever])
+    size = np.linalg.norm(wanted * scale)
+    return float(np.linalg.norm((measured - wanted) * scale) / size)
+
+
+def _motion(frequency: np.ndarray, amplitude: np.ndarray, t: np.ndarray) -> list[np.ndarray]:
+    """Pose, twist and acceleration (n, 3) at times t (n,) of a pose's amplitudes (k, 3)."""
+    rate = 2j * np.pi * frequency[:, None]
+    waves = np.exp(np.outer(t, rate[:, 0]))
+    return [(waves @ (amplitude * rate**order)).real for order in range(3)]
