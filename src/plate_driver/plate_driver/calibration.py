@@ -1,4 +1,4 @@
-"""The procedure that learns the plate: three known motions, one after the other, and what they do."""
+"""The procedure that learns the plate: three known motions, one by one, and what they do."""
 
 from __future__ import annotations
 
