@@ -1,0 +1,43 @@
+"""Simulate parts on a shaking plate and draw how they move.
+
+python examples/simulate.py [picture.png]
+"""
+
+import sys
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from plate_core import PlateCycle, load_rig
+from plate_sim import simulate
+
+rig = load_rig()
+
+# Quick one way, slow the other way: two sinusoids along x. Parts drift, since friction takes no
+# notice of how fast the plate slides under them.
+period = 0.05
+t = np.arange(256) / 256 * period
+w = 2 * np.pi / period
+pose = np.zeros((len(t), 3))
+pose[:, 0] = 0.002 * (np.sin(w * t) + 0.25 * np.sin(2 * w * t))
+cycle = PlateCycle.from_samples(period, pose)
+
+# Three parts: at rest, and thrown along x and y.
+position = np.array([[0.0, -0.05], [0.0, 0.0], [0.0, 0.05]])  # [m]
+velocity = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # [m/s]
+path = simulate(cycle, position, velocity, rig.friction.mu, cycles=20)
+
+drift = (path.position[-1] - path.position[0]) / path.time[-1]
+for start, (vx, vy) in zip(position, drift, strict=True):
+    print(f"part at y = {start[1]:+.2f} m: mean drift {1e3 * vx:+.2f}, {1e3 * vy:+.2f} mm/s")
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
+left.plot(path.time, 1e3 * path.position[..., 0])
+left.set(xlabel="time [s]", ylabel="x [mm]", title="Parts")
+right.plot(path.time[path.time <= 2 * period], path.velocity[path.time <= 2 * period, 0, 0])
+right.plot(t, cycle.twist(t)[:, 0], color="0.6")
+right.set(xlabel="time [s]", ylabel="velocity [m/s]", title="Plate (grey), and the part at rest")
+figure.tight_layout()
+picture = sys.argv[1] if len(sys.argv) > 1 else "simulate.png"
+figure.savefig(picture, dpi=100)
+print(f"drawn: {picture}")

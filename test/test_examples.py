@@ -1,0 +1,69 @@
+"""The examples do what they say."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+@pytest.mark.parametrize("name", ["force_field", "simulate"])
+def test_a_script_runs_and_draws(tmp_path, name):
+    picture = tmp_path / "picture.png"
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / f"{name}.py", picture],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    image = cv2.imread(str(picture))
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 20  # more than an empty frame
+    if name == "force_field":
+        assert "success True" in done.stdout
+
+
+def test_a_planner_of_ones_own_moves_the_parts(tmp_path):
+    pytest.importorskip("rclpy")
+    from graph.observer import Observer
+    from graph.processes import Processes, free_domain, ros_environment
+    from graph.session import ANSWER_S, START_S
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import MultiDOFJointState
+
+    from plate_core.graph import RunOptions, load_graph
+    from plate_core.ros.convert import msg_to_parts
+
+    domain = free_domain()
+    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
+    nodes = [node for node in load_graph() if node.name != "planner"]
+    own = subprocess.Popen(
+        [sys.executable, EXAMPLES / "own_planner.py"], env=os.environ | ros_environment(domain)
+    )
+    try:
+        with (
+            Processes(nodes, options, tmp_path, domain) as processes,
+            Observer(domain, processes.check) as observer,
+        ):
+            observer.await_nodes(["planner", *(node.name for node in nodes)], START_S)
+            observer.await_answers(ANSWER_S)
+            observer.activate_driver()
+
+            def beside(k):
+                parts = msg_to_parts(
+                    deserialize_message(observer.record.truth[k], MultiDOFJointState)
+                )
+                assert len(parts) == 4
+                return np.abs(parts.position[:, 1])
+
+            assert np.max(beside(0)) > 0.03
+            assert observer.until(lambda: np.max(beside(-1)) < 0.01, 120)
+    finally:
+        own.terminate()
+        assert own.wait(20) == 0
