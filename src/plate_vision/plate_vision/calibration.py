@@ -225,9 +225,13 @@ def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
     """Use the images of the plate's corners that the rig file gives; its lens if none is given."""
-    if lens is None and rig.camera.lens is not None:
-        lens = Lens(rig.camera.lens.matrix, np.array(rig.camera.lens.distortion))
-    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens)
+    return calibrate(np.array(rig.camera.corners_px), rig.plate.corners, lens or rig_lens(rig))
+
+
+def rig_lens(rig: Rig) -> Lens | None:
+    """Return the lens that the rig file gives, if it does."""
+    lens = rig.camera.lens
+    return None if lens is None else Lens(lens.matrix, np.array(lens.distortion))
 
 
 def _apply(matrix: np.ndarray, point: np.ndarray) -> np.ndarray:

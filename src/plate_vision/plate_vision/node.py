@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import parts_to_msg, seconds
+from plate_core.ros.convert import parts_to_msg, pose_to_msg, seconds
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import CAMERA, DATA
@@ -22,7 +23,8 @@ from .encodings import decode, decode_file
 from .errors import CalibrationError, ImageError
 from .light import light_problem
 from .tracking import Tracker, TrackerOptions
-from .vision import look, make_vision
+from .vision import check_image, look, make_vision
+from .watching import Watch, watch
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
@@ -133,7 +135,7 @@ class DetectorNode(Node):
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
-    is in the image says the rig file.
+    is in the image say its markers, or the rig file. With markers, `plate_pose` is published too.
     """
 
     def __init__(self) -> None:
@@ -143,9 +145,13 @@ class DetectorNode(Node):
         self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
         self._vision = make_vision(self._rig, values.detector())
+        self._lens: Lens | None = None
+        self._watch = Watch(self._rig) if self._rig.fiducials is not None else None
         self._tracker = Tracker(values.tracker())
         self._follow = follow(self, values, self._retune)
         self._parts = self.create_publisher(MultiDOFJointState, "parts", DATA)
+        if self._watch is not None:
+            self._poses = self.create_publisher(PoseStamped, "plate_pose", DATA)
         self.create_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
         if values.image_transport == "raw":
             self.create_subscription(Image, "image_raw", self._on_image, CAMERA)
@@ -173,6 +179,8 @@ class DetectorNode(Node):
 
     def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
         try:
+            if self._watch is not None:
+                image = self._see_plate(self._watch, image, stamp)
             self._tracker = look(self._vision, self._tracker, image, seconds(stamp))
         except PlateError as error:
             self._warn(f"{topic} ignored: {error}")
@@ -182,10 +190,23 @@ class DetectorNode(Node):
             self._warn(f"{topic}: {problem}")
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
 
+    def _see_plate(self, state: Watch, image: np.ndarray, stamp: Time) -> np.ndarray:
+        """Find the plate by its markers; returns the image without them."""
+        check_image(image, self._vision)
+        state, self._vision, image = watch(state, image, self._vision, self._vision.options)
+        self._watch = state
+        if state.plate is not None:
+            self._poses.publish(pose_to_msg(state.plate.pose, stamp))
+        if state.problem:
+            self._warn(state.problem)
+        return image
+
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Forget all parts: numbers begin at 1 again with the next image."""
+        """Forget all parts, and where home is: numbers begin at 1 again with the next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker = Tracker(self._tracker.options)
+        if self._watch is not None:
+            self._watch = Watch(self._rig, self._lens)
         response.success = True
         self.get_logger().info(response.message)
         return response
@@ -199,8 +220,10 @@ class DetectorNode(Node):
             return
         self._lens_message = content  # judged once, not with every image
         try:
-            lens = lens_of(msg, self._vision.size_px)
-            self._vision = make_vision(self._rig, self._vision.options, lens)
+            self._lens = lens_of(msg, self._vision.size_px)
+            self._vision = make_vision(self._rig, self._vision.options, self._lens)
+            if self._watch is not None:
+                self._watch = Watch(self._rig, self._lens)
         except PlateError as error:
             self.get_logger().warning(f"camera_info ignored: {error}")
 

@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plate_core import Rig
+from plate_core.frames import to_home
 
 from .calibration import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, detect
 from .errors import ImageError
 from .tracking import Tracker, step
+
+HOME = np.zeros(3)
+"""The plate at rest."""
 
 EDGE_POINTS = 8
 """Points by which every bent edge of the plate is known: twice what its polynomial needs."""
@@ -48,7 +52,11 @@ class Vision:
 
 
 def make_vision(
-    rig: Rig, options: DetectorOptions | None = None, lens: Lens | None = None
+    rig: Rig,
+    options: DetectorOptions | None = None,
+    lens: Lens | None = None,
+    calibration: Calibration | None = None,
+    pose: np.ndarray = HOME,
 ) -> Vision:
     """Take camera, plate and the parts' radius from a rig.
 
@@ -60,12 +68,17 @@ def make_vision(
         that bends, halfway between the smallest and the largest seen on the plate.
     lens : Lens, optional
         That of camera_info; the rig's if None.
+    calibration : Calibration, optional
+        Lens and plate_home, if they are not those of the rig.
+    pose : (3,)
+        Of the plate [m, m, rad], plate_home.
     """
-    calibration = calibrate_by_rig(rig, lens)
-    region_px = np.array(rig.camera.corners_px)
+    if calibration is None:
+        calibration = calibrate_by_rig(rig, lens)
+    corners = to_home(pose, rig.plate.corners)
+    region_px = calibration.to_image(corners)
     places = np.zeros((1, 2))
     if calibration.lens is not None:
-        corners = rig.plate.corners
         share = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
         sides = np.roll(corners, -1, axis=0) - corners
         places = np.concatenate(
@@ -102,6 +115,16 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
     ImageError
         If the image is not uint8, has another shape, or not the rig's size.
     """
+    check_image(image, vision)
+    size = None if vision.calibration.lens is None else vision.size
+    found = detect(image, vision.options, vision.region_px, size)
+    centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
+    centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
+    return step(tracker, stamp, centre, found["label"])
+
+
+def check_image(image: np.ndarray, vision: Vision) -> None:
+    """Refuse images that are not of the rig's size."""
     width, height = vision.size_px
     if image.shape[:2] != (height, width):
         seen = " x ".join(str(n) for n in reversed(image.shape[:2]))
@@ -109,8 +132,3 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
             f"image: size is {seen} px, allowed: {width} x {height} px, the size in the rig file "
             "for which its corners_px hold"
         )
-    size = None if vision.calibration.lens is None else vision.size
-    found = detect(image, vision.options, vision.region_px, size)
-    centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
-    centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
-    return step(tracker, stamp, centre, found["label"])

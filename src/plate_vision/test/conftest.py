@@ -1,5 +1,6 @@
 """Frames with known truth, drawn by counting sub-pixels: no code is shared with the simulator."""
 
+import dataclasses
 from functools import lru_cache
 
 import numpy as np
@@ -163,3 +164,83 @@ class Scene:
 @pytest.fixture
 def make_scene():
     return Scene
+
+
+class MarkedPlate:
+    """A plate with markers, and discs that ride on it, under the default rig's camera.
+
+    Parameters
+    ----------
+    distortion : (5,), optional
+        Of the lens.
+    discs : sequence of (x, y, grey)
+        Places on the plate [m] and grey levels of discs of the rig's radius.
+    lean : (3,)
+        Turn of the camera about its axes [rad], by which it is not where the rig file has it.
+    """
+
+    PER_M = 5000
+    """Texels of the print for a metre."""
+
+    CENTRES = ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
+    SIDE = 0.03
+
+    def __init__(self, distortion=None, discs=(), lean=(0, 0, 0)):
+        import cv2
+
+        from plate_core import load_rig
+        from plate_core.fiducials import Fiducials
+        from plate_core.frames import camera_pose
+        from plate_vision import Lens
+
+        rig = load_rig()
+        self.fiducials = Fiducials("4X4_50", self.SIDE, (0, 1, 2, 3), self.CENTRES)
+        self.rig = dataclasses.replace(rig, fiducials=self.fiducials)
+        self.matrix = rig.camera.lens.matrix
+        self.lens = None if distortion is None else Lens(self.matrix, np.array(distortion))
+        self.scene = Scene(self._print(discs), (0.6, 0.3), self.matrix, distortion)
+        rotation, translation = camera_pose(rig)
+        turn = cv2.Rodrigues(np.array(lean, float))[0]
+        self.rotation, self.translation = turn @ rotation, turn @ translation
+
+    def _print(self, discs):
+        import cv2
+
+        from plate_vision.markers import draw_marker
+
+        texture = np.full((round(0.3 * self.PER_M), round(0.6 * self.PER_M)), PLATE, np.uint8)
+        side = round(self.SIDE * self.PER_M)
+        for number, (x, y) in enumerate(self.CENTRES):
+            column = round((x + 0.3 - self.SIDE / 2) * self.PER_M)
+            row = round((0.15 - y - self.SIDE / 2) * self.PER_M)
+            marker = draw_marker("4X4_50", number, side)
+            texture[row : row + side, column : column + side] = np.where(marker > 0, PLATE, 30)
+        for x, y, grey in discs:
+            # Of texels the centres have whole numbers; sixteenths are OpenCV's finest.
+            middle = np.array([x + 0.3, 0.15 - y]) * self.PER_M - 0.5
+            radius = round(16 * self.rig.parts.radius_m * self.PER_M)
+            place = np.rint(16 * middle).astype(int).tolist()
+            cv2.circle(texture, place, radius, float(grey), -1, cv2.LINE_AA, 4)
+        return texture
+
+    def take(self, pose, rng, **light):
+        """Return the picture with the plate at a pose (3,) [m, m, rad]."""
+        x, y, theta = pose
+        cos, sin = np.cos(theta), np.sin(theta)
+        turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        there = self.translation + self.rotation @ [x, y, 0]
+        return self.scene.take(self.rotation @ turn, there, rng, **light)
+
+    def seen_at(self, point):
+        """Where OpenCV projects points (n, 2) [m, plate_home] to."""
+        import cv2
+
+        space = np.column_stack([point, np.zeros(len(point))])
+        turn = cv2.Rodrigues(self.rotation)[0]
+        distortion = np.zeros(5) if self.lens is None else self.lens.distortion
+        return cv2.projectPoints(space, turn, self.translation, self.matrix, distortion)[0][:, 0]
+
+
+@pytest.fixture
+def make_plate():
+    return MarkedPlate

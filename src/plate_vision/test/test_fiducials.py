@@ -1,79 +1,27 @@
 """The plate's pose by its markers, against pictures traced through camera and lens."""
 
-from functools import lru_cache
-
 import cv2
 import numpy as np
 import pytest
 
-from plate_core import load_rig
 from plate_core.fiducials import Fiducials
-from plate_core.frames import camera_pose, to_home
-from plate_vision import CalibrationError, Lens, detect, make_vision
+from plate_core.frames import to_home
+from plate_vision import CalibrationError, detect, make_vision
 from plate_vision.fiducials import find_home, find_pose, fit_pose, hide
 from plate_vision.markers import DICTIONARIES, draw_marker, find_markers
 
-PER_M = 5000
-"""Texels of the print for a metre."""
-
-FIDUCIALS = Fiducials(
-    "4X4_50", 0.03, (0, 1, 2, 3), ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
-)
 BENT = [-0.25, 0.08, 0.001, -0.0005, 0.0]
 STROKE_M, TURN_RAD = 0.01, 0.03
-
-
-@lru_cache
-def plate_print():
-    """The bare plate with its markers."""
-    texture = np.full((round(0.3 * PER_M), round(0.6 * PER_M)), 220, np.uint8)
-    side = round(FIDUCIALS.side_m * PER_M)
-    for number, (x, y) in zip(FIDUCIALS.numbers, FIDUCIALS.centres, strict=True):
-        column = round((x + 0.3 - FIDUCIALS.side_m / 2) * PER_M)
-        row = round((0.15 - y - FIDUCIALS.side_m / 2) * PER_M)
-        marker = draw_marker("4X4_50", number, side)
-        texture[row : row + side, column : column + side] = np.where(marker > 0, 220, 30)
-    return texture
-
-
-class Plate:
-    """A plate with markers under the default rig's camera."""
-
-    def __init__(self, make_scene, distortion=None, texture=None):
-        self.rig = load_rig()
-        self.matrix = self.rig.camera.lens.matrix
-        self.lens = None if distortion is None else Lens(self.matrix, np.array(distortion))
-        self.scene = make_scene(
-            plate_print() if texture is None else texture, (0.6, 0.3), self.matrix, distortion
-        )
-        self.rotation, self.translation = camera_pose(self.rig)
-
-    def take(self, pose, rng, **light):
-        x, y, theta = pose
-        turn = np.array(
-            [[np.cos(theta), -np.sin(theta), 0], [np.sin(theta), np.cos(theta), 0], [0, 0, 1]]
-        )
-        there = self.translation + self.rotation @ [x, y, 0]
-        return self.scene.take(self.rotation @ turn, there, rng, **light)
-
-    def seen_at(self, point):
-        """Where OpenCV projects points (n, 2) [m, plate_home] to."""
-        space = np.column_stack([point, np.zeros(len(point))])
-        turn = cv2.Rodrigues(self.rotation)[0]
-        distortion = np.zeros(5) if self.lens is None else self.lens.distortion
-        return cv2.projectPoints(space, turn, self.translation, self.matrix, distortion)[0][:, 0]
-
-
-@pytest.fixture(params=[None, BENT], ids=["straight", "bent"])
-def plate(request, make_scene):
-    return Plate(make_scene, request.param)
-
-
 HOME = np.zeros(3)
 
 
+@pytest.fixture(params=[None, BENT], ids=["straight", "bent"])
+def plate(request, make_plate):
+    return make_plate(request.param)
+
+
 def test_home_by_markers(plate, rng):
-    calibration, error = find_home(plate.take(HOME, rng), FIDUCIALS, plate.lens)
+    calibration, error = find_home(plate.take(HOME, rng), plate.fiducials, plate.lens)
     assert error < 2e-4
     point = np.stack(np.meshgrid([-0.28, 0, 0.28], [-0.13, 0, 0.13]), axis=2).reshape(-1, 2)
     assert np.abs(calibration.to_home(plate.seen_at(point)) - point).max() < 1e-4
@@ -82,7 +30,7 @@ def test_home_by_markers(plate, rng):
 
 def test_poses_over_the_stroke(plate, rng):
     """Within 0.1 mm and 0.05 degrees, in noise and blur, followed and from scratch."""
-    calibration, _ = find_home(plate.take(HOME, rng), FIDUCIALS, plate.lens)
+    calibration, _ = find_home(plate.take(HOME, rng), plate.fiducials, plate.lens)
     grid = np.array([(x, y, t) for x in (-1, 0, 1) for y in (-1, 1) for t in (-1, 1)])
     random = rng.uniform(-1, 1, (8, 3))
     last, errors = HOME, []
@@ -91,8 +39,8 @@ def test_poses_over_the_stroke(plate, rng):
         image = plate.take(pose, rng, blur=(0.5, 1.0, 1.5)[k % 3], noise=(1.0, 3.0)[k % 2])
         near = pose + rng.uniform(-1, 1, 3) * [1e-3, 1e-3, 1e-3]
         for guess in (None, near, last):  # from scratch, followed, followed from too far
-            found = find_pose(image, FIDUCIALS, calibration, guess)
-            assert found.seen == FIDUCIALS.numbers
+            found = find_pose(image, plate.fiducials, calibration, guess)
+            assert found.seen == plate.fiducials.numbers
             errors.append(found.pose - pose)
         last = found.pose
     errors = np.abs(errors)
@@ -101,20 +49,20 @@ def test_poses_over_the_stroke(plate, rng):
 
 
 @pytest.fixture
-def straight(make_scene):
-    return Plate(make_scene)
+def straight(make_plate):
+    return make_plate()
 
 
 def test_covered_markers(straight, rng):
     """Two that are seen are enough; one is not."""
-    calibration, _ = find_home(straight.take(HOME, rng), FIDUCIALS)
+    calibration, _ = find_home(straight.take(HOME, rng), straight.fiducials)
     pose = np.array([0.004, -0.003, 0.01])
     image = straight.take(pose, rng)
     for count, number in enumerate((2, 0, 3)):
-        middle = straight.seen_at(to_home(pose, np.array([FIDUCIALS.centres[number]])))[0]
+        middle = straight.seen_at(to_home(pose, np.array([straight.fiducials.centres[number]])))[0]
         cv2.circle(image, np.rint(middle).astype(int).tolist(), 25, 130, -1)
         for last in (None, pose):
-            found = find_pose(image, FIDUCIALS, calibration, last)
+            found = find_pose(image, straight.fiducials, calibration, last)
             if count == 2:
                 assert found is None
                 continue
@@ -123,11 +71,11 @@ def test_covered_markers(straight, rng):
             assert np.linalg.norm(found.pose[:2] - pose[:2]) < 1.5e-4
             assert abs(found.pose[2] - pose[2]) < 1e-3
         with pytest.raises(CalibrationError, match=f"{number}.* not seen, allowed: all of 0, 1"):
-            find_home(image, FIDUCIALS)
+            find_home(image, straight.fiducials)
 
 
 def test_other_pictures_have_no_pose(straight, rng, draw):
-    calibration, _ = find_home(straight.take(HOME, rng), FIDUCIALS)
+    calibration, _ = find_home(straight.take(HOME, rng), straight.fiducials)
     others = [
         np.zeros((480, 640), np.uint8),
         np.full((480, 640), 255, np.uint8),
@@ -136,41 +84,37 @@ def test_other_pictures_have_no_pose(straight, rng, draw):
     ]
     for image in others:
         for last in (None, HOME):
-            assert find_pose(image, FIDUCIALS, calibration, last) is None
+            assert find_pose(image, straight.fiducials, calibration, last) is None
 
 
 def test_markers_that_are_not_where_they_should_be(straight, rng):
     image = straight.take(HOME, rng)
-    swapped = Fiducials("4X4_50", 0.03, (0, 1, 3, 2), FIDUCIALS.centres)
+    swapped = Fiducials("4X4_50", 0.03, (0, 1, 3, 2), straight.fiducials.centres)
     with pytest.raises(CalibrationError, match="mm from where the rig file has them, allowed: 1"):
         find_home(image, swapped)
     with pytest.raises(CalibrationError, match="mm from where the rig file has them"):
-        find_home(image, Fiducials("4X4_50", 0.04, (0, 1, 2, 3), FIDUCIALS.centres))
+        find_home(image, Fiducials("4X4_50", 0.04, (0, 1, 2, 3), straight.fiducials.centres))
     with pytest.raises(CalibrationError, match=r"dictionary is '4X4', allowed: .*4X4_50"):
-        find_home(image, Fiducials("4X4", 0.03, (0, 1, 2, 3), FIDUCIALS.centres))
+        find_home(image, Fiducials("4X4", 0.03, (0, 1, 2, 3), straight.fiducials.centres))
 
 
-def test_markers_are_no_parts(straight, rng):
+def test_markers_are_no_parts(make_plate, rng):
     """Hidden, they leave the parts between them as they are."""
-    texture = plate_print().copy()
     place = np.array([[0.1, 0.05], [-0.2, -0.04], [-0.235, -0.12]])  # the last beside a marker
-    for x, y in place:
-        middle = (round((x + 0.3) * PER_M), round((0.15 - y) * PER_M))
-        cv2.circle(texture, middle, round(0.008 * PER_M), 40, -1)
-    plate = Plate(type(straight.scene), texture=texture)
+    plate = make_plate(discs=[(x, y, 40) for x, y in place])
     pose = np.array([0.003, 0.002, 0.01])
-    calibration, _ = find_home(plate.take(HOME, rng), FIDUCIALS)
+    calibration, _ = find_home(plate.take(HOME, rng), plate.fiducials)
     image = plate.take(pose, rng)
     before = image.copy()
     vision = make_vision(plate.rig)
-    clean = hide(image, FIDUCIALS, calibration, pose)
+    clean = hide(image, plate.fiducials, calibration, pose)
     assert np.array_equal(image, before)
     found = detect(clean, vision.options)
     seen = calibration.to_home(np.stack([found["x_px"], found["y_px"]], axis=1))
     assert len(seen) == 3
     gap = np.linalg.norm(seen[:, None] - to_home(pose, place), axis=2)
     assert gap.min(axis=0).max() < 3e-4
-    colour = hide(np.dstack([image] * 3), FIDUCIALS, calibration, pose)
+    colour = hide(np.dstack([image] * 3), plate.fiducials, calibration, pose)
     assert np.array_equal(colour[:, :, 0], clean)
 
 

@@ -3,21 +3,25 @@
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
+from geometry_msgs.msg import PoseStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
+from plate_core.rig import config_path  # noqa: E402
 from plate_core.ros.convert import array_to_image, msg_to_parts, to_time  # noqa: E402
 from plate_core.ros.qos import DATA, IMAGE  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
 LABEL = ["black", "grey"]
+MARKER_CENTRES = ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
 
 
 class Graph:
@@ -266,3 +270,45 @@ def test_distortion_of_camera_info_is_used(graph):
     graph.until(lambda: graph.warnings)
     assert "camera_info ignored: distortion_model is 'equidistant'" in graph.warnings[0]
     assert graph.detector._vision.calibration.lens is not None
+
+
+@pytest.fixture
+def marked_rig(tmp_path):
+    """The default rig file with markers."""
+    data = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+    places = {f"marker_{k}": list(xy) for k, xy in enumerate(MARKER_CENTRES)}
+    data["fiducials"] = {"dictionary": "4X4_50", "side_m": 0.03, "centre_m": places}
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def test_plate_with_markers(make_plate, marked_rig, draw, rng):
+    plate = make_plate(discs=[(0.1, 0.02, 40), (-0.1, -0.05, 130)])
+    graph = Graph(rig_file=marked_rig)
+    try:
+        poses = []
+        graph.probe.create_subscription(PoseStamped, "plate_pose", poses.append, DATA)
+        graph.until(lambda: graph.detector.count_subscribers("plate_pose"))
+        assert graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 1.0)) is None
+        assert "not seen, allowed: all of 0, 1, 2, 3" in graph.warnings[-1]
+        graph.warnings.clear()
+        for k, x in enumerate([0.0, 0.001]):
+            answer = graph.answer(image(plate.take([x, 0, 0], rng), 2.0 + 0.2 * k))
+            assert answer.joint_names == ["black_1", "grey_1"]
+            seen = msg_to_parts(answer).position
+            assert np.abs(seen - [[0.1 + x, 0.02], [-0.1 + x, -0.05]]).max() < 2e-4
+            graph.until(lambda k=k: len(poses) > k)
+            assert poses[-1].header.frame_id == "plate_home"
+            assert abs(poses[-1].pose.position.x - x) < 1e-4
+        assert graph.warnings == []
+        graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.0))
+        graph.until(lambda: len(poses) > 2)
+        assert "8.0 mm from home" in graph.warnings[-1]
+        done = graph.resets.call_async(Trigger.Request())
+        graph.until(done.done)
+        graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.2))
+        graph.until(lambda: len(poses) > 3)
+        assert abs(poses[-1].pose.position.x) < 1e-4  # home is found anew
+    finally:
+        graph.close()

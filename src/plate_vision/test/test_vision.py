@@ -17,7 +17,7 @@ def vision():
 def test_radius_and_region_come_from_the_rig(vision):
     rig = load_rig()
     assert vision.options.radius_px == pytest.approx(7.9, abs=0.1)  # 8 mm, 1 px is about 1 mm
-    assert np.array_equal(vision.region_px, rig.camera.corners_px)
+    assert np.allclose(vision.region_px, rig.camera.corners_px, rtol=0, atol=1e-9)
     assert make_vision(rig, DetectorOptions(threshold=0.7)).options.threshold == 0.7
 
 

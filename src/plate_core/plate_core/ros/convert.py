@@ -6,7 +6,7 @@ import array
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Transform, Twist, Wrench
+from geometry_msgs.msg import PoseStamped, Transform, Twist, Wrench
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -161,6 +161,15 @@ def trajectory_to_msg(
             sec=nanosec // 1_000_000_000, nanosec=nanosec % 1_000_000_000
         )
         msg.points.append(point)
+    return msg
+
+
+def pose_to_msg(pose: np.ndarray, stamp: Time) -> PoseStamped:
+    """Return the plate's pose (3,) [m, m, rad] as a message."""
+    msg = PoseStamped(header=Header(stamp=stamp, frame_id=FRAME))
+    msg.pose.position.x, msg.pose.position.y = float(pose[0]), float(pose[1])
+    msg.pose.orientation.z = float(np.sin(pose[2] / 2))
+    msg.pose.orientation.w = float(np.cos(pose[2] / 2))
     return msg
 
 
