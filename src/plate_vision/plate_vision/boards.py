@@ -1,0 +1,171 @@
+"""Chessboards and ChArUco boards: drawn, and their corners found in pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .errors import CalibrationError
+from .markers import draw_marker, find_markers
+
+REFINE_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
+"""When refining of a corner ends: after 50 steps or one of less than 0.001 px."""
+
+REFINE_SHARE = 0.25
+"""Half width of the window in which a corner is refined, over a square's side."""
+
+LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
+"""Bounds of that [px]."""
+
+LEAST_CORNERS = 6
+"""Corners that a picture needs: a homography takes four."""
+
+NEAR = 4
+"""Markers from whose corners the place of one between them is predicted, so that a lens that bends
+is no matter."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat board of squares, black and white in turns; the one at the top left is black.
+
+    Attributes
+    ----------
+    columns, rows : int
+        Squares along x and y, 3 to 40.
+    square_m : float
+        Side of a square [m].
+    marker_m : float
+        Side of the markers in the white squares [m] of a ChArUco board, numbered along the rows;
+        0: a chessboard.
+    dictionary : str
+        Of the markers.
+    """
+
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float = 0.0
+    dictionary: str = "5X5_100"
+
+    def __post_init__(self) -> None:
+        if not (3 <= self.columns <= 40 and 3 <= self.rows <= 40):
+            raise CalibrationError(
+                f"board: {self.columns} x {self.rows} squares, allowed: 3 x 3 to 40 x 40"
+            )
+        if not self.square_m > 0:
+            raise CalibrationError(f"board: squares of {self.square_m:g} m, allowed: more than 0")
+        if not 0 <= self.marker_m <= 0.9 * self.square_m:
+            raise CalibrationError(
+                f"board: markers of {self.marker_m:g} m, allowed: 0 to 0.9 squares"
+            )
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Inner corners ((columns - 1) (rows - 1), 2) [m], row by row from the top left; y down."""
+        y, x = np.mgrid[1 : self.rows, 1 : self.columns]
+        return self.square_m * np.column_stack([x.ravel(), y.ravel()]).astype(float)
+
+    @property
+    def markers(self) -> np.ndarray:
+        """Corners (n, 4, 2) [m] of the markers, as `find_markers` gives them; y down."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        white = (x + y) % 2 == 1
+        middle = np.column_stack([x[white], y[white]]) + 0.5
+        square = 0.5 * self.marker_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+        return np.asarray(self.square_m * middle[:, None] + square)
+
+
+def draw_board(board: Board, square_px: int) -> np.ndarray:
+    """Return a picture for the printer, uint8, with a white border of half a square.
+
+    Raises
+    ------
+    CalibrationError
+        If the dictionary is not known, or has too few markers.
+    """
+    y, x = np.mgrid[: board.rows, : board.columns]
+    squares = np.where((x + y) % 2 == 1, 255, 0).astype(np.uint8)
+    picture = squares.repeat(square_px, axis=0).repeat(square_px, axis=1)
+    side = round(board.marker_m / board.square_m * square_px)
+    if side:
+        white = np.argwhere((x + y) % 2 == 1)
+        for number, (row, column) in enumerate(white.tolist()):
+            top = row * square_px + (square_px - side) // 2
+            left = column * square_px + (square_px - side) // 2
+            marker = draw_marker(board.dictionary, number, side)
+            picture[top : top + side, left : left + side] = marker
+    return np.pad(picture, square_px // 2, constant_values=255)
+
+
+def find_corners(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
+    """Find a board's inner corners.
+
+    Parameters
+    ----------
+    grey : (H, W) uint8
+    board : Board
+
+    Returns
+    -------
+    (n,) int, (n, 2)
+        Which of `Board.corners`, and where they are seen [px]; or None if fewer than
+        `LEAST_CORNERS` are. Of a chessboard all corners must be seen, of a ChArUco board those
+        next to markers that are.
+    """
+    grey = np.ascontiguousarray(grey)
+    if board.marker_m == 0:
+        size = (board.columns - 1, board.rows - 1)
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH + cv2.CALIB_CB_NORMALIZE_IMAGE
+        seen, corners = cv2.findChessboardCorners(grey, size, flags=flags)
+        if not seen:
+            return None
+        return np.arange(len(board.corners)), _refine(grey, corners, board)
+    found = find_markers(grey, board.dictionary)
+    known = board.markers
+    numbers = [number for number in found if number < len(known)]
+    if len(numbers) < 2:
+        return None
+    middle = known[numbers].mean(axis=1)
+    which, guess = [], []
+    for k, corner in enumerate(board.corners):
+        near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
+        # A corner counts if a marker touches its square's corner: beyond that it may be covered.
+        if np.linalg.norm(middle[near[0]] - corner) > 0.75 * board.square_m:
+            continue
+        place = known[[numbers[i] for i in near]].reshape(-1, 2)
+        seen_px = np.concatenate([found[numbers[i]] for i in near])
+        matrix, _ = cv2.findHomography(place, seen_px)
+        if matrix is None:
+            continue
+        point = matrix @ [*corner, 1.0]
+        which.append(k)
+        guess.append(point[:2] / point[2])
+    if len(which) < LEAST_CORNERS:
+        return None
+    corners = np.array(guess)
+    inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
+    if np.count_nonzero(inside) < LEAST_CORNERS:
+        return None
+    return np.array(which)[inside], _refine(grey, corners[inside], board)
+
+
+def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
+    """Move corners (n, 2) [px] to where the edges around them meet."""
+    points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
+    gap = np.linalg.norm(points[:, None] - points, axis=2)
+    side = float(np.median(np.sort(gap, axis=1)[:, 1]))
+    room = side * (REFINE_SHARE if board.marker_m == 0 else _room(board))
+    window = round(float(np.clip(room, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
+    refined = cv2.cornerSubPix(
+        grey, points.reshape(-1, 1, 2), (window, window), (-1, -1), REFINE_STEPS
+    )
+    return np.asarray(refined, dtype=float).reshape(-1, 2)
+
+
+def _room(board: Board) -> float:
+    """Width of the white between corners and markers, over a square's side: no marker may be seen
+    in the window."""
+    return min(REFINE_SHARE, 0.5 * (1 - board.marker_m / board.square_m))
