@@ -20,5 +20,10 @@ setup(
     maintainer_email="plate@example.org",
     description="Finds parts in camera images and measures their positions and drift.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"detector = {NAME}.node:main"]},
+    entry_points={
+        "console_scripts": [
+            f"detector = {NAME}.node:main",
+            f"calibrate = {NAME}.calibrate_camera:main",
+        ]
+    },
 )

@@ -1,0 +1,167 @@
+"""The program `calibrate`: a camera's lens from pictures, and things to print. It needs no ROS.
+
+ros2 run plate_vision calibrate lens PICTURES --board 9x7 --square 0.03 --marker 0.022
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plate_core import PlateError, load_rig
+
+from .boards import Board, draw_board, find_corners
+from .calibration import Lens, rig_lens
+from .camera_file import CameraFile, load_camera, save_camera
+from .drawing import draw_errors
+from .errors import CalibrationError
+from .fiducials import find_home
+from .lens_fit import LensFit, Sight, fit_lens
+from .markers import draw_marker
+from .pictures import read_pictures
+
+PRINT_DPI = 300
+"""Resolution of what is printed [dots per inch]."""
+
+INCH_M = 0.0254
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; exit code 2, with one line, if something is wrong."""
+    args = _parser().parse_args(arguments)
+    try:
+        args.run(args)
+    except (PlateError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__.splitlines()[0])
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    lens = commands.add_parser("lens", help="find the lens from pictures of a board")
+    lens.add_argument("pictures", type=Path, help="folder of pictures, or a video file")
+    _board_options(lens)
+    lens.add_argument("--name", default="camera", help="name of the camera (camera)")
+    lens.add_argument("--out", type=Path, default=Path("camera.yaml"), help="camera_info file")
+    lens.add_argument("--errors", type=Path, default=Path("errors.png"), help="picture of errors")
+    lens.set_defaults(run=_lens)
+    board = commands.add_parser("board", help="draw a board for the printer")
+    _board_options(board)
+    board.add_argument("--out", type=Path, default=Path("board.png"))
+    board.set_defaults(run=_board)
+    markers = commands.add_parser("markers", help="draw the plate's markers for the printer")
+    markers.add_argument("--rig-file", default="", help="rig file with fiducials")
+    markers.add_argument("--out", type=Path, default=Path("."), help="folder")
+    markers.set_defaults(run=_markers)
+    home = commands.add_parser("home", help="find the plate's corners in pictures with markers")
+    home.add_argument("pictures", type=Path, help="folder of pictures of the plate at rest")
+    home.add_argument("--rig-file", default="", help="rig file with fiducials")
+    home.add_argument("--camera", type=Path, help="camera_info file; else the rig's lens")
+    home.set_defaults(run=_home)
+    return parser
+
+
+def _board_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--board", type=_size, required=True, metavar="9x7", help="squares along x and y")
+    add("--square", type=float, required=True, metavar="M", help="side of a square [m]")
+    add("--marker", type=float, default=0.0, metavar="M", help="of a ChArUco marker (chessboard)")
+    add("--dictionary", default="5X5_100", help="of the markers (5X5_100)")
+
+
+def _size(text: str) -> tuple[int, int]:
+    columns, _, rows = text.partition("x")
+    return int(columns), int(rows)
+
+
+def _make_board(args: argparse.Namespace) -> Board:
+    columns, rows = args.board
+    return Board(columns, rows, args.square, args.marker, args.dictionary)
+
+
+def _lens(args: argparse.Namespace) -> None:
+    board = _make_board(args)
+    sights: list[Sight] = []
+    size_px = None
+    for name, picture in read_pictures(args.pictures):
+        here = (picture.shape[1], picture.shape[0])
+        if size_px not in (None, here):
+            raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
+        size_px = here
+        sight = find_corners(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
+        print(f"{name}: {0 if sight is None else len(sight[0])} of {len(board.corners)} corners")
+        if sight is not None:
+            sights.append(sight)
+    if size_px is None:
+        raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
+    fit = fit_lens(board, sights, size_px)
+    save_camera(args.out, CameraFile(args.name, size_px, fit.lens))
+    cv2.imwrite(str(args.errors), draw_errors(fit))
+    print(_told(fit))
+    print(f"{args.out}: camera_info file; {args.errors}: errors of the corners")
+
+
+def _told(fit: LensFit) -> str:
+    matrix, spread = fit.lens.matrix, fit.deviation
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *fit.lens.distortion]
+    names = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
+    lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, spread, strict=True)]
+    lines.append(f"error {fit.error_px:.3f} px rms over {len(fit.errors)} pictures")
+    if fit.warning:
+        lines.append(f"warning: {fit.warning}")
+    lines += [
+        "for the rig file, section camera:",
+        f"  focal_px: [{matrix[0, 0]:.3f}, {matrix[1, 1]:.3f}]",
+        f"  centre_px: [{matrix[0, 2]:.3f}, {matrix[1, 2]:.3f}]",
+        f"  distortion: [{', '.join(f'{d:.6g}' for d in fit.lens.distortion)}]",
+    ]
+    return "\n".join(lines)
+
+
+def _board(args: argparse.Namespace) -> None:
+    board = _make_board(args)
+    square_px = round(board.square_m / INCH_M * PRINT_DPI)
+    cv2.imwrite(str(args.out), draw_board(board, square_px))
+    print(f"{args.out}: print at {PRINT_DPI} dpi; squares are then {1e3 * board.square_m:g} mm")
+
+
+def _markers(args: argparse.Namespace) -> None:
+    fiducials = load_rig(args.rig_file).fiducials
+    if fiducials is None:
+        raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
+    args.out.mkdir(parents=True, exist_ok=True)
+    side_px = round(fiducials.side_m / INCH_M * PRINT_DPI)
+    for number in fiducials.numbers:
+        picture = np.pad(
+            draw_marker(fiducials.dictionary, number, side_px), side_px // 4, constant_values=255
+        )
+        path = args.out / f"marker_{number}.png"
+        cv2.imwrite(str(path), picture)
+        print(f"{path}: print at {PRINT_DPI} dpi; its side is then {1e3 * fiducials.side_m:g} mm")
+
+
+def _home(args: argparse.Namespace) -> None:
+    rig = load_rig(args.rig_file)
+    if rig.fiducials is None:
+        raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
+    lens: Lens | None = rig_lens(rig) if args.camera is None else load_camera(args.camera).lens
+    corners = []
+    for name, picture in read_pictures(args.pictures):
+        calibration, error = find_home(picture, rig.fiducials, lens)
+        corners.append(calibration.to_image(rig.plate.corners))
+        print(f"{name}: corners of the markers {1e3 * error:.3f} mm rms from where they should be")
+    if not corners:
+        raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
+    mean = np.mean(corners, axis=0)
+    print("for the rig file, section camera:")
+    print(f"  corners_px: [{', '.join(f'[{x:.2f}, {y:.2f}]' for x, y in mean)}]")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""Pictures for people: what was detected, and how well a lens fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from .lens_fit import LensFit
+
+COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80, 255))
+"""Blue, green, red of classes, in the order of their names."""
+
+PLATE_COLOUR, ARROW_COLOUR = (200, 200, 0), (60, 60, 230)
+
+ARROW_S = 1.0
+"""A velocity arrow ends where the part will be after this time [s]."""
+
+SHIFT = 4
+"""Binary digits of the sixteenths of a pixel in which OpenCV takes places."""
+
+ERROR_SCALE = 200.0
+"""Errors of corners are drawn so many times as long as they are."""
+
+
+def draw_detections(
+    image: np.ndarray,
+    ids: Sequence[str],
+    point_px: np.ndarray,
+    radius_px: np.ndarray,
+    ahead_px: np.ndarray,
+    region_px: np.ndarray,
+) -> np.ndarray:
+    """Return a copy in colour (H, W, 3) with parts outlined, named, and arrows of their velocity.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+    ids : (M,) str
+        Names of the parts.
+    point_px : (M, 2)
+        Centres [px].
+    radius_px : (M,)
+        Radii [px].
+    ahead_px : (M, 2)
+        Where they will be after `ARROW_S` [px].
+    region_px : (4, 2) or (4, n, 2)
+        Outline of the plate [px].
+    """
+    picture = np.array(image) if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    outline = _fixed(region_px.reshape(-1, 2))
+    cv2.polylines(picture, [outline], True, PLATE_COLOUR, 1, cv2.LINE_AA, SHIFT)
+    classes = sorted({name.rsplit("_", 1)[0] for name in ids})
+    for name, point, radius, ahead in zip(ids, point_px, radius_px, ahead_px, strict=True):
+        colour = COLOURS[classes.index(name.rsplit("_", 1)[0]) % len(COLOURS)]
+        middle, end = _fixed(point), _fixed(ahead)
+        size = int(_fixed(np.array([radius]))[0])
+        cv2.circle(picture, middle.tolist(), size, colour, 1, cv2.LINE_AA, SHIFT)
+        if np.linalg.norm(ahead - point) >= 1:
+            cv2.arrowedLine(
+                picture, middle.tolist(), end.tolist(), ARROW_COLOUR, 1, cv2.LINE_AA, SHIFT, 0.25
+            )
+        place = np.rint(point + [radius + 1, -radius - 1]).astype(int)
+        cv2.putText(
+            picture, name, place.tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, 1, cv2.LINE_AA
+        )
+    return np.asarray(picture)
+
+
+def draw_errors(fit: LensFit) -> np.ndarray:
+    """Return a picture (H, W, 3) of the errors of all corners, much enlarged, by picture."""
+    width, height = fit.size_px
+    picture = np.full((height, width, 3), 255, np.uint8)
+    for number, ((_, place), error) in enumerate(zip(fit.sights, fit.errors, strict=True)):
+        colour = COLOURS[number % len(COLOURS)]
+        for start, end in zip(_fixed(place), _fixed(place + ERROR_SCALE * error), strict=True):
+            cv2.circle(picture, start.tolist(), 2 << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)
+            cv2.line(picture, start.tolist(), end.tolist(), colour, 1, cv2.LINE_AA, SHIFT)
+    text = (
+        f"errors x {ERROR_SCALE:g}: {fit.error_px:.3f} px rms, {len(fit.errors)} pictures, "
+        f"{sum(map(len, fit.errors))} corners"
+    )
+    cv2.putText(picture, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    return picture
+
+
+def _fixed(point_px: np.ndarray) -> np.ndarray:
+    """Return places in sixteenths of a pixel, within what OpenCV's integers hold."""
+    return np.rint(np.clip(point_px, -1e5, 1e5) * (1 << SHIFT)).astype(np.int32)

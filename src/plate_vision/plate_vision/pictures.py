@@ -1,0 +1,67 @@
+"""A folder of pictures, one picture, or a video file, as a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from .errors import ImageError
+
+PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+"""Endings of pictures."""
+
+
+def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield name and pixels (H, W, 3) uint8, blue, green, red, of each picture.
+
+    Parameters
+    ----------
+    path : Path
+        A folder, of which pictures are taken by their names; a picture; or a video.
+
+    Raises
+    ------
+    ImageError
+        If there is nothing at the path that can be read.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+        if not files:
+            raise ImageError(f"{path}: no pictures in it, allowed: {', '.join(PICTURES)}")
+    elif path.is_file():
+        files = [path] if path.suffix.lower() in PICTURES else []
+    else:
+        raise ImageError(f"{path}: no such file or folder, allowed: pictures or a video")
+    for file in files:
+        yield file.name, _read(file)
+    if not files:
+        yield from _film(path)
+
+
+def _read(file: Path) -> np.ndarray:
+    try:
+        pixels = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
+    return np.asarray(pixels)
+
+
+def _film(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+    film = cv2.VideoCapture(str(path))
+    try:
+        number = 0
+        while True:
+            there, pixels = film.read()
+            if not there:
+                break
+            yield f"{path.name}: {number}", np.asarray(pixels)
+            number += 1
+    finally:
+        film.release()
+    if number == 0:
+        raise ImageError(f"{path}: cannot be read, allowed: a video that OpenCV knows")

@@ -1,0 +1,94 @@
+"""The program `calibrate`, from pictures in a folder to the files it writes."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plate_core.rig import config_path
+from plate_vision.boards import Board, draw_board
+from plate_vision.calibrate_camera import main
+from plate_vision.camera_file import load_camera
+from plate_vision.markers import find_markers
+
+BOARD = ["--board", "9x7", "--square", "0.03", "--marker", "0.022"]
+MATRIX = np.array([[620.0, 0, 331.0], [0, 610.0, 236.0], [0, 0, 1]])
+
+
+def test_from_pictures_to_a_camera_file(make_scene, rng, tmp_path, capsys):
+    picture = draw_board(Board(9, 7, 0.03, 0.022), 60)
+    size = np.array(picture.shape[::-1]) / 60 * 0.03
+    scene = make_scene(picture, size, MATRIX, [-0.2, 0.05, 0.0, 0.0, 0.0])
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for k in range(8):
+        tilt = 0.5 * np.array([np.cos(0.8 * k), np.sin(0.8 * k), 0.2])
+        turn = cv2.Rodrigues(tilt)[0] @ np.diag([1.0, -1, -1])
+        move = np.array([0.09 * np.cos(2.4 * k), 0.06 * np.sin(2.4 * k), 0.4])
+        cv2.imwrite(str(folder / f"{k}.png"), scene.take(turn, move, rng))
+    cv2.imwrite(str(folder / "nothing.png"), np.full((480, 640), 90, np.uint8))
+    (folder / "notes.txt").write_text("no picture", encoding="utf-8")
+    out, errors = tmp_path / "camera.yaml", tmp_path / "errors.png"
+    main(
+        ["lens", str(folder), *BOARD, "--name", "mine", "--out", str(out), "--errors", str(errors)]
+    )
+    camera = load_camera(out)
+    assert (camera.name, camera.size_px) == ("mine", (640, 480))
+    assert np.allclose(np.diag(camera.lens.matrix)[:2], [620, 610], rtol=0.02)
+    assert abs(camera.lens.distortion[0] + 0.2) < 0.03
+    drawn = cv2.imread(str(errors))
+    assert drawn.shape == (480, 640, 3)
+    assert np.count_nonzero(drawn < 255) > 1000
+    told = capsys.readouterr().out
+    assert "nothing.png: 0 of 48 corners" in told
+    assert "px rms over 8 pictures" in told
+    assert "focal_px: [6" in told
+
+
+def test_board_for_the_printer(tmp_path, capsys):
+    out = tmp_path / "board.png"
+    main(["board", *BOARD, "--out", str(out)])
+    picture = cv2.imread(str(out), cv2.IMREAD_GRAYSCALE)
+    assert picture.shape[1] == pytest.approx(10 * 0.03 / 0.0254 * 300, rel=0.01)
+    assert "squares are then 30 mm" in capsys.readouterr().out
+
+
+def test_markers_and_home(make_plate, rng, tmp_path, capsys):
+    plate = make_plate()
+    text = config_path("rig.yaml").read_text(encoding="utf-8") + "\n".join(
+        ["", "fiducials:", "  dictionary: 4X4_50", "  side_m: 0.03", "  centre_m:"]
+        + [f"    marker_{k}: [{x}, {y}]" for k, (x, y) in enumerate(plate.CENTRES)]
+    )
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(text, encoding="utf-8")
+    main(["markers", "--rig-file", str(rig), "--out", str(tmp_path / "print")])
+    for k in range(4):
+        picture = cv2.imread(str(tmp_path / "print" / f"marker_{k}.png"), cv2.IMREAD_GRAYSCALE)
+        assert list(find_markers(picture, "4X4_50")) == [k]
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for k in range(3):
+        cv2.imwrite(str(folder / f"{k}.png"), plate.take(np.zeros(3), rng))
+    capsys.readouterr()
+    main(["home", str(folder), "--rig-file", str(rig)])
+    line = capsys.readouterr().out.splitlines()[-1]
+    seen = np.array(eval(line.split(":", 1)[1]))
+    assert np.abs(seen - plate.rig.camera.corners_px).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("words", "arguments"),
+    [
+        ("no such file or folder", ["lens", "/nowhere", *BOARD]),
+        ("no pictures in it", ["lens", ".", *BOARD]),
+        ("fiducials are missing", ["markers"]),
+        ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(words, arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert words in line
