@@ -13,10 +13,12 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
 from plate_core.ros.convert import msg_to_cycle, msg_to_parts, parts_to_msg, seconds
 from plate_core.ros.main import run_node
+from plate_core.ros.markers import forces_to_msg
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
 from plate_core.scenario import load_scenario
@@ -124,7 +126,7 @@ class PlannerNode(Node):
     def __init__(self) -> None:
         super().__init__("planner")
         values = declare(self, PlannerParameters)
-        rig = load_rig(values.rig_file)
+        self._rig = rig = load_rig(values.rig_file)
         self._planner = Planner(rig, load_scenario(values.scenario), values.options())
         self._state = self._planner.initial()
         warm_up()
@@ -133,6 +135,7 @@ class PlannerNode(Node):
         follow(self, values, self._retune)
 
         self._forces = self.create_publisher(MultiDOFJointState, "part_forces", DATA)
+        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._task_state = self.create_publisher(String, "task_state", LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         self.create_subscription(MultiDOFJointState, "parts", self._on_parts, DATA)
@@ -157,6 +160,8 @@ class PlannerNode(Node):
             self._state, parts, seconds(msg.header.stamp)
         )
         self._forces.publish(parts_to_msg(asked, msg.header.stamp))
+        if self._markers.get_subscription_count():
+            self._markers.publish(forces_to_msg(self._rig, asked, msg.header.stamp))
         changed = self._report()
         self._diagnose(progress, msg, changed)
 

@@ -11,8 +11,9 @@ from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import PartSet, PlateError  # noqa: E402
+from plate_core import PartSet, PlateError, load_rig  # noqa: E402
 from plate_core.ros.convert import msg_to_parts, parts_to_msg, to_time  # noqa: E402
 from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
 from plate_planner.node import PlannerNode  # noqa: E402
@@ -140,6 +141,23 @@ def test_a_failure_tells_its_reason(graph):
     for t in (0.1, 0.2, 0.3):
         graph.image(t, APART[:3], IDS[:3])
     graph.until(lambda: graph.states[-1] == "lost part after 0.3 s: grey_2")
+
+
+def test_forces_are_drawn_for_those_who_look(graph):
+    drawn = []
+    graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
+    graph.until(lambda: graph.planner._markers.get_subscription_count())
+    graph.call("start")
+    graph.image(1.0, APART)
+    asked = msg_to_parts(graph.image(1.1, APART))
+    graph.until(lambda: len(drawn) >= 2)
+    unit = load_rig().force_unit
+    assert np.abs(asked.force).max() > 0.01 * unit
+    for marker, place, force in zip(drawn[-1].markers, asked.position, asked.force, strict=True):
+        assert (marker.ns, marker.header.frame_id) == ("forces", "plate_home")
+        tail, tip = marker.points
+        assert (tail.x, tail.y) == tuple(place)
+        assert np.allclose([tip.x - tail.x, tip.y - tail.y], 0.1 * force / unit)
 
 
 def test_a_wrong_message_is_answered_with_rest(graph):

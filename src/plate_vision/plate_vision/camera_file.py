@@ -38,8 +38,8 @@ class CameraFile:
     lens: Lens
 
 
-def load_camera(path: str | Path) -> CameraFile:
-    """Read a camera_info file.
+def load_camera(path: str | Path, expected_px: tuple[int, int] | None = None) -> CameraFile:
+    """Read a camera_info file, for images of the expected width and height if these are given.
 
     Raises
     ------
@@ -48,6 +48,11 @@ def load_camera(path: str | Path) -> CameraFile:
     """
     fields = read_yaml(path, CalibrationError)
     size_px = (fields.integer("image_width", 16, 16384), fields.integer("image_height", 16, 16384))
+    if expected_px is not None and size_px != expected_px:
+        raise CalibrationError(
+            f"{fields.where}: image size is {size_px[0]} x {size_px[1]} px, allowed: "
+            f"{expected_px[0]} x {expected_px[1]} px"
+        )
     model = fields.text("distortion_model", sorted(set(MODELS.values())))
     values = _matrix(fields.child("distortion_coefficients"), None)
     if MODELS.get(len(values)) != model:

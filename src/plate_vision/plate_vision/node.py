@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -10,20 +12,25 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import parts_to_msg, pose_to_msg, seconds
+from plate_core.ros.convert import array_to_image, parts_to_msg, pose_to_msg, seconds
 from plate_core.ros.main import run_node
+from plate_core.ros.markers import scene_to_msg
 from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import CAMERA, DATA
+from plate_core.ros.qos import CAMERA, DATA, IMAGE
 
 from .calibration import Lens
+from .camera_file import load_camera
 from .detection import DetectorOptions
+from .drawing import ARROW_S, draw_detections
 from .encodings import decode, decode_file
 from .errors import CalibrationError, ImageError
 from .light import light_problem
+from .pictures import read_pictures, rig_of_picture
 from .tracking import Tracker, TrackerOptions
-from .vision import check_image, look, make_vision
+from .vision import HOME, check_image, look, make_vision
 from .watching import Watch, watch
 
 WARN_PERIOD_S = 2.0
@@ -32,6 +39,12 @@ WARN_PERIOD_S = 2.0
 LENS_MODELS = ("plumb_bob", "rational_polynomial")
 """Distortion models of sensor_msgs/CameraInfo that the core understands."""
 
+
+SOURCES = ("topic", "file")
+"""Where images come from."""
+
+TRAIL = 100
+"""Images that a part's trail goes back in `markers`."""
 
 TRANSPORTS = ("raw", "compressed")
 """Of image_transport those that are understood."""
@@ -42,6 +55,10 @@ class DetectorParameters:
     """Parameters of the node."""
 
     rig_file: str = parameter("", "Rig file; empty: the default rig")
+    source: str = parameter("topic", "Images come from a topic or from a file", choices=SOURCES)
+    path: str = parameter("", "With source file: a folder of pictures, a picture or a video")
+    rate: float = parameter(5.0, "With source file: images a second", 0.1, 1000.0)
+    camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
     image_transport: str = parameter(
         "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
     )
@@ -144,19 +161,31 @@ class DetectorNode(Node):
         self._rig = load_rig(values.rig_file)
         self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
-        self._vision = make_vision(self._rig, values.detector())
         self._lens: Lens | None = None
-        self._watch = Watch(self._rig) if self._rig.fiducials is not None else None
+        if values.source == "file":
+            self._open(values)
+        if values.camera_file:
+            size = self._rig.camera
+            self._lens = load_camera(values.camera_file, (size.width_px, size.height_px)).lens
+        self._vision = make_vision(self._rig, values.detector(), self._lens)
+        has_markers = self._rig.fiducials is not None
+        self._watch = Watch(self._rig, self._lens) if has_markers else None
         self._tracker = Tracker(values.tracker())
         self._follow = follow(self, values, self._retune)
         self._parts = self.create_publisher(MultiDOFJointState, "parts", DATA)
         if self._watch is not None:
             self._poses = self.create_publisher(PoseStamped, "plate_pose", DATA)
-        self.create_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
-        if values.image_transport == "raw":
+        self._drawings = self.create_publisher(Image, "detections_image", IMAGE)
+        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
+        self._trails: dict[str, deque[tuple[float, float]]] = {}
+        if values.source == "file":
+            self._timer = self.create_timer(1 / values.rate, self._on_timer)
+        elif values.image_transport == "raw":
             self.create_subscription(Image, "image_raw", self._on_image, CAMERA)
         else:
             self.create_subscription(CompressedImage, "image_raw/compressed", self._on_file, CAMERA)
+        if values.source == "topic" and not values.camera_file:
+            self.create_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _on_image(self, msg: Image) -> None:
@@ -177,6 +206,34 @@ class DetectorNode(Node):
             return
         self._answer(image, msg.header.stamp, "image_raw/compressed")
 
+    def _open(self, values: DetectorParameters) -> None:
+        """Take pictures for a camera."""
+        self._pictures = read_pictures(Path(values.path))
+        self._picture = next(self._pictures, None)
+        if self._picture is None:
+            raise ImageError(f"{values.path}: no pictures in it")
+        height, width = self._picture[1].shape[:2]
+        rig = rig_of_picture(self._rig, (width, height))
+        if rig is not self._rig:
+            self.get_logger().info(
+                f"{self._picture[0]} is {width} x {height} px, not as the rig's camera: taken for "
+                f"the whole plate, {rig.plate.length_m:g} m long, from above"
+            )
+        self._rig = rig
+
+    def _on_timer(self) -> None:
+        if self._picture is None:
+            self.get_logger().info("that was the last picture")
+            self._timer.cancel()
+            return
+        name, image = self._picture
+        self._answer(image, self.get_clock().now().to_msg(), name)
+        try:
+            self._picture = next(self._pictures, None)
+        except PlateError as error:
+            self._warn(f"no more pictures: {error}")
+            self._picture = None
+
     def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
         try:
             if self._watch is not None:
@@ -189,6 +246,33 @@ class DetectorNode(Node):
         if problem:
             self._warn(f"{topic}: {problem}")
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
+        if self._drawings.get_subscription_count():
+            self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
+        if self._markers.get_subscription_count():
+            self._markers.publish(self._scene(stamp))
+
+    def _draw(self, image: np.ndarray) -> np.ndarray:
+        parts, calibration = self._tracker.parts, self._vision.calibration
+        return draw_detections(
+            image,
+            parts.ids,
+            calibration.to_image(parts.position),
+            self._rig.parts.radius_m * calibration.scale(parts.position),
+            calibration.to_image(parts.position + ARROW_S * parts.velocity),
+            self._vision.region_px,
+        )
+
+    def _scene(self, stamp: Time) -> MarkerArray:
+        parts = self._tracker.parts
+        self._trails = {
+            track.id: self._trails.get(track.id, deque(maxlen=TRAIL))
+            for track in self._tracker.tracks
+        }
+        for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True):
+            self._trails[name].append((x, y))
+        plate = self._watch.plate if self._watch is not None else None
+        pose = HOME if plate is None else plate.pose
+        return scene_to_msg(self._rig, parts, self._trails, pose, stamp)
 
     def _see_plate(self, state: Watch, image: np.ndarray, stamp: Time) -> np.ndarray:
         """Find the plate by its markers; returns the image without them."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+
+from plate_core import Rig
 
 from .errors import ImageError
 
@@ -39,6 +42,22 @@ def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
         yield file.name, _read(file)
     if not files:
         yield from _film(path)
+
+
+def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> Rig:
+    """Return the rig whose camera takes pictures of a size (width, height).
+
+    If that is not the size of the rig's camera, nothing is known of where the picture was taken:
+    then it is a view of a plate that fills it, from straight above, as long as the rig's.
+    """
+    camera = rig.camera
+    if size_px == (camera.width_px, camera.height_px):
+        return rig
+    width, height = size_px
+    corners = ((-0.5, height - 0.5), (width - 0.5, height - 0.5), (width - 0.5, -0.5), (-0.5, -0.5))
+    plate = replace(rig.plate, width_m=rig.plate.length_m * height / width)
+    camera = replace(camera, width_px=width, height_px=height, corners_px=corners, lens=None)
+    return replace(rig, plate=plate, camera=camera)
 
 
 def _read(file: Path) -> np.ndarray:

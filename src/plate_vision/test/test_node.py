@@ -12,6 +12,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.rig import config_path  # noqa: E402
@@ -48,8 +49,9 @@ class Graph:
         self.resets = self.probe.create_client(Trigger, "detector/reset")
         self.infos = self.probe.create_publisher(CameraInfo, "camera_info", IMAGE)
         self.probe.create_subscription(MultiDOFJointState, "parts", self.parts.append, DATA)
-        self.until(lambda: self.images.get_subscription_count())
-        self.until(lambda: self.infos.get_subscription_count())
+        if parameters.get("source") != "file":
+            self.until(lambda: self.images.get_subscription_count())
+            self.until(lambda: self.infos.get_subscription_count())
         self.until(lambda: self.detector.count_subscribers("parts"))
         self.warnings = []
         self.detector.get_logger().warning = lambda text, **_: self.warnings.append(text)
@@ -312,3 +314,83 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         assert abs(poses[-1].pose.position.x) < 1e-4  # home is found anew
     finally:
         graph.close()
+
+
+def test_pictures_for_people_only_for_those_who_look(graph, draw, rng):
+    drawings, scenes = [], []
+    frames = [draw(CENTRE_PX + [k, 0], LABEL, rng, radius=7.9) for k in range(3)]
+    graph.answer(image(frames[0], 1.0))
+    assert graph.detector._trails == {}
+    graph.probe.create_subscription(Image, "detections_image", drawings.append, IMAGE)
+    graph.probe.create_subscription(MarkerArray, "markers", scenes.append, DATA)
+    graph.until(lambda: graph.detector._drawings.get_subscription_count())
+    graph.until(lambda: graph.detector._markers.get_subscription_count())
+    for k in (1, 2):
+        parts = msg_to_parts(graph.answer(image(frames[k], 1.0 + 0.05 * k)))
+        graph.until(lambda k=k: len(drawings) == k and len(scenes) == k)
+    drawn = np.frombuffer(drawings[-1].data, np.uint8).reshape(480, 640, 3).astype(int)
+    assert drawings[-1].encoding == "bgr8"
+    changed = np.abs(drawn - frames[2][:, :, None]).max(axis=2) > 30
+    for x, y in CENTRE_PX + [2, 0]:
+        angle = np.linspace(0, 2 * np.pi, 24)
+        rim = np.rint([y + 7.9 * np.sin(angle), x + 7.9 * np.cos(angle)]).astype(int)
+        assert np.mean(changed[rim[0], rim[1]]) > 0.7  # outlined
+    assert np.mean(changed) < 0.05
+    by_kind = {}
+    for marker in scenes[-1].markers:
+        assert marker.header.frame_id == "plate_home"
+        by_kind.setdefault(marker.ns, []).append(marker)
+    assert {kind: len(all_) for kind, all_ in by_kind.items()} == {
+        "plate": 1, "parts": 2, "names": 2, "velocities": 2, "trails": 2,
+    }  # fmt: skip
+    assert by_kind["plate"][0].scale.x == 0.6
+    assert [m.text for m in by_kind["names"]] == list(parts.ids)
+    disc, arrow = by_kind["parts"][0], by_kind["velocities"][0]
+    assert (disc.pose.position.x, disc.pose.position.y) == tuple(parts.position[0])
+    ahead = parts.position[0] + parts.velocity[0]
+    assert np.allclose([arrow.points[1].x, arrow.points[1].y], ahead)
+    assert len(by_kind["trails"][0].points) == 2
+
+
+def files(tmp_path, frames):
+    for k, frame in enumerate(frames):
+        cv2.imwrite(str(tmp_path / f"{k:03d}.png"), frame)
+    return tmp_path
+
+
+def test_pictures_of_a_folder_for_a_camera(draw, rng, tmp_path):
+    frames = [draw(CENTRE_PX + [k, 0], LABEL, rng, radius=7.9) for k in range(3)]
+    graph = Graph(source="file", path=files(tmp_path, frames), rate=20.0)
+    try:
+        graph.until(lambda: len(graph.parts) == 3)
+        for k, msg in enumerate(graph.parts):
+            parts = msg_to_parts(msg)
+            assert parts.ids == ("black_1", "grey_1")
+            seen = graph.detector._vision.calibration.to_image(parts.position)
+            assert np.abs(seen - CENTRE_PX - [k, 0]).max() < 0.1
+        graph.until(graph.detector._timer.is_canceled)
+        assert graph.warnings == []
+    finally:
+        graph.close()
+
+
+def test_photographs_of_another_size_show_the_whole_plate(draw, rng, tmp_path):
+    """Of a plate 0.6 m long on 480 px a part of 8 mm radius has 6.4 px."""
+    picture = np.full((300, 480), 220, np.uint8)
+    for x, y in CENTRE_PX - 50:
+        cv2.circle(picture, (int(x), int(y)), 6, 40, -1, cv2.LINE_AA)
+    graph = Graph(source="file", path=files(tmp_path, [picture]), rate=20.0)
+    try:
+        graph.until(lambda: graph.parts)
+        parts = msg_to_parts(graph.parts[0])
+        assert parts.ids == ("black_1", "black_2")
+        expected = (CENTRE_PX - 50 - [239.5, 149.5]) * [1, -1] * 0.6 / 480
+        assert np.abs(parts.position - expected).max() < 2e-4
+    finally:
+        graph.close()
+
+
+@pytest.mark.parametrize(("path", "words"), [("/nowhere", "no such file"), ("", "no pictures in")])
+def test_pictures_that_are_not_there(path, words, tmp_path):
+    with pytest.raises(PlateError, match=words):
+        Graph(source="file", path=path or tmp_path)

@@ -139,8 +139,8 @@ def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
     CycleError
         As `msg_to_cycle`, or if the motors disagree with each other.
     """
-    times, *motors = msg_to_knots(msg, [motor.name for motor in rig.motors])
-    return PlateCycle.from_knots(times, *plate_state(rig, *motors))
+    times, q, qd, qdd = msg_to_knots(msg, [motor.name for motor in rig.motors])
+    return PlateCycle.from_knots(times, *plate_state(rig, q, qd, qdd))
 
 
 def trajectory_to_msg(

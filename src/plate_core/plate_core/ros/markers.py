@@ -1,0 +1,126 @@
+"""What RViz and Foxglove draw, in metres in plate_home. Nothing of it is needed to run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ..parts import PartSet, part_class
+from ..rig import Rig
+from .convert import FRAME, pose_to_msg
+
+LIFETIME_S = 1.0
+"""What is not drawn again goes after this time [s]."""
+
+THICK_M = 0.004
+"""Of plate, parts [m]."""
+
+LINE_M = 0.002
+"""Width of lines and arrows [m]."""
+
+AHEAD_S = 1.0
+"""A velocity's arrow ends where the part will be after this time [s]."""
+
+FORCE_M = 0.1
+"""Length of the arrow of a force as large as a part's sliding friction [m]."""
+
+COLOURS: Mapping[str, tuple[float, float, float]] = {
+    "black": (0.1, 0.1, 0.1),
+    "grey": (0.5, 0.5, 0.5),
+}
+"""Red, green, blue of classes; others are orange."""
+
+ORANGE, PLATE, VELOCITY, FORCE = (
+    (1.0, 0.5, 0.1),
+    (0.85, 0.85, 0.8),
+    (0.2, 0.3, 1.0),
+    (0.9, 0.1, 0.1),
+)
+
+
+def scene_to_msg(
+    rig: Rig,
+    parts: PartSet,
+    trails: Mapping[str, Sequence[tuple[float, float]]],
+    pose: np.ndarray,
+    stamp: Time,
+) -> MarkerArray:
+    """Return plate, parts with names, velocities and trails.
+
+    Parameters
+    ----------
+    rig : Rig
+    parts : PartSet
+    trails : mapping of str to sequence of (x, y)
+        By part where it was [m, plate_home], oldest first.
+    pose : (3,)
+        Of the plate [m, m, rad].
+    stamp : Time
+    """
+    plate = _marker("plate", 0, Marker.CUBE, PLATE, stamp)
+    plate.pose = pose_to_msg(pose, stamp).pose
+    plate.pose.position.z = -1.5 * THICK_M
+    plate.scale.x, plate.scale.y, plate.scale.z = rig.plate.length_m, rig.plate.width_m, THICK_M
+    markers = [plate]
+    for i, name in enumerate(parts.ids):
+        place, colour = parts.position[i], COLOURS.get(part_class(name), ORANGE)
+        disc = _marker("parts", i, Marker.CYLINDER, colour, stamp)
+        disc.scale.x = disc.scale.y = 2 * rig.parts.radius_m
+        disc.scale.z = THICK_M
+        text = _marker("names", i, Marker.TEXT_VIEW_FACING, VELOCITY, stamp)
+        text.text = name
+        text.scale.z = 1.5 * rig.parts.radius_m
+        text.pose.position.z = 2 * THICK_M
+        for marker in (disc, text):
+            marker.pose.position.x, marker.pose.position.y = float(place[0]), float(place[1])
+        trail = _marker("trails", i, Marker.LINE_STRIP, colour, stamp)
+        trail.scale.x = LINE_M / 2
+        trail.points = [_point(at) for at in trails.get(name, ())]
+        ahead = place + AHEAD_S * parts.velocity[i]
+        markers += [disc, text, _arrow("velocities", i, place, ahead, VELOCITY, stamp)]
+        markers += [trail] if len(trail.points) > 1 else []
+    return MarkerArray(markers=markers)
+
+
+def forces_to_msg(rig: Rig, parts: PartSet, stamp: Time) -> MarkerArray:
+    """Return the wanted forces as arrows."""
+    ends = parts.position + FORCE_M / rig.force_unit * parts.force
+    pairs = enumerate(zip(parts.position, ends, strict=True))
+    return MarkerArray(
+        markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
+    )
+
+
+def _marker(
+    kind: str, number: int, shape: int, colour: tuple[float, float, float], stamp: Time
+) -> Marker:
+    red, green, blue = colour
+    marker = Marker(header=Header(stamp=stamp, frame_id=FRAME), ns=kind, id=number, type=shape)
+    marker.action = Marker.ADD
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    marker.lifetime = Duration(sec=int(LIFETIME_S))
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _arrow(
+    kind: str,
+    number: int,
+    start: np.ndarray,
+    end: np.ndarray,
+    colour: tuple[float, float, float],
+    stamp: Time,
+) -> Marker:
+    arrow = _marker(kind, number, Marker.ARROW, colour, stamp)
+    arrow.scale.x, arrow.scale.y = LINE_M, 2 * LINE_M  # of the shaft, of the head
+    arrow.points = [_point(start), _point(end)]
+    return arrow
+
+
+def _point(at: Sequence[float] | np.ndarray) -> Point:
+    return Point(x=float(at[0]), y=float(at[1]), z=THICK_M)
