@@ -144,12 +144,12 @@ def test_a_failure_tells_its_reason(graph):
 
 
 def test_forces_are_drawn_for_those_who_look(graph):
-    drawn = []
+    graph, drawn = graph(), []
     graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
     graph.until(lambda: graph.planner._markers.get_subscription_count())
     graph.call("start")
     graph.image(1.0, APART)
-    asked = msg_to_parts(graph.image(1.1, APART))
+    asked = graph.image(1.1, APART)
     graph.until(lambda: len(drawn) >= 2)
     unit = load_rig().force_unit
     assert np.abs(asked.force).max() > 0.01 * unit
