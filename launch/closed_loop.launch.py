@@ -6,7 +6,7 @@ ros2 service call /start std_srvs/srv/Trigger
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 
 from plate_core.graph import RunOptions, load_graph
@@ -21,12 +21,13 @@ ARGUMENTS = {
     "rate": ("1.0", "Simulated seconds per second"),
     "rig_file": ("", "Rig file; empty: config/rig.yaml"),
     "params_file": (str(config_path("nodes.yaml")), "ROS parameters of the nodes"),
+    "record": ("false", "true: all messages into a bag (MCAP), by ros2 bag"),
     "namespace": ("", "Namespace of all nodes and topics"),
 }
 
 
 def start_nodes(context):
-    """Return one action per node."""
+    """Return one action per node, and the recorder's if it is wanted."""
     given = context.launch_configurations
     options = RunOptions(
         scenario=given["scenario"],
@@ -37,7 +38,7 @@ def start_nodes(context):
         rate=float(given["rate"]),
         rig_file=given["rig_file"],
     )
-    return [
+    nodes = [
         Node(
             package=node.package,
             executable=node.executable,
@@ -51,6 +52,10 @@ def start_nodes(context):
         )
         for node in options.nodes(load_graph())
     ]
+    if given["record"].lower() == "true":
+        record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
+        nodes.append(ExecuteProcess(cmd=record, output="screen"))
+    return nodes
 
 
 def generate_launch_description():

@@ -7,7 +7,7 @@ start of each plate cycle.
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 
 from plate_core.graph import RunOptions, load_graph
@@ -23,12 +23,13 @@ ARGUMENTS = {
     "info_topic": ("camera_info", "The camera's calibration"),
     "rig_file": ("", "Rig file; empty: config/rig.yaml"),
     "params_file": (str(config_path("nodes.yaml")), "ROS parameters of the nodes"),
+    "record": ("false", "true: all messages into a bag (MCAP), by ros2 bag"),
     "namespace": ("", "Namespace of all nodes and topics"),
 }
 
 
 def start_nodes(context):
-    """Return one action per node."""
+    """Return one action per node, and the recorder's if it is wanted."""
     given = context.launch_configurations
     options = RunOptions(
         scenario=given["scenario"],
@@ -38,7 +39,7 @@ def start_nodes(context):
         port=given["port"],
         rig_file=given["rig_file"],
     )
-    return [
+    nodes = [
         Node(
             package=node.package,
             executable=node.executable,
@@ -54,6 +55,10 @@ def start_nodes(context):
         for node in options.nodes(load_graph())
         if node.on_hardware
     ]
+    if given["record"].lower() == "true":
+        record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
+        nodes.append(ExecuteProcess(cmd=record, output="screen"))
+    return nodes
 
 
 def generate_launch_description():

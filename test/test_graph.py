@@ -253,6 +253,7 @@ def launch_stand_in(monkeypatch):
     launch.actions = types.ModuleType("launch.actions")
     launch.actions.DeclareLaunchArgument = argument
     launch.actions.OpaqueFunction = record
+    launch.actions.ExecuteProcess = record
     launch_ros = types.ModuleType("launch_ros")
     launch_ros.actions = types.ModuleType("launch_ros.actions")
     launch_ros.actions.Node = record
@@ -279,6 +280,9 @@ def test_launch_files_start_the_same_list(launch_stand_in, file, names, transpor
     values = {node.name: node.parameters[1] for node in nodes}
     assert values["planner"]["scenario"] == "sort_6"
     assert values["driver"]["transport"] == transport
+    configuration["record"] = "true"
+    *_, recorder = start.function(types.SimpleNamespace(launch_configurations=configuration))
+    assert recorder.cmd[:3] == ["ros2", "bag", "record"]
 
 
 def test_with_simulated_time_all_but_its_source_follow_it():

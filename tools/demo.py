@@ -45,6 +45,9 @@ def arguments() -> argparse.Namespace:
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
     add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
     add("--out", type=Path, default=Path("out/demo"), help="folder for the results (out/demo)")
+    add(
+        "--record", action="store_true", help="keep all messages, for Foxglove or ros2 bag: OUT/bag"
+    )
     add("--no-pictures", action="store_true", help="write result.json only")
     return parser.parse_args()
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,7 @@ from .observer import Observer
 from .processes import Interrupted, free_domain, ros_environment, signals_raise
 from .progress import ProgressLine
 from .record import Record
+from .recorder import Recorder
 from .result import judge, summary
 from .session import session
 
@@ -34,6 +38,7 @@ EXTRA_S = 30.0
 LOCKSTEP_SLOWER = 3
 """Lockstep may take this many times the task's own time on a slow machine."""
 
+BAG = "bag"
 OUTPUT = ("result.json", "strip.png", "demo.gif")
 
 
@@ -51,6 +56,8 @@ class Plan:
     domain : int
         ROS domain.
     pictures : bool
+    record : bool
+        Whether to keep all messages.
     """
 
     options: RunOptions
@@ -59,6 +66,7 @@ class Plan:
     out: Path
     domain: int
     pictures: bool
+    record: bool
 
 
 def demo(args: argparse.Namespace) -> int:
@@ -109,7 +117,7 @@ def checked(args: argparse.Namespace) -> Plan:
         autostart=False,
     )
     domain = free_domain() if args.domain is None else args.domain
-    return Plan(options, scenario, load_rig(), args.out, domain, not args.no_pictures)
+    return Plan(options, scenario, load_rig(), args.out, domain, not args.no_pictures, args.record)
 
 
 def run(plan: Plan) -> int:
@@ -131,8 +139,9 @@ def run(plan: Plan) -> int:
             f"To look on: source env.sh; export ROS_DOMAIN_ID={plan.domain}",
             flush=True,
         )
-        graph.begin()
-        watch(plan, graph.observer)
+        with recording(plan, graph.observer):
+            graph.begin()
+            watch(plan, graph.observer)
     record, codes = graph.observer.record, graph.processes.exit_codes
     result = judge(plan.rig, plan.options, record, graph.nodes, codes)
     result["wall_s"] = round(time.monotonic() - began, 1)
@@ -145,6 +154,19 @@ def run(plan: Plan) -> int:
     for name in (name for name, code in codes.items() if code):
         print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
     return 1
+
+
+@contextmanager
+def recording(plan: Plan, observer: Observer) -> Iterator[None]:
+    """Keep all messages meanwhile, if that was asked for."""
+    if not plan.record:
+        yield
+        return
+    with Recorder(observer.node, plan.out / BAG) as recorder:
+        observer.pulses.append(recorder.discover)
+        yield
+    observer.pulses.remove(recorder.discover)
+    print(f"\n  {plan.out / BAG}", flush=True)
 
 
 def watch(plan: Plan, observer: Observer) -> None:
@@ -187,6 +209,8 @@ def clear(out: Path) -> None:
         (out / "logs").mkdir(parents=True, exist_ok=True)
         for path in [*(out / name for name in OUTPUT), *(out / "logs").glob("*.log")]:
             path.unlink(missing_ok=True)
+        if (out / BAG).exists():
+            shutil.rmtree(out / BAG)
     except OSError as problem:
         raise PlateError(f"out is {out}: {problem}") from None
 

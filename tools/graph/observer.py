@@ -43,12 +43,19 @@ class Observer:
     domain : int
         ROS domain.
     pulse : callable, optional
-        Called about every `POLL_S` while waiting; raises to end the wait.
+        The first of `pulses`.
+
+    Attributes
+    ----------
+    record : Record
+    node : Node
+    pulses : list of callables
+        Called about every `POLL_S` while waiting; each may raise to end the wait.
     """
 
     def __init__(self, domain: int, pulse: Callable[[], None] = lambda: None) -> None:
         self.record = Record()
-        self._pulse = pulse
+        self.pulses = [pulse]
         self._pulsed_at = 0.0
         rclpy.init(
             domain_id=domain,
@@ -97,7 +104,8 @@ class Observer:
                 return False
             if now - self._pulsed_at > POLL_S:
                 self._pulsed_at = now
-                self._pulse()
+                for pulse in self.pulses:
+                    pulse()
             self._executor.spin_once(timeout_sec=POLL_S)
         return True
 

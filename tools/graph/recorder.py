@@ -1,0 +1,86 @@
+"""Everything that is said in the graph, written to a bag that ros2 bag and Foxglove open."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from plate_core import PlateError
+
+DISCOVERY_S = 0.5
+"""Interval at which new topics are looked for [s]."""
+
+DEPTH = 200
+"""Messages that may wait for us [-]."""
+
+BAG_VERSION: Final = 9
+"""Of the bag's metadata.yaml: what ROS 2 Jazzy writes."""
+
+
+class Recorder:
+    """Subscribes to every topic that appears, and writes what comes. A context manager.
+
+    Parameters
+    ----------
+    node : Node
+        Whose subscriptions these are; whoever spins it calls `discover` now and then.
+    folder : path
+        Of the bag, a new one: metadata.yaml and one .mcap file.
+
+    Raises
+    ------
+    PlateError
+        If the package rosbags is missing.
+    """
+
+    def __init__(self, node: Node, folder: Path) -> None:
+        try:
+            from rosbags.rosbag2 import StoragePlugin, Writer
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise PlateError(
+                "recording needs the package rosbags: pip install rosbags; or: ros2 bag record -a"
+            ) from None
+        self._node, self._looked_at = node, -DISCOVERY_S
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._writer = Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._heard: set[str] = set()
+
+    def __enter__(self) -> Recorder:
+        self._writer.open()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._writer.close()
+
+    def discover(self) -> None:
+        """Listen to topics that have come up since."""
+        if time.monotonic() - self._looked_at < DISCOVERY_S:
+            return
+        self._looked_at = time.monotonic()
+        for topic, kinds in self._node.get_topic_names_and_types():
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if topic in self._heard or not publishers or kinds[0] not in self._types.types:
+                continue
+            self._heard.add(topic)
+            offered = publishers[0].qos_profile
+            qos = QoSProfile(
+                depth=DEPTH, reliability=offered.reliability, durability=offered.durability
+            )
+            package, _, name = kinds[0].split("/")
+            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            self._node.create_subscription(kind, topic, self._write(topic, kinds[0]), qos, raw=True)
+
+    def _write(self, topic: str, kind: str) -> Callable[[bytes], None]:
+        connection = self._writer.add_connection(topic, kind, typestore=self._types)
+
+        def write(data: bytes) -> None:
+            self._writer.write(connection, time.time_ns(), bytes(data))
+
+        return write
