@@ -147,8 +147,8 @@ CHARTS = (
     ),
     Chart(
         "tracking",
-        "Two parts on a rectangle each: tracking error against speed, and the speed that no part "
-        "can exceed.",
+        "Parts on circles of 50 mm radius: tracking error against speed, and the fastest speed "
+        "that is kept (filled), against the number of parts; beside aT/16, the bound.",
         lambda data: table(data, "tracking", "tracking"),
         draw_tracking,
     ),

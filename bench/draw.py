@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -124,39 +125,48 @@ def draw_stages(figure: Figure, rows: list[dict[str, Any]]) -> None:
 
 
 def draw_tracking(figure: Figure, rows: list[dict[str, Any]]) -> None:
-    """Tracking error against speed, with the speed no part can exceed."""
-    axes = figure.subplots()
+    """Tracking error against speed for each number of parts, and the frontier of both methods."""
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    counts = sorted({r["parts"] for r in rows})
+    shades = colormaps["viridis_r"](np.linspace(0.15, 1, len(counts)))
+    for count, colour in zip(counts, shades, strict=True):
+        mine = [r for r in rows if r["parts"] == count and r["method"] == "sinusoids"]
+        x, y = [r["speed_mm_s"] for r in mine], [r["rms_mm"] for r in mine]
+        left.plot(x, y, "-", color=colour, lw=1.5, label=f"{count}")
+        for r in mine:
+            fill = colour if r["kept"] else "white"
+            left.plot(r["speed_mm_s"], r["rms_mm"], "o", color=colour, mfc=fill, ms=6)
+    bounds = sorted({r["bound_mm_s"] for r in rows if r["method"] == "sinusoids"})
+    for bound in bounds:
+        left.axvline(bound, color=FAINT, ls="--", lw=1)
+    left.annotate(
+        "aT/16", (bounds[0], 0.02), (-3, 0), color=FAINT, rotation=90, fontsize=9, ha="right",
+        va="bottom", xycoords=("data", "axes fraction"), textcoords="offset points",
+    )  # fmt: skip
+    left.plot([], [], "o", color=FAINT, mfc="white", ms=6, label="not kept")
+    left.set(
+        xscale="log", yscale="log", xlabel="speed along the path [mm/s]",
+        ylabel="RMS distance from the path's point [mm]",
+    )  # fmt: skip
+    left.set_xticks([2, 5, 10, 20, 40, 80, 160, 320, 640, 1250])
+    left.minorticks_off()
+    left.legend(title="sinusoids, parts", fontsize=9, title_fontsize=9, ncols=2)
     for method, colour in (("sinusoids", OURS), ("rotations", SECOND)):
         mine = [r for r in rows if r["method"] == method]
         if not mine:
             continue
-        x, y = [r["speed_mm_s"] for r in mine], [r["rms_mm"] for r in mine]
-        label = method + (" (default)" if method == "sinusoids" else "")
-        axes.plot(x, y, "-", color=colour, lw=1.5, label=label)
-        for r in mine:
-            fill = colour if r["success"] else "white"
-            axes.plot(r["speed_mm_s"], r["rms_mm"], "o", color=colour, mfc=fill, ms=7)
-        bound = mine[0]["bound_mm_s"]
-        axes.axvline(bound, color=colour, ls="--", lw=1.2)
-        axes.annotate(
-            f"aT/16 = {bound:.0f} mm/s", (bound, 0.97), (-4, 0), color=colour, rotation=90,
-            xycoords=("data", "axes fraction"), textcoords="offset points", ha="right", va="top",
-            fontsize=9,
-        )  # fmt: skip
-        for r in mine:
-            if r["speed_mm_s"] == 20 and method == "sinusoids":
-                mark(axes, 20, r["rms_mm"], "our default: follow_2", right=True)
-    axes.plot([], [], "o", color=FAINT, mfc="white", ms=7, label="lost the path")
-    axes.set(
-        xscale="log", yscale="log", xlabel="speed along the path [mm/s]",
-        ylabel="RMS distance from the path's point [mm]",
-    )  # fmt: skip
-    ticks = sorted({r["speed_mm_s"] for r in rows})
-    axes.set_xticks([*ticks, 300, 600, 1200], [f"{t}" for t in [*ticks, 300, 600, 1200]])
-    axes.minorticks_off()
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.margins(y=0.12)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        most = [
+            max([r["speed_mm_s"] for r in mine if r["parts"] == n and r["kept"]], default=np.nan)
+            for n in counts
+        ]
+        right.plot(counts, most, "o-", color=colour, label=method)
+        bound = [next(r["bound_mm_s"] for r in mine if r["parts"] == n) for n in counts]
+        right.plot(counts, bound, "--", color=colour, lw=1)
+    right.plot([], [], "--", color=FAINT, label="aT/16: no part faster")
+    right.set(yscale="log", xlabel="parts", ylabel="fastest speed kept [mm/s]", xticks=counts)
+    right.legend(fontsize=9)
+    for axis in (left.xaxis, left.yaxis, right.yaxis):
+        axis.set_major_formatter("{x:g}")
 
 
 def draw_steering(figure: Figure, rows: list[dict[str, Any]]) -> None:

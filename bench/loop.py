@@ -58,6 +58,8 @@ class Setup:
     dirt : Dirt
         Of the world.
     planner : PlannerOptions
+    image_age_s : float or None
+        What the planner takes the images' latency to be [s]; None: what it is.
     """
 
     scenario: str
@@ -68,6 +70,7 @@ class Setup:
     model: str = AUTO
     dirt: Dirt = CLEAN
     planner: PlannerOptions = field(default_factory=PlannerOptions)
+    image_age_s: float | None = None
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
@@ -87,7 +90,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
                 setup = replace(setup, method=_method(text))
             elif key == "model":
                 setup = replace(setup, model=check_model(text))
-            elif key in ("noise", "mu_scale"):
+            elif key in ("noise", "mu_scale", "image_age_s"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
             elif key == "blur":
                 dirt = replace(dirt, blur=_flag(key, text))
@@ -100,7 +103,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "model", "noise", "mu_scale"]
+            known = ["method", "model", "noise", "mu_scale", "image_age_s"]
             known += [f.name for kind in (Dirt, SortOptions, FollowOptions) for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
             raise PlateError(f"setting {key!r}, allowed: {names}") from None
@@ -175,7 +178,8 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         model=setup.model,
     )  # fmt: skip
     vision, tracker = make_vision(rig), Tracker()
-    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.dirt.latency))
+    age = setup.dirt.latency if setup.image_age_s is None else setup.image_age_s
+    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=age))
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, seed=setup.seed)
     playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None

@@ -27,7 +27,7 @@ MEASUREMENTS = {
     "camera": "The simulated camera: time for one image, error of the centres",
     "stages": "What each stage of the loop costs for one image",
     "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
-    "tracking": "Two parts on rectangles: tracking error against speed",
+    "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
     "closed_loop": "Whole tasks in the closed loop",
 }
 """Names, each measured by `measure_NAME.py`, and what they are about."""

@@ -43,9 +43,6 @@ model does not know: it is taken to be where it is seen, at any speed."""
 FRICTION = np.log(3.0)
 """Friction is looked for between a third and three times the rig's [log]."""
 
-SURE = 2
-"""Images that must show a part before it counts, unless all are new: specks come and go."""
-
 SAMPLES = np.vstack([np.zeros(5), np.diag(NUDGE)])
 """The state and its neighbours, (6, 5)."""
 
@@ -63,8 +60,8 @@ class Belief:
     covariance : (M, 5, 5)
     drift : (M, 2)
         As it was seen last [m/s].
-    seen, unseen : (M,)
-        Images that showed the part, and images in a row that do not.
+    unseen : (M,)
+        Images in a row that do not show the part.
     """
 
     ids: tuple[str, ...] = ()
@@ -72,7 +69,6 @@ class Belief:
     mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 5)))
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    seen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     unseen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
     @property
@@ -81,12 +77,10 @@ class Belief:
         return np.exp(self.mean[:, 4])
 
     def parts(self, log: PlateLog, t: float, friction_accel: float, mass: float) -> PartSet:
-        """Return the parts where they are at a later time t [s]; one seen only once may be none."""
-        sure = (self.seen >= SURE) | (len(self.ids) > 0 and np.max(self.seen) < SURE)
-        state = carried(log, self.mean[sure], self.time, t, friction_accel)
-        names = tuple(name for name, s in zip(self.ids, sure, strict=True) if s)
-        grip = mass * friction_accel * self.friction[sure]
-        return PartSet.make(names, state[:, :2], self.drift[sure], grip=grip)
+        """Return the parts where they are at a later time t [s]."""
+        place = carried(log, self.mean, self.time, t, friction_accel)[:, :2]
+        grip = mass * friction_accel * self.friction
+        return PartSet.make(self.ids, place, self.drift, grip=grip)
 
     def see(
         self, log: PlateLog, parts: PartSet, time: float, friction_accel: float, most: int
@@ -103,9 +97,9 @@ class Belief:
         new = [i for i, name in enumerate(parts.ids) if name not in row]
         rows = np.array([row[parts.ids[i]] for i in old], int)
         mean, covariance, drift = now.mean.copy(), now.covariance.copy(), now.drift.copy()
-        seen, unseen = now.seen.copy(), now.unseen + 1
+        unseen = now.unseen + 1
         mean[rows], covariance[rows] = updated(mean[rows], covariance[rows], parts.position[old])
-        drift[rows], seen[rows], unseen[rows] = parts.velocity[old], now.seen[rows] + 1, 0
+        drift[rows], unseen[rows] = parts.velocity[old], 0
         first = np.hstack([parts.position[new], np.zeros((len(new), 3))])
         return Belief(
             (*now.ids, *(parts.ids[i] for i in new)),
@@ -113,7 +107,6 @@ class Belief:
             np.vstack([mean, first]),
             np.concatenate([covariance, np.tile(np.diag(UNSEEN**2), (len(new), 1, 1))]),
             np.vstack([drift, parts.velocity[new]]),
-            np.append(seen, np.ones(len(new), int)),
             np.append(unseen, np.zeros(len(new), int)),
         )
 
@@ -128,13 +121,13 @@ class Belief:
         return replace(self, time=time, mean=cloud[:, 0], covariance=covariance)
 
     def _without(self, most: int) -> Belief:
-        """Leave out parts that `most` images did not show, or one if it is not sure to be any."""
-        keep = self.unseen < np.where(self.seen < SURE, 1, most)
+        """Leave out parts that the last `most` images did not show."""
+        keep = self.unseen < most
         if np.all(keep):
             return self
         return Belief(
             tuple(name for name, k in zip(self.ids, keep, strict=True) if k), self.time,
-            self.mean[keep], self.covariance[keep], self.drift[keep], self.seen[keep],
+            self.mean[keep], self.covariance[keep], self.drift[keep],
             self.unseen[keep],
         )  # fmt: skip
 

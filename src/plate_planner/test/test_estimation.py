@@ -120,16 +120,15 @@ def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
     assert set(watch.parts.ids) == {"black_1", "black_2", "black_3"}  # it came back
 
 
-def test_a_speck_is_no_part_and_a_part_put_down_is_one_from_its_second_image_on():
+def test_a_part_put_down_in_mid_task_is_known_at_once_and_soon_well():
     def edit(k, parts):
-        extra = {6: "black_8", 9: "black_9"}.get(min(k, 9))
-        if extra is None:
-            return parts
-        return PartSet.make((*parts.ids, extra), np.vstack([parts.position, [[0.2, 0.1]]]))
+        return parts if k >= 8 else PartSet.make(parts.ids[:2], parts.position[:2])
 
-    for k, (watch, _) in enumerate(watched(World(2, 1.0), 12, edit=edit)):
-        assert ("black_8" in watch.parts.ids) is False
-        assert ("black_9" in watch.parts.ids) is (k > 9)
+    for k, (watch, truth) in enumerate(watched(World(3, [1.0, 1.0, 0.8]), 24, edit=edit)):
+        assert len(watch.parts) == (3 if k >= 8 else 2)
+        if k > 12:
+            assert np.abs(watch.parts.position - truth).max() < 0.1e-3
+    assert watch.belief.friction[2] == pytest.approx(0.8, rel=0.05)
 
 
 def test_a_part_that_is_pushed_is_where_it_is_seen():
