@@ -11,7 +11,7 @@ def shared_files(folder):
     """List the files under `folder`, a link to the workspace's, for share/plate_core/<folder>."""
     by_target = {}
     for path in sorted(Path(folder).glob("**/*.*")):
-        if path.suffix in (".yaml", ".xml", ".py"):
+        if path.suffix in (".yaml", ".xml", ".py", ".rviz", ".json"):
             by_target.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
     return list(by_target.items())
 
