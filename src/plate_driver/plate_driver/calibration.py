@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
+from plate_core.kinematics import plate_state
 
-from .learning import Response, excitation, harmonics, identified, plate_amplitudes
+from .learning import (
+    Response,
+    excitation,
+    fitted,
+    harmonics,
+    identified,
+    plate_amplitudes,
+    pose_harmonics,
+)
 
 PERIOD_S = 1.033
 """Of the motions [s]: harmonics are then 1 Hz apart, finer than a resonance is wide; and samples
@@ -23,6 +32,9 @@ ACCEL = 10.0
 
 SETTLE, MEASURE = 2, 6
 """Cycles until the plate has found its rhythm, and that are measured then."""
+
+SLOWEST = 4
+"""Harmonics that tell when a cycle began: up to 3.9 Hz."""
 
 AXES = ("x", "y", "theta")
 
@@ -98,6 +110,75 @@ class Calibration:
         """What was learned, at the end."""
         frequency = np.arange(1, COUNT + 1) / PERIOD_S
         return identified(self.rig, frequency, np.array(self.commanded), np.array(self.measured))
+
+
+@dataclass(frozen=True)
+class Run:
+    """An experiment under way, and what its sensors have said.
+
+    Attributes
+    ----------
+    calibration : Calibration
+    since : float
+        When its cycle was sent [s].
+    samples : tuple of (time [s], q (4,), qdd (4,))
+    """
+
+    calibration: Calibration
+    since: float = 0.0
+    samples: tuple[tuple[float, tuple[float, ...], tuple[float, ...]], ...] = ()
+
+    @property
+    def cycle(self) -> PlateCycle:
+        """The cycle that is played."""
+        assert self.calibration.cycle is not None
+        return self.calibration.cycle
+
+    def playing(self, now: float) -> Run:
+        """Return the run whose cycle is sent now [s]."""
+        return replace(self, since=now)
+
+    def noted(self, time: float, q: tuple[float, ...], qdd: tuple[float, ...]) -> Run:
+        """Return the run with a sample."""
+        return replace(self, samples=(*self.samples, (time, q, qdd)))
+
+    def over(self, now: float) -> bool:
+        """Tell whether the experiment has lasted long enough."""
+        return now - self.since >= self.calibration.duration
+
+    def heard(self) -> Calibration:
+        """Return the calibration after this experiment.
+
+        Raises
+        ------
+        PlateError
+            If there are too few samples.
+        """
+        if not self.samples:
+            raise PlateError("the device has told nothing")
+        time, q, qdd = (np.array(column) for column in zip(*self.samples, strict=True))
+        kept = time > time[-1] - self.calibration.measure * PERIOD_S
+        time, q, qdd = time[kept] - time[kept][0], q[kept], qdd[kept]
+        return self.calibration.heard(aligned(self.calibration.rig, self.cycle, time, q), q, qdd)
+
+
+def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return times (n,) since a calibration cycle's start from those of another origin [s].
+
+    The slowest harmonics are followed at once: their phase tells when the cycle began. What the
+    motors' own lag delays them by (0.8 ms at 200 Hz) is taken for part of that, so the plate makes
+    its motion as much later; its shape is not touched.
+    """
+    nothing = np.zeros_like(q)
+    pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
+    found = fitted(t, pose, cycle.period, COUNT)[:SLOWEST]
+    asked = pose_harmonics(cycle, SLOWEST)[1:]
+    turn = np.sum(found * np.conj(asked), axis=1)
+    omega = 2 * np.pi * np.arange(1, SLOWEST + 1) / cycle.period
+    late = -np.angle(turn[0]) / omega[0]
+    rest = -np.angle(turn * np.exp(1j * omega * late))
+    weight = np.abs(turn) * omega
+    return np.asarray(t - late - np.sum(weight * rest) / np.sum(weight * omega))
 
 
 def save_response(path: str | Path, response: Response) -> None:

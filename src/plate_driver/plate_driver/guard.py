@@ -18,6 +18,9 @@ from .motor_table import Correction, MotorTable, check_order, prepare
 from .record import Record
 from .watchdog import Watchdog
 
+EXPERIMENT_CYCLES = 20
+"""Cycles of a calibration's experiment until the watchdog bites: twice what it takes."""
+
 
 class Mode(Enum):
     """What the driver lets through."""
@@ -74,7 +77,14 @@ class Guard:
             raise CycleError(f"the driver is {self.mode.value}")
         check_order(self.last_ns, stamp_ns)
         guard, fit = self.commanded(cycle, stamp_ns, now)
-        return replace(guard, last_ns=stamp_ns, record=self.record.accepted(fit)), fit
+        late = now - self.sent_at if self.watchdog.fed_at is not None else 0.0
+        record = self.record.accepted(fit, max(0.0, late - self._due))
+        return replace(guard, last_ns=stamp_ns, record=record), fit
+
+    @property
+    def _due(self) -> float:
+        """When the next cycle should come, after the last one [s]."""
+        return self.table.cycle.period if self.table is not None else 0.0
 
     def commanded(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
         """Return the guard with a cycle's table, whatever mode and order are.
@@ -93,9 +103,22 @@ class Guard:
         heat = heat.under(fit.usage.heat)
         return replace(self, table=table, sent_at=now, watchdog=watchdog, heat=heat), fit
 
+    def experimenting(self, cycle: PlateCycle, now: float) -> Guard:
+        """Return the guard with the table of a calibration's cycle, as it is.
+
+        Nobody feeds the watchdog meanwhile: it bites if the calibration does not go on.
+        """
+        patient = replace(self, hold_cycles=EXPERIMENT_CYCLES, correction=None)
+        guard, _ = patient.commanded(cycle, 0, now)
+        return replace(guard, hold_cycles=self.hold_cycles, correction=self.correction)
+
     def refused(self) -> Guard:
         """Return the guard after a cycle that it did not take."""
         return replace(self, record=self.record.refusal())
+
+    def troubled(self, trouble: str) -> Guard:
+        """Return the guard that has heard what is wrong with the transport."""
+        return replace(self, record=self.record.trouble(trouble))
 
     def resting(self, now: float) -> tuple[Guard, MotorTable | None]:
         """Return the guard with the plate at home, and the table for it; None if it never moved."""
@@ -113,6 +136,15 @@ class Guard:
             return guard, None
         guard = replace(guard, record=guard.record.rest())
         return guard.resting(now)
+
+    def values(self, period_s: float, now: float) -> dict[str, str]:
+        """Return what is to be reported of the last `period_s` at `now` [s], name to value."""
+        heat = self.heat.now(self.rig, now)
+        return self.record.values(period_s) | {
+            "heat": f"{float(np.max(heat.share)):.4f}",
+            "winding_c": f"{heat.celsius(self.rig):.1f}",
+            "learned": str(self.correction is not None),
+        }
 
     def turned(self, mode: Mode, now: float) -> tuple[Guard, MotorTable | None]:
         """Return the guard in another mode, with the plate at home."""

@@ -48,6 +48,15 @@ class Fit:
     asked: Peaks
     usage: Peaks
 
+    @property
+    def told(self) -> str:
+        """Say by how much it was scaled down, and why."""
+        return (
+            f"cycle scaled by {self.factor:.3g}: it used {self.asked.worst:.3g} times the limits "
+            f"({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
+            f"{self.asked.accel:.3g} m/s2, {self.asked.force:.3g} N)"
+        )
+
 
 def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
     """Scale a cycle down, as a whole, until no limit of the rig is exceeded.

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import functools
 import time
-import traceback
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PlateError, Rig, load_rig
+from plate_core import PlateError, load_rig
 from plate_core.kinematics import motor_state
 from plate_core.ros.convert import msg_to_cycle, nanoseconds, to_time, trajectory_to_msg
+from plate_core.ros.lifecycle import SafeLifecycleNode, logged
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA
+from plate_core.ros.qos import DATA, LATCHED
 
-from .motor_table import MotorTable, check_order, prepare
-from .record import Record
+from .calibration import Calibration, Run, save_response, saved_response
+from .guard import Guard, Mode
+from .motor_table import MotorTable
 from .serial_transport import Measured, SerialTransport, open_port
 from .transport import SimTransport, Transport, check_transport
-from .watchdog import Watchdog
 
 WATCH_PERIOD_S = 0.02
 POLL_PERIOD_S = 0.005
@@ -58,79 +58,65 @@ class Options:
         1, "Times that a cycle which does not start at rest is played.", 1, 100, live=True
     )
     state_rate: float = parameter(10.0, "Messages of motor_states [1/s]; 0: none.", 0.0, 200.0)
+    calibration_file: str = parameter(
+        "", "What `calibrate` has learned of the plate: written then, read at configure; or empty."
+    )
     autostart: bool = parameter(True, "Configure and activate at start.")
 
 
-Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
-
-
-def logged(transition: Transition) -> Transition:
-    """Log what a transition raises: rclpy turns it into an error state without a word."""
-
-    @functools.wraps(transition)
-    def wrapper(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return transition(self, state)
-        except PlateError as error:
-            self.problem = str(error)
-            self.get_logger().error(f"{transition.__name__}: {error}")
-            return TransitionCallbackReturn.FAILURE
-        except Exception:  # whatever it is: unlogged, it would be an error state without a reason
-            self.problem = traceback.format_exc()
-            self.get_logger().error(f"{transition.__name__} failed:\n{self.problem}")
-            return TransitionCallbackReturn.ERROR
-
-    return wrapper
-
-
-class DriverNode(LifecycleNode):
+class DriverNode(SafeLifecycleNode):
     """Lifecycle node `driver`: subscribes plate_cycle, publishes motor_setpoints, motor_states and
-    diagnostics while active, and brings the plate to rest before it stops being active.
+    diagnostics while active, and brings the plate to rest before it stops being active. Serves
+    emergency_stop, enable, home and calibrate; driver_state says whether the motors obey.
 
     With serial transport motor_states are measured: position [m], and in `effort`, since JointState
     has no field for it, acceleration [m/s2]; stamped by the device's clock."""
 
     def __init__(self) -> None:
         super().__init__("driver")
-        self.problem = ""
-        self._active = False
-        self._last_ns: int | None = None
-        self._table: MotorTable | None = None
-        self._sent_at = 0.0
-        self._watchdog = Watchdog()
-        self._record = Record()
-        self._timers_made: list[Any] = []
-        self._subscription: Any = None
-        self._publishers_made: list[Any] = []
+        self._guard = Guard(load_rig())
+        self._state = ""
+        self._run: Run | None = None
+        self._transport: Transport = SimTransport(self._publish)
         self._options = declare(self, Options)
         check_transport(self._options.transport, self._options.port)
         self._measured: Measured | None = None
         self._follow = follow(self, self._options, self._set_options)
         if self._options.autostart:
-            self._autostart()
-
-    def _autostart(self) -> None:
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() != TransitionCallbackReturn.SUCCESS:
-                raise PlateError(self.problem)
+            self.start()
 
     def _set_options(self, options: Options) -> None:
         self._options = options
+        self._guard = replace(self._guard, hold_cycles=options.hold_cycles, repeats=options.repeats)
 
     # Transitions
 
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the rig, open the transport, make publishers, subscription and timers."""
-        self._rig: Rig = load_rig(self._options.rig_file)
+        self._rig = rig = load_rig(self._options.rig_file)
+        options, learned = self._options, None
+        if options.calibration_file and Path(options.calibration_file).exists():
+            learned = saved_response(options.calibration_file).command
+        self._guard = Guard(rig, options.hold_cycles, options.repeats, learned)
+        self._transport = self._make_transport()
+        self._transport.open()
         self._setpoints = self.create_lifecycle_publisher(JointTrajectory, "motor_setpoints", DATA)
         self._states = self.create_lifecycle_publisher(JointState, "motor_states", DATA)
         self._diagnostics = self.create_lifecycle_publisher(DiagnosticArray, "diagnostics", DATA)
-        self._publishers_made = [self._setpoints, self._states, self._diagnostics]
-        self._transport: Transport = self._make_transport()
-        self._transport.open()
-        self._subscription = self.create_subscription(
-            JointTrajectory, "plate_cycle", self._on_cycle, DATA
+        self._driver_state = self.create_publisher(String, "driver_state", LATCHED)
+        self.keep(
+            self.destroy_lifecycle_publisher, self._setpoints, self._states, self._diagnostics
+        )
+        self.keep(self.destroy_publisher, self._driver_state)
+        cycles = self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        self.keep(self.destroy_subscription, cycles)
+        self.keep(
+            self.destroy_service,
+            self.create_service(Trigger, "emergency_stop", self._on_stop),
+            self.create_service(SetBool, "enable", self._on_enable),
+            self.create_service(Trigger, "home", self._on_home),
+            self.create_service(Trigger, "calibrate", self._on_calibrate),
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # ticks also while simulated time stands
         timers = [(WATCH_PERIOD_S, self._watch), (REPORT_PERIOD_S, self._report)]
@@ -138,67 +124,25 @@ class DriverNode(LifecycleNode):
             timers.append((POLL_PERIOD_S, self._poll))
         if self._options.state_rate > 0:
             timers.append((1 / self._options.state_rate, self._publish_state))
-        self._timers_made = [self.create_timer(t, tick, clock=steady) for t, tick in timers]
+        for t, tick in timers:
+            self.keep(self.destroy_timer, self.create_timer(t, tick, clock=steady))
         return super().on_configure(state)
 
-    @logged
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to listen and to publish."""
-        result = super().on_activate(state)
-        self._active = True
-        return result
+    def begin(self) -> None:
+        """Say that the motors obey."""
+        self._tell_state()
 
-    @logged
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the plate to rest, then fall silent."""
-        self._stop()
-        return super().on_deactivate(state)
-
-    @logged
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything that on_configure made."""
-        self._release()
-        return super().on_cleanup(state)
-
-    @logged
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the plate to rest and release everything."""
-        self._stop()
-        self._release()
-        return super().on_shutdown(state)
-
-    @logged
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Bring the plate to rest if that still works, and begin anew from unconfigured."""
-        self._stop()
-        self._release()
-        return TransitionCallbackReturn.SUCCESS
-
-    def destroy_node(self) -> None:
-        """Bring the plate to rest, also when the process is told to stop."""
-        if self._active and self.context.ok():
-            self.trigger_deactivate()
-        super().destroy_node()
-
-    def _stop(self) -> None:
-        if not self._active:
-            return
-        self._active = False
-        self._rest()
+    def rest(self) -> None:
+        """Bring the plate to rest."""
+        self._turn(Mode.STOPPED if self._guard.mode is Mode.STOPPED else Mode.READY)
+        self._tell_state()
         if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
             self.get_logger().debug("not everyone has confirmed the last motor table")
 
-    def _release(self) -> None:
-        for timer in self._timers_made:
-            self.destroy_timer(timer)
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-            self._transport.close()
-        for publisher in self._publishers_made:
-            self.destroy_lifecycle_publisher(publisher)
-        self._timers_made, self._subscription, self._publishers_made = [], None, []
-        self._last_ns, self._table, self._watchdog = None, None, Watchdog()
-        self._measured = None
+    def release(self) -> None:
+        """Let go of the transport."""
+        self._transport.close()
+        self._measured, self._run, self._state = None, None, ""
 
     # Work
 
@@ -214,43 +158,37 @@ class DriverNode(LifecycleNode):
             return
         for measured in self._transport.poll():
             self._measured = measured
+            if self._run is not None:
+                told = measured.telemetry
+                self._run = self._run.noted(measured.time, told.position, told.acceleration)
         for trouble in self._transport.troubles():
-            self._record = self._record.trouble(trouble)
+            self._guard = self._guard.troubled(trouble)
             self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
 
     def _now(self) -> float:
         return self.get_clock().now().nanoseconds * 1e-9
 
     def _on_cycle(self, msg: JointTrajectory) -> None:
-        if not self._active:
+        if not self.active:
             return
         stamp_ns = nanoseconds(msg.header.stamp)
         try:
-            check_order(self._last_ns, stamp_ns)
-            table, fit = prepare(self._rig, msg_to_cycle(msg), stamp_ns, self._options.repeats)
-            self._send(table)
+            guard, fit = self._guard.accepted(msg_to_cycle(msg), stamp_ns, self._now())
+            self._send(guard)
         except PlateError as error:
-            self._record = self._record.refusal()
+            self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
             return
-        self._last_ns = stamp_ns
-        self._watchdog = self._watchdog.fed(
-            self._sent_at, table.cycle.period, self._options.hold_cycles
-        )
-        self._record = self._record.accepted(fit)
         if fit.factor < WORTH_A_WARNING:
-            self.get_logger().warning(
-                f"cycle scaled by {fit.factor:.3g}: it used {fit.asked.worst:.3g} times the limits "
-                f"({fit.asked.stroke_m * 1e3:.3g} mm, {fit.asked.speed:.3g} m/s, "
-                f"{fit.asked.accel:.3g} m/s2)",
-                throttle_duration_sec=QUIET_S,
-            )
+            self.get_logger().warning(fit.told, throttle_duration_sec=QUIET_S)
 
-    def _send(self, table: MotorTable) -> None:
-        self._transport.send(table)
+    def _send(self, guard: Guard) -> None:
+        """Send the table of a guard, and take the guard for ours."""
+        assert guard.table is not None
+        self._transport.send(guard.table)
         if isinstance(self._transport, SerialTransport):
-            self._publish(table)
-        self._table, self._sent_at = table, self._now()
+            self._publish(guard.table)
+        self._guard = guard
 
     def _publish(self, table: MotorTable) -> None:
         joints = [motor.name for motor in self._rig.motors]
@@ -259,34 +197,115 @@ class DriverNode(LifecycleNode):
             trajectory_to_msg(joints, table.cycle.times, table.q, table.qd, table.qdd, stamp)
         )
 
-    def _rest(self) -> None:
-        """Send the table that keeps the plate at home; nothing to do if none was ever sent."""
-        self._watchdog = self._watchdog.rested()
-        if self._table is not None:
-            period = self._table.cycle.period
-            self._send(MotorTable.rest(self._rig, period, self._table.stamp_ns))
+    def _turn(self, mode: Mode) -> None:
+        """Bring the plate to rest, and let through from now on what a mode lets through."""
+        self._run = None
+        self._guard, table = self._guard.turned(mode, self._now())
+        if table is not None:
+            self._send(self._guard)
 
     def _watch(self) -> None:
+        if not self.active:
+            return
         now = self._now()
-        self._watchdog = self._watchdog.synchronised(now)
-        if self._active and self._watchdog.tripped(now):
+        before = self._guard.watchdog.patience
+        guard, table = self._guard.watched(now)
+        if table is None:
+            self._guard = guard
+        else:
             self.get_logger().warning(
-                f"no plate_cycle for {self._watchdog.patience:.3g} s: the plate is brought to rest",
+                f"no plate_cycle for {before:.3g} s: the plate is brought to rest",
                 throttle_duration_sec=QUIET_S,
             )
-            self._record = self._record.rest()
-            self._rest()
+            self._send(guard)
+        self._calibrate(now)
+        self._tell_state()
+
+    def _tell_state(self) -> None:
+        """Publish whether the motors obey, when that changes."""
+        state = self._guard.mode.value if self.active else "inactive"
+        if self.active and not self._transport.connected:
+            state = "error: the device is silent"
+        if state != self._state:
+            self._state = state
+            self._driver_state.publish(String(data=state))
+
+    # Services
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._turn(Mode.STOPPED)
+        self._transport.stop()
+        self._tell_state()
+        self.get_logger().error("emergency stop: the plate brakes; call enable to go on")
+        response.success, response.message = True, Mode.STOPPED.value
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._turn(Mode.READY if request.data else Mode.DISABLED)
+        if request.data:
+            self._transport.enable()
+        else:
+            self._transport.stop()
+        self._tell_state()
+        response.success, response.message = self.active, self._guard.mode.value
+        return response
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.active and self._guard.mode is Mode.DISABLED
+        response.message = "the plate goes home"
+        if not response.success:
+            response.message = f"the driver is {self._state}, allowed: disabled; call enable, false"
+        else:
+            self._transport.home()
+        return response
+
+    def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = False
+        if not self._options.calibration_file:
+            response.message = "calibration_file is '', allowed: the name of a file"
+        elif not isinstance(self._transport, SerialTransport):
+            response.message = "transport is sim, allowed: serial, where something is measured"
+        elif self._state != Mode.READY.value:
+            response.message = f"the driver is {self._state}, allowed: ready"
+        else:
+            self._turn(Mode.CALIBRATING)
+            self._experiment(Run(Calibration.begun(self._rig)), self._now())
+            response.success, response.message = True, "see driver_state and diagnostics"
+        return response
+
+    def _experiment(self, run: Run, now: float) -> None:
+        """Begin the next experiment of a calibration."""
+        self._run = run = run.playing(now)
+        self._send(self._guard.experimenting(run.cycle, now))
+        self.get_logger().info(f"calibration: {run.calibration.progress}")
+
+    def _calibrate(self, now: float) -> None:
+        """Go on with the calibration when an experiment is over."""
+        if self._run is None or not self._run.over(now):
+            return
+        try:
+            calibration = self._run.heard()
+            if calibration.cycle is not None:
+                self._experiment(Run(calibration), now)
+                return
+            save_response(self._options.calibration_file, calibration.response)
+            text = f"done: {self._options.calibration_file}, used from the next configure on"
+        except PlateError as error:
+            self._guard = self._guard.troubled("calibration failed")
+            text = f"failed: {error}"
+        self.get_logger().info(f"calibration {text}")
+        self._turn(Mode.READY)
 
     def _publish_state(self) -> None:
         """Publish what was measured, or else what the motors were told to do now."""
         if isinstance(self._transport, SerialTransport):
             self._publish_measured()
             return
-        if not self._active or self._table is None:
+        if not self.active or self._guard.table is None:
             return
         now = self.get_clock().now()
-        cycle = self._table.cycle
-        t = max(0.0, now.nanoseconds * 1e-9 - self._sent_at) % cycle.period
+        cycle = self._guard.table.cycle
+        t = max(0.0, now.nanoseconds * 1e-9 - self._guard.sent_at) % cycle.period
         q, qd, _ = motor_state(self._rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
         msg = JointState(name=[motor.name for motor in self._rig.motors])
         msg.header.stamp = now.to_msg()
@@ -295,7 +314,7 @@ class DriverNode(LifecycleNode):
 
     def _publish_measured(self) -> None:
         measured, self._measured = self._measured, None
-        if not self._active or measured is None:
+        if not self.active or measured is None:
             return
         msg = JointState(name=[motor.name for motor in self._rig.motors])
         age = Duration(seconds=max(0.0, time.monotonic() - measured.time))
@@ -305,13 +324,22 @@ class DriverNode(LifecycleNode):
         self._states.publish(msg)
 
     def _report(self) -> None:
-        if not self._active:
+        if not self.active:
             return
-        record, self._record = self._record, self._record.reported()
+        guard = self._guard
+        record, self._guard = guard.record, replace(guard, record=guard.record.reported())
         status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="plate")
         status.level = DiagnosticStatus.WARN if record.troubles else DiagnosticStatus.OK
+        if self._state not in (Mode.READY.value, Mode.CALIBRATING.value):
+            status.level = DiagnosticStatus.ERROR
+        values = guard.values(REPORT_PERIOD_S, self._now()) | {"state": self._state}
+        if self._run is not None:
+            values["calibration"] = self._run.calibration.progress
+        if isinstance(self._transport, SerialTransport):
+            values["retries"] = str(self._transport.retries)
+            values["frames_refused"] = str(self._transport.refused)
         status.message = ", ".join(record.troubles) or "all cycles as asked"
-        status.values = [KeyValue(key=k, value=v) for k, v in record.values().items()]
+        status.values = [KeyValue(key=k, value=v) for k, v in values.items()]
         msg = DiagnosticArray(status=[status])
         msg.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(msg)

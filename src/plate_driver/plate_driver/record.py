@@ -20,6 +20,10 @@ class Record:
         Greatest share of a limit that any cycle asked for.
     factor : float
         Smallest factor that a cycle was scaled with.
+    late : float
+        Longest that a cycle came after the last one's end [s].
+    since : int
+        Cycles accepted before this report.
     troubles : tuple of str
         What went wrong, each once.
     """
@@ -30,15 +34,18 @@ class Record:
     rests: int = 0
     worst: float = 0.0
     factor: float = 1.0
+    late: float = 0.0
+    since: int = 0
     troubles: tuple[str, ...] = ()
 
-    def accepted(self, fit: Fit) -> Record:
-        """Count a cycle that was sent."""
+    def accepted(self, fit: Fit, late: float = 0.0) -> Record:
+        """Count a cycle that was sent, so much after the last one's end [s]."""
         new = replace(
             self,
             cycles=self.cycles + 1,
             worst=max(self.worst, fit.asked.worst),
             factor=min(self.factor, fit.factor),
+            late=max(self.late, late),
         )
         if fit.factor < 1:
             return replace(new, scaled=self.scaled + 1)._with("a cycle was scaled down")
@@ -58,16 +65,18 @@ class Record:
 
     def reported(self) -> Record:
         """Begin the next report."""
-        return replace(self, worst=0.0, factor=1.0, troubles=())
+        return replace(self, worst=0.0, factor=1.0, late=0.0, since=self.cycles, troubles=())
 
     def _with(self, trouble: str) -> Record:
         if trouble in self.troubles:
             return self
         return replace(self, troubles=(*self.troubles, trouble))
 
-    def values(self) -> dict[str, str]:
-        """Return the report, name to value."""
+    def values(self, period_s: float) -> dict[str, str]:
+        """Return the report of the last `period_s`, name to value."""
         return {
+            "rate_hz": f"{(self.cycles - self.since) / period_s:.2f}",
+            "late_ms": f"{self.late * 1e3:.1f}",
             "cycles": str(self.cycles),
             "refused": str(self.refused),
             "scaled": str(self.scaled),

@@ -85,6 +85,11 @@ class SerialTransport:
         self.refused = 0
         self.retries = 0
 
+    @property
+    def connected(self) -> bool:
+        """Whether the device has answered, and not fallen silent since."""
+        return self._port is not None and self._link.device is not None
+
     def open(self) -> None:
         """Open the port and say hello; a PlateError says what is missing."""
         self._connect(self._make_port())

@@ -13,11 +13,24 @@ from .motor_table import MotorTable
 class Transport(Protocol):
     """The way to the motors."""
 
+    @property
+    def connected(self) -> bool:
+        """Whether the motors are there."""
+
     def open(self) -> None:
         """Make it ready to send; a PlateError says what is missing."""
 
     def send(self, table: MotorTable) -> None:
         """Hand over a table: the motors take it at their next cycle boundary."""
+
+    def stop(self) -> None:
+        """Have the motors brake now, if they can, and stay off."""
+
+    def enable(self) -> None:
+        """Let the next table move them again."""
+
+    def home(self) -> None:
+        """Have them find home."""
 
     def close(self) -> None:
         """Release it. Sending nothing more: the rest table was sent before."""
@@ -35,12 +48,23 @@ class SimTransport:
     def __init__(self, publish: Callable[[MotorTable], None]) -> None:
         self._publish = publish
 
+    connected = True
+
     def open(self) -> None:
         """Nothing to open."""
 
     def send(self, table: MotorTable) -> None:
         """Publish the table."""
         self._publish(table)
+
+    def stop(self) -> None:
+        """Nothing: it takes the rest table at the end of its cycle."""
+
+    def enable(self) -> None:
+        """Nothing: it is never off."""
+
+    def home(self) -> None:
+        """Nothing: it never loses home."""
 
     def close(self) -> None:
         """Nothing to close."""

@@ -19,6 +19,8 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros.convert import (  # noqa: E402
@@ -27,7 +29,7 @@ from plate_core.ros.convert import (  # noqa: E402
     nanoseconds,
     to_time,
 )
-from plate_core.ros.qos import DATA  # noqa: E402
+from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
@@ -211,7 +213,7 @@ def test_good_and_bad_cycles(peer, rig):
     before = len(peer.setpoints)
     for bad in (joints, nan, open_end, unsorted, stale, JointTrajectory()):
         peer.cycles.publish(bad)
-        peer.until(lambda: False, seconds=0.02)  # the queue holds five
+        peer.until(lambda: False, seconds=0.1)  # the queue holds five
     peer.cycles.publish(good_msg)
     peer.answer(stamp + 100 * MS)
     answered = {nanoseconds(m.header.stamp) for m in peer.setpoints[before:]}
@@ -327,3 +329,38 @@ def test_wrong_parameters_are_refused_at_start(parameter, message):
             DriverNode()
     finally:
         rclpy.shutdown()
+
+
+def test_services_stop_disable_and_enable(peer):
+    peer.connect()
+    told: list[str] = []
+    peer.node.create_subscription(String, "driver_state", lambda m: told.append(m.data), LATCHED)
+    stop, home, calibrate = (
+        peer.node.create_client(Trigger, name) for name in ("emergency_stop", "home", "calibrate")
+    )
+    enable = peer.node.create_client(SetBool, "enable")
+    assert peer.until(lambda: told == ["ready"])
+    stamp = LAST_STAMP
+    for call, state in (
+        (lambda: peer.call(stop, Trigger.Request()), "stopped by emergency stop, call enable"),
+        (lambda: peer.call(enable, SetBool.Request(data=False)), "disabled, call enable"),
+    ):
+        stamp += MS
+        peer.send(shaking(0.0005), stamp)
+        assert not at_rest(peer.answer(stamp))
+        assert call().success
+        assert at_rest(peer.answer(stamp, count=2))
+        assert peer.until(lambda s=state: told[-1] == s)
+        count = len(peer.setpoints)
+        peer.send(shaking(0.0005), stamp + 1)
+        assert not peer.until(lambda n=count: len(peer.setpoints) > n, seconds=0.5)
+        assert peer.call(home, Trigger.Request()).success == (state[0] == "d")
+        assert peer.call(enable, SetBool.Request(data=True)).success
+        assert peer.until(lambda: told[-1] == "ready")
+    answer = peer.call(calibrate, Trigger.Request())
+    assert (answer.success, answer.message[:19]) == (False, "calibration_file is")
+    peer.send(shaking(0.0005), stamp + MS)
+    assert not at_rest(peer.answer(stamp + MS))
+    code, output = peer.end()
+    assert code == 0, output
+    assert "cycle refused: the driver is stopped by emergency stop, call enable" in output

@@ -31,8 +31,13 @@ def test_counts():
 
 
 def test_report_keeps_totals_and_forgets_peaks():
-    record = Record().accepted(fit(RIG, wild(0.1))).reported()
-    assert record.values() == {
+    record = Record().accepted(fit(RIG, wild(0.1)), late=0.01)
+    assert record.values(0.5)["rate_hz"] == "2.00"
+    assert record.values(0.5)["late_ms"] == "10.0"
+    record = record.reported()
+    assert record.values(0.5) == {
+        "rate_hz": "0.00",
+        "late_ms": "0.0",
         "cycles": "1",
         "refused": "0",
         "scaled": "1",

@@ -1,0 +1,200 @@
+"""No sequence of inputs whatever makes an applied setpoint break a limit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from scipy.integrate import trapezoid
+from scipy.interpolate import BPoly
+
+from plate_core import CycleError, PlateCycle, PlateError, load_rig
+from plate_core.kinematics import motor_state
+from plate_core.limits import corner_accel
+from plate_driver.guard import Guard, Mode
+from plate_driver.learning import Response
+
+RIG = load_rig()
+LIMITS = RIG.limits
+EXCESS = 1e-5
+"""What rounding may add to a limit [share]."""
+
+SIZES = st.sampled_from([0.0, 1e-9, 1e-4, 1e-3, 0.01, 1.0, 1e4, 1e60, 1e200, np.nan, np.inf])
+TIMES = st.sampled_from([0.0, 1e-4, 0.02, 0.2, 3.0, -1.0, 1e6])
+STAMPS = st.one_of(st.integers(-(2**31), 2**62), st.integers(0, 10**10))
+
+
+def wild_cycle(seed: int, knots: int, size: float, period: float, smooth: int) -> PlateCycle:
+    """Anything that a message can say; CycleError if it is none."""
+    rng = np.random.default_rng(seed)
+    rate = [1.0, knots / period, (knots / period) ** 2]
+    times = np.append(0.0, np.cumsum(rng.uniform(0.05, 1, knots)))
+    states = [size * r * rng.normal(size=(knots + 1, 3)) for r in rate]
+    if smooth:  # from rest to rest, as the solver's are
+        shape = np.sin(np.pi * times / times[-1])[:, None] ** 4
+        states = [states[0] * shape, states[1] * shape, states[2] * shape]
+    if seed % 7:
+        for state in states:
+            state[-1] = state[0]
+    if seed % 11 == 5:
+        times[knots // 2] = times[-1]  # unsorted
+    return PlateCycle.from_knots(times * period / times[-1], *states)
+
+
+def shares(table) -> dict[str, float]:
+    """Use of the limits by other means than the driver's: scipy's splines, densely sampled."""
+    found = {"stroke": 0.0, "speed": 0.0}
+    states = np.stack([table.q, table.qd, table.qdd], axis=1)  # (k, 3, 4)
+    for motor in range(4):
+        spline = BPoly.from_derivatives(table.cycle.times, states[:, :, motor])
+        t = (table.cycle.times[:-1, None] + np.diff(table.cycle.times)[:, None] * U).ravel()
+        found["stroke"] = max(found["stroke"], np.max(np.abs(spline(t))) / LIMITS.stroke_m)
+        found["speed"] = max(found["speed"], np.max(np.abs(spline(t, 1))) / LIMITS.speed)
+    t = (table.cycle.times[:-1, None] + np.diff(table.cycle.times)[:, None] * U).ravel()
+    pose, twist, accel = table.cycle.pose(t), table.cycle.twist(t), table.cycle.accel(t)
+    found["accel"] = np.max(corner_accel(RIG, pose, twist, accel)) / LIMITS.accel
+    # Newton and Euler for a uniform plate, motors by least squares at home.
+    inertia = RIG.plate.mass_kg * (RIG.plate.length_m**2 + RIG.plate.width_m**2) / 12
+    lever, _, _ = motor_state(RIG, 1e-7 * np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
+    wrench = accel * [RIG.plate.mass_kg, RIG.plate.mass_kg, inertia]
+    force = wrench @ np.linalg.pinv(lever / 1e-7).T
+    found["force"] = np.max(np.abs(force)) / LIMITS.force
+    load = trapezoid(force**2, t, axis=0) / t[-1]
+    return found | {"load": load / LIMITS.continuous_force**2}
+
+
+U = np.linspace(0, 1, 33)
+
+
+class Anything(RuleBasedStateMachine):
+    """The driver's guard under whatever may come, and a heat model of its own that integrates."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.guard = Guard(RIG)
+        self.now = 100.0
+        self.applied = self.guard.table
+        self.load = np.zeros(4)
+        self.heat = np.zeros(4)
+
+    def take(self, guard: Guard) -> None:
+        self.guard = guard
+        if guard.table is None or guard.table is self.applied:
+            return
+        self.applied = guard.table
+        found = shares(guard.table)
+        self.load = found.pop("load")
+        for name, share in found.items():
+            if name != "accel" or self.guard.correction is None:
+                assert share <= 1 + EXCESS, f"{name}: {share}"
+        assert np.all(np.abs(guard.table.q[[0, -1]]) < 3e-5)
+        assert np.all(np.isfinite(guard.table.qdd))
+
+    @rule(
+        seed=st.integers(0, 10**6), knots=st.integers(1, 40), size=SIZES, smooth=st.integers(0, 1),
+        period=st.sampled_from([1e-3, 0.01, 0.05, 0.2, 1.0, 9.9, 20.0]), stamp=STAMPS,
+    )  # fmt: skip
+    def a_cycle_comes(self, seed, knots, size, smooth, period, stamp):
+        try:
+            with np.errstate(all="ignore"):
+                guard, fit = self.guard.accepted(
+                    wild_cycle(seed, knots, size, period, smooth), stamp, self.now
+                )
+        except PlateError:
+            self.guard = self.guard.refused()
+            return
+        assert fit.factor <= 1
+        self.take(guard)
+
+    @rule(strong=st.integers(1, 5))
+    def the_hardest_cycle_is_repeated(self, strong):
+        t = np.arange(64) / 64
+        pose = np.outer(np.sin(2 * np.pi * t * strong) * np.sin(np.pi * t) ** 4, [1, 1, 3.0])
+        guard, stamp = self.guard, (self.guard.last_ns or 0) + 1
+        if guard.mode is Mode.READY:
+            self.take(guard.accepted(PlateCycle.from_samples(0.2, pose), stamp, self.now)[0])
+
+    @rule(wait=TIMES)
+    def time_goes_by(self, wait):
+        """The watchdog looks every 20 ms of it; clocks may jump."""
+        if wait > 0:
+            steps = min(100, max(1, round(wait / 0.02)))
+            for _ in range(steps):
+                self.now += wait / steps if wait < 10 else 0.02
+                span = wait / steps if wait < 10 else 0.02
+                decay = np.exp(-span / LIMITS.thermal_time_s)
+                self.heat = self.load + (self.heat - self.load) * decay
+                self.take(self.guard.watched(self.now)[0])
+        else:
+            self.now += wait
+            self.take(self.guard.watched(self.now)[0])
+
+    @rule(mode=st.sampled_from(list(Mode)))
+    def a_service_is_called(self, mode):
+        self.take(self.guard.turned(mode, self.now)[0])
+        assert self.guard.table is None or not np.any(self.guard.table.q)
+
+    @rule()
+    def the_motors_are_enabled(self):
+        self.take(self.guard.turned(Mode.READY, self.now)[0])
+
+    @precondition(lambda self: self.guard.table is None)
+    @rule(gain=st.floats(0.05, 20), seed=st.integers(0, 100))
+    def something_was_learned(self, gain, seed):
+        rng = np.random.default_rng(seed)
+        matrix = gain * (np.eye(3) + 0.3 * rng.normal(size=(20, 3, 3)) * (1 + 1j))
+        response = Response(np.arange(1.0, 21) * 5, matrix, 0.33)
+        self.guard = Guard(RIG, correction=response.command)
+
+    @invariant()
+    def motors_stay_cool(self):
+        assert np.all(self.heat <= 1 + 1e-3)
+        assert self.guard.mode is Mode.READY or self.guard.watchdog.fed_at is None
+
+
+Anything.TestCase.settings = settings(
+    max_examples=40, stateful_step_count=25, deadline=None, derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)  # fmt: skip
+TestAnything = Anything.TestCase
+
+
+def test_the_checker_sees_what_breaks_a_limit():
+    """A guard that lets everything through would be found out."""
+    guard, _ = Guard(RIG).accepted(wild_cycle(1, 12, 1e-3, 0.2, 1), 1, 0.0)
+    table = guard.table
+    for factor in (1.01, 10.0):
+        wrong = type(table)(0, table.cycle, factor * table.q, factor * table.qd, factor * table.qdd)
+        used = shares(wrong)
+        assert used["stroke"] == pytest.approx(factor * shares(table)["stroke"])
+    assert max(v for k, v in shares(table).items() if k != "load") > 0.99
+
+
+def test_what_is_refused_changes_nothing():
+    guard, _ = Guard(RIG).accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9, 0.0)
+    with pytest.raises(CycleError, match="is older than the last"):
+        guard.accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9 - 1, 0.1)
+    stopped, rest = guard.turned(Mode.STOPPED, 0.1)
+    assert rest is not None
+    assert not np.any(rest.q)
+    with pytest.raises(CycleError, match="stopped by emergency stop, call enable"):
+        stopped.accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 2 * 10**9, 0.2)
+
+
+def test_hot_motors_get_less():
+    """At full force for minutes: the share that may be used falls to what lasts for ever."""
+    limits = replace(LIMITS, continuous_force=5.0, thermal_time_s=5.0)
+    small = Guard(replace(RIG, limits=limits))
+    t = np.arange(64) / 64
+    pose = np.outer(np.sin(4 * np.pi * t) * np.sin(np.pi * t) ** 4, [0.005, 0, 0])
+    cycle, factors, now, guard = PlateCycle.from_samples(0.2, pose), [], 0.0, small
+    for k in range(150):
+        guard, fit = guard.accepted(cycle, k, now)
+        factors.append(fit.factor)
+        now += 0.2
+    assert factors[0] == pytest.approx(max(factors))
+    assert factors[-1] < 0.8 * factors[0]
+    assert float(np.max(guard.heat.now(guard.rig, now).share)) == pytest.approx(1, abs=0.02)
+    assert fit.usage.heat.max() == pytest.approx(1, abs=0.02)
