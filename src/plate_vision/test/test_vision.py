@@ -59,3 +59,18 @@ def test_another_size_is_refused(vision, draw, rng, shape):
     tracker = look(vision, Tracker(), draw([], [], rng), 0.0)
     with pytest.raises(ImageError, match=r"size is .* allowed: 640 x 480 px"):
         look(vision, tracker, np.full(shape, 200, np.uint8), DT)
+
+
+def test_drift_of_still_parts_is_small(draw, rng):
+    """At 30 images a second a standard deviation of at most 1 mm/s, on the default rig."""
+    vision, tracker, drift = make_vision(load_rig()), Tracker(), []
+    place = rng.uniform([60, 120], [580, 360], (40, 2))
+    apart = [p for i, p in enumerate(place) if all(np.hypot(*(p - q)) > 25 for q in place[:i])][:10]
+    for k in range(40):
+        frame = draw(apart, ["black", "grey"] * 5, rng, radius=7.9)
+        tracker = look(vision, tracker, frame, k / 30)
+        drift.append(tracker.parts.velocity)
+    drift = np.array(drift[1:])
+    assert drift.shape == (39, 10, 2)
+    assert drift.std() < 0.5e-3
+    assert drift.std(axis=0).max() < 1e-3
