@@ -8,10 +8,11 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
+PUBLISHER = re.compile(r'create_(?:lifecycle_)?publisher\(\s*\w+,\s*"(\w+)"')
 PUBLISHED = {
     name
     for path in ROOT.glob("src/*/plate_*/node.py")
-    for name in re.findall(r'create_(?:lifecycle_)?publisher\(\s*\w+,\s*"(\w+)"', path.read_text("utf-8"))
+    for name in PUBLISHER.findall(path.read_text("utf-8"))
 }
 
 
