@@ -1,14 +1,17 @@
 """Finds parts in camera images and measures their positions and drift."""
 
 from .calibration import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig
-from .detection import CLASSES, DETECTION, DetectorOptions, detect
+from .detection import BRIGHT, CLASSES, DETECTION, METHODS, detect
 from .errors import CalibrationError, ImageError, OptionError, TrackError
+from .options import DetectorOptions
 from .tracking import Tracker, TrackerOptions
 from .vision import Vision, look, make_vision
 
 __all__ = [
+    "BRIGHT",
     "CLASSES",
     "DETECTION",
+    "METHODS",
     "Calibration",
     "CalibrationError",
     "DetectorOptions",

@@ -134,6 +134,11 @@ def _normal_equations(
     return normal, right, kept
 
 
+def quadratic(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the terms (n, 6) of a quadratic surface at places u, v (n,)."""
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
+
+
 @lru_cache(maxsize=16)
 def _samples(
     region: Region,
@@ -147,5 +152,5 @@ def _samples(
     centre = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
     scale = 0.5 * max(x1 - x0, y1 - y0)
     u, v = (columns - centre[0]) / scale, (rows - centre[1]) / scale
-    design = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v]).astype(np.float32)
+    design = np.ascontiguousarray(quadratic(u, v).T.astype(np.float32))
     return rows, columns, design, centre, scale

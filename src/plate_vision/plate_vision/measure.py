@@ -5,7 +5,7 @@ Darkness is 1 - grey / bare plate: 0 on the plate, the same all over a part what
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numba import njit
@@ -48,26 +48,24 @@ class Discs:
         1 - grey / bare plate, mean over the inner part.
     misfit : (n,)
         How far from an evenly dark disc: 0 for a perfect one, about 1 for something else.
+    fitted : (n,) bool
+        Whether measured by a fit, not by moments.
     """
 
     centre: np.ndarray
     radius: np.ndarray
     darkness: np.ndarray
     misfit: np.ndarray
+    fitted: np.ndarray
 
     def select(self, index: np.ndarray) -> Discs:
         """Return some of the discs."""
-        return Discs(
-            self.centre[index], self.radius[index], self.darkness[index], self.misfit[index]
-        )
+        return Discs(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def join(self, other: Discs) -> Discs:
         """Return these and the others."""
         return Discs(
-            np.concatenate([self.centre, other.centre]),
-            np.concatenate([self.radius, other.radius]),
-            np.concatenate([self.darkness, other.darkness]),
-            np.concatenate([self.misfit, other.misfit]),
+            *(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
         )
 
 
@@ -107,7 +105,9 @@ def measure_alone(
     spread = sums[:, 3] / mass - np.sum(shift**2, axis=1)
     misfit = np.abs(2 * spread / radius**2 - 1)
     beside = sums[:, 6] > RIM_DIRT_PX2 * darkness
-    return Discs(np.rint(seeds) + shift, radius, darkness, misfit), beside
+    return Discs(
+        np.rint(seeds) + shift, radius, darkness, misfit, np.zeros(len(seeds), bool)
+    ), beside
 
 
 @njit(cache=True, fastmath=True)

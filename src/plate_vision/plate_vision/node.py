@@ -23,11 +23,11 @@ from plate_core.ros.qos import CAMERA, DATA, IMAGE
 
 from .calibration import Lens
 from .camera_file import load_camera
-from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections
 from .encodings import decode, decode_file
 from .errors import CalibrationError, ImageError
 from .light import light_problem
+from .options import DetectorOptions
 from .pictures import read_pictures, rig_of_picture
 from .tracking import Tracker, TrackerOptions
 from .vision import HOME, check_image, look, make_vision

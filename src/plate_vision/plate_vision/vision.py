@@ -10,8 +10,9 @@ from plate_core import Rig
 from plate_core.frames import to_home
 
 from .calibration import Calibration, Lens, calibrate_by_rig
-from .detection import DetectorOptions, detect
+from .detection import detect
 from .errors import ImageError
+from .options import DetectorOptions
 from .tracking import Tracker, step
 
 HOME = np.zeros(3)
