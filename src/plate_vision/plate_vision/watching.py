@@ -11,9 +11,9 @@ from plate_core.fiducials import Fiducials
 from plate_core.frames import to_home
 
 from .calibration import Calibration, Lens, rig_lens
-from .detection import DetectorOptions
 from .errors import CalibrationError
 from .fiducials import PlatePose, find_home, find_pose, hide
+from .options import DetectorOptions
 from .vision import Vision, make_vision
 
 MOVED_M = 5e-4
