@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig
+from plate_core import PlateCycle
 
 from .force_map import mean_force_gradient
 from .least_squares import Fit, fit
-from .solution import Request, Solution, within_limits
+from .solution import Request, Solution
 from .steering import Family
 
 CURL_LENGTH_M = 0.05
@@ -59,7 +59,6 @@ def fit_force_finely(
 
 
 def force_solution(
-    rig: Rig,
     request: Request,
     best: Fit,
     cycle: PlateCycle,
@@ -67,7 +66,7 @@ def force_solution(
     iterations: int,
     condition: float,
 ) -> Solution:
-    """Put the result of `fit_force` into a solution."""
+    """Put a fit and its motion, within the limits, into a solution."""
     worst = float(np.max(np.abs(best.error)))
     error = np.zeros(len(request.rows))
     error[request.rows] = best.error
@@ -76,7 +75,7 @@ def force_solution(
     return Solution(
         success=success,
         message=message if success else f"{message}, allowed: {tolerance:g}",
-        cycle=within_limits(rig, cycle),
+        cycle=cycle,
         residual=error.reshape(-1, 3)[:, :2],
         iterations=iterations,
         condition=condition,

@@ -6,15 +6,8 @@ import numpy as np
 
 from plate_core import PlateCycle
 
-from .sequence import (
-    gap_back,
-    knot_poses,
-    motion,
-    pull_back,
-    ramps,
-    timeline,
-    timeline_back,
-)
+from .rotation_descent import Line, Moved, Sequences, admissible, line_of, split
+from .sequence import gap_back, knot_poses, motion, pull_back, ramps, timeline_back
 from .solution import Bounds
 
 RAMP_STEPS, LEAST_STEPS = 8, 6
@@ -25,16 +18,6 @@ HOLD_STEP = 1e-3
 
 RAMP_SHARE = 0.95
 """Share of the acceleration limit that ramps take; the rest is for closing the motion."""
-
-MOST_RAMPS = 0.9
-"""Greatest share of the period that ramps may take."""
-
-SHORTEST, FASTEST = 0.02, 2.5
-"""Least length of a rotation and greatest speed, in units of their usual values."""
-
-
-_Line = tuple[np.ndarray, np.ndarray]
-_Motion = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class RotationFamily:
@@ -59,37 +42,43 @@ class RotationFamily:
     ) -> None:
         self._bounds = bounds
         self.period = period
-        self._blend = blend
-        hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
-        self._steps = steps or (RAMP_STEPS, hold_steps)
-        self._counted = float(within_stroke)
-        self._known: tuple[np.ndarray, _Line, _Motion] | None = None  # of the last samples
-        self._accel = RAMP_SHARE * bounds.accel
+        self._known: tuple[np.ndarray, Line, Moved] | None = None  # of the last samples
         self._lengths = np.array([1.0, 1.0, bounds.arm_m])  # turns theta into metres
-        self._hold_scale = 1 / len(twists)
-        # Twist j is parameters j times basis j.
-        self._basis = twists[:, None] * speed
+        basis = twists[:, None] * speed
         if free:
-            self._basis = np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0)
+            basis = np.repeat(np.diag(speed / self._lengths)[None], len(twists), axis=0)
+        hold_steps = max(LEAST_STEPS, round(period / len(twists) / HOLD_STEP))
+        stroke = bounds.stroke_m if within_stroke else np.inf
+        self.plain = Sequences(
+            basis,
+            1 / len(twists),
+            period,
+            RAMP_SHARE * bounds.accel,
+            blend,
+            steps or (RAMP_STEPS, hold_steps),
+            bounds.motor_rows,
+            bounds.half,
+            np.array([stroke, bounds.speed, bounds.accel]),
+        )
         self._speed_parameters = (twists * self._lengths).ravel() if free else np.ones(len(twists))
 
     @property
     def count(self) -> int:
         """Number of rotations J."""
-        return len(self._basis)
+        return len(self.plain.basis)
 
     def finer(self, steps: tuple[int, int] | int) -> RotationFamily:
         """Return the same family with other numbers of steps, or so many times those it has."""
         if isinstance(steps, int):
-            steps = self._steps[0] * steps, self._steps[1] * steps
+            steps = self.plain.steps[0] * steps, self.plain.steps[1] * steps
         other = object.__new__(RotationFamily)
-        other.__dict__.update(self.__dict__, _steps=steps, _known=None)
+        other.__dict__.update(self.__dict__, plain=self.plain._replace(steps=steps), _known=None)
         return other
 
     def parameters(self, share: np.ndarray) -> np.ndarray:
         """Return parameters of shares (J,) of the cycle; what is left over is rest at the end."""
         total = float(np.sum(share))
-        holds = np.append(share / max(1.0, total), max(0.0, 1.0 - total)) / self._hold_scale
+        holds = np.append(share / max(1.0, total), max(0.0, 1.0 - total)) / self.plain.hold_scale
         return self.admissible(np.concatenate([holds, self._speed_parameters]))
 
     def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,28 +96,12 @@ class RotationFamily:
     ) -> np.ndarray:
         """Turn derivatives by the samples, as `sequence.pull_back`, into ones (R, P)."""
         line = self._timeline(parameters)
-        return self._back(parameters, *pull_back(*line, self._steps, by_pose, by_twist, by_dt))
+        return self._back(parameters, *pull_back(*line, self.plain.steps, by_pose, by_twist, by_dt))
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Keep lengths positive, and all but the stroke within the limits."""
-        parameters = parameters.copy()
-        holds, speeds = parameters[: self.count + 1], parameters[self.count + 1 :]
-        np.maximum(holds, SHORTEST, out=holds)
-        grouped = speeds.reshape(self.count, -1)
-        size = np.sqrt(np.sum(grouped**2, axis=1, keepdims=True))
-        grouped /= np.maximum(size / FASTEST, 1.0)
-        for _ in range(8):
-            ramp = self._ramps(parameters)[0].sum() / (MOST_RAMPS * self.period)
-            if ramp > 1:
-                speeds /= 1.001 * ramp
-            line = self._timeline(parameters)
-            moved = motion(*line, self._steps)
-            share = self._bounds.share(self._counted * moved[0], moved[1], moved[2])
-            if share <= 1:
-                self._known = parameters, line, moved
-                break
-            speeds /= 1.01 * share
-        return parameters
+        self._known = admissible(np.asarray(parameters, dtype=float), self.plain)
+        return self._known[0]
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return the gap that the sequence leaves (3,), and travel beyond the stroke (4,) [m]."""
@@ -174,28 +147,22 @@ class RotationFamily:
             times[keep], (pose - bump[:, 0])[keep], (twist - bump[:, 1])[keep], -bump[keep, 2]
         )
 
-    def _split(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return holds (J + 1,) and twists (J, 3)."""
-        speeds = parameters[self.count + 1 :].reshape(self.count, 1, -1)
-        return parameters[: self.count + 1] * self._hold_scale, (speeds @ self._basis)[:, 0]
-
-    def _ramps(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        twists = self._split(parameters)[1]
-        return ramps(twists, self._bounds.half, self._accel, self._blend)
-
-    def _timeline(self, parameters: np.ndarray) -> _Line:
+    def _timeline(self, parameters: np.ndarray) -> Line:
         if self._known is not None and self._known[0] is parameters:
             return self._known[1]
-        return timeline(*self._split(parameters), self._ramps(parameters)[0], self.period)
+        line: Line = line_of(parameters, self.plain)
+        return line
 
-    def _motion(self, parameters: np.ndarray) -> _Motion:
+    def _motion(self, parameters: np.ndarray) -> Moved:
         if self._known is not None and self._known[0] is parameters:
             return self._known[2]
-        return motion(*self._timeline(parameters), self._steps)
+        moved: Moved = motion(*self._timeline(parameters), self.plain.steps)
+        return moved
 
     def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:
-        holds = self._split(parameters)[0]
-        ramp, slope = self._ramps(parameters)
+        plain = self.plain
+        holds, twists = split(parameters, plain)
+        ramp, slope = ramps(twists, plain.half, plain.accel, plain.blend)
         by_hold, by_twist = timeline_back(holds, ramp, slope, self.period, by_time, by_knot)
-        by_speed = by_twist[:, :, None] @ self._basis.transpose(0, 2, 1)
-        return np.hstack([by_hold * self._hold_scale, by_speed.reshape(len(by_time), -1)])
+        by_speed = by_twist[:, :, None] @ plain.basis.transpose(0, 2, 1)
+        return np.hstack([by_hold * plain.hold_scale, by_speed.reshape(len(by_time), -1)])

@@ -11,10 +11,11 @@ from plate_core import PlateCycle
 from .averaged import CURL_LENGTH_M
 from .cycle_map import end_state
 from .least_squares import Fit, fit
+from .rotation_descent import descend
 from .rotation_family import RotationFamily
 from .solution import Request
 from .steering import Goal, residual
-from .stepped_map import end_position_slopes, end_positions, mean_force_slopes, mean_forces
+from .stepped_map import end_position_slopes, end_positions, mean_forces
 
 STEP = 0.1e-3
 """Step of the prediction that an answer is given with [s]: finer than the search's."""
@@ -46,20 +47,14 @@ def fit_mean_force(
     iterations: int,
 ) -> Fit:
     """Correct a sequence until its average forces (5) are as asked; errors in mu m g."""
-    rows, scale = request.rows, _scale(request)
-
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
-        _, twist, dt = family.samples(theta)
-
-        def slopes() -> np.ndarray:
-            state = request.position, request.velocity, twist, dt
-            by_twist, by_dt = mean_force_slopes(*state, rows)
-            jacobian = family.pull_back(theta, by_twist[:, :, :0], by_twist, by_dt)
-            return scale[:, None] * jacobian
-
-        return mean_force_error(request, family, theta), slopes
-
-    return fit(evaluate, parameters, family.admissible, tolerance, iterations)
+    wanted = np.column_stack([request.force, request.curl]).ravel()
+    scale = np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))
+    return Fit(
+        *descend(
+            parameters, family.plain, request.position, request.velocity, wanted, request.rows,
+            scale, tolerance, iterations,
+        )
+    )  # fmt: skip
 
 
 def mean_force_error(
@@ -69,11 +64,8 @@ def mean_force_error(
     _, twist, dt = family.samples(parameters)
     got = mean_forces(request.position, request.velocity, twist, dt).ravel()
     wanted = np.column_stack([request.force, request.curl]).ravel()
-    return (wanted - got)[request.rows] * _scale(request)
-
-
-def _scale(request: Request) -> np.ndarray:
-    return np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))[request.rows]
+    scale = np.tile([1.0, 1.0, CURL_LENGTH_M], len(request.position))
+    return ((wanted - got) * scale)[request.rows]
 
 
 def missed(goal: Goal, cycle: PlateCycle) -> np.ndarray:

@@ -181,8 +181,8 @@ class RotationSolver(MotionSolver):
             iterations += best.iterations
             cycle, error = self._judged(request, fine, best.parameters)
         solution = force_solution(
-            self._rig, request, replace(best, error=error), cycle, options.tolerance,
-            iterations, best.condition,
+            request, replace(best, error=error), cycle, options.tolerance, iterations,
+            best.condition,
         )  # fmt: skip
         if solution.success or np.any(request.velocity):
             return solution
@@ -195,7 +195,7 @@ class RotationSolver(MotionSolver):
         self, request: Request, family: RotationFamily, parameters: np.ndarray
     ) -> tuple[PlateCycle, np.ndarray]:
         """Return the motion within the limits and its true errors in the rows asked for."""
-        cycle = within_limits(self._rig, family.cycle(parameters))
+        cycle = within_limits(self._bounds, family.cycle(parameters))
         error = np.zeros(np.count_nonzero(request.rows))
         if np.any(np.isfinite(request.curl)):
             error = mean_force_error(request, family.finer(FINEST), parameters)
@@ -222,7 +222,7 @@ class RotationSolver(MotionSolver):
             iterations += best.iterations
             cycle, error = self._foreseen(goal, fine, best)
         return steering_solution(
-            self._rig, goal, replace(best, error=error), cycle, good_enough, iterations,
+            self._bounds, goal, replace(best, error=error), cycle, good_enough, iterations,
             best.condition,
         )  # fmt: skip
 
@@ -230,7 +230,7 @@ class RotationSolver(MotionSolver):
         self, goal: Goal, family: RotationFamily, found: Fit
     ) -> tuple[PlateCycle, np.ndarray]:
         """Return the motion within the limits, and its errors by a finer prediction."""
-        cycle = within_limits(self._rig, family.cycle(found.parameters))
+        cycle = within_limits(self._bounds, family.cycle(found.parameters))
         return cycle, np.concatenate(
             [missed(goal, cycle).ravel(), found.error[goal.position.size :]]
         )

@@ -191,12 +191,12 @@ def pull_back(
                 by_time[r, k] += by_t * (1 - x) - by_h
                 by_time[r, k + 1] += by_t * x + by_h
             i += 1
-    _corners_back(times, knots, by_corner, by_time, by_knot)
+    corners_back(times, knots, by_corner, by_time, by_knot)
     return by_time, by_knot
 
 
 @njit(cache=True, fastmath=True)
-def _corners_back(
+def corners_back(
     times: np.ndarray, knots: np.ndarray, by_corner: np.ndarray, by_time: np.ndarray,
     by_knot: np.ndarray,
 ) -> None:  # fmt: skip
@@ -220,7 +220,7 @@ def gap_back(times: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarr
     by_corner = np.zeros((3, len(times), 3))
     for c in range(3):
         by_corner[c, -1, c] = 1.0
-    _corners_back(times, knots, by_corner, by_time, by_knot)
+    corners_back(times, knots, by_corner, by_time, by_knot)
     return by_time, by_knot
 
 

@@ -19,7 +19,7 @@ from .least_squares import Fit
 from .proof import is_out_of_reach
 from .sinusoid_family import SinusoidFamily
 from .sinusoid_steering import SinusoidSteering
-from .solution import Request, Solution, check_options
+from .solution import Request, Solution, check_options, within_limits
 from .solver import MotionSolver, make_options
 from .steering import Goal, steering_solution
 
@@ -163,10 +163,8 @@ class SinusoidSolver(MotionSolver):
         best = fit_force(request, fine, best.parameters, tolerance / 10, most)
         iterations += best.iterations
         self._warm[key] = best.parameters
-        cycle = family.cycle(best.parameters)
-        return force_solution(
-            self._rig, request, best, cycle, tolerance, iterations, best.condition
-        )
+        cycle = within_limits(self._bounds, family.cycle(best.parameters))
+        return force_solution(request, best, cycle, tolerance, iterations, best.condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
         _, (number, period, _) = self._family(2 * len(goal.position), True)
@@ -174,7 +172,7 @@ class SinusoidSolver(MotionSolver):
             goal, number, period, tolerance, good_enough, self._rng
         )
         return steering_solution(
-            self._rig, goal, best, cycle, good_enough, best.iterations, condition
+            self._bounds, goal, best, cycle, good_enough, best.iterations, condition
         )
 
     def steering_period(self, count: int) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.limits import usage
+from plate_core.limits import PIECES
 
 MARGIN = 0.98
 """Share of the limits that a solver uses: its samples may miss a peak by a little."""
@@ -197,10 +197,10 @@ def peaks(
     return stroke, speed, sqrt(peak)
 
 
-def within_limits(rig: Rig, cycle: PlateCycle) -> PlateCycle:
+def within_limits(bounds: Bounds, cycle: PlateCycle) -> PlateCycle:
     """Return the cycle, scaled down as a whole if the exact check finds it above the limits."""
     for _ in range(4):
-        worst = usage(rig, cycle).worst
+        worst = bounds.exact_share(*(cycle.control_points(order, PIECES) for order in range(3)))
         if worst <= CERTAIN:
             break
         cycle = cycle.scaled(0.9995 * CERTAIN / worst)

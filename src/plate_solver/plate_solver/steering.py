@@ -13,11 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig
+from plate_core import PlateCycle
 
 from .cycle_map import end_position_gradient, end_state
 from .least_squares import Fit, fit
-from .solution import Solution, within_limits
+from .solution import Bounds, Solution, within_limits
 
 INSIDE_WEIGHT = 0.02
 """Weight of an error within its tolerance: enough to prefer the middle, too little to cost."""
@@ -110,7 +110,7 @@ def steer(
 
 
 def steering_solution(
-    rig: Rig,
+    bounds: Bounds,
     goal: Goal,
     best: Fit,
     cycle: PlateCycle,
@@ -124,7 +124,7 @@ def steering_solution(
     return Solution(
         success=bool(np.sqrt(np.mean(error**2)) <= good_enough),
         message=f"displacement error {worst * 1e3:.3g} mm after {iterations} iterations",
-        cycle=within_limits(rig, cycle),
+        cycle=within_limits(bounds, cycle),
         residual=error / (goal.friction_accel[:, None] * cycle.period**2),
         iterations=iterations,
         condition=condition,

@@ -11,6 +11,9 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+TINY_SQUARE = 1e-24
+"""Squared slip [m2/s2] below which the direction of friction is taken as none."""
+
 
 @njit(cache=True, fastmath=True)
 def end_positions(
@@ -118,51 +121,14 @@ def mean_forces(
     total = dt.sum()
     mean = np.zeros((len(position), 3))
     for i in range(len(position)):
+        fx = fy = curl = 0.0
         for k in range(len(twist)):
             dx = twist[k, 0] - twist[k, 2] * position[i, 1] - velocity[i, 0]
             dy = twist[k, 1] + twist[k, 2] * position[i, 0] - velocity[i, 1]
-            d = sqrt(dx * dx + dy * dy)
-            if d > 0:
-                share = dt[k] / (total * d)
-                mean[i, 0] += share * dx
-                mean[i, 1] += share * dy
-                mean[i, 2] += share * twist[k, 2]
+            square = dx * dx + dy * dy
+            share = dt[k] / sqrt(square) if square > TINY_SQUARE else 0.0
+            fx += share * dx
+            fy += share * dy
+            curl += share * twist[k, 2]
+        mean[i, 0], mean[i, 1], mean[i, 2] = fx / total, fy / total, curl / total
     return mean
-
-
-@njit(cache=True, fastmath=True)
-def mean_force_slopes(
-    position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray,
-    asked: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives (R, n, 3), (R, n) of `mean_forces` by twist and by dt.
-
-    Of the R rows `asked` (3 M,) bool only. The steps' sum counts as given.
-    """
-    total, n = dt.sum(), len(twist)
-    by_twist, by_dt = np.zeros((asked.sum(), n, 3)), np.zeros((asked.sum(), n))
-    row = 0
-    for i in range(len(position)):
-        x, y = position[i, 0], position[i, 1]
-        for c in range(3):
-            if not asked[3 * i + c]:
-                continue
-            for k in range(n):
-                spin = twist[k, 2]
-                dx = twist[k, 0] - spin * y - velocity[i, 0]
-                dy = twist[k, 1] + spin * x - velocity[i, 1]
-                d = sqrt(dx * dx + dy * dy)
-                if d == 0:
-                    continue
-                a, b, share = dx / d, dy / d, dt[k] / (total * d)
-                if c == 0:
-                    value, gx, gy = a, share * (1 - a * a), -share * a * b
-                elif c == 1:
-                    value, gx, gy = b, -share * a * b, share * (1 - b * b)
-                else:
-                    value, gx, gy = spin / d, -share * a * spin / d, -share * b * spin / d
-                by_dt[row, k] = value / total
-                by_twist[row, k, 0], by_twist[row, k, 1] = gx, gy
-                by_twist[row, k, 2] = x * gy - y * gx + (share if c == 2 else 0.0)
-            row += 1
-    return by_twist, by_dt

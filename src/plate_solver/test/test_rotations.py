@@ -7,9 +7,11 @@ from plate_core import PlateError
 from plate_core.limits import corner_accel, usage
 from plate_solver import Goal, RotationSolver, average_force
 from plate_solver.centres import ring, unit_twists
+from plate_solver.rotation_descent import line_of, slopes
 from plate_solver.rotation_family import RotationFamily
 from plate_solver.sequence import motion, ramps, timeline
 from plate_solver.solution import Bounds
+from plate_solver.stepped_map import mean_forces
 
 HALF = np.array([0.3, 0.15])
 CORNERS = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -131,6 +133,27 @@ def test_family_slopes_agree_with_differences(rig, free):
         for k, found in enumerate(slopes):
             slope = (ends[0][k] - ends[1][k]) / (2 * step)
             np.testing.assert_allclose(found[:, p], slope, atol=1e-6 * np.max(np.abs(found)))
+
+
+@BOTH
+def test_compiled_force_slopes_agree_with_differences(rig, free):
+    sequence = family(rig, free, (7, 4))
+    parameters = sequence.parameters(0.9 * HOLDS[:4] / HOLDS.sum())
+    rng = np.random.default_rng(3)
+    position = rng.uniform(-1, 1, (3, 2)) * rig.plate.half
+    velocity = 0.02 * rng.normal(size=(3, 2))
+    asked = np.array([1, 1, 0, 1, 1, 1, 0, 1, 1], bool)
+
+    def forces(theta):
+        _, twist, dt = sequence.samples(theta)
+        return mean_forces(position, velocity, twist, dt).ravel()[asked]
+
+    line = line_of(parameters, sequence.plain)
+    found = slopes(parameters, sequence.plain, line, position, velocity, asked)
+    step = 1e-6
+    for p, d in enumerate(step * np.eye(len(parameters))):
+        slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)
+        np.testing.assert_allclose(found[:, p], slope, atol=1e-5 * np.max(np.abs(found)))
 
 
 @BOTH

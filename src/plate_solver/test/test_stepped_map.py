@@ -5,12 +5,7 @@ import pytest
 
 from plate_solver import average_force
 from plate_solver.cycle_map import end_state
-from plate_solver.stepped_map import (
-    end_position_slopes,
-    end_positions,
-    mean_force_slopes,
-    mean_forces,
-)
+from plate_solver.stepped_map import end_position_slopes, end_positions, mean_forces
 
 UNEVEN = np.linspace(0.7, 1.3, 20) * 2.4525  # of as many parts as any test has
 
@@ -61,21 +56,9 @@ def test_slopes_agree_with_differences(shaken, seed):
 
     def ends(sign):
         moved = [a + sign * step * w for a, w in zip((pose, twist, dt), ways, strict=True)]
-        force = mean_forces(position, velocity, moved[1], dt)
-        longer = mean_forces(position, velocity, twist, moved[2]) * moved[2].sum() / dt.sum()
-        return (
-            end_positions(position, velocity, *moved, UNEVEN).ravel(), force.ravel(), longer.ravel()
-        )  # fmt: skip
+        return end_positions(position, velocity, *moved, UNEVEN).ravel()
 
-    slopes = [(a - b) / (2 * step) for a, b in zip(ends(1), ends(-1), strict=True)]
+    slope = (ends(1) - ends(-1)) / (2 * step)
     found = end_position_slopes(position, velocity, pose, twist, dt, UNEVEN)
     along = sum((s * w).reshape(10, -1).sum(axis=1) for s, w in zip(found, ways, strict=True))
-    np.testing.assert_allclose(along, slopes[0], atol=1e-5 * np.max(np.abs(slopes[0])))
-    asked = np.ones(15, bool)
-    by_twist, by_dt = mean_force_slopes(position, velocity, twist, dt, asked)
-    some = mean_force_slopes(position, velocity, twist, dt, np.arange(15) % 4 > 0)
-    np.testing.assert_array_equal(some[0], by_twist[np.arange(15) % 4 > 0])
-    np.testing.assert_array_equal(some[1], by_dt[np.arange(15) % 4 > 0])
-    by_twist = (by_twist * ways[1]).reshape(15, -1).sum(axis=1)
-    np.testing.assert_allclose(by_twist, slopes[1], atol=1e-5 * np.max(np.abs(slopes[1])))
-    np.testing.assert_allclose(by_dt @ ways[2], slopes[2], atol=1e-5 * np.max(np.abs(slopes[2])))
+    np.testing.assert_allclose(along, slope, atol=1e-5 * np.max(np.abs(slope)))
