@@ -56,6 +56,19 @@ def draw_sim(figure: Figure, rows: list[dict[str, Any]]) -> None:
     figure.legend(*both[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
 
 
+def draw_learning(figure: Figure, rows: list[dict[str, Any]]) -> None:
+    """Error of realised harmonics against the number of experiments."""
+    axes = figure.subplots()
+    x = [r["iteration"] for r in rows]
+    axes.plot(x, [r["most"] for r in rows], "s--", color=SECOND, label="largest of the cycles")
+    axes.plot(x, [r["median"] for r in rows], "o-", color=OURS, label="median")
+    axes.axhline(2, color=FAINT, ls=":", lw=1)
+    note(axes, "2 %", (x[-1], 2), FAINT, -20, 4)
+    axes.set(yscale="log", xlabel="experiments", ylabel="error of realised harmonics [%]", xticks=x)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend()
+
+
 def draw_cost(figure: Figure, rows: list[dict[str, Any]]) -> None:
     """Speed against the number of parts, for each model of the ladder."""
     axes = figure.subplots()

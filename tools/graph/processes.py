@@ -174,6 +174,10 @@ class Processes:
                 preexec_fn=_prepare_child,
             )
 
+    def restart(self, name: str) -> None:
+        """Start a node that has ended again."""
+        self._start(name, self._commands[name])
+
     def log(self, name: str) -> Path:
         """Return the path of a node's log."""
         return self._logs / f"{name}.log"

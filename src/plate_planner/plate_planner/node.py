@@ -34,6 +34,9 @@ from .watch import warm_up
 DIAGNOSTICS_PERIOD_S = 0.5
 """Time between diagnostics while nothing changes [s]: quick enough to watch, slow enough to log."""
 
+DRIVER_PATIENCE_S = 5.0
+"""A task whose motors do not obey for longer is ended [s]."""
+
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
 
@@ -131,6 +134,7 @@ class PlannerNode(Node):
         self._state = self._planner.initial()
         warm_up()
         self._reported = ""
+        self._fault, self._fault_at = "", 0.0
         self._diagnosed_at = 0.0
         follow(self, values, self._retune)
 
@@ -140,6 +144,7 @@ class PlannerNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         self.create_subscription(MultiDOFJointState, "parts", self._on_parts, DATA)
         self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        self.create_subscription(String, "driver_state", self._on_driver, LATCHED)
         self.create_service(Trigger, "start", self._on_start)
         self.create_service(Trigger, "stop", self._on_stop)
 
@@ -149,6 +154,7 @@ class PlannerNode(Node):
         self.get_logger().info(f"scenario {values.scenario}: {self._planner.scenario.description}")
 
     def _on_parts(self, msg: MultiDOFJointState) -> None:
+        self._watch_driver()
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -188,6 +194,24 @@ class PlannerNode(Node):
             f"{name} starts as soon as all {self._planner.scenario.count} parts are seen"
         )
         return response
+
+    def _on_driver(self, msg: String) -> None:
+        """Hear whether the motors obey. A line that fails may come back, a stop is meant."""
+        self._fault = msg.data if msg.data.startswith("error") else ""
+        self._fault_at = self.get_clock().now().nanoseconds * 1e-9
+        if msg.data.startswith(("stopped", "disabled")):
+            self._abort(msg.data)
+
+    def _watch_driver(self) -> None:
+        """End a task whose motors have not obeyed for long."""
+        since = self.get_clock().now().nanoseconds * 1e-9 - self._fault_at
+        if self._fault and since > DRIVER_PATIENCE_S:
+            self._abort(self._fault)
+
+    def _abort(self, why: str) -> None:
+        if self._state.task.phase is Phase.RUNNING:
+            self._state = self._planner.stop(self._state, f"driver: {why}")
+            self._report()
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         was = self._state.task.text

@@ -156,9 +156,9 @@ class Planner:
         """Start the task, or start it again; its time begins when all parts are seen."""
         return replace(state, task=started(), follow=FollowState(), asked=Asked(), known=())
 
-    def stop(self, state: PlannerState) -> PlannerState:
-        """Stop: nothing is asked from the next image on; a running task is aborted."""
-        return replace(state, task=stopped(state.task, state.clock.stamp))
+    def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
+        """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
+        return replace(state, task=stopped(state.task, state.clock.stamp, why))
 
     def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
         """Take in a cycle that the solver sent, and when [s, the time of the stamps].

@@ -143,11 +143,11 @@ def begin(state: TaskState, t: float, missing: tuple[str, ...], limits: TaskLimi
     return replace(state, asked=asked)
 
 
-def stopped(state: TaskState, t: float | None) -> TaskState:
+def stopped(state: TaskState, t: float | None, why: str = "stopped") -> TaskState:
     """Stop: a running task is aborted at stamp t [s], None if there was no image; else idle."""
     if state.phase is not Phase.RUNNING:
         return TaskState()
-    return _end(state, t, Phase.ABORTED, "stopped")
+    return _end(state, t, Phase.ABORTED, why)
 
 
 @dataclass(frozen=True)
