@@ -89,7 +89,6 @@ def found_solution(
     tolerance: float,
     iterations: int,
     condition: float,
-    out_of_reach: bool,
 ) -> Solution:
     """Put a motion within the limits and its force errors (2 M,) into a solution."""
     worst = float(np.abs(error).max())
@@ -97,8 +96,6 @@ def found_solution(
     message = f"force error {worst:.2g} mu m g after {iterations} iterations"
     if success:
         return Solution(True, message, cycle, error.reshape(-1, 2), iterations, condition)
-    if out_of_reach:
-        message = f"proven out of reach of so few harmonics; {message}"
     asked = request.force.ravel()
     along = float(asked @ (asked - error)) / max(float(asked @ asked), 1e-300)
     return Solution(
@@ -108,7 +105,6 @@ def found_solution(
         residual=error.reshape(-1, 2),
         iterations=iterations,
         condition=condition,
-        status="unreachable" if out_of_reach else "failed",
         share=min(max(along, 0.0), 1.0),
     )
 

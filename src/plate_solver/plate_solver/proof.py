@@ -30,6 +30,9 @@ import numpy as np
 from numba import njit
 from scipy.optimize import nnls
 
+SAME = 1e-6
+"""Forces [mu m g] that differ by less are the same."""
+
 ROUNDS = 10
 """Directions lambda that are tried; most requests are found within the set sooner."""
 
@@ -67,7 +70,7 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
     wanted = force.ravel()
     if not np.any(wanted) or len(position) == 1:
         return False
-    if number < 2:
+    if number < 2 or _apart(position, force):
         return True
     share = (number - 1) / (number + 1)
     cells = _cells()
@@ -91,6 +94,13 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
             return False
         separating = missing / size
     return False
+
+
+def _apart(position: np.ndarray, force: np.ndarray) -> bool:
+    """Whether parts in one place are asked for different forces."""
+    i, j = np.triu_indices(len(position), 1)
+    one_place = np.all(position[i] == position[j], axis=1)
+    return bool(np.any(np.abs(force[i] - force[j])[one_place] > SAME))
 
 
 @lru_cache(maxsize=1)

@@ -63,7 +63,7 @@ def largest_share(
     nothing: Solution,
     least: float,
     most: float,
-    exact: bool,
+    prove: Callable[[Request], bool] | None,
 ) -> Solution:
     """Meet the request, or else the largest share of it that is found, by bisection.
 
@@ -81,8 +81,9 @@ def largest_share(
         Forces below this [mu m g] are none.
     most : float
         No motion gives any part more than this [mu m g].
-    exact : bool
-        Whether to do the share rather than another motion that misses less of the whole.
+    prove : function, optional
+        Whether it is proven that a request is out of reach: asked once, it takes long. Without it
+        a motion that misses less of the whole than the share does is preferred to the share.
     """
     fits = min(1.0, most / max(most_loaded(request), 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
@@ -107,13 +108,16 @@ def largest_share(
         else:
             high = share
     why = whole.message
+    proven = fits < 1 or (prove is not None and prove(request))
+    if proven:
+        why = f"proven out of reach of such motions; {why}"
     if fits < 1:
         why = f"a part is asked to bear {most_loaded(request):.3g} mu m g, allowed: {most:g}"
     rest_of_whole = whole.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
         message = f"{low:.3g} of the request is met; all of it: {why}"
-        if not exact and _size(rest_of_whole) < _size(residual):
+        if prove is None and _size(rest_of_whole) < _size(residual):
             best, residual = whole, rest_of_whole
             message = f"{low:.3g} of the request can be met, this misses less of the whole; {why}"
     elif request.must_move or _size(rest_of_whole) < WORTH_IT * _size(request.force):
@@ -122,7 +126,6 @@ def largest_share(
     else:
         best, residual = nothing, request.force
         message = f"no share of the request is met, so the plate rests; {why}"
-    proven = fits < 1 or whole.status == "unreachable"
     return replace(
         best,
         success=False,

@@ -130,14 +130,13 @@ class SinusoidSolver(MotionSolver):
                 cycle, truth = self._judged(request, family, theta)
         error = truth
         self._warm[key] = theta
-        impossible = (
-            not np.abs(error).max() <= tolerance
-            and not request.velocity.any()
-            and is_out_of_reach(request.position, request.force, key[0], self._bounds.arm_m)
-        )
-        return found_solution(
-            cycle, request, error, tolerance, iterations, condition_of(jacobian), impossible
-        )
+        return found_solution(cycle, request, error, tolerance, iterations, condition_of(jacobian))
+
+    def proven_out_of_reach(self, request: Request) -> bool:
+        if request.velocity.any() or request.tolerance.any() or np.isfinite(request.curl).any():
+            return False
+        number = self._family(request.force.size, self.options.at_rest)[1][0]
+        return is_out_of_reach(request.position, request.force, number, self._bounds.arm_m)
 
     def _judged(
         self, request: Request, family: SinusoidFamily, theta: np.ndarray

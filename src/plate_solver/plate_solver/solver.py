@@ -123,7 +123,12 @@ class MotionSolver(ABC):
         if request.idle:
             return nothing
         exact = refine == "none"
-        return largest_share(request, self._reach, attempt, nothing, 3 * own, most, exact)
+        prove = self.proven_out_of_reach if exact else None
+        return largest_share(request, self._reach, attempt, nothing, 3 * own, most, prove)
+
+    def proven_out_of_reach(self, request: Request) -> bool:
+        """Whether it is proven that no motion of this kind meets a request; not if in doubt."""
+        return False
 
     def _map(self, refine: str) -> tuple[float, float, Callable[[Request], Solution]]:
         """Return tolerance and greatest force [mu m g] of a map, and who solves on it."""

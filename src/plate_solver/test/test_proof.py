@@ -56,3 +56,10 @@ def test_many_parts_that_all_want_the_most_are_proven_out_of_reach():
     force = 0.33 * np.column_stack([np.cos(angle), np.sin(angle)])
     assert is_out_of_reach(position, force, 2, ARM)
     assert not is_out_of_reach(position, 0.1 * force, 2, ARM)
+
+
+def test_parts_in_one_place_cannot_be_pushed_apart():
+    position = np.array([[0.1, 0.05], [-0.2, 0.0], [0.1, 0.05]])
+    force = np.array([[0.05, 0.0], [0.0, 0.05], [0.05, 0.0]])
+    assert not is_out_of_reach(position, force, 2, ARM)
+    assert is_out_of_reach(position, force + [[0, 0], [0, 0], [0, 1e-3]], 2, ARM)
