@@ -72,8 +72,8 @@ def measure(quick: bool) -> Result:
     note = (
         f"Circles of {1e3 * RADIUS_M:g} mm radius, some to the left, some to the right; images "
         f"with noise, friction uneven by 10 % between parts and over the plate; seeds {SEEDS}. "
-        f"Kept: all runs end well, RMS at most {1e3 * MOST_RMS_M:g} mm, time at most {MOST_DELAY:g} "
-        "of what the speed asks for. a T / 16: no part can be faster on average."
+        f"Kept: all runs end well, RMS at most {1e3 * MOST_RMS_M:g} mm, time at most "
+        f"{MOST_DELAY:g} of what the speed asks for. a T / 16: no part can be faster on average."
     )
     return Result(
         [
