@@ -18,6 +18,9 @@ from .trajectory import PolygonPath
 EDGE = (0.70, 0.85)
 """Where parts without a path are held back from the edges [share of the half side]."""
 
+LACKING, SLOW_DOWN = 0.1, 0.7
+"""A cycle that lacks more than this share of a path's speed takes this share of the pace [-]."""
+
 SPEED_UP = 0.1
 """Growth of the pace in one cycle, after it was slow: smoother than the errors that slow it [-]."""
 
@@ -88,11 +91,18 @@ class Follower:
         return replace(state, match=match_paths(self._labels, self.reference(state, start), parts))
 
     def measure(
-        self, state: FollowState, parts: PartSet, t: float, start: float, options: FollowOptions
+        self,
+        state: FollowState,
+        parts: PartSet,
+        t: float,
+        start: float,
+        short: np.ndarray,
+        options: FollowOptions,
     ) -> FollowState:
         """Take one image into the match, the error statistics, the bias and the pace.
 
-        Its answer begins to act at `start` [s].
+        Its answer begins to act at `start` [s]; `short` (M,) [m/s] is what the present cycle gives
+        of drift less than what was asked of it.
         """
         reference = self.reference(state, t)
         match = rematch_paths(state.match, self._labels, reference, parts, self.task.max_error_m)
@@ -112,7 +122,8 @@ class Follower:
             samples=state.samples + len(distance),
             max_error_m=max(state.max_error_m, worst),
         )
-        return self._pace(state, worst, start, options)
+        lacking = float(np.max(short[part] / self._speeds[path], initial=0.0))
+        return self._pace(state, worst, lacking, start, options)
 
     def _learn(
         self,
@@ -132,12 +143,13 @@ class Follower:
         return bias
 
     def _pace(
-        self, state: FollowState, worst: float, t: float, options: FollowOptions
+        self, state: FollowState, worst: float, lacking: float, t: float, options: FollowOptions
     ) -> FollowState:
         """Choose the pace from stamp t on: until then the references do as was said before."""
         share = worst / self.task.max_error_m
         room = (options.slow_to - share) / (options.slow_to - options.slow_from)
-        pace = float(np.clip(room, 0, min(1.0, state.paces[1] + SPEED_UP)))
+        most = state.paces[1] * SLOW_DOWN if lacking > LACKING else state.paces[1] + SPEED_UP
+        pace = float(np.clip(room, 0, min(1.0, most)))
         return replace(state, anchor=t, progress=state.path_time(t), paces=(state.paces[1], pace))
 
     def to_go(self, state: FollowState, t: float) -> float:

@@ -260,7 +260,12 @@ class Planner:
         if begins or (known and t < follow.began - period / 2):
             # How long the solver's cycles are is known from the first that runs: so wait for it.
             follow = follower.begin(parts, start if known else start + period)
-        follow = follower.measure(follow, parts, t, start, options)
+        hoped = state.asked.places(parts, t, period)
+        ahead = state.watch.ahead(parts.ids)
+        if ahead is None:
+            ahead = hoped
+        short = np.hypot(*(hoped - ahead).T) / period
+        follow = follower.measure(follow, parts, t, start, short, options)
         error = follower.errors(follow, parts, t)
         found = Findings(
             follower.missing(follow, parts),
@@ -269,9 +274,6 @@ class Planner:
             follower.problem(follow, parts, t, options),
             self._plight(state, parts, error),
         )
-        ahead = state.watch.ahead(parts.ids)
-        if ahead is None:
-            ahead = state.asked.places(parts, t, period)
         request = follower.request(follow, parts, ahead, start, period, options)
         return replace(state, follow=follow), View(found, request, 0, error)
 

@@ -194,6 +194,22 @@ def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
     assert progress.max_error_m < 0.016
 
 
+@pytest.mark.parametrize(("share", "paces"), [(0.05, (1.0, 1.0)), (0.2, (0.7, 0.49))])
+def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(share, paces):
+    scenario = load_scenario("follow_2")
+    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
+    state = follower.begin(plant.seen(), 0.0)
+    short = np.array([share * 0.02, 0.0])
+    for k, pace in enumerate(paces):
+        seen = PartSet.make(plant.ids, follower.reference(state, k * T))  # no error at all as yet
+        state = follower.measure(state, seen, k * T, (k + 1) * T, short, FollowOptions())
+        assert state.paces[1] == pytest.approx(pace)
+    for k in range(2, 12):
+        seen = PartSet.make(plant.ids, follower.reference(state, k * T))
+        state = follower.measure(state, seen, k * T, (k + 1) * T, 0 * short, FollowOptions())
+    assert state.paces[1] == 1.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_it_assembles(seed):
     scenario = load_scenario("assemble_8")

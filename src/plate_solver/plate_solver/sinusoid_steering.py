@@ -24,8 +24,8 @@ ROOM = 1.3
 CORRECTIONS = 6
 """Most steps of the fine fit."""
 
-MANY = 20
-"""Displacements wanted of ten parts."""
+MANY = 12
+"""Displacements wanted of six parts."""
 
 SPREAD = 0.7
 """Size of a disturbance of what is known, over that of a random motion."""
@@ -40,7 +40,7 @@ class SinusoidSteering:
     iterations : int
         Most steps of a search.
     restarts : int
-        Most further starts with ten parts; fewer parts get more, in the same time.
+        Most further starts with six parts or more; fewer get more, in the same time.
     """
 
     def __init__(self, bounds: Bounds, iterations: int, restarts: int) -> None:
