@@ -29,6 +29,7 @@ MEASUREMENTS = {
     "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
     "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
+    "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
     "closed_loop": "Whole tasks in the closed loop",
 }
 """Names, each measured by `measure_NAME.py`, and what they are about."""

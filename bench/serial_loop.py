@@ -246,6 +246,24 @@ class Loop:
         return progress
 
 
-def serial_run(setup: Setup, rig: Rig | None = None, accidents: Accidents | None = None) -> Ending:
-    """Run a task over the serial line, with accidents."""
-    return Loop(setup, rig or load_rig(), accidents or Accidents()).go()
+def serial_run(
+    setup: Setup, accidents: Accidents | None = None, event: str = "", at: float = 0.0
+) -> Ending:
+    """Run a task over the serial line.
+
+    Parameters
+    ----------
+    accidents : Accidents, optional
+        What goes wrong all the time.
+    event : str
+        `disconnect`, `reset` or `brown_out`: happens once, ...
+    at : float
+        ... at the first image after this time [s].
+    """
+    left = [event] if event else []
+
+    def befall(loop: Loop) -> None:
+        if left and loop.emulator.now >= at:
+            getattr(loop.emulator, left.pop())()
+
+    return Loop(setup, load_rig(), accidents or Accidents()).go(befall)

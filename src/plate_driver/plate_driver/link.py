@@ -141,6 +141,11 @@ class Link:
         """Return a link that is about to say hello."""
         return cls(session, now)._asked(Hello(VERSION, session))
 
+    @property
+    def busy(self) -> bool:
+        """Whether a command is still to be sent, or not answered yet."""
+        return bool(self.queue or self.next_table)
+
     # What the host wants
 
     def uploading(self, table: int, knots: Sequence[Knot]) -> Link:

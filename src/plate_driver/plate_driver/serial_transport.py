@@ -143,6 +143,11 @@ class SerialTransport:
             self._link = self._link.forgiven()
         return measured
 
+    @property
+    def busy(self) -> bool:
+        """Whether something is still on its way to the device."""
+        return self._link.busy
+
     def troubles(self) -> list[str]:
         """Return what went wrong since the last call."""
         told, self._troubles = self._troubles, []

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.convert import image_to_array, motors_to_msg, msg_to_parts, nanoseconds
+from plate_core.ros.convert import image_to_array, motors_to_msg, msg_to_parts, nanoseconds, to_time
 from plate_core.ros.qos import CAMERA, DATA
 from plate_sim.node import START_NS, SimulatorNode
 
@@ -210,3 +210,33 @@ def test_real_time_goes_on_without_answers():
 def test_real_time_takes_tables_as_they_come():
     with Loop(good, idle_period=0.03) as loop:
         assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
+
+
+def test_driven_by_the_device_the_parts_follow_what_was_played():
+    """Whole tables, a stretch of rest that is too short for an image, and refusals."""
+    with Loop(scenario="sort_4", driven_by="device", noise=0.0, seed=2) as loop:
+        motions = loop.ear.create_publisher(JointTrajectory, "motor_motion", DATA)
+        ends = (motions, loop.simulator._truths, loop.simulator._images)
+        assert loop.spin(lambda: all(end.get_subscription_count() == 1 for end in ends))
+        start = loop.simulator._time_ns + 1_000_000_000
+        table = motors_to_msg(RIG, push(), to_time(0))
+
+        def play(msg: JointTrajectory, at: int) -> None:
+            msg.header.stamp = to_time(at)
+            motions.publish(msg)
+
+        play(table, start)
+        assert loop.spin(lambda: len(loop.truths) == 1)
+        short = motors_to_msg(RIG, PlateCycle.rest(0.01), to_time(0))
+        play(short, start + 50_000_000)
+        bad = motors_to_msg(RIG, push(), to_time(0))
+        bad.points[3].positions[0] = float("nan")
+        play(bad, start + 60_000_000)
+        play(table, start + 60_000_000)
+        assert loop.spin(lambda: len(loop.truths) == 2 and len(loop.images) == 2)
+        assert loop.stamps == [start + 50_000_000, start + 110_000_000]
+        # The parts were carried along.
+        first, second = (msg_to_parts(msg).position for msg in loop.truths)
+        assert np.max(np.abs(second - first)) > 1e-5
+        assert loop.simulator._count["refused tables"] == 1
+        assert loop.simulator._count["cycles"] == 3

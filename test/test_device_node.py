@@ -1,0 +1,101 @@
+"""The device node at one end of its pseudo-terminal, the driver node at the other, in real time."""
+
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, load_rig
+from plate_core.serial_protocol import State
+
+rclpy = pytest.importorskip("rclpy")
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
+
+from plate_core.ros.convert import cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
+from plate_core.ros.qos import DATA  # noqa: E402
+from plate_driver.node import DriverNode  # noqa: E402
+from plate_sim.device.node import DeviceNode  # noqa: E402
+
+RIG = load_rig()
+DOMAIN = 1 + (41 * os.getpid() + 11) % 99
+PATIENCE_S = 15.0
+
+
+def nudge(period: float = 0.2) -> PlateCycle:
+    """Plate 2 mm along x and back, at rest at both ends."""
+    t = np.arange(33) / 32
+    u, scale = t * (1 - t), 2e-3 * 4**3
+    pose, twist, accel = np.zeros((3, 33, 3))
+    pose[:, 0] = scale * u**3
+    twist[:, 0] = scale * 3 * u**2 * (1 - 2 * t) / period
+    accel[:, 0] = scale * (6 * u * (1 - 2 * t) ** 2 - 6 * u**2) / period**2
+    return PlateCycle.from_knots(period * t, pose, twist, accel)
+
+
+def test_a_cycle_goes_round_and_a_pulled_plug_is_survived(tmp_path):
+    link = tmp_path / "port"
+    words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=1000"]
+    arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/device_node"]
+    rclpy.init(args=arguments, domain_id=DOMAIN)
+    executor, own = SingleThreadedExecutor(), SingleThreadedExecutor()
+    device = DeviceNode()
+    own.add_node(device)  # the device must not wait for the others
+    thread = threading.Thread(target=own.spin, daemon=True)
+    thread.start()
+    driver, peer = DriverNode(), rclpy.create_node("peer")
+    motions: list[JointTrajectory] = []
+    states: list[JointState] = []
+    peer.create_subscription(JointTrajectory, "motor_motion", motions.append, 50)
+    peer.create_subscription(JointState, "motor_states", states.append, DATA)
+    cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
+    for node in (driver, peer):
+        executor.add_node(node)
+
+    def until(condition) -> bool:
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.01)
+            if condition():
+                return True
+        return False
+
+    def whole(msg: JointTrajectory) -> bool:
+        return len(msg.points) == 33 and any(msg.points[16].positions)
+
+    try:
+        assert until(lambda: cycles.get_subscription_count() and len(motions) > 2)
+        assert not any(any(point.positions) for point in motions[-1].points)
+        cycle = nudge()
+        cycles.publish(cycle_to_msg(cycle, to_time(1_000)))
+        assert until(lambda: sum(map(whole, motions)) > 3)
+        played = msg_to_motors(RIG, next(filter(whole, motions)))
+        np.testing.assert_allclose(played.knot_pose, cycle.knot_pose, atol=1e-8)
+        # Stretch follows upon stretch.
+        ends = [
+            nanoseconds(m.header.stamp) + nanoseconds(m.points[-1].time_from_start) for m in motions
+        ]
+        starts = [nanoseconds(m.header.stamp) for m in motions]
+        assert np.max(np.abs(np.subtract(starts[1:], ends[:-1]))) <= 2
+        assert until(lambda: any(any(s.position) for s in states))
+        # Pulled out, the device brakes; back again, the plate goes on.
+        device.set_parameters([Parameter("disconnect_s", value=0.5)])
+        device._emulator.disconnect()
+        assert until(lambda: not link.exists())
+        assert until(lambda: device._emulator.device.motion.state is State.OFF)
+        motions.clear()
+        assert until(lambda: sum(map(whole, motions)) > 2)
+        assert device._emulator.connected
+    finally:
+        driver.destroy_node()
+        executor.shutdown()
+        own.shutdown()
+        thread.join(10)
+        device.destroy_node()
+        peer.destroy_node()
+        rclpy.shutdown()
+    assert not os.path.lexists(link)
