@@ -27,6 +27,7 @@ from draw import (
     draw_steering,
     draw_tracking,
 )
+from draw_vision import draw_vision
 from harness import ROOT
 from matplotlib.figure import Figure
 from report import write_report
@@ -152,6 +153,13 @@ CHARTS = (
         "has to fit into one cycle.",
         lambda data: table(data, "stages", "stages"),
         draw_stages,
+    ),
+    Chart(
+        "vision",
+        "Finding discs: error of the centres against time, ours and its peers. Hollow: parts are "
+        "missed or invented, with how many. Down and to the left is better.",
+        lambda data: table(data, "vision", "vision"),
+        draw_vision,
     ),
     Chart(
         "tracking",

@@ -11,7 +11,7 @@ from .errors import ImageError, OptionError
 from .measure import Discs
 from .options import DetectorOptions
 from .outlines import Outlines, find_outlines
-from .region import Region, check_region, make_region
+from .region import Region, region_of
 
 CLASSES = ("black", "grey")
 """The labels of parts darker than the plate, darkest first."""
@@ -82,7 +82,7 @@ def detect(
         If the image is not uint8, has another shape, or the region is no quadrilateral in it.
     """
     grey = _grey(image)
-    region = make_region(*grey.shape, None if region_px is None else check_region(region_px))
+    region = region_of(grey.shape[0], grey.shape[1], region_px)
     if options is None:
         return _survey(grey, region)
     return _from_discs(find_discs(grey, region, options, size), options)

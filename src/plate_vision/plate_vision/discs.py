@@ -51,12 +51,13 @@ def find_discs(
     if brightness is None or not len(seeds):
         nothing = np.empty(0)
         return Discs(np.empty((0, 2)), nothing, nothing, nothing, np.empty(0, bool))
-    discs, shared = measure_alone(grey, brightness, seeds, radius)
+    shared = crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
     shared |= region.depth(*seeds.T) - SEAM_PX < radius + RIM_PX + 1
-    shared |= crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
+    discs, beside = measure_alone(grey, brightness, seeds[~shared], radius)
+    discs = discs.select(~beside)
+    shared[np.flatnonzero(~shared)[beside]] = True
     if np.any(shared):
-        fitted = fit_discs(grey, brightness, usable, seeds[shared], radius)
-        discs = discs.select(np.flatnonzero(~shared)).join(fitted)
+        discs = discs.join(fit_discs(grey, brightness, usable, seeds[shared], radius))
     expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)
     return discs.select(np.flatnonzero(_is_part(discs, region, options, expected)))
 

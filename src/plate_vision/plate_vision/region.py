@@ -124,6 +124,27 @@ def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.nd
     return np.array(bows)
 
 
+def region_of(height_px: int, width_px: int, region_px: np.ndarray | None) -> Region:
+    """Return the region of an image by corners (4, 2) or points of edges (4, n, 2) [px].
+
+    What has been judged once is not judged again.
+
+    Raises
+    ------
+    ImageError
+        As `check_region` and `make_region`.
+    """
+    if region_px is None:
+        return make_region(height_px, width_px, None)
+    points = np.asarray(region_px, dtype=float)
+    return _known_region(height_px, width_px, points.shape, points.tobytes())
+
+
+@lru_cache(maxsize=16)
+def _known_region(height_px: int, width_px: int, shape: tuple[int, ...], points: bytes) -> Region:
+    return make_region(height_px, width_px, check_region(np.frombuffer(points).reshape(shape)))
+
+
 def check_region(region_px: np.ndarray) -> tuple[Points, ...]:
     """Return corners (4, 2) or points of edges (4, n, 2) [px] as `make_region` takes them.
 
