@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from plate_vision import detect
+from plate_vision import ImageError, detect
 
 PHOTOGRAPHS_PX = yaml.safe_load(
     Path(__file__).with_name("photographs.yaml").read_text(encoding="utf-8")
@@ -95,6 +95,21 @@ def test_the_size_of_parts_that_are_alike_is_found():
         assert error.max() < 0.04
         assert np.abs(parts["radius_px"] - 15).max() < 0.1
         assert set(parts["method"]) == {"moments"}
+
+
+def test_parts_that_touch_are_parted_where_others_show_their_size():
+    centre = [(50.3, 60.2), (120.6, 80.9), (200.1, 90.4), (80.8, 200.5), (250.7, 200.1)]
+    centre += [(330.2, 200.4), (330.2, 230.4)]
+    image = scene([disc(x, y, 15) for x, y in centre], 40, 200)
+    error, parts = nearest(detect(image), centre)
+    assert error.max() < 0.06
+    assert parts["method"].tolist() == 5 * ["moments"] + 2 * ["fit"]
+
+
+def test_wrong_pictures_are_refused():
+    for picture in (np.full((30, 40), np.nan), np.zeros((30, 40), np.uint16), np.zeros((0, 4))):
+        with pytest.raises(ImageError, match=r"image: .* allowed: "):
+            detect(picture)
 
 
 ANGLES = (0.2, 0.9, 1.7, 2.8)
