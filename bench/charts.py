@@ -27,6 +27,7 @@ from draw import (
     draw_steering,
     draw_tracking,
 )
+from draw_solvers import draw_force_map, draw_inversion, draw_realised, draw_rotations
 from draw_vision import draw_vision
 from harness import ROOT
 from matplotlib.figure import Figure
@@ -93,6 +94,42 @@ def table(data: Data, name: str, key: str) -> list[dict[str, Any]]:
     return next(t["rows"] for t in data[name]["tables"] if t["key"] == key)
 
 
+def force_map_rows(data: Data) -> list[dict[str, Any]]:
+    """Return time and error of every way to the averaged force."""
+    batched = [r for r in table(data, "force_map", "batched") if r["harmonics"] == 2]
+    one = table(data, "force_map", "methods")
+    return [
+        {"case": case, "method": row["method"], "us": row[time], "p99": row["p99"]}
+        for case, rows, time in (("batched", batched, "us"), ("methods", one, "one_us"))
+        for row in rows
+    ]
+
+
+def rotation_rows(data: Data) -> list[dict[str, Any]]:
+    """Return forces and times of Method A, with its peers."""
+    rows = [
+        {
+            "case": "force", "label": f"{row['centres']}, {row['method']}", "value": row["p10"],
+            "ours": row["method"] != "SVD",
+        }
+        for row in table(data, "rotations", "guaranteed")
+    ]  # fmt: skip
+    rows += [
+        {
+            "case": "force", "label": f"realised, {row['closure']}", "value": row["p10"],
+            "ours": True,
+        }
+        for row in table(data, "rotations", "realised")
+    ]  # fmt: skip
+    return rows + [
+        {
+            "case": "time", "label": row["method"], "value": row["milliseconds"],
+            "ours": row["method"].startswith("ours"),
+        }
+        for row in table(data, "rotations", "times")
+    ]  # fmt: skip
+
+
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     """Write rows with the same keys."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -139,6 +176,34 @@ CHARTS = (
         "dashed line is what was wanted; errors below 1e-11 are drawn there.",
         lambda data: data["solver"]["samples"],
         draw_solver,
+    ),
+    Chart(
+        "force_map",
+        "The averaged force map: error of the worst 1 % of random cases against time. The dashed "
+        "line is what was wanted.",
+        force_map_rows,
+        draw_force_map,
+    ),
+    Chart(
+        "realised",
+        "Force over one cycle in the simulator: what is missed of random requests, against the "
+        "time of a solve, for both methods and every map. The dashed line is what was wanted.",
+        lambda data: table(data, "requests", "realised"),
+        draw_realised,
+    ),
+    Chart(
+        "rotations",
+        "Method A: guaranteed and realised forces, and the time of its linear problem, beside "
+        "the paper's SVD, HiGHS and least squares.",
+        rotation_rows,
+        draw_rotations,
+    ),
+    Chart(
+        "inversion",
+        "Method B: what becomes of random requests, and the time of a solve. In brackets: as many "
+        "harmonics as the solver chooses.",
+        lambda data: table(data, "inversion", "fate"),
+        draw_inversion,
     ),
     Chart(
         "steering",
