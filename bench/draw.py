@@ -161,7 +161,7 @@ def draw_tracking(figure: Figure, rows: list[dict[str, Any]]) -> None:
         xscale="log", yscale="log", xlabel="speed along the path [mm/s]",
         ylabel="RMS distance from the path's point [mm]",
     )  # fmt: skip
-    left.set_xticks([2, 5, 10, 20, 40, 80, 160, 320, 640, 1250])
+    left.set_xticks([2, 5, 10, 20, 40, 80, 160, 320, 1000])
     left.minorticks_off()
     left.legend(title="sinusoids, parts", fontsize=9, title_fontsize=9, ncols=2)
     for method, colour in (("sinusoids", OURS), ("rotations", SECOND)):
