@@ -65,6 +65,9 @@ def _note(text: str) -> None:
 
 def _line(row: dict) -> str:
     rms = "" if row["rms_error_m"] is None else f"  RMS {1e3 * row['rms_error_m']:.3f} mm"
+    if row["turn_error_deg"] is not None:
+        rms += f"  centre {1e3 * row['max_error_m']:.3f} mm at most"
+        rms += f"  angle {row['turn_error_deg']:.2f} deg"
     return (
         f"seed {row['seed']:4d}  {'ok  ' if row['success'] else 'FAIL'}  {row['time_s']:6.1f} s"
         f"  dropped {row['dropped']}{rms}  missed {100 * row['missed_share']:.0f} %"
@@ -82,6 +85,10 @@ def _conclusion(rows: list[dict]) -> str:
     errors = [row["rms_error_m"] for row in rows if row["rms_error_m"] is not None]
     if errors:
         text += f"; RMS median {1e3 * np.median(errors):.3f} mm, most {1e3 * max(errors):.3f} mm"
+    turns = [row["turn_error_deg"] for row in rows if row["turn_error_deg"] is not None]
+    if turns:
+        text += f"; angle median {np.median(turns):.2f} deg, most {max(turns):.2f} deg; "
+        text += f"centre at most {1e3 * max(row['max_error_m'] for row in rows):.3f} mm off"
     share = {
         name: np.mean([row["models"].get(name, 0) for row in rows])
         for name in sorted({name for row in rows for name in row["models"]})

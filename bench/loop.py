@@ -13,12 +13,13 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
-from plate_core.scenario import AssembleTask, FollowTask, Scenario, load_scenario
+from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
 from plate_planner.assembling import Assembly
 from plate_planner.following import Follower
 from plate_planner.planner import PlannerState
+from plate_planner.posing import Poser
 from plate_planner.progress import Progress
 from plate_sim.camera import NOISE
 from plate_sim.dirt import CLEAN, Dirt
@@ -154,6 +155,8 @@ class Moment:
         Cycles so far by the model that the simulator used.
     error_m : (P,)
         True distance of each seen part from its reference or place [m]; empty when sorting.
+    turn_error : (P,)
+        What is missing to its angle [rad], in a task of poses.
     """
 
     time: float
@@ -167,6 +170,7 @@ class Moment:
     limit_share: float
     models: Mapping[str, int]
     error_m: np.ndarray
+    turn_error: np.ndarray
 
 
 def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
@@ -199,9 +203,10 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
             newest = table.cycle
             state = planner.hear(state, answer.cycle, t)
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
+            turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
             yield Moment(
                 t, world, tracker.parts, asked, answer, progress, image, solve_s,
-                fitted.usage.worst, simulation.used, error,
+                fitted.usage.worst, simulation.used, error, turned,
             )  # fmt: skip
             if progress.ended:
                 return
@@ -223,6 +228,8 @@ def _true_error(
         names = PartSet.make(world.ids, true)
         distance = Assembly(task, rig).distance(names)
         return distance[~np.isnan(distance)]
+    if isinstance(task, PoseTask) and len(true):
+        return Poser(task, rig).errors(state.pose, _named(parts, state.pose.match, world))[0]
     if not isinstance(task, FollowTask) or not state.follow.match or not len(true):
         return np.zeros(0)
     reference = Follower(task, rig).reference(state.follow, t)
@@ -235,9 +242,28 @@ def _true_error(
     return np.array(errors)
 
 
+def _true_turn_error(
+    scenario: Scenario, rig: Rig, state: PlannerState, parts: PartSet, world: WorldState
+) -> np.ndarray:
+    """What is missing to the angles (P,) [rad] of the true parts, in a task of poses."""
+    if not isinstance(scenario.task, PoseTask):
+        return np.zeros(0)
+    true = _named(parts, state.pose.match, world)
+    return np.abs(Poser(scenario.task, rig).errors(state.pose, true)[1])
+
+
+def _named(parts: PartSet, wanted: tuple[str, ...], world: WorldState) -> PartSet:
+    """Return the true parts that are seen as those wanted, by the names of these."""
+    ids = [name for name in wanted if name in parts.ids]
+    seen = parts.position[[parts.ids.index(name) for name in ids]]
+    rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
+    return PartSet.make(tuple(ids), world.position[rows], angle=world.angle[rows])
+
+
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, shares, errors, misses, asks = [], [], [], [], []
+    task = load_scenario(setup.scenario).task
     for moment in run(setup, rig):
         if moment.answer.solution is not None:
             solve_s.append(moment.solve_s)
@@ -245,8 +271,9 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
             asks.append(moment.answer.asked_m)
         shares.append(moment.limit_share)
         errors.append(moment.error_m)
-    follows = isinstance(load_scenario(setup.scenario).task, FollowTask)
-    error = np.concatenate(errors) if follows else errors[-1]  # assembled: what counts is the end
+    all_along = isinstance(task, FollowTask | PoseTask)
+    error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
+    turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     cycles = max(1, sum(moment.models.values()))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
     return {
@@ -260,6 +287,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "parts": len(moment.world.ids),
         "rms_error_m": float(np.sqrt(np.mean(error**2))) if len(error) else None,
         "max_error_m": float(np.max(error)) if len(error) else None,
+        "turn_error_deg": float(turned) if isinstance(task, PoseTask) else None,
         "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
         "solve_ms_median": float(np.median(milliseconds)),
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),

@@ -26,7 +26,9 @@ class PartSet:
     tolerance : (M, 2)
         Any force within +-tolerance [N] of `force` is as good.
     torque : (M,)
-        Wanted spin [N m].
+        Wanted mean torque over a cycle [N m]; zero where any turning will do.
+    spin : (M,)
+        Turning over the last cycles [rad/s].
     grip : (M,)
         Greatest friction on it [N], mu m g; 0 where no more is known than the rig's facts.
     """
@@ -39,6 +41,7 @@ class PartSet:
     tolerance: np.ndarray
     torque: np.ndarray
     grip: np.ndarray
+    spin: np.ndarray
 
     @classmethod
     def make(
@@ -51,6 +54,7 @@ class PartSet:
         torque: np.ndarray | None = None,
         angle: np.ndarray | None = None,
         grip: np.ndarray | None = None,
+        spin: np.ndarray | None = None,
     ) -> PartSet:
         """Build a set; what is missing is zero."""
         count = len(ids)
@@ -70,6 +74,7 @@ class PartSet:
             pairs(tolerance),
             column(torque),
             column(grip),
+            column(spin),
         )
 
     def __len__(self) -> int:

@@ -16,6 +16,8 @@ from .tasks import (
     PartGroup,
     PathTask,
     Point,
+    Pose,
+    PoseTask,
     Scenario,
     Side,
     SortTask,
@@ -31,6 +33,8 @@ __all__ = [
     "FollowTask",
     "PartGroup",
     "PathTask",
+    "Pose",
+    "PoseTask",
     "Scenario",
     "Side",
     "SortTask",
@@ -100,7 +104,13 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         parts=parts,
         task=read_task(fields.child("task"), parts),
         time_limit_s=fields.number("time_limit_s", 0.1, 1e5),
+        marked=fields.has("marked") and fields.flag("marked"),
     )
+    if isinstance(scenario.task, PoseTask) and not scenario.marked:
+        raise ScenarioError(
+            f"{fields.where}: marked is false, allowed with a task of poses: true (a round part "
+            "without a mark shows no angle)"
+        )
     fields.finish()
     return scenario
 
@@ -130,6 +140,8 @@ def _task_points(task: Task) -> list[tuple[str, str, Point]]:
         return [(path.label, "waypoint", point) for path in task.paths for point in path.waypoint]
     if isinstance(task, AssembleTask):
         return [(c, "place", point) for c, point in zip(task.labels, task.place, strict=True)]
+    if isinstance(task, PoseTask):
+        return [(pose.label, "place", pose.place) for pose in task.poses if pose.place is not None]
     return []
 
 

@@ -17,6 +17,8 @@ from .tasks import (
     PartGroup,
     PathTask,
     Point,
+    Pose,
+    PoseTask,
     Region,
     Side,
     SortTask,
@@ -60,6 +62,7 @@ def read_task(fields: Fields, parts: tuple[PartGroup, ...]) -> Task:
         "sort": _sort,
         "follow": _follow,
         "assemble": _assemble,
+        "pose": _pose,
     }
     task: Task = kinds[fields.text("kind", tuple(kinds))](fields, parts)
     fields.finish()
@@ -209,6 +212,25 @@ def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
         labels=tuple(labels),
         place=tuple(place),
         tolerance_m=fields.number("tolerance_m", 1e-4, 1),
+        hold_s=fields.number("hold_s", 0, 60),
+    )
+
+
+def _pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
+    labels = tuple(group.label for group in parts)
+    poses = []
+    for child in fields.children("poses"):
+        label = child.text("class", labels)
+        place = (
+            pairs(child.array("place_m", (2,), -10, 10)[None])[0] if child.has("place_m") else None
+        )
+        poses.append(Pose(label, place, float(np.radians(child.number("angle_deg", -360, 360)))))
+        child.finish()
+    _one_each(fields, "poses", [pose.label for pose in poses], parts)
+    return PoseTask(
+        poses=tuple(poses),
+        tolerance_m=fields.number("tolerance_m", 1e-4, 1),
+        tolerance_rad=float(np.radians(fields.number("tolerance_deg", 0.1, 180))),
         hold_s=fields.number("hold_s", 0, 60),
     )
 

@@ -127,18 +127,64 @@ class AssembleTask:
     hold_s: float
 
 
-Task = SortTask | FollowTask | AssembleTask
+@dataclass(frozen=True)
+class Pose:
+    """Where one part is to be, and which way its mark is to point.
+
+    Attributes
+    ----------
+    label : str
+        Class of the part.
+    place : (x, y), or None
+        [m, plate_home]; None: where the part is when the task begins, and there it has to stay.
+    angle : float
+        Counter-clockwise from x [rad].
+    """
+
+    label: str
+    place: Point | None
+    angle: float
+
+
+@dataclass(frozen=True)
+class PoseTask:
+    """Bring parts to places and angles.
+
+    Attributes
+    ----------
+    poses : tuple of Pose
+        One for each part.
+    tolerance_m : float
+        A part is there when its centre is this near [m]; one that is to stay where it is may never
+        be further off.
+    tolerance_rad : float
+        It has turned when its angle is this near [rad].
+    hold_s : float
+        The task is done when all parts have been so for this time [s].
+    """
+
+    poses: tuple[Pose, ...]
+    tolerance_m: float
+    tolerance_rad: float
+    hold_s: float
+
+
+Task = SortTask | FollowTask | AssembleTask | PoseTask
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One task: its parts, what is to be done, and the time it may take [s]."""
+    """One task: its parts, what is to be done, and the time it may take [s].
+
+    Parts that are `marked` show their angle by a spot, and start at any angle.
+    """
 
     name: str
     description: str
     parts: tuple[PartGroup, ...]
     task: Task
     time_limit_s: float
+    marked: bool = False
 
     @property
     def count(self) -> int:

@@ -3,6 +3,7 @@
 from .assembling import AssembleOptions
 from .pd import FollowOptions
 from .planner import Planner, PlannerOptions, PlannerState
+from .posing import PoseOptions
 from .progress import Progress
 from .sorting import SortOptions
 from .task import Phase, TaskState
@@ -14,6 +15,7 @@ __all__ = [
     "Planner",
     "PlannerOptions",
     "PlannerState",
+    "PoseOptions",
     "Progress",
     "SortOptions",
     "TaskState",

@@ -8,13 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import PartSet, PlateCycle, Rig
-from plate_core.scenario import AssembleTask, FollowTask, Scenario, SortTask, check_scenario
+from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
+from plate_core.scenario import check_scenario as check
 
 from .assembling import AssembleOptions, Assembly
 from .bins import check_bins
 from .clock import CycleClock
 from .following import Follower, FollowState
 from .pd import FollowOptions
+from .plight import plight_of
+from .posing import PoseOptions, Poser, PoseState
 from .progress import Progress
 from .requests import Asked, DriftRequest
 from .sorting import Sorter, SortOptions
@@ -34,6 +37,7 @@ class PlannerOptions:
     sort : SortOptions
     follow : FollowOptions
     assemble : AssembleOptions
+    pose : PoseOptions
     default_period : float
         Length of a cycle until two images have told it [s].
     wait_s : float
@@ -49,6 +53,7 @@ class PlannerOptions:
     sort: SortOptions = field(default_factory=SortOptions)
     follow: FollowOptions = field(default_factory=FollowOptions)
     assemble: AssembleOptions = field(default_factory=AssembleOptions)
+    pose: PoseOptions = field(default_factory=PoseOptions)
     default_period: float = 0.1
     wait_s: float = 10.0
     patience_s: float = 1.0
@@ -67,6 +72,7 @@ class PlannerState:
     watch : Watch
         Estimate of the parts.
     follow : FollowState
+    pose : PoseState
     asked : Asked
         The last request.
     known : tuple of str
@@ -79,6 +85,7 @@ class PlannerState:
     clock: CycleClock
     watch: Watch
     follow: FollowState = field(default_factory=FollowState)
+    pose: PoseState = field(default_factory=PoseState)
     asked: Asked = field(default_factory=Asked)
     known: tuple[str, ...] = ()
     answer: tuple[PartSet, Progress] | None = None
@@ -128,7 +135,7 @@ class Planner:
     options: PlannerOptions = field(default_factory=PlannerOptions)
 
     def __post_init__(self) -> None:
-        check_scenario(self.scenario, self.rig)
+        check(self.scenario, self.rig)
         check_bins(self.scenario, self.rig)
 
     @property
@@ -137,7 +144,7 @@ class Planner:
         task = self.scenario.task
         return TaskLimits(
             time_limit_s=self.scenario.time_limit_s,
-            hold_s=task.hold_s if isinstance(task, SortTask | AssembleTask) else 0.0,
+            hold_s=0.0 if isinstance(task, FollowTask) else task.hold_s,
             wait_s=self.options.wait_s,
             patience_s=self.options.patience_s,
             stuck_s=self.options.stuck_s,
@@ -154,7 +161,9 @@ class Planner:
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen."""
-        return replace(state, task=started(), follow=FollowState(), asked=Asked(), known=())
+        return replace(
+            state, task=started(), follow=FollowState(), pose=PoseState(), asked=Asked(), known=()
+        )
 
     def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
@@ -193,7 +202,8 @@ class Planner:
         if state.clock.went_back(t) and state.task.phase is Phase.RUNNING:
             state = self.start(state)
         state = replace(state, clock=state.clock.tick(t), watch=state.watch.look(parts, t))
-        inside = on_plate(state.watch.parts, self.rig)
+        turns = isinstance(self.scenario.task, PoseTask)  # the watch takes parts for points
+        inside = on_plate(parts if turns else state.watch.parts, self.rig)
         state, view = self._advance(state, inside, t)
         asked = NOTHING
         if state.task.active and view.request is not None and len(inside):
@@ -209,6 +219,8 @@ class Planner:
         state = replace(state, task=task, known=state.known if missing else parts.ids)
         if isinstance(self._rules, Sorter):
             view = self._sort(self._rules, state, parts, missing)
+        elif isinstance(self._rules, Poser):
+            state, view = self._pose(self._rules, state, parts, missing, t, begins)
         elif isinstance(self._rules, Assembly):
             view = self._assemble(self._rules, state, parts, missing)
         else:
@@ -216,13 +228,15 @@ class Planner:
         return replace(state, task=judge(task, t, view.findings, self.limits)), view
 
     @cached_property
-    def _rules(self) -> Sorter | Assembly | Follower:
+    def _rules(self) -> Sorter | Assembly | Poser | Follower:
         """The rules of the task: kept, since they hold tables of paths and bins."""
         task = self.scenario.task
         if isinstance(task, SortTask):
             return Sorter(task, self.rig)
         if isinstance(task, AssembleTask):
             return Assembly(task, self.rig)
+        if isinstance(task, PoseTask):
+            return Poser(task, self.rig)
         return Follower(task, self.rig)
 
     def _sort(
@@ -232,9 +246,8 @@ class Planner:
         count = int(np.sum(to_go == 0))
         met = count == np.count_nonzero(~np.isnan(to_go))
         to_go = np.nan_to_num(to_go)
-        found = Findings(
-            missing, met, float(np.sum(to_go)), plight=self._plight(state, parts, to_go)
-        )
+        plight = plight_of(state.asked, self.rig, parts, to_go)
+        found = Findings(missing, met, float(np.sum(to_go)), plight=plight)
         return View(found, sorter.request(parts, state.period, self.options.sort), count)
 
     def _assemble(
@@ -243,11 +256,32 @@ class Planner:
         distance = assembly.distance(parts)  # NaN for a part that has no place
         error = distance[~np.isnan(distance)]
         count = int(np.sum(error <= assembly.task.tolerance_m))
-        plight = self._plight(state, parts, np.nan_to_num(distance))
+        plight = plight_of(state.asked, self.rig, parts, np.nan_to_num(distance))
         met = count == len(assembly.task.place)
         found = Findings(missing, met, float(np.sum(error)), plight=plight)
         request = assembly.request(parts, state.period, self.options.assemble)
         return View(found, request, count, error)
+
+    def _pose(
+        self,
+        poser: Poser,
+        state: PlannerState,
+        parts: PartSet,
+        missing: tuple[str, ...],
+        t: float,
+        begins: bool,
+    ) -> tuple[PlannerState, View]:
+        if not state.task.active:
+            return state, View(Findings(missing, False, 0.0), None)
+        pose = poser.begin(parts) if begins else state.pose
+        distance, angle = poser.errors(pose, parts)
+        short = distance + self.rig.parts.radius_m * np.abs(angle)  # the way of the rim
+        count, plight = poser.count(pose, parts), plight_of(state.asked, self.rig, parts, short)
+        met, problem = count == len(poser.task.poses), poser.problem(pose, parts)
+        found = Findings(missing, met, float(np.sum(short)), problem, plight)
+        ahead = state.asked.places(parts, t, state.period)
+        pose, request = poser.request(pose, parts, ahead, state.period, self.options.pose)
+        return replace(state, pose=pose), View(found, request, count, distance)
 
     def _follow(
         self, follower: Follower, state: PlannerState, parts: PartSet, t: float, begins: bool
@@ -272,27 +306,10 @@ class Planner:
             follower.finished(follow, t),
             follower.to_go(follow, t),
             follower.problem(follow, parts, t, options),
-            self._plight(state, parts, error),
+            plight_of(state.asked, self.rig, parts, error),
         )
         request = follower.request(follow, parts, ahead, start, period, options)
         return replace(state, follow=follow), View(found, request, 0, error)
-
-    def _plight(self, state: PlannerState, parts: PartSet, short: np.ndarray) -> str:
-        """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
-        if not len(parts):
-            return ""
-        worst = int(np.argmax(short))
-        name = parts.ids[worst]
-        text = f"{name} is {short[worst] * 1e3:.1f} mm short"
-        if name not in state.asked.ids:
-            return text
-        row = state.asked.ids.index(name)
-        drift, force = 1e3 * state.asked.drift[row], 1e3 * state.asked.force[row]
-        got, most = 1e3 * parts.velocity[worst], 1e3 * self.rig.force_unit
-        return (
-            f"{text}, asked for ({drift[0]:.1f}, {drift[1]:.1f}) mm/s with ({force[0]:.2f}, "
-            f"{force[1]:.2f}) mN of {most:.1f}, had ({got[0]:.1f}, {got[1]:.1f}) mm/s"
-        )
 
     def _ask(
         self, state: PlannerState, parts: PartSet, request: DriftRequest, t: float
@@ -304,14 +321,19 @@ class Planner:
             share = self.options.sort.force_share_max
         elif isinstance(task, AssembleTask):
             share = self.options.assemble.force_share_max
+        elif isinstance(task, PoseTask):
+            share = self.options.pose.force_share_max
         force, tolerance = request.force(parts.velocity, self.rig, period, share)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
         state = replace(state, asked=Asked(parts.ids, drift, t, force))
-        return replace(parts, force=force, tolerance=tolerance), state
+        torque = np.zeros(len(parts))
+        if isinstance(self._rules, Poser):
+            torque = self._rules.torque(state.pose, parts, period)
+        return replace(parts, force=force, tolerance=tolerance, torque=torque), state
 
     def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:
         rms, most = state.follow.rms_error_m, state.follow.max_error_m
-        if isinstance(self.scenario.task, AssembleTask) and len(view.error):
+        if isinstance(self.scenario.task, AssembleTask | PoseTask) and len(view.error):
             rms, most = float(np.sqrt(np.mean(view.error**2))), float(np.max(view.error))
         return Progress(
             phase=state.task.phase.value,

@@ -23,7 +23,7 @@ class Progress:
         Distance to the goal, summed over parts [m]; following: the longest way left.
     rms_error_m : float
         Following: distance of parts from their references, root mean square over parts and images;
-        assembling: of parts from their places in this image [m].
+        assembling and posing: of parts from their places in this image [m].
     max_error_m : float
         The greatest such distance [m].
     pace : float

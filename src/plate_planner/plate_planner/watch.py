@@ -84,6 +84,7 @@ def on_plate(parts: PartSet, rig: Rig) -> PartSet:
         velocity=parts.velocity[keep],
         angle=parts.angle[keep],
         grip=parts.grip[keep],
+        spin=parts.spin[keep],
     )
 
 

@@ -40,6 +40,10 @@ BLUR_MOST = 16
 MARK_PLACE, MARK_RADIUS = 0.5, 0.3
 """Where on a disc the mark of its angle is, and how large [radii]."""
 
+MARK_OF_DARK, MARK_OF_LIGHT, LIGHT = 130.0, 40.0, 85.0
+"""Grey of the mark on a part that is darker than `LIGHT`, and on one that is not: stands out from
+the part, and is darker than the plate, so that the part remains one dark disc."""
+
 STRIP_STEP = 0.002
 """The strip along the plate's edge that is painted again is a multiple of this wide [m]: lists of
 its pixels are kept."""
@@ -127,8 +131,8 @@ class Camera:
             Of the plate [m, m, rad], once or s times over the exposure; at home if missing, as at
             every start of a cycle that a rigid plate makes.
         angle : (M,), optional
-            Of the parts [rad], counter-clockwise. Discs then carry a mark as bright as the plate,
-            in the direction of their angle.
+            Of the parts [rad], counter-clockwise. Discs then carry a mark in the direction of
+            their angle: grey on black, black on grey.
         outline : sequence of M, optional
             What a part looks like, such as `Footprint.outline`; None for a disc of the rig's
             radius. Prepared once as long as it is the same object.
@@ -203,7 +207,7 @@ class Camera:
         if marked and np.any(disc):
             there = path[:, disc] + MARK_PLACE * self._rig.parts.radius_m * turn[disc]
             path = np.concatenate([path, there], axis=1)
-            grey = np.append(grey, np.full(there.shape[1], PLATE))
+            grey = np.append(grey, np.where(grey[disc] < LIGHT, MARK_OF_DARK, MARK_OF_LIGHT))
             radius = np.append(radius, MARK_RADIUS * radius[disc])
             turn = np.concatenate([turn, turn[disc]])
             first = np.append(first, np.full(there.shape[1], first[-1]))

@@ -284,12 +284,9 @@ class SimulatorNode(Node):
         on = state.on_plate
         ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
         truth = PartSet.make(
-            ids, state.position[on], state.velocity[on], angle=state.angle[on]
-        )  # fmt: skip
-        msg = parts_to_msg(truth, stamp)
-        for twist, spin in zip(msg.twist, state.spin[on], strict=True):
-            twist.angular.z = float(spin)
-        self._truths.publish(msg)
+            ids, state.position[on], state.velocity[on], angle=state.angle[on], spin=state.spin[on]
+        )
+        self._truths.publish(parts_to_msg(truth, stamp))
         return pixels is not None
 
     def _publish_image(self) -> None:

@@ -72,6 +72,9 @@ class Simulation:
         self._camera = Camera(rig, noise)
         self._grey = part_greys([part_class(name) for name in self.state.ids])
         self._past = Past()
+        self._marked = scenario.marked
+        self._turned = self.state.angle  # at the start of the last cycle
+        self._period = 1.0  # its length
 
     @property
     def mu(self) -> np.ndarray:
@@ -95,12 +98,19 @@ class Simulation:
             np.concatenate([self._grey[seen], grey]),
             self._pixels,
             pose=pose,
+            angle=np.append(self._angles()[seen], np.zeros(false)) if self._marked else None,
         )
+
+    def _angles(self) -> np.ndarray:
+        """Return the angles (M,) [rad] that an image shows; within a cycle taken as linear."""
+        share = self.dirt.latency / self._period
+        return self.state.angle + share * (self._turned - self.state.angle)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
         """Command a cycle, or what a motor controller has played, and move the parts to its end."""
         motion: PlateCycle | PlateMotion = cycle
         mu, ground = self.mu, self.dirt.ground
+        self._turned, self._period = self.state.angle, cycle.period
         if self._rig.suspension is not None:
             motion, self.plate = realise(self._rig, self.plate, cycle)
         world: dict[str, Any] = {"contacts": self._contacts, "ground": ground, "model": self._model}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -70,7 +70,10 @@ class WorldState:
         """Return a scenario's parts at rest, where it says or scattered: black_1, black_2, ..."""
         labels, position = start_positions(scenario, rig, rng)
         ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
-        return cls.at_rest(ids, position)
+        state = cls.at_rest(ids, position)
+        if not scenario.marked:
+            return state
+        return replace(state, angle=rng.uniform(-np.pi, np.pi, len(ids)))
 
     @property
     def dropped(self) -> int:

@@ -8,12 +8,13 @@ import numpy as np
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig
 
-from .refine import after
+from .refine import STEP, after
 from .rotations import RotationSolver
 from .sinusoids import SinusoidSolver
 from .solution import Solution
 from .solver import MotionSolver
 from .steering import Goal
+from .turning import Turns, after_discs
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
 """Names of the methods: the paper's letters and ours."""
@@ -48,7 +49,8 @@ class Answer:
     message : str
         For the log.
     error_m, asked_m : float
-        Root mean square over parts and axes of the missed and of the wanted displacement [m].
+        Root mean square over parts and axes of the missed and of the wanted displacement; turns
+        count as ways of the rim [m].
     share : float
         Share of the wanted displacement that was aimed at: `SHARES`, or 0 for a cycle at rest.
     """
@@ -94,11 +96,13 @@ class Controller:
             "sinusoids": SinusoidSolver(rig, iterations=24, restarts=3, seed=seed),
         }
         self._velocity: dict[str, np.ndarray] = {}
+        self._spin: dict[str, float] = {}
         self.method = METHODS[method]
 
     def reset(self) -> None:
         """Forget all parts and solutions."""
         self._velocity.clear()
+        self._spin.clear()
         for solver in self._solvers.values():
             solver.reset()
 
@@ -114,15 +118,16 @@ class Controller:
         """
         if not len(parts):
             self._velocity.clear()
+            self._spin.clear()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
-        period = solver.steering_period(len(parts))
+        period = solver.steering_period(len(parts), int(np.count_nonzero(parts.torque)))
         goal = self._goal(parts, running, period)
-        asked = float(np.sqrt(np.mean(goal.displacement**2)))
+        asked = goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_SHARE if np.any(goal.tolerance) else EXACT_SHARE
         for share in SHARES:
-            part = replace(goal, displacement=share * goal.displacement)
+            part = goal.times(share)
             good = max(missable * share * asked, DRIFT_TOLERANCE * period)
             solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
             if not self._leaves_plate(goal, solution.cycle):
@@ -150,8 +155,16 @@ class Controller:
                 status="share",
                 share=share,
             )
-        error = float(np.sqrt(np.mean((solution.residual * unit) ** 2)))
-        return Answer(solution.cycle, solution, solution.message, error, asked, share)
+        error = (solution.residual * unit).ravel()
+        if goal.turns is not None:
+            start = goal.position, goal.velocity, goal.turns.spin
+            turned = after_discs(
+                solution.cycle, *start, goal.turns.radius, goal.friction_accel, STEP
+            )[2]
+            missed = goal.turns.wanted - turned
+            error = np.append(error, goal.turns.radius * missed[goal.turns.asked])
+        rms = float(np.sqrt(np.mean(error**2)))
+        return Answer(solution.cycle, solution, solution.message, rms, asked, share)
 
     def _goal(self, parts: PartSet, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
@@ -159,9 +172,16 @@ class Controller:
         position, velocity = parts.position, np.zeros_like(start)
         grip = parts.grip / self._rig.parts.mass_kg
         friction = np.where(grip > 0, grip, self._rig.friction.accel)
-        if running is not None:
+        turns = self._turns(parts, period)
+        if running is not None and turns is not None:
+            position, velocity, _, spin = after_discs(
+                running, position, start, turns.spin, turns.radius, friction, STEP
+            )
+            turns = replace(turns, spin=spin)
+        elif running is not None:
             position, velocity = after(running, parts.position, start, friction)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
+        self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
         gain = period / self._rig.parts.mass_kg
         wanted = (parts.velocity + gain * parts.force) * period
         tolerance = gain * parts.tolerance * period
@@ -175,7 +195,19 @@ class Controller:
             displacement=(low + high) / 2,
             tolerance=(high - low) / 2,
             friction_accel=friction,
+            turns=turns,
         )
+
+    def _turns(self, parts: PartSet, period: float) -> Turns | None:
+        """Return what is to become of the angles, with the spins at the start of the running
+        cycle; None where no torque is asked."""
+        if not np.any(parts.torque):
+            return None
+        radius = self._rig.parts.radius_m
+        inertia = self._rig.parts.mass_kg * radius**2 / 2
+        turn = (parts.spin + period / inertia * parts.torque) * period
+        spin = np.array([self._spin.get(name, 0.0) for name in parts.ids])
+        return Turns(spin, np.where(parts.torque != 0, turn, np.nan), radius)
 
     def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""

@@ -119,13 +119,6 @@ class SolverNode(Node):
         if answer.solution is not None:
             self._solve_ms.append(1e3 * (time.perf_counter() - began))
             self._errors.append((answer.error_m, answer.asked_m))
-            spin = np.flatnonzero(parts.torque)
-            if len(spin):
-                self.get_logger().warning(
-                    f"torque is {parts.torque[spin[0]]:g} N m for {parts.ids[spin[0]]}, "
-                    "allowed: 0 (parts are points to this solver)",
-                    throttle_duration_sec=QUIET_S,
-                )
         return answer.cycle
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:

@@ -14,8 +14,10 @@ from .least_squares import Fit, fit
 from .rotation_descent import descend
 from .rotation_family import RotationFamily
 from .solution import Request
-from .steering import Goal, residual
+from .steering import Goal, residual, residual_with_turns
 from .stepped_map import end_position_slopes, end_positions, mean_forces
+from .turning import State, Turns
+from .turning import slopes as disc_slopes
 
 STEP = 0.1e-3
 """Step of the prediction that an answer is given with [s]: finer than the search's."""
@@ -28,6 +30,8 @@ def fit_displacement(
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
         state = goal.position, goal.velocity, *family.samples(theta), goal.friction_accel
+        if goal.turns is not None:
+            return with_turns(theta, goal.turns, state)
         error, weight = residual(goal, end_positions(*state))
 
         def slopes() -> np.ndarray:
@@ -35,6 +39,17 @@ def fit_displacement(
             return np.vstack([weight.reshape(-1, 1) * jacobian, family.penalty_slopes(theta)])
 
         return np.concatenate([error.ravel(), family.penalty(theta)]), slopes
+
+    def with_turns(
+        theta: np.ndarray, turns: Turns, state: State
+    ) -> tuple[np.ndarray, Callable[[], np.ndarray]]:
+        error, weight = residual_with_turns(goal, turns, state)
+
+        def slopes() -> np.ndarray:
+            jacobian = family.pull_back(theta, *disc_slopes(turns, state))
+            return np.vstack([weight[:, None] * jacobian, family.penalty_slopes(theta)])
+
+        return np.concatenate([error, family.penalty(theta)]), slopes
 
     return fit(evaluate, parameters, family.admissible, tolerance, iterations)
 
@@ -69,11 +84,15 @@ def mean_force_error(
 
 
 def missed(goal: Goal, cycle: PlateCycle) -> np.ndarray:
-    """Return the error (M, 2) [m] of a finished cycle beyond the goal's tolerance."""
+    """Return the errors (R,) [m] of a finished cycle beyond the goal's tolerance."""
     steps = max(1, round(cycle.period / STEP))
     dt = cycle.period / steps
     t = (np.arange(steps) + 0.5) * dt
+    if goal.turns is not None:
+        motion = cycle.pose(t), cycle.twist(t), np.full(steps, dt)
+        state = goal.position, goal.velocity, *motion, goal.friction_accel
+        return residual_with_turns(goal, goal.turns, state)[0]
     end, _ = end_state(
         goal.position, goal.velocity, cycle.pose(t), cycle.twist(t), dt, goal.friction_accel
     )
-    return residual(goal, end)[0]
+    return residual(goal, end)[0].ravel()

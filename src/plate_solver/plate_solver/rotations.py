@@ -145,7 +145,7 @@ class RotationSolver(MotionSolver):
     def forget(self) -> None:
         self._warm = self._basis = self._last = None
 
-    def steering_period(self, count: int) -> float:
+    def steering_period(self, count: int, turns: int = 0) -> float:
         return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
 
     def _solve(self, request: Request) -> Solution:
@@ -212,11 +212,11 @@ class RotationSolver(MotionSolver):
             if best is None or found.cost < best.cost:
                 best, family = found, candidate
                 self._warm = family, best.parameters
-            if best.cost <= good_enough**2 * goal.position.size:
+            if best.cost <= good_enough**2 * goal.rows:
                 break
         assert best is not None
         cycle, error = self._foreseen(goal, family, best)
-        if best.cost <= good_enough**2 * goal.position.size < error @ error:  # too coarse a search
+        if best.cost <= good_enough**2 * goal.rows < error @ error:  # too coarse a search
             fine = family.finer(FINER)
             best = fit_displacement(goal, fine, best.parameters, tolerance, POLISH)
             iterations += best.iterations
@@ -231,9 +231,7 @@ class RotationSolver(MotionSolver):
     ) -> tuple[PlateCycle, np.ndarray]:
         """Return the motion within the limits, and its errors by a finer prediction."""
         cycle = within_limits(self._bounds, family.cycle(found.parameters))
-        return cycle, np.concatenate(
-            [missed(goal, cycle).ravel(), found.error[goal.position.size :]]
-        )
+        return cycle, np.concatenate([missed(goal, cycle), found.error[goal.rows :]])
 
     def _starts(self, goal: Goal) -> Iterator[tuple[RotationFamily, np.ndarray, int]]:
         """Yield where to search from, and for how long: the last answer, plans, shaken ones."""
@@ -259,7 +257,10 @@ class RotationSolver(MotionSolver):
         unit = 0.5 * period**2 * goal.friction_accel[:, None]
         push = goal.displacement - SETTLE * goal.velocity
         force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
-        plan = self._plan(goal.position, force, None, spread)
+        curl = None
+        if goal.turns is not None:  # what turns a disc from rest by what is asked
+            curl = goal.turns.wanted * 4 / (goal.friction_accel * period**2)
+        plan = self._plan(goal.position, force, curl, spread)
         if self.options.order != "simulated":
             return self._family(plan, period)
 

@@ -70,7 +70,7 @@ class SinusoidSteering:
         motions drawn at random, until one misses less than `good_enough` [m, root mean square].
         """
         loose = self._family(number, period, COARSE_STEP, ROOM)
-        count = goal.position.size
+        count = goal.rows
 
         def attempt(start: np.ndarray) -> Fit:
             return steer(goal, loose, loose.admissible(start), tolerance, self._iterations)

@@ -166,7 +166,7 @@ class SinusoidSolver(MotionSolver):
         return force_solution(request, best, cycle, tolerance, iterations, best.condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        _, (number, period, _) = self._family(2 * len(goal.position), True)
+        _, (number, period, _) = self._family(goal.rows, True)
         best, cycle, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng
         )
@@ -174,8 +174,8 @@ class SinusoidSolver(MotionSolver):
             self._bounds, goal, best, cycle, good_enough, best.iterations, condition
         )
 
-    def steering_period(self, count: int) -> float:
-        return self._family(2 * count, True)[0].basis.period
+    def steering_period(self, count: int, turns: int = 0) -> float:
+        return self._family(2 * count + turns, True)[0].basis.period
 
     def _search(
         self,

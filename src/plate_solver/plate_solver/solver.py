@@ -180,5 +180,5 @@ class MotionSolver(ABC):
         """
 
     @abstractmethod
-    def steering_period(self, count: int) -> float:
-        """Period [s] of the cycles that `steer` makes for `count` parts."""
+    def steering_period(self, count: int, turns: int = 0) -> float:
+        """Period [s] of the cycles that `steer` makes for `count` parts, so many of which turn."""

@@ -34,9 +34,9 @@ DETECTION = np.dtype(
         ("method", "U8"),
     ]
 )
-"""One part: centre and radius [px], of the disc of the same area; angle [rad] of its longest side
-with x, counter-clockwise as seen, 0 to pi, and 0 for discs; class; confidence, 0 to 1; how it was
-measured."""
+"""One part: centre and radius [px], of the disc of the same area; angle [rad], counter-clockwise as
+seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without one; class;
+confidence, 0 to 1; how it was measured."""
 
 MIN_ALIKE = 3
 """Parts of like size from which on their size is taken as known."""
@@ -129,6 +129,7 @@ def _from_discs(discs: Discs, options: DetectorOptions) -> np.ndarray:
     found = np.zeros(len(discs.radius), DETECTION)
     found["x_px"], found["y_px"] = discs.centre.T
     found["radius_px"] = discs.radius
+    found["angle_rad"] = discs.angle
     found["label"] = np.where(1 - discs.darkness < options.class_threshold, *CLASSES)
     found["confidence"] = 1 - discs.misfit / MAX_MISFIT
     found["method"] = np.where(discs.fitted, METHODS[1], METHODS[0])

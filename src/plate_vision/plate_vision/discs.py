@@ -6,11 +6,13 @@ One that stands alone is measured by moments, the others by a fit that knows of 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from .brightness import fit_brightness
 from .fit import fit_discs
+from .marks import paint_over
 from .measure import RIM_PX, Discs, crowded, measure_alone
 from .options import DetectorOptions
 from .region import SEAM_PX, Region, usable_pixels
@@ -50,7 +52,8 @@ def find_discs(
         seeds = find_seeds(grey, region, brightness, usable, options.threshold, radius)
     if brightness is None or not len(seeds):
         nothing = np.empty(0)
-        return Discs(np.empty((0, 2)), nothing, nothing, nothing, np.empty(0, bool))
+        return Discs(np.empty((0, 2)), nothing, nothing, nothing, np.empty(0, bool), nothing)
+    grey, marks = paint_over(grey, brightness, seeds, radius)
     shared = crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
     shared |= region.depth(*seeds.T) - SEAM_PX < radius + RIM_PX + 1
     discs, beside = measure_alone(grey, brightness, seeds[~shared], radius)
@@ -58,6 +61,8 @@ def find_discs(
     shared[np.flatnonzero(~shared)[beside]] = True
     if np.any(shared):
         discs = discs.join(fit_discs(grey, brightness, usable, seeds[shared], radius))
+    marks = marks.select(np.argsort(shared, kind="stable"))
+    discs = replace(discs, angle=marks.angle(discs.centre))
     expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)
     return discs.select(np.flatnonzero(_is_part(discs, region, options, expected)))
 

@@ -59,7 +59,9 @@ def fit_discs(
     state = np.empty((len(seeds), SIZE))
     state[:, :2], state[:, 2], state[:, 3] = seeds, radius_px, EDGE_PX[1]
     misfit = _fit_all(grey, brightness.light(), usable, state, radius_px)
-    return Discs(state[:, :2], state[:, 2], state[:, 4], misfit, np.ones(len(seeds), bool))
+    count = len(seeds)
+    one, none = np.ones(count, bool), np.zeros(count)
+    return Discs(state[:, :2], state[:, 2], state[:, 4], misfit, one, none)
 
 
 @njit(cache=True, fastmath=True)

@@ -50,6 +50,8 @@ class Discs:
         How far from an evenly dark disc: 0 for a perfect one, about 1 for something else.
     fitted : (n,) bool
         Whether measured by a fit, not by moments.
+    angle : (n,)
+        Of its mark [rad], counter-clockwise as seen; 0 without one.
     """
 
     centre: np.ndarray
@@ -57,6 +59,7 @@ class Discs:
     darkness: np.ndarray
     misfit: np.ndarray
     fitted: np.ndarray
+    angle: np.ndarray
 
     def select(self, index: np.ndarray) -> Discs:
         """Return some of the discs."""
@@ -105,9 +108,8 @@ def measure_alone(
     spread = sums[:, 3] / mass - np.sum(shift**2, axis=1)
     misfit = np.abs(2 * spread / radius**2 - 1)
     beside = sums[:, 6] > RIM_DIRT_PX2 * darkness
-    return Discs(
-        np.rint(seeds) + shift, radius, darkness, misfit, np.zeros(len(seeds), bool)
-    ), beside
+    fitted, angle = np.zeros(len(seeds), bool), np.zeros(len(seeds))
+    return Discs(np.rint(seeds) + shift, radius, darkness, misfit, fitted, angle), beside
 
 
 @njit(cache=True, fastmath=True)

@@ -70,6 +70,8 @@ class Track:
         Images since it was last seen.
     sights : int
         Images in which it was seen.
+    turns : tuple of (stamp [s], angle [rad])
+        The same for its angle, which does not jump by whole turns.
     """
 
     label: str
@@ -77,6 +79,7 @@ class Track:
     history: tuple[tuple[float, float, float], ...]
     missed: int = 0
     sights: int = 0
+    turns: tuple[tuple[float, float], ...] = ()
 
     @property
     def id(self) -> str:
@@ -96,6 +99,19 @@ class Track:
             return 0.0, 0.0
         return (x1 - x0) / (t1 - t0), (y1 - y0) / (t1 - t0)
 
+    @property
+    def angle(self) -> float:
+        """Angle in which it was last seen [rad]."""
+        return self.turns[-1][1] if self.turns else 0.0
+
+    @property
+    def spin(self) -> float:
+        """Turning [rad/s]: zero until it has been seen twice."""
+        if len(self.turns) < 2:
+            return 0.0
+        (t0, angle0), (t1, angle1) = self.turns[0], self.turns[-1]
+        return (angle1 - angle0) / (t1 - t0)
+
     def expected(self, stamp: float, reach: float) -> tuple[float, float]:
         """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m]."""
         last, x, y = self.history[-1]
@@ -103,11 +119,18 @@ class Track:
         time = min(stamp - last, reach / max(math.hypot(vx, vy), 1e-12))
         return x + vx * time, y + vy * time
 
-    def seen(self, stamp: float, position: np.ndarray, keep: int) -> Track:
-        """Return the track with one more position (2,) [m]; the last `keep` are kept."""
+    def seen(self, stamp: float, position: np.ndarray, angle: float, keep: int) -> Track:
+        """Return the track with one more position (2,) [m] and angle [rad]; the last `keep` are
+        kept."""
         point = (stamp, float(position[0]), float(position[1]))
-        history = (*self.history, point)[-keep:]
-        return Track(self.label, self.number, history, sights=self.sights + 1)
+        turn = (stamp, self.angle + math.remainder(angle - self.angle, math.tau))
+        return Track(
+            self.label,
+            self.number,
+            (*self.history, point)[-keep:],
+            sights=self.sights + 1,
+            turns=(*self.turns, turn)[-keep:],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +161,17 @@ class Tracker:
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
             velocity=np.array([track.velocity for track in seen]),
+            angle=np.array([track.angle for track in seen]),
+            spin=np.array([track.spin for track in seen]),
         )
 
 
 def step(
-    tracker: Tracker, stamp: float, position: np.ndarray, label: Sequence[str] | np.ndarray
+    tracker: Tracker,
+    stamp: float,
+    position: np.ndarray,
+    label: Sequence[str] | np.ndarray,
+    angle: np.ndarray | None = None,
 ) -> Tracker:
     """Take in what was found in one image.
 
@@ -159,6 +188,8 @@ def step(
         Centres [m, plate_home].
     label : (M,) str
         Classes.
+    angle : (M,), optional
+        Angles [rad, plate_home]; zero if left out.
 
     Returns
     -------
@@ -170,6 +201,7 @@ def step(
         If shapes disagree or a value is not finite.
     """
     position, labels = _checked(stamp, position, label)
+    angles = np.zeros(len(labels)) if angle is None else np.asarray(angle, dtype=float)
     stamp = float(stamp)
     if tracker.stamp is not None and stamp == tracker.stamp:
         return tracker
@@ -182,11 +214,12 @@ def step(
     for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
         if found >= 0:
             is_new[found] = False
-            tracks.append(track.seen(stamp, position[found], keep))
+            tracks.append(track.seen(stamp, position[found], float(angles[found]), keep))
         elif track.number and track.missed < options.max_missed:
             tracks.append(replace(track, missed=track.missed + 1))
     for i in np.flatnonzero(is_new):
-        tracks.append(Track(labels[i], 0, ()).seen(stamp, position[i], keep))
+        new = Track(labels[i], 0, ())
+        tracks.append(new.seen(stamp, position[i], float(angles[i]), keep))
     tracks, given = _number(tracks, tracker.given, options.confirm if tracker.given else 1)
     return Tracker(options, stamp, tuple(tracks), given)
 

@@ -121,7 +121,18 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
     found = detect(image, vision.options, vision.region_px, size)
     centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
     centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
-    return step(tracker, stamp, centre, found["label"])
+    return step(tracker, stamp, centre, found["label"], _angles(vision, found, centre_px))
+
+
+def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
+    """Return the angles (n,) [rad, plate_home] of detected parts; 0 where there is no mark."""
+    turn = found["angle_rad"]
+    if not np.any(turn):
+        return turn
+    way = found["radius_px"][:, None] * np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+    to_home = vision.calibration.to_home
+    dx, dy = (to_home(centre_px + way) - to_home(centre_px - way)).T
+    return np.where(turn != 0, np.arctan2(dy, dx), 0.0)
 
 
 def check_image(image: np.ndarray, vision: Vision) -> None:

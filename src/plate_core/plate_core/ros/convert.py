@@ -40,7 +40,7 @@ def to_time(nanosec: int) -> Time:
 def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
     """Return parts as a message.
 
-    wrench.force.x and .y are the wanted mean force [N], torque.z the wanted spin [N m]. A planar
+    wrench.force.x and .y are the wanted mean force [N], torque.z the wanted torque [N m]. A planar
     part feels no torque about x or y: torque.x and torque.y carry the tolerance of force.x and
     force.y [N]. Nor is it lifted: force.z is its grip, the greatest friction on it [N].
     """
@@ -54,6 +54,7 @@ def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
         transform.rotation.w = float(np.cos(parts.angle[i] / 2))
         twist.linear.x = float(parts.velocity[i, 0])
         twist.linear.y = float(parts.velocity[i, 1])
+        twist.angular.z = float(parts.spin[i])
         wrench.force.x = float(parts.force[i, 0])
         wrench.force.y = float(parts.force[i, 1])
         wrench.force.z = float(parts.grip[i])
@@ -93,10 +94,11 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
         tolerance=np.array([(w.torque.x, w.torque.y) for w in msg.wrench]) if msg.wrench else None,
         torque=np.array([w.torque.z for w in msg.wrench]) if msg.wrench else None,
         grip=np.array([w.force.z for w in msg.wrench]) if msg.wrench else None,
+        spin=np.array([t.angular.z for t in msg.twist]) if msg.twist else None,
     )
     columns = np.column_stack(
         [
-            parts.position, parts.angle, parts.velocity, parts.force, parts.tolerance,
+            parts.position, parts.angle, parts.velocity, parts.spin, parts.force, parts.tolerance,
             parts.torque, parts.grip,
         ]
     )  # fmt: skip

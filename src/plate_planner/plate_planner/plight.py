@@ -1,0 +1,27 @@
+"""What is said of a part for which a task does not get on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plate_core import PartSet, Rig
+
+from .requests import Asked
+
+
+def plight_of(asked: Asked, rig: Rig, parts: PartSet, short: np.ndarray) -> str:
+    """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
+    if not len(parts):
+        return ""
+    worst = int(np.argmax(short))
+    name = parts.ids[worst]
+    text = f"{name} is {short[worst] * 1e3:.1f} mm short"
+    if name not in asked.ids:
+        return text
+    row = asked.ids.index(name)
+    drift, force = 1e3 * asked.drift[row], 1e3 * asked.force[row]
+    got, most = 1e3 * parts.velocity[worst], 1e3 * rig.force_unit
+    return (
+        f"{text}, asked for ({drift[0]:.1f}, {drift[1]:.1f}) mm/s with ({force[0]:.2f}, "
+        f"{force[1]:.2f}) mN of {most:.1f}, had ({got[0]:.1f}, {got[1]:.1f}) mm/s"
+    )
