@@ -18,6 +18,7 @@ from plate_solver.turning import after_discs
 
 RIG = load_rig()
 RADIUS, ACCEL = RIG.parts.radius_m, RIG.friction.accel
+GRIP = np.full(2, ACCEL)
 INERTIA = RIG.parts.mass_kg * RADIUS**2 / 2
 
 
@@ -35,7 +36,7 @@ def test_disc_spins_down_on_a_plate_at_rest(spin):
     at_rest = np.zeros((1, 2))
     rate = 4 / 3 * ACCEL / RADIUS
     _, _, turn, left = end_disc(
-        at_rest, at_rest, np.array([spin]), still, still, np.full(n, dt), ACCEL, RADIUS * POINTS
+        at_rest, at_rest, np.array([spin]), still, still, np.full(n, dt), GRIP, RADIUS * POINTS
     )
     stop = min(n * dt, spin / rate)
     assert left[0] == pytest.approx(spin - rate * stop, abs=1e-6)
@@ -50,7 +51,7 @@ def test_disc_that_slides_hardly_feels_a_torque():
     twist = np.tile([speed, 0, 0], (n, 1))
     still = np.zeros((1, 2))
     after = end_disc(
-        still, still, np.array([spin]), np.zeros((n, 3)), twist, np.full(n, dt), ACCEL,
+        still, still, np.array([spin]), np.zeros((n, 3)), twist, np.full(n, dt), GRIP,
         RADIUS * POINTS,
     )[3]  # fmt: skip
     assert 1 - after[0] / spin == pytest.approx(ACCEL / (2 * speed) * n * dt, rel=0.02)
@@ -68,11 +69,11 @@ def test_derivatives_agree_with_differences():
 
     def end(pose, twist, dt):
         place, _, turn, _ = end_disc(
-            position, velocity, spin, pose, twist, dt, ACCEL, RADIUS * POINTS
+            position, velocity, spin, pose, twist, dt, GRIP, RADIUS * POINTS
         )
         return np.column_stack([place, turn]).ravel()
 
-    slopes = end_disc_gradient(position, velocity, spin, pose, twist, dt, ACCEL, RADIUS * POINTS)
+    slopes = end_disc_gradient(position, velocity, spin, pose, twist, dt, GRIP, RADIUS * POINTS)
     for which, (given, slope) in enumerate(zip((pose, twist, dt), slopes, strict=True)):
         way = rng.normal(size=given.shape) * np.mean(np.abs(given)) * 1e-6
         sides = [[pose, twist, dt] for _ in range(2)]
@@ -91,7 +92,7 @@ def test_random_cycles_turn_discs_as_the_simulator_does():
         place = rng.uniform(-0.8, 0.8, (1, 2)) * RIG.plate.half
         true = run_cycle(WorldState.at_rest(("a_1",), place), cycle, RIG, model="bodies")
         still = np.zeros((1, 2))
-        end, _, turn, _ = after_discs(cycle, place, still, np.zeros(1), RADIUS, ACCEL, 1e-4)
+        end, _, turn, _ = after_discs(cycle, place, still, np.zeros(1), RADIUS, GRIP, 1e-4)
         turns.append((turn[0], true.angle[0]))
         places.append(np.hypot(*(end - true.position)[0]))
     foreseen, true = np.array(turns).T
