@@ -40,7 +40,7 @@ from plate_core.serial_protocol import (
 )
 from plate_driver.link import Link
 
-CHUNK = 500
+CHUNK = 2000
 """Frames that are given at once."""
 
 PART = 50

@@ -31,7 +31,7 @@ from plate_sim.world import WorldState
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
-GRAPH = {node.name: node for node in load_graph()}
+GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}
 
 
 @pytest.fixture(autouse=True)
@@ -302,3 +302,23 @@ def test_images_can_be_thinned_without_losing_beginning_or_end():
     assert kept.items[0] == 0
     assert kept.items[-1] > 80
     assert len(set(np.diff(kept.items))) == 1
+
+
+def test_each_transport_has_its_nodes():
+    listed = load_graph()
+    names = {
+        words: [node.name for node in RunOptions(**dict(words)).nodes(listed)]
+        for words in (
+            (("transport", "sim"),),
+            (("transport", "serial"),),
+            (("transport", "serial"), ("port", "/dev/ttyUSB0")),
+        )
+    }
+    sim, serial, hardware = names.values()
+    assert sim == NAMES
+    assert serial == [NAMES[0], "device", *NAMES[1:]]
+    assert hardware == NAMES[1:]
+    options = RunOptions(transport="serial", link="/tmp/x")
+    given = {node.name: options.parameters(node) for node in listed}
+    assert given["driver"]["port"] == given["device"]["link"] == "/tmp/x"
+    assert given["simulator"]["driven_by"] == "device"
