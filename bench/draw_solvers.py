@@ -96,20 +96,17 @@ def draw_rotations(figure: Figure, rows: Rows) -> None:
 
 def draw_inversion(figure: Figure, rows: Rows) -> None:
     """What becomes of requests by the number of parts, and the time that it takes."""
-    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    place = np.arange(len(rows))
-    labels = [f"{r['parts']} parts\nN = {r['harmonics']}" for r in rows]
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
+    place = -np.arange(len(rows))
     solved = np.array([r["solved"] for r in rows])
     proven = np.array([r["proven"] for r in rows])
-    left.bar(place, solved, color=OURS, label="solved", width=0.65)
-    left.bar(place, proven, bottom=solved, color=SECOND, label="proven out of reach", width=0.65)
-    rest = 100 - solved - proven
-    left.bar(place, rest, bottom=solved + proven, color="#dddddd", label="neither", width=0.65)
-    left.set_xticks(place, labels, fontsize=8)
-    left.set(ylabel="requests up to 0.2 µmg [%]", ylim=(0, 100))
-    left.grid(False, axis="x")
-    right.plot(place, [r["median_ms"] for r in rows], "o", color=OURS)
-    right.set(yscale="log", ylabel="median time of a cold solve [ms]")
-    right.set_xticks(place, labels, fontsize=8)
-    right.yaxis.set_major_formatter("{x:g}")
+    left.barh(place, solved, color=OURS, label="solved")
+    left.barh(place, proven, left=solved, color=SECOND, label="proven out of reach")
+    left.barh(place, 100 - solved - proven, left=solved + proven, color="#dddddd", label="neither")
+    left.set_yticks(place, [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows])
+    left.set(xlabel="requests up to 0.2 µmg [%]", xlim=(0, 100))
+    left.grid(False, axis="y")
+    right.plot([r["median_ms"] for r in rows], place, "o", color=OURS)
+    right.set(xscale="log", xlabel="median time of a cold solve [ms]")
+    right.xaxis.set_major_formatter("{x:g}")
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3)
