@@ -167,6 +167,9 @@ class SolverNode(Node):
 def warm_up(controller: Controller, half: np.ndarray) -> None:
     """Compile, and make the tables of guesses, before the first image comes."""
     chosen = controller.method
+    turned = PartSet.make(("part_0",), np.zeros((1, 2)), torque=np.array([1e-6]))
+    for controller.method in ("rotations", "sinusoids"):
+        controller.answer(turned, PlateCycle.rest(IDLE_PERIOD))
     for count in (2, 4, 6):
         angle = 2 * np.pi * np.arange(count) / count
         place = 0.5 * half * np.column_stack([np.cos(angle), np.sin(angle)])
