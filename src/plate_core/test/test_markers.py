@@ -1,0 +1,45 @@
+"""What RViz draws, against the numbers it is drawn from."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rclpy.serialization import deserialize_message, serialize_message
+from visualization_msgs.msg import Marker, MarkerArray
+
+from plate_core import PartSet, load_rig
+from plate_core.ros.convert import to_time
+from plate_core.ros.markers import forces_to_msg, scene_to_msg
+
+STAMP = to_time(7)
+
+
+def test_scene_over_the_wire():
+    rig = load_rig()
+    position, velocity = [[0.1, -0.05], [0.0, 0.02]], [[0.01, 0.0], [0.0, -0.02]]
+    parts = PartSet.make(("black_1", "bolt_2"), np.array(position), np.array(velocity))
+    trails = {"black_1": [(0.09, -0.05), (0.1, -0.05)], "bolt_2": [(0.0, 0.02)]}
+    msg = scene_to_msg(rig, parts, trails, np.array([0.001, 0.0, 0.1]), STAMP)
+    msg = deserialize_message(serialize_message(msg), MarkerArray)
+    names = [(m.ns, m.id) for m in msg.markers]
+    assert len(set(names)) == len(names)
+    assert all(m.header.stamp == STAMP and m.lifetime.sec == 1 for m in msg.markers)
+    assert all(m.color.a == 1 and m.action == Marker.ADD for m in msg.markers)
+    plate = msg.markers[0]
+    assert (plate.scale.x, plate.scale.y) == (0.6, 0.3)
+    assert plate.pose.position.x == 0.001
+    assert 2 * np.arcsin(plate.pose.orientation.z) == pytest.approx(0.1)
+    assert ("trails", 0) in names
+    assert ("trails", 1) not in names  # one point is no line
+    discs = [m for m in msg.markers if m.ns == "parts"]
+    assert [m.scale.x for m in discs] == [0.016, 0.016]
+    assert discs[0].color.r != discs[1].color.r
+    arrow = next(m for m in msg.markers if (m.ns, m.id) == ("velocities", 1))
+    assert arrow.points[1].y == pytest.approx(0.0)
+
+
+def test_nothing_to_draw():
+    rig, nothing = load_rig(), PartSet.make((), np.empty((0, 2)))
+    assert len(scene_to_msg(rig, nothing, {}, np.zeros(3), STAMP).markers) == 1
+    assert forces_to_msg(rig, nothing, STAMP).markers == []
