@@ -8,9 +8,9 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from plate_core import PartSet, load_rig
+from plate_core import PartSet, PlateCycle, load_rig
 from plate_core.ros.convert import to_time
-from plate_core.ros.markers import forces_to_msg, scene_to_msg
+from plate_core.ros.markers import centres_to_msg, forces_to_msg, scene_to_msg
 
 STAMP = to_time(7)
 
@@ -43,3 +43,21 @@ def test_nothing_to_draw():
     rig, nothing = load_rig(), PartSet.make((), np.empty((0, 2)))
     assert len(scene_to_msg(rig, nothing, {}, np.zeros(3), STAMP).markers) == 1
     assert forces_to_msg(rig, nothing, STAMP).markers == []
+
+
+def test_centres_of_a_plate_that_swings_about_a_point():
+    """Poses turned about a point by hand: wherever it turns, it turns about that point."""
+    middle, time = np.array([0.12, -0.05]), np.linspace(0, 1, 64, endpoint=False)
+    theta = 0.02 * np.sin(2 * np.pi * time)
+    arm = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    x = middle[0] - arm[:, 0] * middle[0] + arm[:, 1] * middle[1]
+    y = middle[1] - arm[:, 1] * middle[0] - arm[:, 0] * middle[1]
+    cycle = PlateCycle.from_samples(0.1, np.column_stack([x, y, theta]))
+    (marker,) = centres_to_msg(load_rig(), cycle, STAMP).markers
+    seen = np.array([(p.x, p.y) for p in marker.points])
+    assert len(seen) > 150
+    assert np.median(np.abs(seen - middle), axis=0).max() < 1e-4
+    blue = sum(c.b > c.r for c in marker.colors)
+    assert abs(blue - len(seen) / 2) < 10  # as long one way as the other
+    still = centres_to_msg(load_rig(), PlateCycle.rest(0.1), STAMP).markers
+    assert still[0].points == []

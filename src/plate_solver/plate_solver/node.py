@@ -11,10 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
 from plate_core.ros.convert import cycle_to_msg, msg_to_parts, nanoseconds
 from plate_core.ros.main import run_node
+from plate_core.ros.markers import centres_to_msg
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA
 
@@ -74,6 +76,7 @@ class SolverNode(Node):
         self._parts: np.ndarray = np.empty((0, 2))
         follow(self, options, self._set_options)
         self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, DATA)
         self.create_timer(REPORT_PERIOD_S, self._report)
@@ -101,6 +104,8 @@ class SolverNode(Node):
             return
         cycle = self._answer(parts, stamp_ns)
         self._cycles.publish(cycle_to_msg(cycle, msg.header.stamp))
+        if self._markers.get_subscription_count():
+            self._markers.publish(centres_to_msg(self._rig, cycle, msg.header.stamp))
         self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
     def _refuse(self, text: str) -> None:

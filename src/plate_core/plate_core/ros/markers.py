@@ -10,6 +10,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ..cycle import PlateCycle
 from ..parts import PartSet, part_class
 from ..rig import Rig
 from .convert import FRAME, pose_to_msg
@@ -28,6 +29,12 @@ AHEAD_S = 1.0
 
 FORCE_M = 0.1
 """Length of the arrow of a force as large as a part's sliding friction [m]."""
+
+CENTRES = 200
+"""Times of a cycle at which its centre of rotation is drawn."""
+
+FAR_HALVES = 4.0
+"""How far centres are drawn [half lengths of the plate]."""
 
 COLOURS: Mapping[str, tuple[float, float, float]] = {
     "black": (0.1, 0.1, 0.1),
@@ -94,6 +101,26 @@ def forces_to_msg(rig: Rig, parts: PartSet, stamp: Time) -> MarkerArray:
     return MarkerArray(
         markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
     )
+
+
+def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
+    """Return the centres about which the plate turns during a cycle, as points.
+
+    At equally spaced times, so where there are many points it turns long; a colour for each sense.
+    Where the plate hardly turns the centre is far away and not drawn.
+    """
+    time = np.linspace(0, cycle.period, CENTRES, endpoint=False)
+    pose, twist = cycle.pose(time), cycle.twist(time)
+    with np.errstate(all="ignore"):
+        centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
+    reach = np.max(np.abs(centre), axis=1) < FAR_HALVES * rig.plate.half.max()
+    points = _marker("centres", 0, Marker.POINTS, ORANGE, stamp)
+    points.scale.x = points.scale.y = LINE_M
+    for at, spin in zip(centre[reach], twist[reach, 2], strict=True):
+        red, green, blue = FORCE if spin > 0 else VELOCITY
+        points.points.append(_point(at))
+        points.colors.append(ColorRGBA(r=red, g=green, b=blue, a=1.0))
+    return MarkerArray(markers=[points])
 
 
 def _marker(
