@@ -44,6 +44,8 @@ class Film:
         Starts of cycles [s].
     position : (n, M, 2)
         Parts in plate_home [m] at these times; NaN once off the plate.
+    angle : (n, M)
+        Their angles [rad].
     end : float
         When the task was over [s].
     table_time : (m,)
@@ -58,6 +60,7 @@ class Film:
     ids: tuple[str, ...]
     time: np.ndarray
     position: np.ndarray
+    angle: np.ndarray
     end: float
     table_time: np.ndarray
     tables: tuple[PlateCycle, ...]
@@ -155,9 +158,11 @@ def develop(record: Record, rig: Rig) -> Film:
     truth = [deserialize_message(data, MultiDOFJointState) for data in record.truth]
     ids = tuple(truth[0].joint_names)
     position = np.full((len(truth), len(ids), 2), np.nan)
-    for row, msg in zip(position, truth, strict=True):
+    angle = np.zeros((len(truth), len(ids)))
+    for row, turned, msg in zip(position, angle, truth, strict=True):
         parts = msg_to_parts(msg)
-        row[[ids.index(name) for name in parts.ids]] = parts.position
+        rows = [ids.index(name) for name in parts.ids]
+        row[rows], turned[rows] = parts.position, parts.angle
     tables, cycles = [], []
     for data in record.tables:
         msg = deserialize_message(data, JointTrajectory)
@@ -173,6 +178,7 @@ def develop(record: Record, rig: Rig) -> Film:
         ids=ids,
         time=since(truth),
         position=position,
+        angle=angle,
         end=float(reports[-1][1]["time_s"]),
         table_time=since(tables),
         tables=tuple(cycles),

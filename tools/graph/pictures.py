@@ -42,6 +42,9 @@ PX_PER_M = 1150.0
 SHIFT = 4
 """Lines are drawn in 1/16 px, so that they do not jitter."""
 
+MARK = (0.5, 0.35)
+"""Where on a part its mark is drawn, and how large [radii]."""
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -131,6 +134,12 @@ def draw_snapshot(scene: Scene, axes: Axes, t: float) -> None:
                     zorder=4,
                 )
             )
+    if scene.scenario.marked and len(position):
+        angle, radius = scene.film.angle[scene.film.time <= t + 1e-6][-1], scene.rig.parts.radius_m
+        there = position[-1] + MARK[0] * radius * np.column_stack([np.cos(angle), np.sin(angle)])
+        for point in there[np.all(np.isfinite(there), axis=1)]:
+            spot = Circle(tuple(point), MARK[1] * radius, color="#ffffff", lw=0, zorder=4.5)
+            axes.add_patch(spot)
     axes.set_xlim(-half[0] - 0.004, half[0] + 0.004)
     axes.set_ylim(-half[1] - 0.004, half[1] + 0.004)
     axes.set_aspect("equal")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from plate_core.scenario import AssembleTask, FollowTask, Scenario
+from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario
 
 from .record import Record
 
@@ -18,7 +18,7 @@ class ProgressLine:
 
     def __init__(self, scenario: Scenario) -> None:
         self._following = isinstance(scenario.task, FollowTask)
-        self._there = "placed" if isinstance(scenario.task, AssembleTask) else "sorted"
+        self._there = "placed" if isinstance(scenario.task, AssembleTask | PoseTask) else "sorted"
         self._terminal = sys.stdout.isatty()
         self._shown_at = 0.0
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from plate_core import Rig
 from plate_core.graph import RunOptions
-from plate_core.scenario import AssembleTask, FollowTask, load_scenario
+from plate_core.scenario import AssembleTask, FollowTask, PoseTask, load_scenario
 
 from .film import check_limits, develop
 from .record import Record
@@ -40,7 +40,7 @@ def judge(
         "message": state,
         "dropped": film.dropped,
         "parts": len(film.ids),
-        "there": "placed" if isinstance(task, AssembleTask) else "sorted",
+        "there": "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted",
         "parts_sorted": int(record.last("planner", "parts_sorted")),
         "time_s": round(film.end, 3),
         "cycles": film.cycles,
