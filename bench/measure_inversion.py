@@ -15,7 +15,7 @@ from measure_solver import TOLERANCE, ScipySolver, targets
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, average_force
 from plate_solver.guesses import GuessTable
-from plate_solver.harmonic_fit import search
+from plate_solver.harmonic_search import meet
 from plate_solver.harmonics import harmonics
 
 SEED = 30_000
@@ -136,7 +136,7 @@ def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
     for parts in (1, 2, 3):
         solver = SinusoidSolver(rig, harmonics=2, period=0.05)
         family, key = solver._family(2 * parts, False)
-        motions, pool = solver._search_of(key)
+        known, pool, _ = solver._search_of(key)
         rng = np.random.default_rng(SEED + parts)
         counts: dict[str, list[tuple[int, int]]] = {
             "warm": [], "table": [], "best of 12": [], "random": [],
@@ -144,17 +144,17 @@ def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
         still, none = np.zeros((parts, 2)), np.empty((0, pool.shape[1]))
         for position, force in targets(rig, parts, count, rng):
             before = force + CREEP * rng.normal(size=force.shape)
-            last = search(none, pool, position, still, before, motions, TOLERANCE, 40, 41)
+            last = meet(none, pool, position, still, before, *known, TOLERANCE, 40, 41)
             guess = family.parameters(table.nearest(position, force)[0])[None]
             firsts = {
-                "warm": last[0][None], "table": guess, "best of 12": none,
+                "warm": last.theta[None], "table": guess, "best of 12": none,
                 "random": rng.normal(size=(41, pool.shape[1])),
             }  # fmt: skip
             for name, first in firsts.items():
-                if name == "warm" and np.max(np.abs(last[1])) > TOLERANCE:
+                if name == "warm" and last.worst > TOLERANCE:
                     continue
-                found = search(first, pool, position, still, force, motions, TOLERANCE, 40, 41)
-                counts[name].append((found[3], found[4]))
+                found = meet(first, pool, position, still, force, *known, TOLERANCE, 40, 41)
+                counts[name].append((found.iterations, found.tries))
         rows += [
             {
                 "parts": parts,

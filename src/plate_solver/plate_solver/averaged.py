@@ -80,36 +80,3 @@ def force_solution(
         iterations=iterations,
         condition=condition,
     )
-
-
-def found_solution(
-    cycle: PlateCycle,
-    request: Request,
-    error: np.ndarray,
-    tolerance: float,
-    iterations: int,
-    condition: float,
-) -> Solution:
-    """Put a motion within the limits and its force errors (2 M,) into a solution."""
-    worst = float(np.abs(error).max())
-    success = worst <= tolerance
-    message = f"force error {worst:.2g} mu m g after {iterations} iterations"
-    if success:
-        return Solution(True, message, cycle, error.reshape(-1, 2), iterations, condition)
-    asked = request.force.ravel()
-    along = float(asked @ (asked - error)) / max(float(asked @ asked), 1e-300)
-    return Solution(
-        success=False,
-        message=f"{message}, allowed: {tolerance:g}",
-        cycle=cycle,
-        residual=error.reshape(-1, 2),
-        iterations=iterations,
-        condition=condition,
-        share=min(max(along, 0.0), 1.0),
-    )
-
-
-def condition_of(jacobian: np.ndarray) -> float:
-    """Return the condition number of a Jacobian (infinite where it has lost rank)."""
-    squares = np.linalg.eigvalsh(jacobian @ jacobian.T)
-    return float(np.sqrt(squares[-1] / squares[0])) if squares[0] > 0 else float("inf")

@@ -13,21 +13,21 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .harmonic_force import ADAPTIVE, FEW, FIRST, Rules, force_of, slip_at
+from .harmonic_force import Rules, force_of, slip_at
 from .solution import peaks
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e2
-"""In units of the mean squared row of the Jacobian."""
+FIRST_DAMPING, WARM_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 1e-9, 1e2
+"""In units of the mean squared row of the Jacobian; the second where a solution is near."""
 
 STALL_STEPS, STALL_SHARE = 6, 0.7
 """A search is given up where so many steps leave more than this share of the squared error."""
+SWEEPS, ORTHOGONAL = 12, 1e-6
+"""Rounds of rotations at most, and the cosine at which rows count as orthogonal: a condition number
+to six digits."""
 
-FEW_CANDIDATES = 12
-"""Random motions that are tried at the parts' places for each first guess: a few microseconds."""
 
-
-class Motions(NamedTuple):
-    """What the search knows of a family of motions with N harmonics, in plain numbers.
+class Waves(NamedTuple):
+    """What averages need of a family of motions with N harmonics.
 
     Attributes
     ----------
@@ -37,6 +37,19 @@ class Motions(NamedTuple):
         Coefficients of sin 1..N, cos 1..N from the family's.
     scale : (3,)
         Coefficients from parameters, columns x, y, theta.
+    """
+
+    rule: Rules
+    span: np.ndarray
+    scale: np.ndarray
+
+
+class Motions(NamedTuple):
+    """What the search knows of a family of motions, in plain numbers.
+
+    Attributes
+    ----------
+    waves : Waves
     pose, twist, accel : (n, h)
         Samples of the family, for the limits.
     motor_rows : (4, 3)
@@ -45,9 +58,7 @@ class Motions(NamedTuple):
         Stroke [m], speed [m/s], acceleration [m/s2]; as in `Bounds`.
     """
 
-    rule: Rules
-    span: np.ndarray
-    scale: np.ndarray
+    waves: Waves
     pose: np.ndarray
     twist: np.ndarray
     accel: np.ndarray
@@ -57,11 +68,26 @@ class Motions(NamedTuple):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def product(basis: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Return a basis (n, h) times coefficients (h, 3): a library takes longer to call than this."""
+    samples = np.empty((len(basis), 3))
+    for k in range(len(basis)):
+        x = y = turn = 0.0
+        for h in range(len(own)):
+            share = basis[k, h]
+            x += share * own[h, 0]
+            y += share * own[h, 1]
+            turn += share * own[h, 2]
+        samples[k, 0], samples[k, 1], samples[k, 2] = x, y, turn
+    return samples
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
 def full_amplitude(theta: np.ndarray, motions: Motions) -> np.ndarray:
     """Scale parameters (3 h,) so that the samples just reach the first of the limits."""
-    own = theta.reshape(-1, 3) * motions.scale
+    own = theta.reshape(-1, 3) * motions.waves.scale
     stroke, speed, peak = peaks(
-        motions.pose @ own, motions.twist @ own, motions.accel @ own,
+        product(motions.pose, own), product(motions.twist, own), product(motions.accel, own),
         motions.motor_rows, motions.half,
     )  # fmt: skip
     share = max(stroke / motions.most[0], speed / motions.most[1], peak / motions.most[2])
@@ -79,31 +105,32 @@ class Desk(NamedTuple):
 
 
 @njit(cache=True)
-def desk_for(motions: Motions) -> Desk:
-    """Return the room that `force_error` needs."""
-    rows = len(motions.span)
+def desk_for(waves: Waves, work: np.ndarray) -> Desk:
+    """Return the room that `force_error` needs; work (5, n): for the nodes of the finest grid."""
+    rows = len(waves.span)
     return Desk(
         np.empty((rows, 3)),
         np.empty((rows + 1, 2)),
-        np.empty((5, len(motions.rule.shares[-1]))),
+        work,
         np.empty((3, rows)),
         np.empty((0, 0)),
     )
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _combine(motions: Motions, theta: np.ndarray, coefficients: np.ndarray) -> None:
-    rows, own = motions.span.shape
+def _combine(waves: Waves, theta: np.ndarray, coefficients: np.ndarray) -> None:
+    span, scale = waves.span, waves.scale
+    rows, own = span.shape
     for j in range(rows):
         a = b = c = 0.0
         for h in range(own):
-            share = motions.span[j, h]
+            share = span[j, h]
             a += share * theta[3 * h]
             b += share * theta[3 * h + 1]
             c += share * theta[3 * h + 2]
-        coefficients[j, 0] = a * motions.scale[0]
-        coefficients[j, 1] = b * motions.scale[1]
-        coefficients[j, 2] = c * motions.scale[2]
+        coefficients[j, 0] = a * scale[0]
+        coefficients[j, 1] = b * scale[1]
+        coefficients[j, 2] = c * scale[2]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -112,7 +139,7 @@ def force_error(
     position: np.ndarray,
     velocity: np.ndarray,
     force: np.ndarray,
-    motions: Motions,
+    waves: Waves,
     grid: int,
     error: np.ndarray,
     jacobian: np.ndarray,
@@ -120,10 +147,10 @@ def force_error(
 ) -> float:
     """Write request minus average force (2 M,), and d force / d theta (2 M, 3 h) unless it is
     (0, 0); return the squared error. `grid` as in `force_of`."""
-    rule = motions.rule
-    rows, own = motions.span.shape
+    rule, span, scale = waves
+    rows, own = span.shape
     coefficients, slip, work, gradient, none = desk
-    _combine(motions, theta, coefficients)
+    _combine(waves, theta, coefficients)
     cost = 0.0
     count = len(position)
     for i in range(count):
@@ -137,16 +164,16 @@ def force_error(
         for h in range(own):
             xx = xy = yy = 0.0
             for j in range(rows):
-                share = motions.span[j, h]
+                share = span[j, h]
                 xx += gradient[0, j] * share
                 xy += gradient[1, j] * share
                 yy += gradient[2, j] * share
             for axis in range(2):
                 gx, gy = (xx, xy) if axis == 0 else (xy, yy)
-                row = jacobian[2 * i + axis]
-                row[3 * h] = gx * motions.scale[0]
-                row[3 * h + 1] = gy * motions.scale[1]
-                row[3 * h + 2] = (x * gy - y * gx) * motions.scale[2]
+                row = 2 * i + axis
+                jacobian[row, 3 * h] = gx * scale[0]
+                jacobian[row, 3 * h + 1] = gy * scale[1]
+                jacobian[row, 3 * h + 2] = (x * gy - y * gx) * scale[2]
     return cost
 
 
@@ -185,6 +212,42 @@ def least_step(jacobian: np.ndarray, error: np.ndarray, damping: float, step: np
             step[c] += weights[i] * jacobian[i, c]
 
 
+@njit(cache=True, error_model="numpy")
+def condition_of(jacobian: np.ndarray) -> float:
+    """Return the condition number (infinite where rank is lost), by Jacobi's rotations of rows."""
+    rows = jacobian.copy()
+    count, columns = rows.shape
+    for _ in range(SWEEPS):
+        turned = False
+        for i in range(count):
+            for j in range(i):
+                a = b = c = 0.0
+                for k in range(columns):
+                    a += rows[i, k] * rows[i, k]
+                    b += rows[j, k] * rows[j, k]
+                    c += rows[i, k] * rows[j, k]
+                if abs(c) <= ORTHOGONAL * sqrt(a * b):
+                    continue
+                turned = True
+                half = (b - a) / (2 * c)
+                tangent = (1.0 if half >= 0 else -1.0) / (abs(half) + sqrt(1 + half * half))
+                cosine = 1 / sqrt(1 + tangent * tangent)
+                sine = cosine * tangent
+                for k in range(columns):
+                    first, second = rows[i, k], rows[j, k]
+                    rows[i, k] = cosine * first - sine * second
+                    rows[j, k] = sine * first + cosine * second
+        if not turned:
+            break
+    least, most = np.inf, 0.0
+    for i in range(count):
+        square = 0.0
+        for k in range(columns):
+            square += rows[i, k] * rows[i, k]
+        least, most = min(least, square), max(most, square)
+    return sqrt(most / least) if least > 1e-30 * most else np.inf
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def descend(
     theta: np.ndarray,
@@ -195,6 +258,8 @@ def descend(
     grid: int,
     tolerance: float,
     iterations: int,
+    damping: float,
+    desk: Desk,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Correct a motion until its forces are as asked.
 
@@ -203,7 +268,7 @@ def descend(
     theta, error, jacobian, iterations
         Parameters (3 h,), request minus force (2 M,), its derivative, steps.
     """
-    moving = bool(np.any(velocity != 0.0))
+    moving, waves = bool(np.any(velocity != 0.0)), motions.waves
     size, rows = len(theta), 2 * len(position)
     if moving:  # else the scale does not matter
         theta = full_amplitude(theta, motions)
@@ -211,12 +276,9 @@ def descend(
     jacobian, slopes = np.empty((rows, size)), np.empty((rows, size))
     step = np.zeros(size)
     history = np.empty(iterations + 1)
-    desk = desk_for(motions)
-    cost, damping, done, trial = np.inf, FIRST_DAMPING, 0, theta
+    cost, done, trial = np.inf, 0, theta
     while True:
-        trial_cost = force_error(
-            trial, position, velocity, force, motions, grid, other, slopes, desk
-        )
+        trial_cost = force_error(trial, position, velocity, force, waves, grid, other, slopes, desk)
         if trial_cost < cost:
             damping = max(damping / 8, LEAST_DAMPING) if cost < np.inf else damping
             theta, cost = trial, trial_cost
@@ -236,89 +298,3 @@ def descend(
         if moving:
             trial = full_amplitude(trial, motions)
     return theta, error, jacobian, done
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def search(
-    firsts: np.ndarray,
-    pool: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    force: np.ndarray,
-    motions: Motions,
-    tolerance: float,
-    iterations: int,
-    tries: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, int]:
-    """Try starts until one leads to the forces asked for; keep the best.
-
-    Parameters
-    ----------
-    firsts : (F, 3 h)
-        Starts that are tried first, as they are.
-    pool : (S, 3 h)
-        Random motions: each further start is the best of the next `FEW_CANDIDATES`, forwards and
-        backwards, at the parts' places.
-
-    Returns
-    -------
-    theta, error, jacobian, iterations, tries
-        As `descend`, at full amplitude; iterations of all tries together.
-    """
-    best_cost = np.inf
-    best = (pool[0], np.empty(0), np.empty((0, 0)))
-    total, turn = 0, 0
-    for tried in range(tries):
-        if tried < len(firsts):
-            start = firsts[tried]
-        else:
-            start = _most_like(pool, turn, position, velocity, force, motions)
-            turn = (turn + FEW_CANDIDATES) % len(pool)
-        theta, most = start, iterations
-        for grid in (FIRST, ADAPTIVE):
-            theta, error, jacobian, done = descend(
-                theta, position, velocity, force, motions, grid, tolerance / 3, most
-            )
-            total += done
-            cost, worst = np.sum(error * error), np.max(np.abs(error))
-            # Equal steps may miss a dip: what looks good, or is the best so far, is looked at.
-            if worst > tolerance and cost >= best_cost:
-                break
-            if worst > 30 * tolerance:
-                most = 0
-        if cost < best_cost:
-            best_cost, best = cost, (theta, error, jacobian)
-        if np.max(np.abs(best[1])) <= tolerance:
-            tries = tried + 1
-            break
-    return full_amplitude(best[0], motions), best[1], best[2], total, tries
-
-
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _most_like(
-    starts: np.ndarray,
-    first: int,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    force: np.ndarray,
-    motions: Motions,
-) -> np.ndarray:
-    """Return the next start, or its opposite, whose forces are nearest to those asked."""
-    error, none = np.empty(2 * len(position)), np.empty((0, 0))
-    desk = desk_for(motions)
-    asked = np.sum(force * force)
-    least, index, sign = np.inf, first, 1.0
-    moving = bool(np.any(velocity != 0.0))
-    for i in range(first, min(first + FEW_CANDIDATES, len(starts))):
-        theta = full_amplitude(starts[i], motions) if moving else starts[i]
-        cost = force_error(theta, position, velocity, force, motions, FEW, error, none, desk)
-        if cost < least:
-            least, index, sign = cost, i, 1.0
-        along = 0.0
-        for k in range(len(error)):
-            along += error[k] * force[k // 2, k % 2]
-        # |f - e|: with g = f - error the force got, |f + g|^2 = |f - g|^2 + 4 f.g
-        opposite = cost + 4 * (asked - along)
-        if opposite < least:
-            least, index, sign = opposite, i, -1.0
-    return sign * starts[index]

@@ -41,40 +41,47 @@ TINY_SQUARE = 1e-24
 
 
 class Rules(NamedTuple):
-    """Sines and cosines at the nodes, for N harmonics.
+    """Sines and cosines at the nodes of all grids, for N harmonics: few arrays, as calls with many
+    take longer than the sums.
 
     Attributes
     ----------
-    grids : tuple of (2 N, n)
-        Equal steps: few, and the usual ones; rows sin 1..N, cos 1..N.
-    shares : tuple of (n,)
-        Their weights 1/n.
-    panels : (levels, 2 N, 8)
-        The same at the nodes of a panel about t = 0, of length 2 pi / 2**level.
+    waves : (2 N, K)
+        Rows sin 1..N, cos 1..N. Equal steps: few, and the usual ones; then panels about t = 0, of
+        length 2 pi / 2**level.
+    shares : (K,)
+        Weights of the nodes, as shares of the period.
+    starts : (G + 1,)
+        Column where each of the grids begins.
     first : int
         First level of panels.
+    most : int
+        Nodes of the finest grid.
     """
 
-    grids: tuple[np.ndarray, ...]
-    shares: tuple[np.ndarray, ...]
-    panels: np.ndarray
+    waves: np.ndarray
+    shares: np.ndarray
+    starts: np.ndarray
     first: int
+    most: int
 
 
 @lru_cache(maxsize=32)
 def rules(number: int) -> Rules:
     """Return the nodes for `number` harmonics."""
-
-    def table(t: np.ndarray) -> np.ndarray:
-        angle = np.outer(np.arange(1, number + 1), t)
-        return np.ascontiguousarray(np.vstack([np.sin(angle), np.cos(angle)]))
-
     counts = [steps * max(number, 2) for steps in (FEW_STEPS_PER_HARMONIC, STEPS_PER_HARMONIC)]
+    times = [2 * pi * (np.arange(n) + 0.5) / n for n in counts]
+    shares = [np.full(n, 1 / n) for n in counts]
+    for level in range(DEEPEST + 1):
+        times.append(pi * 0.5**level * NODES)
+        shares.append(0.5**level * WEIGHTS / 2)
+    angle = np.outer(np.arange(1, number + 1), np.concatenate(times))
     return Rules(
-        tuple(table(2 * pi * (np.arange(n) + 0.5) / n) for n in counts),
-        tuple(np.full(n, 1 / n) for n in counts),
-        np.array([table(pi * 0.5**level * NODES) for level in range(DEEPEST + 1)]),
+        np.vstack([np.sin(angle), np.cos(angle)]),
+        np.concatenate(shares),
+        np.cumsum([0, *map(len, times)]),
         FIRST_LEVEL + int(np.ceil(np.log2(max(number, 2) / 2))),
+        counts[-1],
     )
 
 
@@ -101,7 +108,7 @@ def force_of(
     slip : (2 N + 1, 2)
         [m/s].
     grid : int
-        Index of `rule.grids`; `ADAPTIVE` corrects the usual one for its dips.
+        Index of the equal steps; `ADAPTIVE` corrects the usual one for its dips.
     work : (5, n)
         Room for the samples.
     gradient : (3, 2 N) or (0, 0)
@@ -113,30 +120,31 @@ def force_of(
     if grid == PANELS:
         return _graded(slip, rule, work, gradient)
     if grid == ADAPTIVE:
-        fx, fy, good = _corrected(slip, rule.grids[FIRST], rule.shares[FIRST], work, gradient)
+        fx, fy, good = _corrected(slip, rule, work, gradient)
         return (fx, fy) if good else _graded(slip, rule, work, gradient)
-    fx, fy = _sum(slip, rule.grids[grid], rule.shares[grid], work)
+    start, stop = rule.starts[grid], rule.starts[grid + 1]
+    fx, fy = _sum(slip, rule.waves, rule.shares, start, stop, work)
     if len(gradient):
-        _slopes(rule.grids[grid], rule.shares[grid], work, gradient)
+        _slopes(rule.waves, rule.shares, start, stop, work, gradient)
     return fx, fy
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _corrected(
-    slip: np.ndarray, grid: np.ndarray, share: np.ndarray, work: np.ndarray, gradient: np.ndarray
+    slip: np.ndarray, rule: Rules, work: np.ndarray, gradient: np.ndarray
 ) -> tuple[float, float, bool]:
     """Sum over equal steps and take off what dips add; whether that holds. The derivatives are
     added to `gradient`."""
-    n = len(share)
-    fx, fy = _sum(slip, grid, share, work)
+    start, stop = rule.starts[FIRST], rule.starts[FIRST + 1]
+    n, half_rows = stop - start, len(rule.waves) // 2
+    fx, fy = _sum(slip, rule.waves, rule.shares, start, stop, work)
     dips = find_dips(work[2], n, work[4])
     if len(gradient):
-        _slopes(grid, share, work, gradient)
+        _slopes(rule.waves, rule.shares, start, stop, work, gradient)
     good = True
     for dip in range(dips):
-        k = int(work[4, dip])
-        start = complex(grid[len(grid) // 2, k], grid[0, k])
-        x, y, fine = excess(slip, start, n, gradient)
+        k = start + int(work[4, dip])
+        x, y, fine = excess(slip, complex(rule.waves[half_rows, k], rule.waves[0, k]), n, gradient)
         good = good and fine
         fx -= x
         fy -= y
@@ -145,19 +153,21 @@ def _corrected(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _sum(
-    slip: np.ndarray, grid: np.ndarray, share: np.ndarray, work: np.ndarray
+    slip: np.ndarray, waves: np.ndarray, shares: np.ndarray, start: int, stop: int, work: np.ndarray
 ) -> tuple[float, float]:
-    """Sum the direction of slip; rows of `work` become slip x, y, its square, 1/its size."""
-    n, rows = len(share), len(slip) - 1
+    """Sum the direction of slip over nodes; rows of `work`: slip x, y, its square, 1/its size."""
+    n, rows = stop - start, len(slip) - 1
     wx, wy, square, inverse = work[0], work[1], work[2], work[3]
+    share = shares[start:stop]
     ax, ay = slip[rows, 0], slip[rows, 1]
     for k in range(n):
         wx[k], wy[k] = ax, ay
     for j in range(rows):
+        wave = waves[j, start:stop]
         ax, ay = slip[j, 0], slip[j, 1]
         for k in range(n):
-            wx[k] += ax * grid[j, k]
-            wy[k] += ay * grid[j, k]
+            wx[k] += ax * wave[k]
+            wy[k] += ay * wave[k]
     fx = fy = 0.0
     for k in range(n):
         d = wx[k] * wx[k] + wy[k] * wy[k]
@@ -170,21 +180,30 @@ def _sum(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _slopes(grid: np.ndarray, share: np.ndarray, work: np.ndarray, gradient: np.ndarray) -> None:
+def _slopes(
+    waves: np.ndarray,
+    shares: np.ndarray,
+    start: int,
+    stop: int,
+    work: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
     """Add the derivatives of `_sum` to `gradient`; overwrites `work`."""
-    n = len(share)
+    n = stop - start
     wx, wy, square, inverse = work[0], work[1], work[2], work[3]
+    share = shares[start:stop]
     for k in range(n):
         r = inverse[k]
         ux, uy = wx[k] * r, wy[k] * r
         g = share[k] * r if square[k] > TINY_SQUARE else 0.0
         wx[k], wy[k], square[k] = g * uy * uy, -g * ux * uy, g * ux * ux
-    for j in range(len(grid)):
+    for j in range(len(waves)):
+        wave = waves[j, start:stop]
         xx = xy = yy = 0.0
         for k in range(n):
-            xx += wx[k] * grid[j, k]
-            xy += wy[k] * grid[j, k]
-            yy += square[k] * grid[j, k]
+            xx += wx[k] * wave[k]
+            xy += wy[k] * wave[k]
+            yy += square[k] * wave[k]
         gradient[0, j] += xx
         gradient[1, j] += xy
         gradient[2, j] += yy
@@ -201,7 +220,6 @@ def _graded(
     half_rows = rows // 2
     turned = np.empty_like(slip)
     local = np.empty((3, rows))
-    share = np.empty(len(NODES))
     depth = np.empty(DEEPEST + 2, np.int64)
     fx = fy = 0.0
     for first in range(2**rule.first):
@@ -219,10 +237,10 @@ def _graded(
                     turned[j, axis] = a * c - b * s
                     turned[half_rows + j, axis] = a * s + b * c
             turned[rows, 0], turned[rows, 1] = slip[rows, 0], slip[rows, 1]
-            for n in range(len(NODES)):
-                share[n] = width * WEIGHTS[n] / 2
-            px, py = _sum(turned, rule.panels[level], share, work)
-            if level < DEEPEST and not _is_far(turned, rule.panels[level], work[2], pi * width):
+            grid = len(rule.starts) - 2 - DEEPEST + level
+            start, stop = rule.starts[grid], rule.starts[grid + 1]
+            px, py = _sum(turned, rule.waves, rule.shares, start, stop, work)
+            if level < DEEPEST and not _is_far(turned, rule.waves, start, work[2], pi * width):
                 depth[waiting - 1] = depth[waiting] = level + 1
                 waiting += 1
                 continue
@@ -232,7 +250,7 @@ def _graded(
             waiting -= 1
             if len(gradient):
                 local[:] = 0.0
-                _slopes(rule.panels[level], share, work, local)
+                _slopes(rule.waves, rule.shares, start, stop, work, local)
                 for j in range(half_rows):
                     s, c = sin((j + 1) * middle), cos((j + 1) * middle)
                     for row in range(3):
@@ -243,14 +261,17 @@ def _graded(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _is_far(slip: np.ndarray, grid: np.ndarray, square: np.ndarray, half: float) -> bool:
+def _is_far(
+    slip: np.ndarray, waves: np.ndarray, start: int, square: np.ndarray, half: float
+) -> bool:
     """Whether all zeros of the slip are far from a panel of the given half length."""
-    half_rows = len(grid) // 2
+    half_rows = len(waves) // 2
     near = FAR * half
     for k in range(len(NODES)):
         ax = ay = 0.0
         for j in range(half_rows):
-            s, c = (j + 1) * grid[j, k], (j + 1) * grid[half_rows + j, k]
+            s = (j + 1) * waves[j, start + k]
+            c = (j + 1) * waves[half_rows + j, start + k]
             ax += slip[j, 0] * c - slip[half_rows + j, 0] * s
             ay += slip[j, 1] * c - slip[half_rows + j, 1] * s
         if square[k] > TINY_SQUARE and square[k] < near * near * (ax * ax + ay * ay):
@@ -276,13 +297,12 @@ def forces(
     count = len(coefficients)
     force = np.empty((count, 2))
     slip = np.empty((coefficients.shape[1] + 1, 2))
-    grid, share = rule.grids[FIRST], rule.shares[FIRST]
-    work, none = np.empty((5, len(share))), np.empty((0, 0))
+    work, none = np.empty((5, rule.most)), np.empty((0, 0))
     for i in range(count):
         slip_at(
             coefficients[i], position[i, 0], position[i, 1], velocity[i, 0], velocity[i, 1], slip
         )
-        fx, fy, good = _corrected(slip, grid, share, work, none)
+        fx, fy, good = _corrected(slip, rule, work, none)
         if not good:
             fx, fy = _graded(slip, rule, work, none)
         force[i, 0], force[i, 1] = fx, fy

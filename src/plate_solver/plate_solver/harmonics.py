@@ -18,7 +18,7 @@ import numpy as np
 from plate_core import PlateCycle
 from plate_core.limits import PIECES
 
-from .solution import CERTAIN, Bounds
+from .solution import Bounds
 
 STEPS_PER_HARMONIC = 26
 """Steps of the sampled motion per period of the highest harmonic, at least."""
@@ -83,18 +83,6 @@ class Harmonics:
             array[-1] = array[0]  # to the last bit
             array.setflags(write=False)
         return PlateCycle(self.times, pose, twist, accel, spline)
-
-    def limited_cycle(self, coefficients: np.ndarray, bounds: Bounds) -> PlateCycle:
-        """Return the motion as a plate cycle, scaled down if it is above the limits anywhere."""
-        for _ in range(4):  # turning enters with its square: nearly linear in the scale
-            points = self.hull @ coefficients
-            third = len(points) // 3
-            pose, twist, accel = points[:third], points[third : 2 * third], points[2 * third :]
-            share = bounds.exact_share(pose, twist, accel)
-            if share <= CERTAIN:
-                break
-            coefficients = coefficients * (0.9999 * CERTAIN / share)
-        return self.cycle(coefficients)
 
     def random(self, rng: np.random.Generator, bounds: Bounds) -> np.ndarray:
         """Return random coefficients (h, 3) that use the limits in full."""

@@ -35,7 +35,7 @@ def easiest_force(request: Request, library: Library) -> np.ndarray:
 
     Where nothing within the tolerance is in their reach, the forces are as wanted.
     """
-    if not np.any(request.tolerance):
+    if not request.traits.slack:
         return request.force
     rows = library.forces(request.position)
     wanted, slack = request.force.T.ravel(), request.tolerance.T.ravel()
@@ -50,17 +50,11 @@ def easiest_force(request: Request, library: Library) -> np.ndarray:
     return np.asarray((matrix @ result.x).reshape(2, -1).T)
 
 
-def most_loaded(request: Request) -> float:
-    """Return the force [mu m g] asked of the most loaded part, all its slack used."""
-    least = np.maximum(np.abs(request.force) - request.tolerance, 0.0)
-    return float(np.max(np.hypot(least[:, 0], least[:, 1])))
-
-
 def largest_share(
     request: Request,
     library: Library,
     attempt: Callable[[Request], Solution],
-    nothing: Solution,
+    nothing: Callable[[], Solution],
     least: float,
     most: float,
     prove: Callable[[Request], bool] | None,
@@ -75,7 +69,7 @@ def largest_share(
         Bounds the search.
     attempt : function
         Solves a request, or does what it can.
-    nothing : Solution
+    nothing : function
         What to do where no share is met: its motion asks nothing of the parts.
     least : float
         Forces below this [mu m g] are none.
@@ -85,13 +79,13 @@ def largest_share(
         Whether it is proven that a request is out of reach: asked once, it takes long. Without it
         a motion that misses less of the whole than the share does is preferred to the share.
     """
-    fits = min(1.0, most / max(most_loaded(request), 1e-300))
+    fits = min(1.0, most / max(request.traits.loaded, 1e-300))
     whole = attempt(request if fits == 1 else request.times(fits))
     if whole.success and fits == 1:
         return whole
     low, best, high = (fits if whole.success else 0.0), whole, fits
     iterations = whole.iterations
-    if not np.any(request.velocity) and not np.any(request.tolerance):
+    if not request.traits.moving and not request.traits.slack:
         bound = reachable_share(library, request.position, request.force)
         high = min(high, LEFT_OUT * most * bound)
     greatest = float(np.max(np.abs(request.force)))
@@ -112,7 +106,7 @@ def largest_share(
     if proven:
         why = f"proven out of reach of such motions; {why}"
     if fits < 1:
-        why = f"a part is asked to bear {most_loaded(request):.3g} mu m g, allowed: {most:g}"
+        why = f"a part is asked to bear {request.traits.loaded:.3g} mu m g, allowed: {most:g}"
     rest_of_whole = whole.residual + (1 - fits) * request.force
     if low > 0:
         residual = best.residual + (1 - low) * request.force
@@ -124,7 +118,7 @@ def largest_share(
         residual = rest_of_whole
         message = f"no share of the request is met, this comes near; {why}"
     else:
-        best, residual = nothing, request.force
+        best, residual = nothing(), request.force
         message = f"no share of the request is met, so the plate rests; {why}"
     return replace(
         best,

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 
-from .averaged import condition_of, fit_force, fit_force_finely, force_solution, found_solution
-from .force_map import average_force
+from .averaged import fit_force, fit_force_finely, force_solution
 from .guesses import GuessTable, guess_table
-from .harmonic_fit import FEW_CANDIDATES, Motions, descend, search
-from .harmonic_force import PANELS, rules
+from .harmonic_fit import Motions, Waves
+from .harmonic_force import rules
+from .harmonic_search import FEW_CANDIDATES, Found, meet
 from .harmonics import harmonics
 from .least_squares import Fit
+from .packed import Finish, Packed, packed
 from .proof import is_out_of_reach
 from .sinusoid_family import SinusoidFamily
 from .sinusoid_steering import SinusoidSteering
-from .solution import Request, Solution, check_options, within_limits
+from .solution import MARGIN, Request, Solution, check_options, within_limits
 from .solver import MotionSolver, make_options
 from .steering import Goal, steering_solution
 
 CURL_SAMPLES = 8192
 """Samples on which curls are judged: their average, of u3/|slip|, feels dips more than a force."""
+
+STARTS = 3
+"""Starts of the compiled search for each restart: one takes a tenth of a millisecond."""
 
 MOST_STARTS = 200
 """Random starts that are drawn; who wants more restarts meets them again."""
@@ -48,7 +53,7 @@ class SinusoidOptions:
     iterations : int
         Most steps from one start.
     restarts : int
-        Most further starts when the first fails.
+        Most further starts when the first fails; `STARTS` times as many for averages.
     seed : int
         Seed of the further starts.
     """
@@ -75,6 +80,14 @@ class SinusoidOptions:
             raise PlateError("harmonics is 1, allowed with at_rest: 0 (choose) or at least 2")
 
 
+class Search(NamedTuple):
+    """What `meet` needs for a family of motions; random motions (S, 3 h); knots of cycles [s]."""
+
+    packed: Packed
+    pool: np.ndarray
+    times: np.ndarray
+
+
 class SinusoidSolver(MotionSolver):
     """Plate motions made of sinusoids.
 
@@ -90,7 +103,7 @@ class SinusoidSolver(MotionSolver):
         self.options: SinusoidOptions = make_options(SinusoidOptions, options)
         super().__init__(rig, self.options.seed)
         self._tables: dict[tuple[int, bool], GuessTable] = {}
-        self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
+        self._searches: dict[tuple[int, float, bool], Search] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
             self._bounds, self.options.iterations, self.options.restarts
@@ -101,50 +114,48 @@ class SinusoidSolver(MotionSolver):
         self._steering.forget()
 
     def _solve(self, request: Request) -> Solution:
-        if np.any(np.isfinite(request.curl)):
+        if request.traits.curled:
             return self._solve_with_curl(request)
-        family, key = self._family(request.force.size, self.options.at_rest)
-        motions, pool = self._search_of(key)
+        key = self._key(request.force.size, self.options.at_rest)
+        search = self._search_of(key)
         tolerance = self.options.tolerance
         warm = self._warm.get(key)
-        firsts = np.empty((0, pool.shape[1])) if warm is None else warm[None]
-        theta, error, jacobian, iterations, _ = search(
-            firsts, pool, request.position, request.velocity, request.force, motions,
-            tolerance, self.options.iterations, self.options.restarts + 1,
-        )  # fmt: skip
-        cycle, truth = self._judged(request, family, theta)
-        if np.abs(error).max() <= tolerance < np.abs(truth).max():  # two dips taken for one
-            theta, _, jacobian, more = descend(
-                theta, request.position, request.velocity, request.force, motions, PANELS,
-                tolerance / 3, self.options.iterations,
-            )  # fmt: skip
-            iterations += more
-            cycle, truth = self._judged(request, family, theta)
-            if np.abs(truth).max() > tolerance:  # from other starts
-                theta, _, jacobian, more, _ = search(
-                    pool[:0], pool[::-1].copy(), request.position, request.velocity,
-                    request.force, motions, tolerance, self.options.iterations,
-                    self.options.restarts + 1,
-                )  # fmt: skip
-                iterations += more
-                cycle, truth = self._judged(request, family, theta)
-        error = truth
-        self._warm[key] = theta
-        return found_solution(cycle, request, error, tolerance, iterations, condition_of(jacobian))
+        found: Found = meet(
+            search.pool[:0] if warm is None else warm[None],
+            search.pool,
+            request.position,
+            request.velocity,
+            request.force,
+            search.packed.numbers,
+            search.packed.shapes,
+            tolerance,
+            self.options.iterations,
+            STARTS * self.options.restarts + 1,
+        )
+        self._warm[key] = found.theta
+        cycle = PlateCycle(search.times, found.pose, found.twist, found.accel, found.spline)
+        message = f"force error {found.worst:.2g} mu m g after {found.iterations} iterations"
+        if found.worst <= tolerance:
+            return Solution(True, message, cycle, found.error, found.iterations, found.condition)
+        got = float(np.sum(request.force * (request.force - found.error)))
+        share = got / max(float(np.sum(request.force**2)), 1e-300)
+        return Solution(
+            success=False,
+            message=f"{message}, allowed: {tolerance:g}",
+            cycle=cycle,
+            residual=found.error,
+            iterations=found.iterations,
+            condition=found.condition,
+            status="failed",
+            share=min(max(share, 0.0), 1.0),
+        )
 
     def proven_out_of_reach(self, request: Request) -> bool:
-        if request.velocity.any() or request.tolerance.any() or np.isfinite(request.curl).any():
+        traits = request.traits
+        if traits.moving or traits.slack or traits.curled:
             return False
-        number = self._family(request.force.size, self.options.at_rest)[1][0]
+        number = self._key(request.force.size, self.options.at_rest)[0]
         return is_out_of_reach(request.position, request.force, number, self._bounds.arm_m)
-
-    def _judged(
-        self, request: Request, family: SinusoidFamily, theta: np.ndarray
-    ) -> tuple[PlateCycle, np.ndarray]:
-        """Return the finished cycle, and request minus its own force (2 M,)."""
-        cycle = family.basis.limited_cycle(family.coefficients(theta), self._bounds)
-        force = average_force(cycle, request.position, request.velocity)
-        return cycle, (request.force - force).ravel()
 
     def _solve_with_curl(self, request: Request) -> Solution:
         family, key = self._family(int(np.sum(request.rows)), self.options.at_rest)
@@ -166,7 +177,7 @@ class SinusoidSolver(MotionSolver):
         return force_solution(request, best, cycle, tolerance, iterations, best.condition)
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        _, (number, period, _) = self._family(goal.rows, True)
+        number, period, _ = self._key(goal.rows, True)
         best, cycle, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng
         )
@@ -175,7 +186,7 @@ class SinusoidSolver(MotionSolver):
         )
 
     def steering_period(self, count: int, turns: int = 0) -> float:
-        return self._family(2 * count + turns, True)[0].basis.period
+        return self._key(2 * count + turns, True)[1]
 
     def _search(
         self,
@@ -218,14 +229,12 @@ class SinusoidSolver(MotionSolver):
             table = self._tables[number, at_rest] = guess_table(self._rig, number, at_rest)
         return family.parameters(table.nearest(position, force)[0])
 
-    def _search_of(self, key: tuple[int, float, bool]) -> tuple[Motions, np.ndarray]:
+    def _search_of(self, key: tuple[int, float, bool]) -> Search:
         """Return a family in plain numbers, and random motions to start from."""
         if key not in self._searches:
             basis, bounds = harmonics(*key), self._bounds
             motions = Motions(
-                rules(key[0]),
-                basis.span,
-                np.array([1.0, 1.0, 1 / bounds.arm_m]),
+                Waves(rules(key[0]), basis.span, np.array([1.0, 1.0, 1 / bounds.arm_m])),
                 basis.pose,
                 basis.twist,
                 basis.accel,
@@ -233,19 +242,31 @@ class SinusoidSolver(MotionSolver):
                 bounds.half,
                 np.array([bounds.stroke_m, bounds.speed, bounds.accel]),
             )
+            finish = Finish(
+                basis.times,
+                *basis.knots,
+                basis.spline,
+                basis.hull,
+                bounds.motor_points,
+                bounds.motor_directions,
+                motions.most / MARGIN,
+            )
             size = min(self.options.restarts + 1, MOST_STARTS) * FEW_CANDIDATES
             pool = np.random.default_rng(self._seed).normal(size=(size, 3 * basis.size))
-            self._searches[key] = motions, pool
+            self._searches[key] = Search(packed(motions, finish), pool, basis.times)
         return self._searches[key]
+
+    def _key(self, constraints: int, at_rest: bool) -> tuple[int, float, bool]:
+        """Return harmonics, period and kind of the motions for so many forces."""
+        number = self.options.harmonics or _harmonics_for(constraints, at_rest)
+        if at_rest:
+            number = max(number, 2)
+        return number, self.options.period or _period_for(number, at_rest), at_rest
 
     def _family(
         self, constraints: int, at_rest: bool
     ) -> tuple[SinusoidFamily, tuple[int, float, bool]]:
-        number = self.options.harmonics or _harmonics_for(constraints, at_rest)
-        if at_rest:
-            number = max(number, 2)
-        period = self.options.period or _period_for(number, at_rest)
-        key = (number, period, at_rest)
+        key = self._key(constraints, at_rest)
         return SinusoidFamily(harmonics(*key), self._bounds), key
 
 

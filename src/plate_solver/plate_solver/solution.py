@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import cos, sin, sqrt
 from typing import Literal
 
@@ -12,18 +13,13 @@ from numba import njit
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.limits import PIECES
 
+from .traits import FARTHEST_M, FASTEST_MPS, Traits, find_traits
+
 MARGIN = 0.98
 """Share of the limits that a solver uses: its samples may miss a peak by a little."""
 
 CERTAIN = 0.999
 """Share of the limits that a finished cycle uses at most, by the exact check."""
-
-
-FARTHEST_M = 1e3
-"""Places of parts [m] beyond this are mistakes."""
-
-FASTEST_MPS = 1e3
-"""Velocities of parts [m/s] beyond this are mistakes."""
 
 Status = Literal["solved", "share", "unreachable", "failed"]
 """How a request fared: met; a share of it met; beyond what any motion can do, proven (`share` tells
@@ -251,15 +247,22 @@ class Request:
         asked[:, 2] = np.isfinite(self.curl)
         return asked.ravel()
 
+    @cached_property
+    def traits(self) -> Traits:
+        """What kind of request this is."""
+        return Traits(
+            *find_traits(self.position, self.force, self.velocity, self.curl, self.tolerance)
+        )
+
     @property
     def idle(self) -> bool:
         """Whether a plate at rest does what is asked."""
-        return not self.must_move and bool(np.all(np.abs(self.force) <= self.tolerance))
+        return self.traits.within and not self.must_move
 
     @property
     def must_move(self) -> bool:
         """Whether a plate at rest is no answer: it brakes moving parts, and it has no curl."""
-        return bool(np.any(self.velocity) or not np.all(np.isnan(self.curl)))
+        return self.traits.moving or self.traits.curled
 
     def times(self, share: float) -> Request:
         """Return a share of the request: less force and curl in the same direction."""
@@ -294,18 +297,23 @@ class Request:
                 raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
         if curl.shape != (count,):
             raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
-        greatest = {"position": FARTHEST_M, "velocity": FASTEST_MPS, "force": np.inf}
-        for name, array in (("position", position), ("force", force), ("velocity", velocity)):
+        request = cls(position, force, velocity, curl, slack)
+        if not request.traits.sound:
+            request._complain()
+        return request
+
+    def _complain(self) -> None:
+        """Tell which value is not allowed."""
+        greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
+        for name, most in greatest.items():
+            array = getattr(self, name)
             size = np.abs(array)
             worst = float(size.max())
             if not worst < np.inf:
                 raise PlateError(f"{name} has values that are not finite")
-            most = greatest[name]
             if worst > most:
                 value = array.flat[np.argmax(size)]
                 raise PlateError(f"{name} has value {value:g}, allowed: {-most:g} to {most:g}")
-        if np.isinf(curl).any():
+        if np.isinf(self.curl).any():
             raise PlateError("curl has infinite values, allowed: numbers, NaN where it is free")
-        if not (slack >= 0).all():
-            raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")
-        return cls(position, force, velocity, curl, slack)
+        raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")

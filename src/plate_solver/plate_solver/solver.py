@@ -118,10 +118,13 @@ class MotionSolver(ABC):
         if refine == "cycle":
             request = replace(request, curl=np.full(len(request.force), np.nan))
         own, most, attempt = self._map(refine)
-        rest = resting(self.steering_period(len(request.force)))
-        nothing = Solution(True, "nothing is asked: the plate rests", rest, request.force, 0, 1.0)
+
+        def nothing() -> Solution:
+            rest = resting(self.steering_period(len(request.force)))
+            return Solution(True, "nothing is asked: the plate rests", rest, request.force, 0, 1.0)
+
         if request.idle:
-            return nothing
+            return nothing()
         exact = refine == "none"
         prove = self.proven_out_of_reach if exact else None
         return largest_share(request, self._reach, attempt, nothing, 3 * own, most, prove)
@@ -147,7 +150,7 @@ class MotionSolver(ABC):
         return (wide, 1.0, at_mean_velocity) if refine == "velocity" else (wide, ON_CYCLE, at_cycle)
 
     def _on_average(self, request: Request) -> Solution:
-        if not np.any(request.tolerance):
+        if not request.traits.slack:
             return self._solve(request)
         aim = easiest_force(request, self._reach)
         found = self._solve(replace(request, force=aim))

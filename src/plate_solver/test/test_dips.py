@@ -11,7 +11,7 @@ NONE = np.empty((0, 0))
 
 
 def work(number: int) -> np.ndarray:
-    return np.empty((5, len(rules(number).shares[FIRST])))
+    return np.empty((5, rules(number).most))
 
 
 def slip_with_zeros(zeros: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ NONE = np.empty((0, 0))
 
 
 def work(number: int) -> np.ndarray:
-    return np.empty((5, len(rules(number).shares[-1])))
+    return np.empty((5, rules(number).most))
 
 
 def exact(slip: np.ndarray, dips: list[float]) -> np.ndarray:
