@@ -1,0 +1,252 @@
+"""Send malformed messages into every topic of the real nodes: no crash, no growth, no wild motion.
+
+python tools/fuzz.py [NODE ...] [--messages 100000] [--seed 0] [--json FILE]
+
+Each node's class is made in this process; its subscriptions' callbacks get messages that went
+through the wire format, so whatever any program on the network can send. Most are right ones with
+one to four fields spoiled: not finite, huge, empty, too long, in the wrong order, of another time.
+What the driver sends to the motors is judged by samples, not by its own code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from graph.film import limit_shares
+from graph.processes import free_domain, ros_environment
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
+from plate_core.ros.convert import (
+    array_to_image,
+    cycle_to_msg,
+    msg_to_motors,
+    parts_to_msg,
+    to_time,
+    trajectory_to_msg,
+)
+
+NODES = {
+    "detector": ("plate_vision.node", "DetectorNode"),
+    "planner": ("plate_planner.node", "PlannerNode"),
+    "solver": ("plate_solver.node", "SolverNode"),
+    "driver": ("plate_driver.node", "DriverNode"),
+    "simulator": ("plate_sim.node", "SimulatorNode"),
+}
+NUMBERS = (0.0, -0.0, 1e-300, 1.0, -1.0, 1e3, -1e9, 1e200, -1e308, np.nan, np.inf, -np.inf)
+WORDS = ("", "x", "black_1", "motor_1", "ready", "stopped", "mono8", "\u00e9\u00e4", "a" * 5000)
+WARM = 0.2
+"""Share of the messages after which memory is looked at first."""
+
+POOL = 200
+"""Right messages of each kind."""
+
+ROUNDING = 1e-4
+"""Excess of a limit that is none."""
+
+
+@dataclass
+class Verdict:
+    """What was seen of one node."""
+
+    node: str
+    messages: int = 0
+    crashes: int = 0
+    first: str = ""
+    growth_mb: float = 0.0
+    tables: int = 0
+    worst_share: float = 0.0
+    seconds: float = 0.0
+
+
+def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
+    """Return a right message of each kind, as it is on the wire."""
+    t = np.arange(24) / 24
+    size = rng.choice([0.0, 1e-3, 0.01, 1.0])
+    wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
+    cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
+    stamp = to_time(int(rng.integers(0, 10**12)))
+    count = int(rng.integers(0, 12))
+    ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
+    place = rng.uniform(-0.3, 0.3, (count, 2))
+    force = 0.03 * rng.normal(size=(count, 2))
+    parts = PartSet.make(ids, place, 0.01 * rng.normal(size=(count, 2)), force=force)
+    pixels = rng.integers(0, 255, (int(rng.integers(1, 64)), int(rng.integers(1, 64))), np.uint8)
+    message = cycle_to_msg(cycle, stamp)
+    if rng.random() < 0.5:
+        zero = np.zeros((2, 4))
+        joints = [motor.name for motor in rig.motors]
+        message = trajectory_to_msg(joints, np.array([0, 0.1]), zero, zero, zero, stamp)
+    right = (message, parts_to_msg(parts, stamp), array_to_image(pixels, stamp))
+    return {type(msg): serialize_message(msg) for msg in right}
+
+
+def spoil(msg: Any, rng: np.random.Generator) -> None:
+    """Change one field of a message, or of a message in it, to something hostile."""
+    kinds = msg.get_fields_and_field_types()
+    name = str(rng.choice(list(kinds)))
+    value = getattr(msg, name)
+    if hasattr(value, "get_fields_and_field_types"):
+        spoil(value, rng)
+    elif isinstance(value, bool):
+        setattr(msg, name, not value)
+    elif isinstance(value, str):
+        setattr(msg, name, str(rng.choice(WORDS)))
+    elif isinstance(value, float):
+        setattr(msg, name, float(rng.choice(NUMBERS)))
+    elif isinstance(value, int):
+        low, high = (0, 255) if "int8" in kinds[name] else (0, 2**31 - 1)
+        setattr(msg, name, int(rng.choice([low, 1, high])))
+    else:
+        spoil_list(msg, name, value, rng)
+
+
+def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> None:
+    """Change a list: shorter, longer, empty, out of order, or one of its items."""
+    fixed = isinstance(value, np.ndarray)
+    items = list(value)
+    way = int(rng.integers(0, 5))
+    if items and hasattr(items[0], "get_fields_and_field_types") and way < 3:
+        spoil(items[int(rng.integers(len(items)))], rng)
+        return
+    if fixed or (items and isinstance(items[0], float) and way < 3):
+        if items:
+            items[int(rng.integers(len(items)))] = float(rng.choice(NUMBERS))
+    elif way == 0:
+        items = []
+    elif way == 1:
+        items = items[: int(rng.integers(0, len(items) + 1))]
+    elif way == 2:
+        items = items * 2 if len(items) < 5000 else items[:10]
+    elif way == 3:
+        items = [items[k] for k in rng.permutation(len(items))]
+    elif items:
+        items[int(rng.integers(len(items)))] = items[0]
+    setattr(msg, name, np.array(items) if fixed else items)
+
+
+def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:
+    """Return a malformed message as it comes off the wire."""
+    right = pool[int(rng.integers(len(pool)))].get(kind)
+    msg = deserialize_message(right, kind) if right is not None else kind()
+    for _ in range(int(rng.integers(0, 5))):
+        spoil(msg, rng)
+    return deserialize_message(serialize_message(msg), kind)
+
+
+class Judge:
+    """Looks at what the driver publishes."""
+
+    def __init__(self, verdict: Verdict) -> None:
+        self.verdict, self.rig = verdict, load_rig()
+
+    def watching(self, publish: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a publish that looks first."""
+
+        def look(msg: Any) -> None:
+            if isinstance(msg, JointTrajectory):
+                cycle = msg_to_motors(self.rig, msg)
+                share = float(np.max(limit_shares(self.rig, cycle)))
+                self.verdict.tables += 1
+                self.verdict.worst_share = max(self.verdict.worst_share, share)
+            publish(msg)
+
+        return look
+
+
+def memory_mb() -> float:
+    """Return the memory of this process that is in use [MB]."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def fuzz(name: str, count: int, seed: int) -> Verdict:
+    """Send `count` messages to one node, shared among its topics."""
+    module, kind = NODES[name]
+    rng, verdict = np.random.default_rng(seed), Verdict(name)
+    node = getattr(importlib.import_module(module), kind)()
+    set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
+    try:
+        if name == "driver":
+            node._setpoints.publish = Judge(verdict).watching(node._setpoints.publish)
+        topics = [s for s in node.subscriptions if s.topic_name.rsplit("/", 1)[-1] != "clock"]
+        topics = [s for s in topics if "parameter_events" not in s.topic_name]
+        rig = load_rig()
+        pool = [templates(rig, rng) for _ in range(POOL)]
+        began, base = time.monotonic(), 0.0
+        for k in range(count):
+            if k == int(WARM * count):
+                base = memory_mb()
+            topic = topics[k % len(topics)]
+            msg = message(topic.msg_type, pool, rng)
+            try:
+                topic.callback(msg)
+            except Exception as error:  # whatever it is, it would have ended the node
+                verdict.crashes += 1
+                verdict.first = verdict.first or f"{topic.topic_name}: {error!r}"
+            if name == "driver" and k % 50 == 0:
+                node._watch()
+        verdict.messages = count
+        verdict.growth_mb = round(memory_mb() - base, 1)
+        verdict.seconds = round(time.monotonic() - began, 1)
+    finally:
+        node.destroy_node()
+    return verdict
+
+
+def failed(verdict: Verdict, most_growth_mb: float) -> bool:
+    """Tell whether something went wrong."""
+    return (
+        verdict.crashes > 0
+        or verdict.growth_mb > most_growth_mb
+        or verdict.worst_share > 1 + ROUNDING
+    )
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("nodes", nargs="*", help="all if left out: " + ", ".join(NODES))
+    parser.add_argument("--messages", type=int, default=100_000, help="to each node")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--growth", type=float, default=20.0, help="allowed [MB]")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    unknown = [name for name in args.nodes if name not in NODES]
+    if unknown:
+        parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(NODES)}")
+    os.environ.update(ros_environment(free_domain()))
+    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
+    verdicts = []
+    try:
+        for name in args.nodes or NODES:
+            try:
+                verdicts.append(fuzz(name, args.messages, args.seed))
+            except PlateError as error:
+                parser.error(f"{name}: {error}")
+            print(verdicts[-1], flush=True)
+    finally:
+        rclpy.try_shutdown()
+    if args.json:
+        text = json.dumps([vars(v) for v in verdicts], indent=1)
+        args.json.write_text(text, encoding="utf-8")
+    return int(any(failed(v, args.growth) for v in verdicts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
