@@ -17,6 +17,10 @@ MEMORY_S = 1.5
 """How far back runs are kept [s]: longer than an image may be old, and a longest cycle."""
 
 
+LEAST_PERIOD_S = 0.005
+"""A cycle shorter than this is none that a driver would play [s]."""
+
+
 @dataclass(frozen=True)
 class PlateLog:
     """The plate's runs, oldest first.
@@ -50,6 +54,8 @@ class PlateLog:
 
     def hear(self, cycle: PlateCycle, arrival: float) -> PlateLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps]."""
+        if cycle.period < LEAST_PERIOD_S:
+            return self
         return replace(self, heard=(arrival, cycle))
 
     def advance(self, t: float) -> PlateLog:
@@ -60,6 +66,8 @@ class PlateLog:
         log = self
         if self.runs and t < self.runs[-1][0]:
             log = PlateLog()  # time began anew
+        elif self.runs and t > self.end + MEMORY_S:
+            log = PlateLog(heard=self.heard)  # nothing has been seen for long
         if not log.runs:
             return log._begin(t, None)
         while log.end <= t - SNAP * log.period:
