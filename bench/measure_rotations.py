@@ -176,7 +176,8 @@ def goal_of(rig: Rig, parts: int, seed: int, drift: float, period: float) -> Goa
     """Ask every part at rest for a drift in a direction of its own."""
     position, direction = request(rig, parts, seed)
     nothing = np.zeros((parts, 2))
-    return Goal(position, nothing, drift * period * direction, nothing, rig.friction.accel)
+    friction = np.full(parts, rig.friction.accel)
+    return Goal(position, nothing, drift * period * direction, nothing, friction)
 
 
 def order_rows(rig: Rig, count: int) -> list[dict[str, Any]]:

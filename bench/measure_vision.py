@@ -121,7 +121,13 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
         tops = (depth > 0.6 * radius).astype(np.uint8)
         return np.asarray(cv2.connectedComponentsWithStats(tops)[3][1:])
 
-    finders = {OURS: ours, CONTOURS: contours, BLOBS: blobs, HOUGH: hough, PEAKS: peaks}
+    finders: dict[str, Finder] = {
+        OURS: ours,
+        CONTOURS: contours,
+        BLOBS: blobs,
+        HOUGH: hough,
+        PEAKS: peaks,
+    }
     measure = optional("skimage.measure")
     if measure is not None:
         inner = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0

@@ -98,7 +98,7 @@ def make_finders() -> dict[str, Finder]:
         )
         return np.zeros((0, 2)) if circles is None else circles.reshape(-1, 3)[:, :2]
 
-    finders = {OURS: ours, "HoughCircles": hough}
+    finders: dict[str, Finder] = {OURS: ours, "HoughCircles": hough}
     measure, filters = optional("skimage.measure"), optional("skimage.filters")
     if measure is not None and filters is not None:
 
