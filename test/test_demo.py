@@ -46,7 +46,7 @@ def marked(mark):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: assemble_8, coin_circle, follow_2, "),
+        (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
         (["--method", "C"], "method is 'C', allowed: A, B, rotations, sinusoids"),
         (["--transport", "usb"], "transport is 'usb', allowed: sim"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),

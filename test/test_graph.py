@@ -180,12 +180,12 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path):
 
 BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
 WRONG_INPUT = [
-    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle, follow_2, "),
-    ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle, follow_2, "),
+    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
+    ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
     ("planner", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
     ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),
-    ("driver", {"transport": "serial"}, "port is '', allowed with transport serial: "),
+    ("driver", {"transport": "serial", "port": "/dev/none"}, "port is '/dev/none', allowed: a"),
     ("detector", {"rig_file": "none.yaml"}, "none.yaml: no such file"),
 ]
 

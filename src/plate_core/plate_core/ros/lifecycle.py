@@ -23,7 +23,8 @@ def logged(transition: Transition) -> Transition:
             return transition(self, state)
         except PlateError as error:
             self.problem = str(error)
-            self.get_logger().error(f"{transition.__name__}: {error}")
+            if not self.starting:  # `start` raises it: one problem, one line
+                self.get_logger().error(f"{transition.__name__}: {error}")
             return TransitionCallbackReturn.FAILURE
         except Exception:  # whatever it is: unlogged, it would be an error state without a reason
             self.problem = traceback.format_exc()
@@ -43,6 +44,7 @@ class SafeLifecycleNode(LifecycleNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.problem = ""
+        self.starting = False
         self.active = False
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
 
@@ -54,9 +56,11 @@ class SafeLifecycleNode(LifecycleNode):
         PlateError
             If that fails: why.
         """
+        self.starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise PlateError(self.problem)
+        self.starting = False
 
     def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
         """Have things destroyed at clean-up."""
