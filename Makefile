@@ -34,8 +34,9 @@ format: workspace ## Put the code into the project's format
 bench: workspace ## Measure: out/bench/NAME.json [ARGS=...]
 	@$(ENTER) exec python bench/run.py $(ARGS)
 
-charts: workspace ## Draw the measurements: out/charts, out/report/index.html
-	@$(ENTER) exec python bench/charts.py $(ARGS)
+charts: workspace ## Measure and draw: out/report/index.html, docs/results.md [ARGS='--quick' or '--draw']
+	@$(ENTER) python -m pip --disable-pip-version-check install -q -r requirements-bench.txt && \
+	    exec python bench/charts.py $(ARGS)
 
 clean: ## Remove everything that set-up made; results in out/ stay
 	rm -rf .venv build install log .numba_cache .mypy_cache .pytest_cache .ruff_cache

@@ -145,13 +145,16 @@ def machine() -> dict[str, Any]:
     }
 
 
-def write(path: Path, name: str, about: str, quick: bool, seconds: float, result: Result) -> None:
-    """Write a measurement's JSON file, whole or not at all."""
+def write(
+    path: Path, name: str, about: str, quick: bool, seconds: float, code: str, result: Result
+) -> None:
+    """Write a measurement's JSON file, whole or not at all; `code` is a digest of what was run."""
     content = {
         "name": name,
         "about": about,
         "quick": quick,
         "seconds": round(seconds, 1),
+        "code": code,
         "machine": machine(),
         **asdict(result),
     }

@@ -6,6 +6,8 @@ python bench/run.py [NAME ...] [--quick]
 from __future__ import annotations
 
 import argparse
+import ast
+import hashlib
 import importlib
 import json
 import sys
@@ -34,6 +36,9 @@ MEASUREMENTS = {
 }
 """Names, each measured by `measure_NAME.py`, and what they are about."""
 
+EXPECTED_S: dict[str, float] = {}
+"""How long those of the charts take where they have never been run: two cores of today [s]."""
+
 
 def main() -> int:
     """Run the command line; returns its exit code."""
@@ -56,15 +61,69 @@ def main() -> int:
 
 
 def run_all(names: Iterable[str], quick: bool, out: Path) -> None:
-    """Run measurements one after the other, each with a progress line."""
+    """Run measurements one after the other; tells of each how far the work is, and writes it."""
     names = list(names)
+    expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
+    began = time.perf_counter()
     for number, name in enumerate(names, 1):
-        print(f"[{number}/{len(names)}] {name:12s} {MEASUREMENTS[name]} ... ", end="", flush=True)
-        began = time.perf_counter()
+        left = sum(expected.get(n, 0.0) for n in names[number - 1 :])
+        print(
+            f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
+            + (f", about {clock(left)} left" if left else "")
+            + f"] {name:12s} {MEASUREMENTS[name]} ... ",
+            end="", flush=True,
+        )  # fmt: skip
+        start = time.perf_counter()
+        code = code_of(name)
         result = importlib.import_module(f"measure_{name}").measure(quick)
-        seconds = time.perf_counter() - began
-        write(out / f"{name}.json", name, MEASUREMENTS[name], quick, seconds, result)
+        seconds = time.perf_counter() - start
+        write(out / f"{name}.json", name, MEASUREMENTS[name], quick, seconds, code, result)
         print(f"{seconds:.1f} s", flush=True)
+
+
+def last_seconds(out: Path, name: str, quick: bool) -> float | None:
+    """Return how long a measurement took the last time [s], if it was as thorough."""
+    path = out / f"{name}.json"
+    if path.exists():
+        there = json.loads(path.read_text(encoding="utf-8"))
+        if there["quick"] == quick:
+            return float(there["seconds"])
+    return None if quick else EXPECTED_S.get(name)
+
+
+def clock(seconds: float) -> str:
+    """Return a time as minutes and seconds."""
+    return f"{seconds // 60:.0f}:{seconds % 60:02.0f}"
+
+
+def code_of(name: str) -> str:
+    """Return a digest of all that a measurement depends on: `src`, `config`, and its own files."""
+    digest = hashlib.sha256()
+    for folder in (ROOT / "src", ROOT / "config"):
+        for path in sorted(folder.rglob("*")):
+            inside = path.relative_to(folder).parts
+            if path.suffix in (".py", ".yaml") and "test" not in inside:
+                digest.update(path.read_bytes())
+    for path in sorted(own_files(f"measure_{name}")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def own_files(module: str) -> set[Path]:
+    """Return the files of this folder that a module of it imports, itself among them."""
+    found: set[Path] = set()
+    open_ = [module]
+    while open_:
+        path = ROOT / "bench" / f"{open_.pop()}.py"
+        if path in found or not path.exists():
+            continue
+        found.add(path)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                open_ += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                open_.append(node.module)
+    return found
 
 
 def arguments() -> argparse.Namespace:

@@ -1,0 +1,163 @@
+"""Charts as pictures, for docs/results.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from chart import FRONT, Axis, Chart, Panel, Points, pareto_front
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+PANEL_IN = (4.6, 3.6)
+"""Width and height of a panel [inch]."""
+
+ROW = 3
+"""Most panels beside each other; four make two rows."""
+
+DPI = 100
+
+STYLE: dict[Any, Any] = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e4e4",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "lines.markersize": 6,
+}
+
+
+def save_picture(chart: Chart, path: Path) -> None:
+    """Draw a chart into a PNG file."""
+    mpl.use("agg")
+    count = len(chart.panels)
+    wide = count if count <= ROW else 2 if count == 4 else ROW
+    high = -(-count // wide)
+    with mpl.rc_context(STYLE):
+        size = (max(1.5, wide) * PANEL_IN[0], high * PANEL_IN[1] + 0.5)
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(high, wide, squeeze=False).ravel()
+        for axes, panel in zip(grid, chart.panels, strict=False):
+            draw_panel(figure, axes, panel)
+        for axes in grid[count:]:
+            axes.set_axis_off()
+        add_legend(figure, grid[:count])
+        figure.savefig(path, dpi=DPI)
+
+
+def draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
+    """Draw one panel."""
+    set_axis(axes, "x", panel.x)
+    set_axis(axes, "y", panel.y)
+    axes.set_title(panel.title)
+    if panel.field is not None:
+        field = panel.field
+        z = np.array([[np.nan if v is None else v for v in row] for row in field.z])
+        low, high = field.limits or (None, None)
+        mesh = axes.pcolormesh(
+            field.x, field.y, z, cmap="viridis", vmin=low, vmax=high, shading="nearest"
+        )
+        axes.grid(False)
+        figure.colorbar(mesh, ax=axes, label=field.label)
+    left = np.zeros(len(panel.y.names))
+    for points in panel.points:
+        if points.bars:
+            place = [panel.y.names.index(name) for name in points.y]
+            axes.barh(place, points.x, 0.6, left[place], color=points.colour, label=points.name)
+            left[place] += np.array(points.x, float)
+        else:
+            draw_points(axes, panel, points)
+    draw_front(axes, panel)
+    for rule in panel.rules:
+        line = axes.axvline if rule.x is not None else axes.axhline
+        line(rule.x if rule.x is not None else rule.y, color=rule.colour, lw=1, ls="--")
+        if rule.x is not None:
+            at, by, turn = (rule.x, 0.02), axes.get_xaxis_transform(), 90
+        else:
+            at, by, turn = (0.99, rule.y), axes.get_yaxis_transform(), 0
+        axes.text(
+            *at, rule.text, transform=by, rotation=turn, color=rule.colour, fontsize=8.5,
+            ha="right", va="bottom",
+        )  # fmt: skip
+    for mark in panel.marks:
+        axes.plot(mark.x, mark.y, "o", ms=15, mfc="none", mec="black", mew=1.3)
+        axes.annotate(
+            mark.text, (mark.x, mark.y), (0, 11), textcoords="offset points", fontsize=9,
+            ha="center", va="bottom",
+        )  # fmt: skip
+
+
+def draw_points(axes: Axes, panel: Panel, points: Points) -> None:
+    """Draw points and their line; hollow ones have a white middle."""
+    x, y = (
+        [np.nan if v is None else axis.names.index(v) if axis.names else v for v in values]
+        for axis, values in ((panel.x, points.x), (panel.y, points.y))
+    )
+    axes.plot(
+        x, y, marker=points.marker or None, ls=points.line or "none", color=points.colour,
+        label=points.name, lw=1.5, mfc=points.colour,
+    )  # fmt: skip
+    hollow = np.array(points.hollow or [False] * len(x))
+    if hollow.any():
+        axes.plot(
+            np.array(x)[hollow], np.array(y)[hollow], points.marker, ls="none", mfc="white",
+            color=points.colour,
+        )  # fmt: skip
+    for at_x, at_y, text in zip(x, y, points.labels, strict=False):
+        if text:
+            axes.annotate(
+                text, (at_x, at_y), (6, 3), textcoords="offset points", fontsize=8.5,
+                color=points.colour,
+            )  # fmt: skip
+
+
+def draw_front(axes: Axes, panel: Panel) -> None:
+    """Draw the Pareto front, out to the panel's edges."""
+    corners = pareto_front(panel)
+    if not corners:
+        return
+    (first, last), (x, y) = (corners[0], corners[-1]), panel.better.split()
+    limits = axes.get_xlim(), axes.get_ylim()
+    start = (first[0], limits[1][y == "less"])
+    end = (limits[0][x == "less"], last[1])
+    axes.plot(*zip(start, *corners, end, strict=True), color="black", lw=0.9, label=FRONT, zorder=1)
+    axes.set(xlim=limits[0], ylim=limits[1])
+
+
+def set_axis(axes: Axes, which: str, axis: Axis) -> None:
+    """Set scale, label and divisions of an axis."""
+    settings: dict[str, Any] = {f"{which}label": axis.label}
+    if axis.log:
+        settings[f"{which}scale"] = "log"
+    if axis.limits:
+        settings[f"{which}lim"] = axis.limits
+    axes.set(**settings)
+    mine = axes.xaxis if which == "x" else axes.yaxis
+    if axis.names:
+        mine.set_ticks(range(len(axis.names)), axis.names)
+        mine.grid(False)
+    elif axis.ticks:
+        mine.set_ticks(axis.ticks, [f"{tick:g}" for tick in axis.ticks])
+        mine.set_minor_locator(NullLocator())
+    elif axis.log:
+        mine.set_major_formatter("{x:g}")
+
+
+def add_legend(figure: Figure, grid: Any) -> None:
+    """Name every kind of points once, above the panels."""
+    named: dict[str, Any] = {}
+    for axes in grid:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    if len(named) > 1 or FRONT in named:
+        figure.legend(
+            list(named.values()), list(named), loc="outside upper center", fontsize=9,
+            ncols=min(len(named), 5),
+        )  # fmt: skip

@@ -1,0 +1,227 @@
+"""The charts: Pareto fronts, tables, and the report in a browser that has no network."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+sys.path.insert(0, str(BENCH))
+
+from chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front  # noqa: E402
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+QUICK = "force_map"
+
+BEFORE = """<script>
+window.errors = [];
+window.addEventListener("error", (event) => errors.push(String(event.message)));
+const tell = console.error;
+console.error = (...words) => { errors.push(words.join(" ")); tell(...words); };
+</script>"""
+
+AFTER = """<pre id="probe"></pre><script>
+const shown = (panel) => panel.data.filter((trace) => trace.visible !== false).length;
+const panels = [...document.querySelectorAll(".panel")];
+const result = {
+  panels: panels.map((panel) => ({
+    title: panel.ariaLabel,
+    svgs: panel.querySelectorAll("svg.main-svg").length,
+    marks: panel.querySelectorAll(".point, .js-line, .heatmaplayer image").length,
+    width: panel.querySelector("svg.main-svg")?.getBoundingClientRect().width ?? 0,
+  })),
+  resources: performance.getEntriesByType("resource").map((entry) => entry.name),
+  wide: document.documentElement.scrollWidth > document.documentElement.clientWidth,
+};
+(async () => {
+  const button = document.querySelector(".key button");
+  if (window.Plotly && button) {
+    const panel = button.closest("section").querySelector(".panel");
+    const all = shown(panel);
+    button.click();
+    result.switched = [all, shown(panel)];
+    const range = [...panel._fullLayout.xaxis.range];
+    await Plotly.relayout(panel, { "xaxis.range": [range[0], (range[0] + range[1]) / 2] });
+    result.zoomed = [range, [...panel._fullLayout.xaxis.range]];
+  }
+  result.errors = errors;
+  document.getElementById("probe").textContent = JSON.stringify(result);
+})();
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Folder of a quick measurement and its chart."""
+    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
+    out = tmp_path_factory.mktemp("charts")
+    for arguments in (
+        ["run.py", QUICK, "--quick", "--out", out / "bench"],
+        ["charts.py", "--draw", "--quick", "--out", out],
+    ):
+        done = subprocess.run(
+            [sys.executable, str(BENCH / arguments[0]), *map(str, arguments[1:])],
+            capture_output=True, text=True, timeout=200, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def every_kind(tmp_path_factory):
+    """A page with a panel of every kind: points and a front, bars, a field with a line on it."""
+    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
+    from report import write_report
+
+    points = Points("some", [1.0, 10.0, 100.0], [3.0, None, 1.0], marker="D", line="--")
+    bars = Points("bars", [1.0, 2.0], ["a", "b"], bars=True)
+    theory = Points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
+    field = Field([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
+    x, y = Axis("x [m]", log=True), Axis("y [s]")
+    panels = (
+        Panel("points", x, y, (points,), (Rule("wanted", x=20.0), Rule("limit", y=2.0)),
+              (Mark(1.0, 3.0),), "less less"),
+        Panel("bars", y, Axis("", names=("b", "a")), (bars,)),
+        Panel("field", y, y, (theory,), field=field),
+    )  # fmt: skip
+    chart = Chart(
+        "one", "a", "Title </script>", "reading", "finding", "why", (), panels, [{"x": 1}]
+    )
+    path = tmp_path_factory.mktemp("page") / "index.html"
+    write_report(path, {}, [chart])
+    return path
+
+
+def look_at(page, width=1300, change=lambda text: text):
+    """Open a page in headless Chromium without a network; return what is there and the console."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium here (apt-get install chromium)")
+    text = page.read_text(encoding="utf-8").replace("<style>", BEFORE + "<style>", 1)
+    copy = page.with_name("probed.html")
+    copy.write_text(change(text).replace("</html>", AFTER + "</html>"), encoding="utf-8")
+    done = subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu",
+            "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--user-data-dir={page.parent / 'profile'}", f"--window-size={width},900",
+            "--enable-logging=stderr", "--virtual-time-budget=30000", "--dump-dom",
+            copy.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout, re.DOTALL)
+    assert found, done.stderr[-2000:]
+    console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    return json.loads(unescape(found[1])), console
+
+
+class References(HTMLParser):
+    """Collects what a page would load or lead to."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
+
+
+def assert_drawn(result, console, titles):
+    assert result["errors"] == []
+    assert console == []
+    assert [panel["title"] for panel in result["panels"]] == titles
+    for panel in result["panels"]:
+        assert panel["svgs"] >= 1, panel
+        assert panel["marks"] >= 1, panel
+        assert panel["width"] > 250, panel
+    assert result["resources"] == []
+    assert not result["wide"]
+
+
+def test_the_report_draws_every_chart_without_a_network(drawn):
+    page = drawn / "report/index.html"
+    result, console = look_at(page)
+    titles = re.findall(r'class="panel" role="img" aria-label="([^"]*)"', page.read_text("utf-8"))
+    assert len(titles) == 2
+    assert_drawn(result, console, titles)
+
+
+@pytest.mark.parametrize("width", [400, 1300])
+def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
+    result, console = look_at(every_kind, width)
+    assert_drawn(result, console, ["points", "bars", "field"])
+    assert result["switched"] == [3, 2]  # points, front and default: one is switched off
+    before, after = result["zoomed"]
+    assert after == pytest.approx([before[0], sum(before) / 2])
+
+
+def test_a_page_that_cannot_draw_is_noticed(every_kind):
+    def without_library(text):
+        start = text.index("<script>", text.index("</main>"))
+        return text[:start] + text[text.index("</script>", start) :]
+
+    result, console = look_at(every_kind, change=without_library)
+    assert "Plotly is not defined" in result["errors"][0]
+    assert "Plotly is not defined" in console[0]
+    assert all(panel["svgs"] == 0 for panel in result["panels"])
+
+
+def test_the_report_refers_to_nothing_outside(drawn):
+    parser = References()
+    parser.feed((drawn / "report/index.html").read_text(encoding="utf-8"))
+    assert any(value.startswith("data:text/csv") for value in parser.found)
+    assert [v for v in parser.found if not v.startswith(("#", "data:"))] == []
+
+
+def test_every_chart_has_a_picture_and_its_rows(drawn):
+    text = (drawn / "docs/results.md").read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^]]*\]\((results/(\w+)\.png)\)", text)
+    assert [name for _, name in pictures] == [QUICK]
+    for path, name in pictures:
+        assert (drawn / "docs" / path).stat().st_size > 5000
+        with (drawn / f"docs/results/{name}.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        data = json.loads((drawn / f"bench/{name}.json").read_text(encoding="utf-8"))
+        methods = {row["method"] for table in data["tables"] for row in table["rows"]}
+        assert len(rows) >= 5
+        assert {row["method"] for row in rows} <= methods
+
+
+def test_a_measurement_that_is_there_is_not_made_again(drawn):
+    from charts import is_done
+
+    assert is_done(drawn / "bench", QUICK, quick=True)
+    assert not is_done(drawn / "bench", QUICK, quick=False)
+    assert not is_done(drawn / "bench", "sim", quick=True)
+    path = drawn / f"bench/{QUICK}.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(data | {"code": "of another day"}), encoding="utf-8")
+    assert not is_done(drawn / "bench", QUICK, quick=True)
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+def panel_of(better, *places, hollow=()):
+    x, y = zip(*places, strict=True)
+    return Panel("", Axis(""), Axis(""), (Points("", x, y, hollow=hollow),), better=better)
+
+
+def test_the_front_is_a_staircase_along_what_nobody_beats():
+    places = [(1, 5), (2, 2), (3, 3), (4, 1), (4, 2)]
+    assert pareto_front(panel_of("less less", *places)) == [(1, 5), (2, 5), (2, 2), (4, 2), (4, 1)]
+    assert pareto_front(panel_of("more less", *places)) == [(4, 1)]
+    assert pareto_front(panel_of("", *places)) == []
+
+
+def test_no_front_goes_through_what_does_not_count():
+    places = [(1, 1), (2, 3), (3, 2)]
+    front = pareto_front(panel_of("less less", *places, hollow=(True, False, False)))
+    assert front == [(2, 3), (3, 3), (3, 2)]
