@@ -60,7 +60,7 @@ class Setup:
         Of the world.
     planner : PlannerOptions
     image_age_s : float or None
-        What the planner takes the images' latency to be [s]; None: what it is.
+        What the planner takes the images' latency to be [s]; None: it finds out.
     """
 
     scenario: str
@@ -182,8 +182,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         model=setup.model,
     )  # fmt: skip
     vision, tracker = make_vision(rig), Tracker()
-    age = setup.dirt.latency if setup.image_age_s is None else setup.image_age_s
-    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=age))
+    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, seed=setup.seed)
     playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None

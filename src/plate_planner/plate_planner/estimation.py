@@ -40,6 +40,9 @@ KNOCKED = 6.0
 """A part this many standard deviations from where it should be was pushed by something that the
 model does not know: it is taken to be where it is seen, at any speed."""
 
+PUSHED_M = 5e-3
+"""A larger distance from where a part was foretold tells no more of the motion [m]."""
+
 FRICTION = np.log(3.0)
 """Friction is looked for between a third and three times the rig's [log]."""
 
@@ -62,6 +65,8 @@ class Belief:
         As it was seen last [m/s].
     unseen : (M,)
         Images in a row that do not show the part.
+    misfit : float
+        Squared distances of parts from where they were foretold in the last image, summed [m2].
     """
 
     ids: tuple[str, ...] = ()
@@ -70,6 +75,7 @@ class Belief:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 5)))
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     unseen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    misfit: float = 0.0
 
     @property
     def friction(self) -> np.ndarray:
@@ -98,6 +104,7 @@ class Belief:
         rows = np.array([row[parts.ids[i]] for i in old], int)
         mean, covariance, drift = now.mean.copy(), now.covariance.copy(), now.drift.copy()
         unseen = now.unseen + 1
+        gap = np.sum((parts.position[old] - mean[rows, :2]) ** 2, axis=1)
         mean[rows], covariance[rows] = updated(mean[rows], covariance[rows], parts.position[old])
         drift[rows], unseen[rows] = parts.velocity[old], 0
         first = np.hstack([parts.position[new], np.zeros((len(new), 3))])
@@ -108,7 +115,14 @@ class Belief:
             np.concatenate([covariance, np.tile(np.diag(UNSEEN**2), (len(new), 1, 1))]),
             np.vstack([drift, parts.velocity[new]]),
             np.append(unseen, np.zeros(len(new), int)),
+            float(np.sum(np.minimum(gap, PUSHED_M**2))),
         )
+
+    def taken_at(self, log: PlateLog, time: float, friction_accel: float) -> Belief:
+        """Return the same places at another time [s], with the velocities of that time."""
+        mean = self.mean.copy()
+        mean[:, 2:] = carried(log, mean, self.time, time, friction_accel)[:, 2:]
+        return replace(self, time=time, mean=mean)
 
     def _carry(self, log: PlateLog, time: float, friction_accel: float) -> Belief:
         """Carry the belief on to a later time [s]."""

@@ -75,7 +75,7 @@ class PlannerParameters:
         PlannerOptions.stuck_s, "A task no nearer to its goal for longer is stuck [s]", 1.0, 3600.0
     )
     image_age_s: float = parameter(
-        PlannerOptions.image_age_s, "How old an image is at its stamp [s]", 0.0, 1.0
+        -1.0, "How old an image is at its stamp [s]; negative: found out", -1.0, 0.5
     )
     drift_max: float = parameter(
         SortOptions.drift_max,
@@ -119,7 +119,7 @@ class PlannerParameters:
             wait_s=self.wait_s,
             patience_s=self.patience_s,
             stuck_s=self.stuck_s,
-            image_age_s=self.image_age_s,
+            image_age_s=None if self.image_age_s < 0 else self.image_age_s,
         )
 
 

@@ -11,6 +11,7 @@ from plate_core import PartSet, PlateCycle, Rig
 from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
 from plate_core.scenario import check_scenario as check
 
+from .ages import Ages
 from .assembling import AssembleOptions, Assembly
 from .bins import check_bins
 from .clock import CycleClock
@@ -46,8 +47,8 @@ class PlannerOptions:
         A part unseen for longer than this is lost [s].
     stuck_s : float
         A task that comes no nearer to its goal for longer than this is stuck [s].
-    image_age_s : float
-        How old an image is at its stamp [s].
+    image_age_s : float or None
+        How old an image is at its stamp [s]; None: found out from the motion.
     """
 
     sort: SortOptions = field(default_factory=SortOptions)
@@ -58,7 +59,7 @@ class PlannerOptions:
     wait_s: float = 10.0
     patience_s: float = 1.0
     stuck_s: float = 30.0
-    image_age_s: float = 0.0
+    image_age_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Planner:
         """Return the state of a planner that has seen nothing and does nothing."""
         clock = CycleClock.starting(self.options.default_period)
         facts = self.rig.friction.accel, self.rig.parts.mass_kg
-        watch = Watch(*facts, self.options.image_age_s)
+        watch = Watch(*facts, ages=Ages.known(self.options.image_age_s))
         return PlannerState(TaskState(), clock, watch)
 
     def start(self, state: PlannerState) -> PlannerState:
@@ -316,13 +317,8 @@ class Planner:
     ) -> tuple[PartSet, PlannerState]:
         """Put a request into forces, and remember the drift that they lead to."""
         task, period = self.scenario.task, state.period
-        share: float = self.options.follow.force_share_max
-        if isinstance(task, SortTask):
-            share = self.options.sort.force_share_max
-        elif isinstance(task, AssembleTask):
-            share = self.options.assemble.force_share_max
-        elif isinstance(task, PoseTask):
-            share = self.options.pose.force_share_max
+        kinds = {SortTask: "sort", AssembleTask: "assemble", PoseTask: "pose", FollowTask: "follow"}
+        share = getattr(self.options, kinds[type(task)]).force_share_max
         force, tolerance = request.force(parts.velocity, self.rig, period, share)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
         state = replace(state, asked=Asked(parts.ids, drift, t, force))
@@ -347,4 +343,5 @@ class Planner:
             max_error_m=most,
             pace=state.follow.paces[1],
             period_s=state.period,
+            image_age_s=state.watch.ages.age,
         )

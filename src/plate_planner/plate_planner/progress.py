@@ -30,6 +30,8 @@ class Progress:
         Following: how fast the references are, 1 at full speed [-].
     period_s : float
         Length of a cycle [s].
+    image_age_s : float
+        How old images are taken to be at their stamps [s].
     """
 
     phase: str
@@ -43,6 +45,7 @@ class Progress:
     max_error_m: float
     pace: float
     period_s: float
+    image_age_s: float
 
     @property
     def ended(self) -> bool:
@@ -61,4 +64,5 @@ class Progress:
             "max_error_m": f"{self.max_error_m:.6f}",
             "pace": f"{self.pace:.3f}",
             "period_s": f"{self.period_s:.4f}",
+            "image_age_s": f"{self.image_age_s:.4f}",
         }

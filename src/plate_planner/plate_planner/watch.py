@@ -11,6 +11,7 @@ from plate_core import PartSet, PlateCycle, Rig
 from plate_core.parts import part_class
 from plate_core.scenario import Scenario
 
+from .ages import Ages
 from .estimation import Belief, carried
 from .plate_log import PlateLog
 
@@ -26,23 +27,21 @@ class Watch:
     ----------
     friction_accel, mass : float
         mu g of the rig [m/s2], and of a part [kg].
-    age : float
-        How old an image is at its stamp [s].
     stamp : float
         Of the last image [s].
     seen : PartSet
         As vision saw them.
     log : PlateLog
-    belief : Belief
+    ages : Ages
+        Beliefs, by how old an image is at its stamp.
     """
 
     friction_accel: float
     mass: float
-    age: float = 0.0
     stamp: float = 0.0
     seen: PartSet = field(default_factory=lambda: PartSet.make((), np.zeros((0, 2))))
     log: PlateLog = field(default_factory=PlateLog)
-    belief: Belief = field(default_factory=Belief)
+    ages: Ages = field(default_factory=lambda: Ages.known(0.0))
 
     def hear(self, cycle: PlateCycle, arrival: float) -> Watch:
         """Take in a cycle that was sent to the plate, and when [s, the time of the stamps]."""
@@ -51,8 +50,13 @@ class Watch:
     def look(self, parts: PartSet, t: float) -> Watch:
         """Take in one image: its parts and its stamp [s]."""
         log = self.log.advance(t)
-        belief = self.belief.see(log, parts, t - self.age, self.friction_accel, COAST)
-        return replace(self, stamp=t, seen=parts, log=log, belief=belief)
+        ages = self.ages.see(log, parts, t, self.friction_accel, COAST)
+        return replace(self, stamp=t, seen=parts, log=log, ages=ages)
+
+    @property
+    def belief(self) -> Belief:
+        """What is known of the parts."""
+        return self.ages.belief
 
     @property
     def parts(self) -> PartSet:

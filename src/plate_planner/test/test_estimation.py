@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, PlateCycle
+from plate_planner.ages import Ages
 from plate_planner.estimation import CAMERA_M, carried
 from plate_planner.plate_log import PlateLog
 from plate_planner.watch import COAST, Watch
@@ -57,9 +58,9 @@ class World:
         return PartSet.make(names, place)
 
 
-def watched(world, cycles, age=0.0, edit=lambda k, parts: parts):
+def watched(world, cycles, age=0.0, told=0.0, edit=lambda k, parts: parts):
     """Yield the watch after every image, and the truth at its stamp."""
-    watch, cycle = Watch(ACCEL, MASS, age), PlateCycle.rest(T)
+    watch, cycle = Watch(ACCEL, MASS, ages=Ages.known(told)), PlateCycle.rest(T)
     for k in range(cycles):
         watch = watch.look(edit(k, world.seen(age)), k * T)
         yield watch, world.place
@@ -72,7 +73,7 @@ def watched(world, cycles, age=0.0, edit=lambda k, parts: parts):
 def test_it_finds_friction_and_the_place_at_the_stamp(age):
     friction = np.array([0.7, 0.9, 1.0, 1.3])
     errors, raw = [], []
-    for watch, truth in watched(World(4, friction), 25, age):
+    for watch, truth in watched(World(4, friction), 25, age, age):
         errors.append(np.abs(watch.parts.position - truth).max())
         raw.append(np.abs(watch.seen.position - truth).max())
     assert np.median(errors[10:]) < 0.04e-3
@@ -80,6 +81,15 @@ def test_it_finds_friction_and_the_place_at_the_stamp(age):
         assert np.median(raw[10:]) > 10 * np.median(errors[10:])
     assert watch.belief.friction == pytest.approx(friction, rel=0.04)
     assert watch.parts.grip == pytest.approx(friction * ACCEL * MASS, rel=0.04)
+
+
+@pytest.mark.parametrize("age", [0.0, 0.013, 0.1])
+def test_it_finds_out_how_old_images_are(age):
+    errors = []
+    for watch, truth in watched(World(4, 1.1), 32, age, told=None):
+        errors.append(np.abs(watch.parts.position - truth).max())
+    assert watch.ages.age == pytest.approx(age, abs=1e-3)
+    assert np.median(errors[24:]) < 0.1e-3
 
 
 def test_its_error_is_as_large_as_it_says():
