@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from pathlib import Path
+from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
-import yaml
-from harness import Result, Table
-from loop import Setup, summary
+from harness import ROOT, Result, Table
 from serial_fuzz import fuzz_device, fuzz_host
 from serial_line import PERIOD_S, over_terminal, upload_s
-from serial_loop import Ending, serial_run
-from spread import processes, spread
+from serial_runs import KINDS, accident_run, path_run
+from spread import processes, resumed
 
-from plate_core import load_rig
-from plate_sim.device import Accidents, Trouble
-
-BAUD = 921_600.0
 SEEDS = range(8000, 8020)
 """Of the runs over both transports."""
 
@@ -29,38 +22,18 @@ RUNS = 100
 FRAMES = 1_000_000
 LATENESS_S = 600.0
 
-SHORT = {
-    "description": "Two parts go to their sides: a task of some ten seconds.",
-    "parts": [
-        {"class": "black", "positions_m": [[-0.03, 0.06]]},
-        {"class": "grey", "positions_m": [[0.03, -0.06]]},
-    ],
-    "task": {
-        "kind": "sort", "sides": {"black": "left", "grey": "right"}, "goal_fraction": 0.6,
-        "hold_s": 0.5,
-    },
-    "time_limit_s": 60,
-}  # fmt: skip
-
-KINDS: dict[str, tuple[dict[str, float], str]] = {
-    "none": ({}, ""),
-    "1 % of bytes changed": ({"corrupted": 0.01}, ""),
-    "1 % of bytes dropped": ({"dropped": 0.01}, ""),
-    "1 % of bytes twice": ({"repeated": 0.01}, ""),
-    "half of transmissions split": ({"split": 0.5}, ""),
-    "delay of 20 ms each way": ({"delay": 0.02}, ""),
-    "away for 2 s": ({}, "disconnect"),
-    "reset": ({}, "reset"),
-    "brown-out": ({}, "brown_out"),
-}
-"""Name of an accident: what the line does, and what happens once in mid-task."""
+MODULES = ("serial_loop", "serial_runs", "serial_watch")
+LOG = ROOT / "out/bench/serial_runs.jsonl"
+"""Runs that are done: an interrupted measurement goes on where it was."""
 
 
 def measure(quick: bool) -> Result:
     """Run all; quick: a few of each."""
     seeds, runs = (SEEDS[:1], 1) if quick else (SEEDS, RUNS)
-    paths = both_paths("sort_4" if quick else "sort_10", seeds)
-    faults, samples = accidents(runs)
+    with processes(os.cpu_count() or 1) as pool:
+        paths = both_paths(pool, "sort_4" if quick else "sort_10", seeds)
+        samples = list(resumed(pool, accident_run, accident_work(runs), LOG, MODULES))
+    faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
     frames = 20_000 if quick else FRAMES
     fuzz = [row for row in (fuzz_host(frames), fuzz_device(frames)) if row is not None]
     uploads = [
@@ -79,7 +52,8 @@ def measure(quick: bool) -> Result:
             Table(
                 "paths", f"The same tasks, seeds {seeds[0]} to {seeds[-1]}",
                 {"transport": "transport", "succeeded": "succeeded", "dropped": "dropped",
-                 "time_s": "time, median [s]", "longest_s": "longest [s]"},
+                 "time_s": "time, median [s]", "longest_s": "longest [s]",
+                 "late": "cycles repeated [%]"},
                 paths,
                 "Serial: driver's transport, line of 921,600 baud, device, in simulated time.",
             ),
@@ -88,10 +62,13 @@ def measure(quick: bool) -> Result:
                 {"kind": "accident", "done": "went on to the end", "told": "stopped, told why",
                  "stuck": "neither", "kept": "limits kept", "resting": "at rest in the end",
                  "time_s": "time, median [s]", "longest_s": "longest [s]",
-                 "retries": "repeated, median", "used": "of limits, most [%]"},
+                 "retries": "messages repeated, median", "late": "cycles repeated [%]",
+                 "used": "of limits, most [%]"},
                 faults,
-                "Limits: stroke, speed and acceleration of all setpoints that the device commands, "
-                "to 0.2 %, and no jump of more than 2 um; looked at apart from the device.",
+                "Limits: stroke, speed and force of the motors, acceleration of motors and plate "
+                "corners in all setpoints that the device commands, to 0.2 %, and no jump of more "
+                "than 2 um; stroke of the plate as it glides without current. Judged apart from "
+                "the device.",
             ),
             Table(
                 "fuzz", "Random and mutated frames",
@@ -119,76 +96,56 @@ def measure(quick: bool) -> Result:
     )  # fmt: skip
 
 
-def both_paths(scenario: str, seeds: range) -> list[dict[str, Any]]:
+def both_paths(pool: Executor, scenario: str, seeds: range) -> list[dict[str, Any]]:
     """Run a scenario over both transports."""
-    rig = load_rig()
-    with processes(os.cpu_count() or 1) as pool:
-        plain = list(spread(pool, summary, [(Setup(scenario, s), rig) for s in seeds], _silent))
-        line = Accidents(Trouble(baud=BAUD))
-        serial = list(
-            spread(pool, serial_run, [(Setup(scenario, s), line) for s in seeds], _silent)
-        )
-    rows = [
-        {"transport": "sim", "succeeded": sum(r["success"] for r in plain),
-         "dropped": sum(r["dropped"] for r in plain), "times": [r["time_s"] for r in plain]},
-        {"transport": "serial", "succeeded": sum(_well(e) for e in serial),
-         "dropped": sum(e.dropped for e in serial), "times": [e.time_s for e in serial]},
-    ]  # fmt: skip
-    for row in rows:
-        times = row.pop("times")
-        row |= {"time_s": float(np.median(times)), "longest_s": max(times)}
-        row["succeeded"] = f"{row['succeeded']} of {len(seeds)}"
+    transports = ("sim", "serial")
+    work = [(transport, scenario, seed) for transport in transports for seed in seeds]
+    runs = list(resumed(pool, path_run, work, LOG, MODULES))
+    rows = []
+    for transport in transports:
+        own = [row for row in runs if row["transport"] == transport]
+        times = [row["time_s"] for row in own]
+        rows.append({
+            "transport": transport,
+            "succeeded": f"{sum(row['success'] for row in own)} of {len(own)}",
+            "dropped": sum(row["dropped"] for row in own),
+            "time_s": float(np.median(times)),
+            "longest_s": max(times),
+            "late": _share(own) if transport == "serial" else None,
+        })  # fmt: skip
     return rows
 
 
-def accidents(runs: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Run the short task with each kind of accident."""
-    with tempfile.TemporaryDirectory() as folder, processes(os.cpu_count() or 1) as pool:
-        path = Path(folder) / "short.yaml"
-        path.write_text(yaml.safe_dump(SHORT), encoding="utf-8")
-        work = []
-        for trouble, event in KINDS.values():
-            line = Accidents(Trouble(baud=BAUD, **trouble))
-            for seed in range(runs):
-                at = 2 + 3 * float(np.random.default_rng(seed).random())
-                work.append((Setup(str(path), seed), line, event, at))
-        endings = list(spread(pool, serial_run, work, _silent))
-    rows = [fault_row(kind, endings[i * runs : (i + 1) * runs]) for i, kind in enumerate(KINDS)]
-    samples = [
-        {"kind": kind, "seed": seed, "phase": e.phase, "text": e.text, "time_s": e.time_s}
-        for i, kind in enumerate(KINDS)
-        for seed, e in enumerate(endings[i * runs : (i + 1) * runs])
-    ]
-    return rows, samples
+def accident_work(runs: int) -> list[tuple[str, int]]:
+    """Return kind and seed of all runs with accidents."""
+    return [(kind, seed) for kind in KINDS for seed in range(runs)]
 
 
-def fault_row(kind: str, endings: list[Ending]) -> dict[str, Any]:
+def fault_row(kind: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sum up the runs with one kind of accident."""
-    done = [e for e in endings if _well(e)]
-    told = [e for e in endings if not _well(e) and e.troubles and e.phase in ("stuck", "aborted")]
-    times = [e.time_s for e in endings]
-    watches = [e.watch for e in endings]
+    done, told, kept, resting = (
+        sum(row[key] for row in runs) for key in ("done", "told", "kept", "resting")
+    )
+    times = [row["time_s"] for row in runs]
     return {
         "kind": kind,
-        "runs": len(endings),
-        "done": len(done),
-        "told": len(told),
-        "stuck": len(endings) - len(done) - len(told),
-        "kept": sum(w.kept for w in watches),
-        "resting": sum(e.resting for e in endings),
+        "runs": len(runs),
+        "done": done,
+        "told": told,
+        "stuck": len(runs) - done - told,
+        "kept": kept,
+        "resting": resting,
         "time_s": float(np.median(times)),
         "longest_s": max(times),
-        "retries": float(np.median([e.retries for e in endings])),
-        "used": 100 * max(max(w.stroke, w.speed, w.accel) for w in watches),
+        "retries": float(np.median([row["retries"] for row in runs])),
+        "late": _share(runs),
+        "used": max(row["used"] for row in runs),
     }
 
 
-def _well(ending: Ending) -> bool:
-    return ending.phase == "done" and ending.dropped == 0
-
-
-def _silent(text: str) -> None:
-    """Progress is not told."""
+def _share(runs: list[dict[str, Any]]) -> float:
+    """Cycles that were repeated since the next was not there in time [%]."""
+    return 100 * sum(row["late"] for row in runs) / max(1, sum(row["images"] for row in runs))
 
 
 def sentences(

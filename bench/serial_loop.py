@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from loop import HOLD_CYCLES, IDLE_PERIOD, Setup
+from serial_watch import Verdict, Watch
 
 from plate_core import PlateCycle, PlateError, Rig, load_rig
 from plate_core.scenario import load_scenario
@@ -74,49 +75,6 @@ def opened(emulator: Emulator) -> Port:
 
 
 @dataclass
-class Watch:
-    """What the motors were told, tick by tick, against the rig's limits: an independent judge.
-
-    Attributes
-    ----------
-    rig : Rig
-    stroke, speed, accel : float
-        Greatest share of a limit in any setpoint.
-    jump : float
-        Greatest difference of two setpoints from what their speeds say [m].
-    """
-
-    rig: Rig
-    stroke: float = 0.0
-    speed: float = 0.0
-    accel: float = 0.0
-    jump: float = 0.0
-    _last: tuple[float, np.ndarray] | None = None
-
-    def see(self, now: float, at: np.ndarray | None) -> None:
-        """Look at one tick."""
-        if at is None:
-            self._last = None
-            return
-        limits = self.rig.limits
-        peak = np.max(np.abs(at), axis=1)
-        self.stroke = max(self.stroke, float(peak[0]) / limits.stroke_m)
-        self.speed = max(self.speed, float(peak[1]) / limits.speed)
-        self.accel = max(self.accel, float(peak[2]) / limits.accel)
-        if self._last is not None:
-            dt, before = now - self._last[0], self._last[1]
-            step = dt * (at[1] + before[1]) / 2 - dt**2 * (at[2] - before[2]) / 12
-            self.jump = max(self.jump, float(np.max(np.abs(at[0] - before[0] - step))))
-        self._last = now, at.astype(float)
-
-    @property
-    def kept(self) -> bool:
-        """Whether all limits were kept, to 0.2 %, and nothing jumped by more than 2 um."""
-        worst = max(self.stroke, self.speed, self.accel)
-        return bool(worst <= 1.002 and self.jump < 2e-6)
-
-
-@dataclass
 class Ending:
     """How a run ended.
 
@@ -128,7 +86,8 @@ class Ending:
         Of the device's clock [s].
     dropped : int
         Parts.
-    watch : Watch
+    verdict : Verdict
+        On what the device commanded.
     resting : bool
         Whether the motors were off or held at home a while after the end.
     retries, refused, troubles
@@ -141,7 +100,7 @@ class Ending:
     text: str
     time_s: float
     dropped: int
-    watch: Watch
+    verdict: Verdict
     resting: bool
     retries: int
     refused: int
@@ -176,17 +135,15 @@ class Loop:
         self._ticks, self._late, self._images, self._table = 0, 0, 0, 0
         self._newest = ""  # trouble
 
-    def go(self, after_image: Callable[[Loop], None] | None = None) -> Ending:
+    def go(self, each_tick: Callable[[Loop], None] | None = None) -> Ending:
         """Run until the planner ends the task, then let the plate come to rest."""
         self.transport.open()
         progress: Progress | None = None
         while progress is None or not progress.ended:
             for stretch in self._tick():
-                seen = self._followed(stretch)
-                if seen is not None:
-                    progress = seen
-                    if after_image is not None:
-                        after_image(self)
+                progress = self._followed(stretch) or progress
+            if each_tick is not None:
+                each_tick(self)
         time_s = self.emulator.now
         self._answers = []
         for _ in range(round(CALM_S / 1e-3)):
@@ -196,14 +153,15 @@ class Loop:
         )
         text = progress.text + (f" ({self._newest})" if self._newest else "")
         return Ending(
-            progress.phase, text, time_s, self._simulation.state.dropped, self.watch, resting,
-            self.transport.retries, self.transport.refused, self._late, self._images,
+            progress.phase, text, time_s, self._simulation.state.dropped, self.watch.verdict(),
+            resting, self.transport.retries, self.transport.refused, self._late, self._images,
             self._troubles,
         )  # fmt: skip
 
     def _tick(self) -> list[Stretch]:
         """Let a millisecond pass for all."""
         stretches = self.emulator.tick()
+        self.watch.moved(self.emulator.plate[0])
         now = self.emulator.now
         self._ticks += 1
         while self._answers and self._answers[0][0] <= now:
@@ -258,7 +216,7 @@ def serial_run(
     event : str
         `disconnect`, `reset` or `brown_out`: happens once, ...
     at : float
-        ... at the first image after this time [s].
+        ... at this time [s], wherever the plate is in its cycle.
     """
     left = [event] if event else []
 

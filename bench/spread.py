@@ -12,6 +12,7 @@ What gives different numbers is refused: other sources of ours, other versions o
 from __future__ import annotations
 
 import hashlib
+import json
 import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -109,6 +110,43 @@ def spread(
             future.cancel()
 
 
+def resumed(
+    pool: Executor, run: Callable[..., dict[str, Any]], work: Sequence[tuple], path: Path,
+    modules: tuple[str, ...] = (),
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """Yield run(*item) of every item of work, in order; what a file has already is not run again.
+
+    Results are appended to the file as soon as those before are there too, so that a measurement
+    that was interrupted goes on where it was. Those of other code count for nothing.
+
+    Parameters
+    ----------
+    run : callable
+        Gives values that JSON can hold.
+    path : Path
+        Lines of JSON: [code, name of run, arguments, result].
+    modules : tuple of str
+        What counts as code besides `SOURCES`.
+    """
+    code = fingerprint(SOURCES + modules)
+    known = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            *key, row = json.loads(line)
+            known[json.dumps(key)] = row
+    keys = [json.dumps([code, run.__name__, list(item)]) for item in work]
+    missing = [item for item, key in zip(work, keys, strict=True) if key not in known]
+    fresh = spread(pool, run, missing, lambda _: None)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        for item, key in zip(work, keys, strict=True):
+            if key not in known:
+                known[key] = next(fresh)
+                file.write(json.dumps([code, run.__name__, list(item), known[key]]) + "\n")
+                file.flush()
+            yield known[key]
+
+
 def _result(future: Future) -> Any:
     try:
         return future.result()
@@ -133,11 +171,11 @@ def _checked(mark: str, task: bytes) -> Any:
     return run(*item)
 
 
-@lru_cache(maxsize=1)
-def fingerprint() -> str:
+@lru_cache
+def fingerprint(names: tuple[str, ...] = SOURCES) -> str:
     """Return what decides a run's numbers: versions, and a digest of our sources."""
     digest = hashlib.sha256()
-    for name in SOURCES:
+    for name in names:
         spec = find_spec(name)
         if spec is None or spec.origin is None:
             raise ModuleNotFoundError(f"no module {name}")

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from plate_core import load_rig
+from plate_core.kinematics import motor_state
 from plate_sim.device import Accidents, Trouble
 
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")
@@ -26,7 +28,7 @@ def _bench(monkeypatch):
     import serial_loop
 
     yield loop, serial_loop
-    for name in ("loop", "serial_loop"):
+    for name in ("loop", "serial_loop", "serial_watch"):
         sys.modules.pop(name, None)
 
 
@@ -46,28 +48,50 @@ def test_the_task_goes_on(bench, tmp_path, trouble, event):
     accidents = replace(Accidents(trouble), disconnect_s=0.8)
     ending = serial_loop.serial_run(loop.Setup(str(file), 3), accidents, event, 1.5)
     assert (ending.phase, ending.dropped) == ("done", 0), ending.text
-    assert ending.watch.kept
-    assert ending.watch.stroke > 0.2
+    assert ending.verdict.kept
+    assert ending.verdict.stroke > 0.2
     assert ending.resting
     assert bool(ending.troubles) == bool(event)
     assert (ending.retries > 50) == bool(trouble.corrupted)
 
 
-def test_the_judge_sees_what_is_outside(bench):
-    _, serial_loop = bench
-    from plate_core import load_rig
+def verdict(*setpoints):
+    from serial_watch import Watch
 
+    watch = Watch(load_rig())
+    for k, at in enumerate(setpoints):
+        watch.see(k * 1e-3, at)
+    return watch.verdict()
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "value"), [("stroke", 0, 0.01), ("speed", 1, 1.0), ("accel", 2, 100.0)]
+)
+def test_the_judge_sees_what_is_outside(bench, name, row, value):
     at = np.zeros((3, 4))
-    for row, value in ((0, 0.0101), (1, 1.01), (2, 101.0)):
-        watch = serial_loop.Watch(load_rig())
-        wrong = at.copy()
-        wrong[row, 2] = value
-        watch.see(0.0, wrong)
-        assert not watch.kept
-    watch = serial_loop.Watch(load_rig())
-    jumped = at.copy()
-    jumped[0, 1] = 1e-5
-    watch.see(0.0, at)
-    assert watch.kept
-    watch.see(0.001, jumped)
-    assert not watch.kept
+    at[row, 2] = value * 1.01
+    told = verdict(at)
+    assert getattr(told, name) >= 1.01 * (1 - 1e-9)
+    assert not told.kept
+    assert verdict(np.zeros((3, 4))).kept
+
+
+def test_the_judge_sees_corners_and_forces(bench):
+    """A turn: motors are nearer to the centre than the corners, and all push."""
+    rig = load_rig()
+    spin = 90.0  # rad/s2
+    _, _, qdd = motor_state(rig, np.zeros((1, 3)), np.zeros((1, 3)), np.array([[0, 0, spin]]))
+    told = verdict(np.stack([np.zeros(4), np.zeros(4), qdd[0]]))
+    assert told.accel == pytest.approx(spin * np.hypot(*rig.plate.half) / rig.limits.accel)
+    inertia = rig.plate.mass_kg * (rig.plate.length_m**2 + rig.plate.width_m**2) / 12
+    lever = [abs(m.point[0] * m.direction[1] - m.point[1] * m.direction[0]) for m in rig.motors]
+    assert told.force * rig.limits.force >= inertia * spin / sum(lever)
+    assert told.force * rig.limits.force <= inertia * spin / min(lever)
+
+
+def test_the_judge_sees_a_jump(bench):
+    still, moved = np.zeros((3, 4)), np.zeros((3, 4))
+    moved[0, 1] = 1e-5
+    assert verdict(still, still).kept
+    assert verdict(still, moved).jump == pytest.approx(1e-5)
+    assert not verdict(still, moved).kept

@@ -73,6 +73,28 @@ def test_what_is_left_is_not_started_when_nobody_wants_it(module):
     assert 1 <= len(started) < 50
 
 
+def test_an_interrupted_measurement_goes_on(module, tmp_path):
+    started, path, work = [], tmp_path / "runs.jsonl", [(i,) for i in range(5)]
+
+    def run(i):
+        if i == 3 and len(started) < 5:
+            raise PlateError("interrupted")
+        started.append(i)
+        return {"value": i / 3}
+
+    with ThreadPoolExecutor(1) as pool:
+        with pytest.raises(PlateError, match="interrupted"):
+            list(module.resumed(pool, run, work, path))
+        assert len(path.read_text().splitlines()) == 3
+        started[:] = [None] * 5
+        rows = list(module.resumed(pool, run, work, path))
+        assert started[5:] == [3, 4]
+        assert rows == [{"value": i / 3} for i in range(5)]
+        # Of other code nothing counts.
+        list(module.resumed(pool, run, work[:1], path, ("harness",)))
+        assert started[5:] == [3, 4, 0]
+
+
 def test_workers_without_our_code_are_told_of(module):
     with pytest.raises(
         PlateError, match=r"lack code \(No module named 'loop'\), expected: the same"

@@ -91,6 +91,11 @@ class Emulator:
         """The device's clock [s]."""
         return self.device.now_us * 1e-6
 
+    @property
+    def plate(self) -> np.ndarray:
+        """Position, speed and acceleration (3, 4) of the motors as they really move."""
+        return self._recorder.plate
+
     def configure(self, accidents: Accidents) -> None:
         """Change what goes wrong from now on."""
         self.accidents = accidents
@@ -127,7 +132,7 @@ class Emulator:
             searching = device.motion.state is State.HOMING and device.motion.homeward is None
             self._homing = self._homing + TICK_US * 1e-6 if searching else 0.0
             idle = searching or device.motion.state is State.OFF
-            place = self._recorder.plate[::2].astype(np.float32) if idle else None
+            place = self.plate[::2].astype(np.float32) if idle else None
             found = self._homing >= HOMING_S
             self.device, said, at = device.ticked(now_us, came, faults, found, place)
         if self.connected:
