@@ -15,23 +15,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 from chart import Chart, Data
-from charts_loop import tracking
-from charts_solver import force_map, inversion, learning, realised, rotations, solver, steering
+from charts_forces import force_map, inversion, learning, rotations
+from charts_loop import control, tracking
+from charts_solver import options, solver, steering
 from charts_world import cost, sim, vision
+from digest import code_of
 from harness import ROOT, optional
 from plot import save_picture
 from results import FOLDER, write_results
-from run import MEASUREMENTS, code_of, run_all
+from run import MEASUREMENTS, run_all
 
 CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (force_map, ("force_map",)),
     (solver, ("solver",)),
-    (realised, ("requests",)),
+    (options, ("options",)),
     (steering, ("steering",)),
     (rotations, ("rotations",)),
     (inversion, ("inversion",)),
     (sim, ("sim",)),
     (vision, ("vision",)),
+    (control, ("control",)),
     (tracking, ("tracking",)),
     (cost, ("stages", "sim")),
     (learning, ("learning",)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import log10
+from math import ceil, floor, log10
 from typing import Any
 
 from chart import FRONT, Axis, Chart, Field, Panel, Points, Rule, pareto_front
@@ -19,6 +19,10 @@ INK, GRID = "#222222", "#e4e4e4"
 
 HEIGHT_PX, BAR_PX = 380, 30
 """Height of a panel, and of one line of a bar chart beyond ten."""
+
+
+FEW_DECADES, MOST_DECADES = 3, 6
+"""Log axes with fewer decades have numbers between; with more not every one has a number."""
 
 
 def library() -> str:
@@ -70,10 +74,10 @@ def panel_json(panel: Panel) -> str:
         font={"family": "system-ui, sans-serif", "size": 12, "color": INK},
         title={"text": panel.title, "x": 0.01, "xanchor": "left", "y": 0.98, "yanchor": "top",
                "font": {"size": 14}},
-        margin={"l": 62, "r": 14, "t": 36, "b": 52},
+        margin={"l": 62, "r": 30, "t": 36, "b": 52},
         height=max(HEIGHT_PX, 90 + BAR_PX * len(panel.y.names)),
         showlegend=False, barmode="stack", hovermode="closest", hoverlabel={"align": "left"},
-        xaxis=axis(panel.x), yaxis=axis(panel.y),
+        xaxis=axis(panel.x, values(panel, "x")), yaxis=axis(panel.y, values(panel, "y")),
     )  # fmt: skip
     return str(figure.to_json())
 
@@ -110,7 +114,8 @@ def bars(points: Points) -> go.Bar:
     return go.Bar(
         x=list(points.x), y=list(points.y), name=points.name, orientation="h",
         marker={"color": points.colour}, text=list(points.labels) or None,
-        textposition="outside", customdata=list(points.notes) or [""] * len(points.x),
+        textposition="outside", cliponaxis=False,
+        customdata=list(points.notes) or [""] * len(points.x),
         hovertemplate=f"<b>{points.name}</b><br>%{{y}}: %{{x}}<br>%{{customdata}}<extra></extra>",
     )  # fmt: skip
 
@@ -150,8 +155,26 @@ def place(axis: Axis, value: float) -> float:
     return log10(value) if axis.log else value
 
 
-def axis(axis: Axis) -> dict[str, Any]:
-    """Return plotly's settings of an axis."""
+def values(panel: Panel, which: str) -> list[float]:
+    """Return all numbers of a panel along one axis."""
+    found = [value for points in panel.points for value in getattr(points, which)]
+    found += [value for rule in panel.rules if (value := getattr(rule, which)) is not None]
+    return [value for value in found if isinstance(value, int | float)]
+
+
+def log_ticks(values: list[float]) -> list[float]:
+    """Return places for numbers on a log axis: 1, 2, 5 in each decade, or the decades alone."""
+    positive = [value for value in values if value > 0]
+    if not positive:
+        return []
+    low, high = floor(log10(min(positive))), ceil(log10(max(positive)))
+    steps = (1, 2, 5) if high - low <= FEW_DECADES else (1,)
+    every = max(1, (high - low) // MOST_DECADES)
+    return [step * 10.0**power for power in range(low - 1, high + 2, every) for step in steps]
+
+
+def axis(axis: Axis, values: list[float]) -> dict[str, Any]:
+    """Return plotly's settings of an axis with these numbers on it."""
     settings: dict[str, Any] = {
         "title": {"text": axis.label, "standoff": 8}, "gridcolor": GRID, "zeroline": False,
         "ticks": "outside", "tickcolor": GRID, "linecolor": "#888888", "showline": True,
@@ -163,9 +186,9 @@ def axis(axis: Axis) -> dict[str, Any]:
             "showgrid": False,
         }  # fmt: skip
     if axis.log:
-        settings |= {"type": "log", "exponentformat": "power"}
-    if axis.ticks:
-        ticks = list(axis.ticks)
+        settings |= {"type": "log"}
+    ticks = list(axis.ticks) or (log_ticks(values) if axis.log else [])
+    if ticks:
         settings |= {
             "tickmode": "array", "tickvals": ticks, "ticktext": [f"{t:g}" for t in ticks],
         }  # fmt: skip

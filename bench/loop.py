@@ -6,11 +6,12 @@ image is missed, the plate repeats what it did.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
+from harness import cpu_time
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
 from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
@@ -32,6 +33,9 @@ from plate_solver import Controller
 from plate_solver.controller import METHODS, Answer
 from plate_vision.tracking import Tracker
 from plate_vision.vision import look, make_vision
+
+EFFORT = ("iterations", "restarts")
+"""Options of the solvers that make an answer take longer, and better."""
 
 HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
@@ -61,6 +65,8 @@ class Setup:
     planner : PlannerOptions
     image_age_s : float or None
         What the planner takes the images' latency to be [s]; None: it finds out.
+    effort : mapping of str to int
+        `iterations`, `restarts` of the solver, where `Controller`'s own are not wanted.
     """
 
     scenario: str
@@ -72,12 +78,13 @@ class Setup:
     dirt: Dirt = CLEAN
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     image_age_s: float | None = None
+    effort: Mapping[str, Any] = field(default_factory=dict)
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     """Return the setup with settings `key=value` of the command line.
 
-    Keys are fields of `Setup`, `Dirt`, `SortOptions` and `FollowOptions`.
+    Keys are fields of `Setup`, `Dirt`, `SortOptions` and `FollowOptions`, and `EFFORT`.
 
     Raises
     ------
@@ -93,6 +100,8 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
                 setup = replace(setup, model=check_model(text))
             elif key in ("noise", "mu_scale", "image_age_s"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
+            elif key in EFFORT:
+                setup = replace(setup, effort={**setup.effort, key: int(text)})
             elif key == "blur":
                 dirt = replace(dirt, blur=_flag(key, text))
             elif key in {f.name for f in fields(Dirt)}:
@@ -104,7 +113,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "model", "noise", "mu_scale", "image_age_s"]
+            known = ["method", "model", "noise", "mu_scale", "image_age_s", *EFFORT]
             known += [f.name for kind in (Dirt, SortOptions, FollowOptions) for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
             raise PlateError(f"setting {key!r}, allowed: {names}") from None
@@ -148,7 +157,7 @@ class Moment:
     image : (H, W)
         What the camera saw.
     solve_s : float
-        Time the answer took [s].
+        Time of the cores that the answer took [s].
     limit_share : float
         Greatest share of a limit that the motors' table uses.
     models : mapping of str to int
@@ -184,7 +193,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
     vision, tracker = make_vision(rig), Tracker()
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
-    controller = Controller(rig, setup.method, seed=setup.seed)
+    controller = Controller(rig, setup.method, setup.seed, **setup.effort)
     playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None
     t = 0.0
     while True:
@@ -195,9 +204,9 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         if image is not None:
             tracker = look(vision, tracker, image, t)
             state, asked, progress = planner.plan(state, tracker.parts, t)
-            began = time.perf_counter()
+            began = cpu_time()
             answer = controller.answer(asked, playback.cycle)
-            solve_s = time.perf_counter() - began
+            solve_s = cpu_time() - began
             table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
             newest = table.cycle
             state = planner.hear(state, answer.cycle, t)

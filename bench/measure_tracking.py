@@ -6,26 +6,28 @@ short goes on where it stopped, as long as nothing has changed in `src`, `config
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
+from digest import code_of
 from harness import ROOT, Result, Table
 from loop import Setup, summary, with_settings
+from spread import processes, spread
 
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
 
-SPEEDS_MM = (2, 5, 10, 20, 40, 60, 80, 120, 160, 240, 320)
+SPEEDS_MM = (2, 5, 10, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]; tried in this order until one fails."""
 
-SEEDS = (0, 1, 2)
-"""Runs at each speed: image noise, friction and the solver's chance differ."""
+SEEDS = (0, 1)
+"""Runs at each speed, side by side: image noise, friction and the solver's chance differ."""
 
 DIRT = {"friction_spread": "0.1", "friction_patches": "0.1"}
 """Friction differs by 10 % between parts and over the plate."""
@@ -49,14 +51,16 @@ def measure(quick: bool) -> Result:
     rig = load_rig()
     methods = ("sinusoids",) if quick else ("sinusoids", "rotations")
     counts = (2,) if quick else range(1, len(CENTRES_M) + 1)
-    store = Store(ROOT / "out/bench/tracking.jsonl")
+    seeds = SEEDS[:1] if quick else SEEDS
     rows: list[dict[str, Any]] = []
-    for method in methods:
-        for count in counts:
-            for speed in (20, 60) if quick else SPEEDS_MM:
-                rows.append(_row(rig, store, method, count, speed, SEEDS[:1] if quick else SEEDS))
-                if not rows[-1]["kept"]:
-                    break
+    with processes(len(seeds)) as pool:
+        store = Store(ROOT / "out/bench/tracking.jsonl", pool)
+        for method in methods:
+            for count in counts:
+                for speed in (20, 80) if quick else SPEEDS_MM:
+                    rows.append(_row(rig, store, method, count, speed, seeds))
+                    if not rows[-1]["kept"]:
+                        break
     ends = [_end(rows, method, count) for method in methods for count in counts]
     speeds = {
         "method": "method", "parts": "parts", "speed_mm_s": "speed [mm/s]",
@@ -85,39 +89,38 @@ def measure(quick: bool) -> Result:
 
 
 class Store:
-    """Runs that have been done, in a file of lines."""
+    """Runs that have been done, in a file of lines; those that are missing go to the pool."""
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._version = path, _version()
+    def __init__(self, path: Path, pool: Executor) -> None:
+        self._path, self._pool, self._version = path, pool, code_of("tracking")
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         runs = [json.loads(line) for line in lines]
         self._runs = {r["name"]: r["run"] for r in runs if r["version"] == self._version}
 
-    def run(self, rig: Rig, method: str, count: int, speed_mm: float, seed: int) -> dict[str, Any]:
-        """Return a run's row of `bench/closed_loop.py`, from the file or by running it."""
-        name = f"{method} {count} {speed_mm:g} {seed}"
-        if name not in self._runs:
-            with TemporaryDirectory() as folder:
-                path = Path(folder) / "circles.yaml"
-                path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
-                setup = with_settings(Setup(str(path), seed, method), DIRT)
-                self._runs[name] = summary(setup, rig)
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            line = {"version": self._version, "name": name, "run": self._runs[name]}
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-        return self._runs[name]
+    def runs(
+        self, rig: Rig, method: str, count: int, speed_mm: float, seeds: Sequence[int]
+    ) -> list[dict[str, Any]]:
+        """Return rows of `bench/closed_loop.py`, from the file or by running them."""
+        names = {seed: f"{method} {count} {speed_mm:g} {seed}" for seed in seeds}
+        missing = [seed for seed in seeds if names[seed] not in self._runs]
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "circles.yaml"
+            path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
+            work = [(with_settings(Setup(str(path), seed, method), DIRT), rig) for seed in missing]
+            for seed, run in zip(missing, spread(self._pool, summary, work, _silent), strict=True):
+                self._keep(names[seed], run)
+        return [self._runs[name] for name in names.values()]
+
+    def _keep(self, name: str, run: dict[str, Any]) -> None:
+        self._runs[name] = run
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        line = {"version": self._version, "name": name, "run": run}
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
 
 
-def _version() -> str:
-    """Return a digest of all that a run depends on."""
-    digest = hashlib.sha256(Path(__file__).read_bytes())
-    for folder in (ROOT / "src", ROOT / "config"):
-        for path in sorted(folder.rglob("*")):
-            inside = path.relative_to(folder).parts
-            if path.suffix in (".py", ".yaml") and "test" not in inside:
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+def _silent(text: str) -> None:
+    """Progress is told by the row of measurements."""
 
 
 def laps(speed: float) -> float:
@@ -148,7 +151,7 @@ def circles(count: int, speed: float) -> dict[str, Any]:
 def _row(
     rig: Rig, store: Store, method: str, count: int, speed_mm: int, seeds: Sequence[int]
 ) -> dict[str, Any]:
-    runs = [store.run(rig, method, count, speed_mm, seed) for seed in seeds]
+    runs = store.runs(rig, method, count, speed_mm, seeds)
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm

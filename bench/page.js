@@ -1,6 +1,8 @@
 // Draws every panel with the JSON beside it; a button of a chart's key shows or hides its kind.
 "use strict";
-const settings = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+const settings = {
+  responsive: true, displaylogo: false, modeBarButtons: [["toImage", "resetScale2d"]],
+};
 for (const panel of document.querySelectorAll(".panel")) {
   const figure = JSON.parse(panel.nextElementSibling.textContent);
   Plotly.newPlot(panel, figure.data, figure.layout, settings);

@@ -86,7 +86,7 @@ def header(data: Data) -> str:
 def navigation(charts: Iterable[Chart]) -> str:
     """Return links to all charts."""
     links = "".join(
-        f'<a href="#{chart.key}">{escape(lettered(chart.letter, chart.title))}</a>'
+        f'<a href="#{chart.key}">{escape(lettered(chart.letter, chart.title.split(":")[0]))}</a>'
         for chart in charts
     )
     return (
@@ -117,12 +117,13 @@ def section(chart: Chart, data: Data) -> str:
     """Return one chart: what it says, its panels, and the table behind it."""
     letter = f'<span class="letter">({chart.letter})</span>' if chart.letter else ""
     panels = "".join(panel_html(panel) for panel in chart.panels)
+    pairs = " pairs" if len(chart.panels) in (2, 4) else ""
     default = f'<p class="why"><b>Our default.</b> {escape(chart.default)}</p>'
     return (
         f'<section id="{chart.key}"><h2>{letter}{escape(chart.title)}</h2>'
         f"<p>{escape(chart.finding)}</p>"
         f'<p class="soft">{escape(chart.reading)}</p>'
-        f'{key(chart)}<div class="panels">{panels}</div>{default if chart.default else ""}'
+        f'{key(chart)}<div class="panels{pairs}">{panels}</div>{default if chart.default else ""}'
         f"<details><summary>Table, {len(chart.rows)} rows</summary>"
         f"{html_table(chart.headings, chart.rows)}</details>"
         f'<p class="soft">{csv_link(chart)} {repeat(chart.sources, data)}</p></section>'

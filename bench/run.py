@@ -6,8 +6,6 @@ python bench/run.py [NAME ...] [--quick]
 from __future__ import annotations
 
 import argparse
-import ast
-import hashlib
 import importlib
 import json
 import sys
@@ -15,6 +13,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from digest import code_of
 from harness import ROOT, text_table, write
 
 MEASUREMENTS = {
@@ -24,12 +23,14 @@ MEASUREMENTS = {
     "rotations": "Method A: guaranteed forces, least time, closure, order, displacements",
     "inversion": "Method B: starts, what is solved, what is proven out of reach",
     "steering": "Plate motions for wanted displacements on the true stick-slip cycle",
+    "options": "Both methods with their options, and scipy, on the stick-slip cycle",
     "requests": "Requests: the force that parts really get, hostile ones, manipulability",
     "vision": "Finding discs in an image: time, misses, error of the centres",
     "camera": "The simulated camera: time for one image, error of the centres",
     "stages": "What each stage of the loop costs for one image",
     "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
     "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
+    "control": "The closed loop with more and less time for the solver",
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
     "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
     "closed_loop": "Whole tasks in the closed loop",
@@ -94,36 +95,6 @@ def last_seconds(out: Path, name: str, quick: bool) -> float | None:
 def clock(seconds: float) -> str:
     """Return a time as minutes and seconds."""
     return f"{seconds // 60:.0f}:{seconds % 60:02.0f}"
-
-
-def code_of(name: str) -> str:
-    """Return a digest of all that a measurement depends on: `src`, `config`, and its own files."""
-    digest = hashlib.sha256()
-    for folder in (ROOT / "src", ROOT / "config"):
-        for path in sorted(folder.rglob("*")):
-            inside = path.relative_to(folder).parts
-            if path.suffix in (".py", ".yaml") and "test" not in inside:
-                digest.update(path.read_bytes())
-    for path in sorted(own_files(f"measure_{name}")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def own_files(module: str) -> set[Path]:
-    """Return the files of this folder that a module of it imports, itself among them."""
-    found: set[Path] = set()
-    open_ = [module]
-    while open_:
-        path = ROOT / "bench" / f"{open_.pop()}.py"
-        if path in found or not path.exists():
-            continue
-        found.add(path)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                open_ += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                open_.append(node.module)
-    return found
 
 
 def arguments() -> argparse.Namespace:

@@ -20,6 +20,7 @@ from shaken_scene import CYCLES, FREQUENCY, MU, MU_G, exact_cycle
 from plate_core import PlateCycle, load_rig
 from plate_sim import Contacts, Trajectory
 from plate_sim.contacts import simulate_discs
+from plate_sim.friction import default_steps
 
 OURS, PYMUNK, MUJOCO = "plate_sim", "pymunk", "MuJoCo"
 
@@ -172,9 +173,15 @@ def tray_tables(pymunk: Any, mujoco: Any, quick: bool) -> list[Table]:
 
 
 def methods(tray: Tray, pymunk: Any, mujoco: Any, quick: bool) -> list[tuple[str, int, Any]]:
-    """Methods with their steps a cycle, about 1, 1.5 and 0.2 ms, and how they trace the tray."""
+    """Methods with their steps a cycle, about 1, 1.5 and 0.2 ms, and how they trace the tray.
+
+    Ours come with the simulator's own step, too.
+    """
     steps = (33, 22) if quick else (33, 22, 167)
-    found: list[tuple[str, int, Any]] = [(OURS, n, lambda t, n=n: t.trace(n)) for n in steps]
+    own = default_steps(tray.cycle)
+    found: list[tuple[str, int, Any]] = [
+        (OURS, n, lambda t, n=n: t.trace(n)) for n in (*steps, own)
+    ]
     for name, module, build in ((PYMUNK, pymunk, Tray.in_pymunk), (MUJOCO, mujoco, Tray.in_mujoco)):
         if module:
             chosen = steps[::2] if name == PYMUNK else steps[:1]

@@ -155,7 +155,7 @@ def test_the_report_draws_every_chart_without_a_network(drawn):
     assert_drawn(result, console, titles)
 
 
-@pytest.mark.parametrize("width", [400, 1300])
+@pytest.mark.parametrize("width", [500, 1300])
 def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
     result, console = look_at(every_kind, width)
     assert_drawn(result, console, ["points", "bars", "field"])

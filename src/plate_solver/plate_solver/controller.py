@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,14 @@ for other motions than the last one's relatives."""
 
 EXACT_SHARE = 0.02
 """The same where no part has any slack: whoever asks so wants it exactly."""
+
+
+EFFORT: dict[str, dict[str, Any]] = {
+    "rotations": {"iterations": 20, "restarts": 1},
+    "sinusoids": {"iterations": 24, "restarts": 3},
+}
+"""Most iterations from one start and most further starts: what suits a loop. More take longer, and
+buy little: see docs/results.md."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +88,8 @@ class Controller:
         Seed of the solvers' restarts.
     centres : (N, 2), optional
         Centres of rotation of Method A [m], plate_home; as `RotationSolver` if left out.
+    **effort
+        `iterations`, `restarts` of the solvers, where those of `EFFORT` are not wanted.
     """
 
     def __init__(
@@ -87,13 +98,14 @@ class Controller:
         method: str = "sinusoids",
         seed: int = 0,
         centres: np.ndarray | None = None,
+        **effort: int,
     ) -> None:
         if method not in METHODS:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._solvers: dict[str, MotionSolver] = {
-            "rotations": RotationSolver(rig, centres, iterations=20, restarts=1, seed=seed),
-            "sinusoids": SinusoidSolver(rig, iterations=24, restarts=3, seed=seed),
+            "rotations": RotationSolver(rig, centres, seed=seed, **EFFORT["rotations"] | effort),
+            "sinusoids": SinusoidSolver(rig, seed=seed, **EFFORT["sinusoids"] | effort),
         }
         self._velocity: dict[str, np.ndarray] = {}
         self._spin: dict[str, float] = {}

@@ -1,0 +1,99 @@
+"""Run the demo of every scenario, and keep small pictures of it: docs/results.
+
+python tools/demos.py [SCENARIO ...]
+
+Each runs in real time, as `make demo SCENARIO=...`. A run that fails is kept and told, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from graph.result import summary
+from PIL import Image, ImageSequence
+
+from plate_core.scenario import load_scenario
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs/results"
+
+LONGEST_S = 600
+"""A demo takes no longer [s]: set-up, the task, its pictures."""
+
+STRIP_PX, FILM_PX = 900, 520
+"""Widths of the pictures kept."""
+
+QUALITY = 45
+"""Of the animation, which WebP keeps with losses."""
+
+
+def main() -> int:
+    """Run the command line; returns the number of demos that failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    known = sorted(path.stem for path in (ROOT / "config/scenarios").glob("*.yaml"))
+    parser.add_argument("scenarios", nargs="*", default=known, metavar="SCENARIO", help="(all)")
+    names = parser.parse_args().scenarios
+    path = DOCS / "demos.json"
+    runs: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    failed = 0
+    DOCS.mkdir(parents=True, exist_ok=True)
+    for number, name in enumerate(names, 1):
+        print(f"[{number}/{len(names)}] {name} ... ", end="", flush=True)
+        runs[name] = run(name)
+        failed += not runs[name]["well"]
+        print(runs[name]["outcome"], flush=True)
+        ordered = {key: runs[key] for key in sorted(runs)}
+        path.write_text(json.dumps(ordered, indent=1) + "\n", encoding="utf-8")
+    return failed
+
+
+def run(name: str) -> dict[str, Any]:
+    """Run one demo, keep its pictures, and say what became of it."""
+    out = ROOT / "out/demos" / name
+    command = [sys.executable, str(ROOT / "tools/demo.py"), "--scenario", name, "--out", str(out)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=LONGEST_S, check=False, cwd=ROOT
+    )
+    result = out / "result.json"
+    if not result.exists():
+        last = (done.stderr or done.stdout).strip().splitlines()[-1:]
+        return {"description": "", "well": False, "outcome": f"Failed: {' '.join(last)}"}
+    shrink_strip(out / "strip.png", DOCS / f"{name}.png")
+    shrink_film(out / "demo.gif", DOCS / f"{name}.webp")
+    found = json.loads(result.read_text(encoding="utf-8"))
+    return {
+        "description": load_scenario(name).description,
+        "well": done.returncode == 0,
+        "outcome": summary(found),
+    }
+
+
+def shrink_strip(source: Path, target: Path) -> None:
+    """Keep a picture strip with fewer pixels and colours."""
+    with Image.open(source) as image:
+        size = STRIP_PX, round(image.height * STRIP_PX / image.width)
+        small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    small.quantize(64, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+def shrink_film(source: Path, target: Path) -> None:
+    """Keep an animation as WebP, smaller than the GIF."""
+    with Image.open(source) as film:
+        size = FILM_PX, round(film.height * FILM_PX / film.width)
+        frames, durations = [], []
+        for frame in ImageSequence.Iterator(film):
+            frames.append(frame.convert("RGB").resize(size, Image.Resampling.LANCZOS))
+            durations.append(frame.info["duration"])
+    frames[0].save(
+        target, save_all=True, append_images=frames[1:], duration=durations, loop=0,
+        quality=QUALITY, method=4,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
