@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import ceil, floor, log10
 from typing import Any
 
 OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
@@ -15,6 +16,9 @@ OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
 """Colours: our default, the peers, our second and third, notes, limits."""
 
 FRONT = "Pareto front"
+
+FEW_DECADES, MOST_DECADES = 2, 6
+"""Log axes with fewer decades have numbers between; with more not every one has a number."""
 
 Row = dict[str, Any]
 Data = Mapping[str, Mapping[str, Any]]
@@ -215,3 +219,26 @@ def pareto_front(panel: Panel) -> list[tuple[float, float]]:
         elif y < corners[-1][1]:
             corners += [(x, corners[-1][1]), (x, y)]
     return [(-x if more_x else x, -y if more_y else y) for x, y in corners]
+
+
+def values(panel: Panel, which: str) -> list[float]:
+    """Return all numbers of a panel along one axis."""
+    found = [value for points in panel.points for value in getattr(points, which)]
+    found += [value for rule in panel.rules if (value := getattr(rule, which)) is not None]
+    return [value for value in found if isinstance(value, int | float)]
+
+
+def ticks_of(axis: Axis, values: list[float]) -> list[float]:
+    """Return where an axis with these numbers on it has ticks; empty: where the drawer likes.
+
+    On a log axis: 1, 2, 5 in each decade, or the decades alone.
+    """
+    if axis.ticks or not axis.log:
+        return list(axis.ticks)
+    positive = [value for value in values if value > 0]
+    if not positive:
+        return []
+    low, high = floor(log10(min(positive))), ceil(log10(max(positive)))
+    steps = (1, 2, 5) if high - low <= FEW_DECADES else (1,)
+    every = max(1, (high - low) // MOST_DECADES)
+    return [step * 10.0**power for power in range(low - 1, high + 2, every) for step in steps]

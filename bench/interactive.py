@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from math import ceil, floor, log10
+from math import log10
 from typing import Any
 
-from chart import FRONT, Axis, Chart, Field, Panel, Points, Rule, pareto_front
+from chart import FRONT, Axis, Chart, Field, Panel, Points, Rule, pareto_front, ticks_of, values
 from plotly import graph_objects as go
 from plotly.offline import get_plotlyjs
 
@@ -19,10 +19,6 @@ INK, GRID = "#222222", "#e4e4e4"
 
 HEIGHT_PX, BAR_PX = 380, 30
 """Height of a panel, and of one line of a bar chart beyond ten."""
-
-
-FEW_DECADES, MOST_DECADES = 3, 6
-"""Log axes with fewer decades have numbers between; with more not every one has a number."""
 
 
 def library() -> str:
@@ -155,24 +151,6 @@ def place(axis: Axis, value: float) -> float:
     return log10(value) if axis.log else value
 
 
-def values(panel: Panel, which: str) -> list[float]:
-    """Return all numbers of a panel along one axis."""
-    found = [value for points in panel.points for value in getattr(points, which)]
-    found += [value for rule in panel.rules if (value := getattr(rule, which)) is not None]
-    return [value for value in found if isinstance(value, int | float)]
-
-
-def log_ticks(values: list[float]) -> list[float]:
-    """Return places for numbers on a log axis: 1, 2, 5 in each decade, or the decades alone."""
-    positive = [value for value in values if value > 0]
-    if not positive:
-        return []
-    low, high = floor(log10(min(positive))), ceil(log10(max(positive)))
-    steps = (1, 2, 5) if high - low <= FEW_DECADES else (1,)
-    every = max(1, (high - low) // MOST_DECADES)
-    return [step * 10.0**power for power in range(low - 1, high + 2, every) for step in steps]
-
-
 def axis(axis: Axis, values: list[float]) -> dict[str, Any]:
     """Return plotly's settings of an axis with these numbers on it."""
     settings: dict[str, Any] = {
@@ -187,7 +165,7 @@ def axis(axis: Axis, values: list[float]) -> dict[str, Any]:
         }  # fmt: skip
     if axis.log:
         settings |= {"type": "log"}
-    ticks = list(axis.ticks) or (log_ticks(values) if axis.log else [])
+    ticks = ticks_of(axis, values)
     if ticks:
         settings |= {
             "tickmode": "array", "tickvals": ticks, "ticktext": [f"{t:g}" for t in ticks],

@@ -7,7 +7,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from chart import FRONT, Axis, Chart, Panel, Points, pareto_front
+from chart import FRONT, Axis, Chart, Panel, Points, pareto_front, ticks_of, values
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -48,7 +48,7 @@ def save_picture(chart: Chart, path: Path) -> None:
             draw_panel(figure, axes, panel)
         for axes in grid[count:]:
             axes.set_axis_off()
-        add_legend(figure, grid[:count])
+        add_legend(figure, grid[:count], wide)
         figure.savefig(path, dpi=DPI)
 
 
@@ -57,6 +57,7 @@ def draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
     set_axis(axes, "x", panel.x)
     set_axis(axes, "y", panel.y)
     axes.set_title(panel.title)
+    axes.margins(0.1)
     if panel.field is not None:
         field = panel.field
         z = np.array([[np.nan if v is None else v for v in row] for row in field.z])
@@ -70,10 +71,15 @@ def draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
     for points in panel.points:
         if points.bars:
             place = [panel.y.names.index(name) for name in points.y]
-            axes.barh(place, points.x, 0.6, left[place], color=points.colour, label=points.name)
+            drawn = axes.barh(
+                place, points.x, 0.6, left[place], color=points.colour, label=points.name
+            )
+            axes.bar_label(drawn, points.labels or [""] * len(place), padding=3, fontsize=8.5)
             left[place] += np.array(points.x, float)
         else:
             draw_points(axes, panel, points)
+    set_ticks(axes, "x", panel.x, ticks_of(panel.x, values(panel, "x")))
+    set_ticks(axes, "y", panel.y, ticks_of(panel.y, values(panel, "y")))
     draw_front(axes, panel)
     for rule in panel.rules:
         line = axes.axvline if rule.x is not None else axes.axhline
@@ -132,26 +138,30 @@ def draw_front(axes: Axes, panel: Panel) -> None:
 
 
 def set_axis(axes: Axes, which: str, axis: Axis) -> None:
-    """Set scale, label and divisions of an axis."""
+    """Set scale, label and limits of an axis."""
     settings: dict[str, Any] = {f"{which}label": axis.label}
     if axis.log:
         settings[f"{which}scale"] = "log"
     if axis.limits:
         settings[f"{which}lim"] = axis.limits
     axes.set(**settings)
+
+
+def set_ticks(axes: Axes, which: str, axis: Axis, ticks: list[float]) -> None:
+    """Set the divisions of an axis on which everything is drawn."""
     mine = axes.xaxis if which == "x" else axes.yaxis
     if axis.names:
         mine.set_ticks(range(len(axis.names)), axis.names)
         mine.grid(False)
-    elif axis.ticks:
-        mine.set_ticks(axis.ticks, [f"{tick:g}" for tick in axis.ticks])
+    elif ticks:
+        limits = axes.get_xlim() if which == "x" else axes.get_ylim()
+        mine.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
         mine.set_minor_locator(NullLocator())
-    elif axis.log:
-        mine.set_major_formatter("{x:g}")
+        axes.set(**{f"{which}lim": limits})
 
 
-def add_legend(figure: Figure, grid: Any) -> None:
-    """Name every kind of points once, above the panels."""
+def add_legend(figure: Figure, grid: Any, wide: int) -> None:
+    """Name every kind of points once, above panels of which so many are beside each other."""
     named: dict[str, Any] = {}
     for axes in grid:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -159,5 +169,5 @@ def add_legend(figure: Figure, grid: Any) -> None:
     if len(named) > 1 or FRONT in named:
         figure.legend(
             list(named.values()), list(named), loc="outside upper center", fontsize=9,
-            ncols=min(len(named), 5),
+            ncols=min(len(named), 2 * wide),
         )  # fmt: skip
