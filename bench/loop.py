@@ -158,6 +158,8 @@ class Moment:
         What the camera saw.
     solve_s : float
         Time of the cores that the answer took [s].
+    step_s : float
+        And from the image to the motors' table [s].
     limit_share : float
         Greatest share of a limit that the motors' table uses.
     models : mapping of str to int
@@ -176,6 +178,7 @@ class Moment:
     progress: Progress
     image: np.ndarray
     solve_s: float
+    step_s: float
     limit_share: float
     models: Mapping[str, int]
     error_m: np.ndarray
@@ -202,6 +205,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         world = simulation.state
         image = simulation.look()
         if image is not None:
+            at_work = cpu_time()
             tracker = look(vision, tracker, image, t)
             state, asked, progress = planner.plan(state, tracker.parts, t)
             began = cpu_time()
@@ -210,10 +214,11 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
             table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
             newest = table.cycle
             state = planner.hear(state, answer.cycle, t)
+            step_s = cpu_time() - at_work
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
             turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
             yield Moment(
-                t, world, tracker.parts, asked, answer, progress, image, solve_s,
+                t, world, tracker.parts, asked, answer, progress, image, solve_s, step_s,
                 fitted.usage.worst, simulation.used, error, turned,
             )  # fmt: skip
             if progress.ended:
@@ -270,11 +275,12 @@ def _named(parts: PartSet, wanted: tuple[str, ...], world: WorldState) -> PartSe
 
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
-    solve_s, shares, errors, misses, asks = [], [], [], [], []
+    solve_s, step_s, shares, errors, misses, asks = [], [], [], [], [], []
     task = load_scenario(setup.scenario).task
     for moment in run(setup, rig):
         if moment.answer.solution is not None:
             solve_s.append(moment.solve_s)
+            step_s.append(moment.step_s)
             misses.append(moment.answer.error_m)
             asks.append(moment.answer.asked_m)
         shares.append(moment.limit_share)
@@ -284,6 +290,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     cycles = max(1, sum(moment.models.values()))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
+    steps = 1e3 * np.array(step_s[1:] or [0.0])
     return {
         "scenario": setup.scenario,
         "seed": setup.seed,
@@ -299,6 +306,8 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
         "solve_ms_median": float(np.median(milliseconds)),
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),
+        "step_ms_median": float(np.median(steps)),
+        "step_ms_p99": float(np.percentile(steps, 99)),
         "limit_share_max": float(np.max(shares)),
         "gamma": round(rig.gamma, 2),
         "models": {name: round(n / cycles, 3) for name, n in sorted(moment.models.items())},

@@ -6,19 +6,17 @@ short goes on where it stopped, as long as nothing has changed in `src`, `config
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
-from digest import code_of
-from harness import ROOT, Result, Table
-from loop import Setup, summary, with_settings
-from spread import processes, spread
+from harness import Result, Table
+from loop import Setup, with_settings
+from spread import processes
+from store import Store
 
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
@@ -54,7 +52,7 @@ def measure(quick: bool) -> Result:
     seeds = SEEDS[:1] if quick else SEEDS
     rows: list[dict[str, Any]] = []
     with processes(len(seeds)) as pool:
-        store = Store(ROOT / "out/bench/tracking.jsonl", pool)
+        store = Store("tracking", pool)
         for method in methods:
             for count in counts:
                 for speed in (20, 80) if quick else SPEEDS_MM:
@@ -88,39 +86,19 @@ def measure(quick: bool) -> Result:
     )
 
 
-class Store:
-    """Runs that have been done, in a file of lines; those that are missing go to the pool."""
-
-    def __init__(self, path: Path, pool: Executor) -> None:
-        self._path, self._pool, self._version = path, pool, code_of("tracking")
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        runs = [json.loads(line) for line in lines]
-        self._runs = {r["name"]: r["run"] for r in runs if r["version"] == self._version}
-
-    def runs(
-        self, rig: Rig, method: str, count: int, speed_mm: float, seeds: Sequence[int]
-    ) -> list[dict[str, Any]]:
-        """Return rows of `bench/closed_loop.py`, from the file or by running them."""
-        names = {seed: f"{method} {count} {speed_mm:g} {seed}" for seed in seeds}
-        missing = [seed for seed in seeds if names[seed] not in self._runs]
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "circles.yaml"
-            path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
-            work = [(with_settings(Setup(str(path), seed, method), DIRT), rig) for seed in missing]
-            for seed, run in zip(missing, spread(self._pool, summary, work, _silent), strict=True):
-                self._keep(names[seed], run)
-        return [self._runs[name] for name in names.values()]
-
-    def _keep(self, name: str, run: dict[str, Any]) -> None:
-        self._runs[name] = run
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        line = {"version": self._version, "name": name, "run": run}
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-
-
-def _silent(text: str) -> None:
-    """Progress is told by the row of measurements."""
+def _runs(
+    rig: Rig, store: Store, method: str, count: int, speed_mm: int, seeds: Sequence[int]
+) -> list[dict[str, Any]]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "circles.yaml"
+        path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
+        setups = {
+            f"{method} {count} {speed_mm:g} {seed}": with_settings(
+                Setup(str(path), seed, method), DIRT
+            )
+            for seed in seeds
+        }
+        return store.runs(rig, setups)
 
 
 def laps(speed: float) -> float:
@@ -151,7 +129,7 @@ def circles(count: int, speed: float) -> dict[str, Any]:
 def _row(
     rig: Rig, store: Store, method: str, count: int, speed_mm: int, seeds: Sequence[int]
 ) -> dict[str, Any]:
-    runs = store.runs(rig, method, count, speed_mm, seeds)
+    runs = _runs(rig, store, method, count, speed_mm, seeds)
     solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
     period = solver.steering_period(count)
     speed = 1e-3 * speed_mm

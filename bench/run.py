@@ -29,6 +29,7 @@ MEASUREMENTS = {
     "camera": "The simulated camera: time for one image, error of the centres",
     "stages": "What each stage of the loop costs for one image",
     "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
+    "tasks": "Every scenario over many seeds, and in worlds that are not as believed",
     "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
     "control": "The closed loop with more and less time for the solver",
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
@@ -36,6 +37,9 @@ MEASUREMENTS = {
     "closed_loop": "Whole tasks in the closed loop",
 }
 """Names, each measured by `measure_NAME.py`, and what they are about."""
+
+LONG = {"tasks"}
+"""Hours: measured only by name."""
 
 EXPECTED_S: dict[str, float] = {}
 """How long those of the charts take where they have never been run: two cores of today [s]."""
@@ -49,7 +53,7 @@ def main() -> int:
         allowed = ", ".join(MEASUREMENTS)
         print(f"error: measurement is {unknown[0]!r}, allowed: {allowed}", file=sys.stderr)
         return 2
-    names = args.names or list(MEASUREMENTS)
+    names = args.names or [name for name in MEASUREMENTS if args.quick or name not in LONG]
     run_all(names, args.quick, args.out)
     for name in names:
         data = json.loads((args.out / f"{name}.json").read_text(encoding="utf-8"))

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
-TIMINGS = {"solve_ms_median", "solve_ms_p99"}
+TIMINGS = {"solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99"}
 
 TINY = {
     "description": "One part goes 10 mm, then the run is over.",
