@@ -34,6 +34,7 @@ MEASUREMENTS = {
     "control": "The closed loop with more and less time for the solver",
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
     "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
+    "latency": "Image to motors in the real graph, beside one that only forwards",
     "closed_loop": "Whole tasks in the closed loop",
 }
 """Names, each measured by `measure_NAME.py`, and what they are about."""

@@ -5,7 +5,8 @@ python tools/fuzz.py [NODE ...] [--messages 100000] [--seed 0] [--json FILE]
 Each node's class is made in this process; its subscriptions' callbacks get messages that went
 through the wire format, so whatever any program on the network can send. Most are right ones with
 one to four fields spoiled: not finite, huge, empty, too long, in the wrong order, of another time.
-What the driver sends to the motors is judged by samples, not by its own code.
+What the driver sends to the motors, and what the simulated device plays, is judged by samples, not
+by their own code.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,10 +34,10 @@ from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
 from plate_core.ros.convert import (
     array_to_image,
     cycle_to_msg,
+    motors_to_msg,
     msg_to_motors,
     parts_to_msg,
     to_time,
-    trajectory_to_msg,
 )
 
 NODES = {
@@ -55,8 +55,11 @@ WARM = 0.2
 POOL = 200
 """Right messages of each kind."""
 
-ROUNDING = 1e-4
-"""Excess of a limit that is none."""
+TICK = 20
+"""Messages between two ticks of the node's timer."""
+
+ROUNDING = {"driver": 1e-4, "simulator": 0.02}
+"""Excess of a limit that is none: rounding; the device's slack."""
 
 
 @dataclass
@@ -69,28 +72,31 @@ class Verdict:
     first: str = ""
     growth_mb: float = 0.0
     tables: int = 0
+    moving: int = 0
     worst_share: float = 0.0
+    slowest_ms: float = 0.0
     seconds: float = 0.0
 
 
 def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     """Return a right message of each kind, as it is on the wire."""
     t = np.arange(24) / 24
-    size = rng.choice([0.0, 1e-3, 0.01, 1.0])
+    size = rng.choice([0.0, 1e-3, 3e-3, 0.01, 1.0])
     wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
     cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
     stamp = to_time(int(rng.integers(0, 10**12)))
-    count = int(rng.integers(0, 12))
+    count = int(12 * rng.random() ** 6)  # few in most: many cost the solver a tenth of a second
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
-    place = rng.uniform(-0.3, 0.3, (count, 2))
+    place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
     force = 0.03 * rng.normal(size=(count, 2))
     parts = PartSet.make(ids, place, 0.01 * rng.normal(size=(count, 2)), force=force)
-    pixels = rng.integers(0, 255, (int(rng.integers(1, 64)), int(rng.integers(1, 64))), np.uint8)
+    size_px = (rig.camera.height_px, rig.camera.width_px)
+    if rng.random() < 0.9:  # a whole image takes 20 ms to spoil
+        size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
+    pixels = rng.integers(0, 255, size_px, np.uint8)
     message = cycle_to_msg(cycle, stamp)
     if rng.random() < 0.5:
-        zero = np.zeros((2, 4))
-        joints = [motor.name for motor in rig.motors]
-        message = trajectory_to_msg(joints, np.array([0, 0.1]), zero, zero, zero, stamp)
+        message = motors_to_msg(rig, cycle, stamp)
     right = (message, parts_to_msg(parts, stamp), array_to_image(pixels, stamp))
     return {type(msg): serialize_message(msg) for msg in right}
 
@@ -149,23 +155,32 @@ def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator)
 
 
 class Judge:
-    """Looks at what the driver publishes."""
+    """Looks at the motion that the driver sends, or the simulated device plays."""
 
-    def __init__(self, verdict: Verdict) -> None:
-        self.verdict, self.rig = verdict, load_rig()
+    def __init__(self, node: Any, verdict: Verdict) -> None:
+        self.node, self.verdict, self.rig = node, verdict, load_rig()
+        if verdict.node == "driver":
+            self.publish = node._setpoints.publish
+            node._setpoints.publish = self._on_table
 
-    def watching(self, publish: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a publish that looks first."""
+    def _on_table(self, msg: Any) -> None:
+        if isinstance(msg, JointTrajectory):
+            self._look(msg_to_motors(self.rig, msg))
+        self.publish(msg)
 
-        def look(msg: Any) -> None:
-            if isinstance(msg, JointTrajectory):
-                cycle = msg_to_motors(self.rig, msg)
-                share = float(np.max(limit_shares(self.rig, cycle)))
-                self.verdict.tables += 1
-                self.verdict.worst_share = max(self.verdict.worst_share, share)
-            publish(msg)
+    def tick(self) -> None:
+        """Do what the node's timer would do."""
+        if self.verdict.node == "driver":
+            self.node._watch()
+        elif self.verdict.node == "simulator":
+            self.node._begin_cycle()
+            self._look(self.node._playback.cycle)
 
-        return look
+    def _look(self, cycle: PlateCycle) -> None:
+        share = float(np.max(limit_shares(self.rig, cycle)))
+        self.verdict.tables += 1
+        self.verdict.moving += share > 0
+        self.verdict.worst_share = max(self.verdict.worst_share, share)
 
 
 def memory_mb() -> float:
@@ -182,8 +197,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     node = getattr(importlib.import_module(module), kind)()
     set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
     try:
-        if name == "driver":
-            node._setpoints.publish = Judge(verdict).watching(node._setpoints.publish)
+        judge = Judge(node, verdict)
         topics = [s for s in node.subscriptions if s.topic_name.rsplit("/", 1)[-1] != "clock"]
         topics = [s for s in topics if "parameter_events" not in s.topic_name]
         rig = load_rig()
@@ -194,15 +208,19 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
                 base = memory_mb()
             topic = topics[k % len(topics)]
             msg = message(topic.msg_type, pool, rng)
+            sent = time.thread_time()
             try:
                 topic.callback(msg)
             except Exception as error:  # whatever it is, it would have ended the node
                 verdict.crashes += 1
                 verdict.first = verdict.first or f"{topic.topic_name}: {error!r}"
-            if name == "driver" and k % 50 == 0:
-                node._watch()
+            if k > WARM * count:  # by then everything is compiled
+                verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
+            if k % TICK == 0:
+                judge.tick()
         verdict.messages = count
         verdict.growth_mb = round(memory_mb() - base, 1)
+        verdict.slowest_ms = round(verdict.slowest_ms, 1)
         verdict.seconds = round(time.monotonic() - began, 1)
     finally:
         node.destroy_node()
@@ -214,7 +232,7 @@ def failed(verdict: Verdict, most_growth_mb: float) -> bool:
     return (
         verdict.crashes > 0
         or verdict.growth_mb > most_growth_mb
-        or verdict.worst_share > 1 + ROUNDING
+        or verdict.worst_share > 1 + ROUNDING.get(verdict.node, 0)
     )
 
 

@@ -34,6 +34,9 @@ CALL_S = 10.0
 
 POLL_S = 0.05
 
+SETTLE_S = 0.5
+"""Time in which all images of parts that were put elsewhere are answered [s]."""
+
 
 class Observer:
     """A node of its own in this process; a context manager.
@@ -44,6 +47,8 @@ class Observer:
         ROS domain.
     pulse : callable, optional
         The first of `pulses`.
+    pictures : bool
+        Whether to listen to images.
 
     Attributes
     ----------
@@ -53,7 +58,9 @@ class Observer:
         Called about every `POLL_S` while waiting; each may raise to end the wait.
     """
 
-    def __init__(self, domain: int, pulse: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, domain: int, pulse: Callable[[], None] = lambda: None, pictures: bool = True
+    ) -> None:
         self.record = Record()
         self.pulses = [pulse]
         self._pulsed_at = 0.0
@@ -73,7 +80,8 @@ class Observer:
         listen(MultiDOFJointState, "ground_truth", record.truth.append, ALL, True)
         listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
         listen(JointTrajectory, "plate_cycle", self._on_answer, ALL, True)
-        listen(Image, "image_raw", record.images.add, CAMERA, True)
+        if pictures:
+            listen(Image, "image_raw", record.images.add, CAMERA, True)
         listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
         listen(String, "task_state", lambda msg: record.states.append(msg.data), LATCHED, False)
 
@@ -189,6 +197,22 @@ class Observer:
         if not answer.success:
             raise GraphError(f"{service} refused: {answer.message}")
         return str(answer.message)
+
+    def begin_anew(self) -> None:
+        """Put the parts down anew, forget where they were, and start the task again.
+
+        Raises
+        ------
+        GraphError
+            If that is refused.
+        """
+        self.record.states.clear()
+        for service in ("stop", "simulator/reset", "detector/reset"):
+            self.trigger(service)
+        self.until(lambda: False, SETTLE_S)  # images of the old parts are on their way
+        self.trigger("detector/reset")
+        self.record.states.clear()
+        self.trigger("start")
 
     def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
         """Set a parameter of a running node; returns whether it took it, and why not."""

@@ -174,6 +174,13 @@ class Processes:
                 preexec_fn=_prepare_child,
             )
 
+    def add(self, commands: Mapping[str, list[str]], environment: Mapping[str, str]) -> None:
+        """Start other programs beside the nodes; what is said of nodes holds for them too."""
+        self._environment |= environment
+        self._commands |= commands
+        for name, words in commands.items():
+            self._start(name, words)
+
     def restart(self, name: str) -> None:
         """Start a node that has ended again."""
         self._start(name, self._commands[name])

@@ -52,7 +52,9 @@ class Session:
 
 
 @contextmanager
-def session(options: RunOptions, logs: Path, domain: int | None = None) -> Iterator[Session]:
+def session(
+    options: RunOptions, logs: Path, domain: int | None = None, pictures: bool = True
+) -> Iterator[Session]:
     """Start the nodes, and stop them at the end.
 
     Parameters
@@ -63,6 +65,8 @@ def session(options: RunOptions, logs: Path, domain: int | None = None) -> Itera
         Folder for the nodes' logs.
     domain : int, optional
         ROS domain; a free one if left out.
+    pictures : bool
+        Whether the observer listens to images.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def session(options: RunOptions, logs: Path, domain: int | None = None) -> Itera
     nodes = options.nodes(load_graph())
     with (
         Processes(nodes, options, logs, domain) as processes,
-        Observer(domain, processes.check) as observer,
+        Observer(domain, processes.check, pictures) as observer,
     ):
         seen = observer.await_nodes([node.name for node in nodes], START_S)
         observer.await_answers(ANSWER_S)

@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
@@ -103,7 +104,8 @@ class Options:
 class SimulatorNode(Node):
     """Node `simulator`: subscribes motor_setpoints; publishes image_raw, camera_info, diagnostics
     and, unless it runs in real time, /clock. `ground_truth` (parts on the plate with true names,
-    angles, velocities and spins) is for judging a run: no stage may subscribe to it.
+    angles, velocities and spins) is for judging a run: no stage may subscribe to it. The service
+    `~/reset` puts the parts down anew.
 
     Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
     are moved to t_k+1. Driven by the device it is the device's clock that counts: the parts follow
@@ -116,10 +118,8 @@ class SimulatorNode(Node):
         super().__init__("simulator")
         self._options = options = declare(self, Options)
         self._rig = load_rig(options.rig_file)
-        self._simulation = Simulation(
-            self._rig, load_scenario(options.scenario), options.seed, options.dirt,
-            noise=options.noise, mu_scale=options.mu_scale, model=options.model,
-        )  # fmt: skip
+        self._scenario, self._seed = load_scenario(options.scenario), options.seed
+        self._simulation = self._scattered()
         self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
         self._newest: PlateCycle | None = None
         self._usage = NO_USE
@@ -135,6 +135,14 @@ class SimulatorNode(Node):
         self._compile()
         self._connect()
         self._start()
+
+    def _scattered(self) -> Simulation:
+        """Return the scenario's parts, put on the plate as the seed will have it."""
+        options = self._options
+        return Simulation(
+            self._rig, self._scenario, self._seed, options.dirt,
+            noise=options.noise, mu_scale=options.mu_scale, model=options.model,
+        )  # fmt: skip
 
     def _compile(self) -> None:
         """Have everything compiled before time starts."""
@@ -155,6 +163,7 @@ class SimulatorNode(Node):
             self.create_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
         else:
             self.create_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
+        self.create_service(Trigger, "~/reset", self._on_reset)
         # Wall time: our own /clock must not drive the timers that make it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
@@ -269,6 +278,13 @@ class SimulatorNode(Node):
         if end_ns - self._time_ns >= SHORTEST_NS:
             self._time_ns = end_ns
             self._count["missed images"] += not self._take_image()
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Put the parts on the plate anew, as the next seed will have it."""
+        self._seed = (self._seed + 1) % 2**31
+        self._simulation = self._scattered()
+        response.success, response.message = True, f"parts put down anew, seed {self._seed}"
+        return response
 
     # Messages
 

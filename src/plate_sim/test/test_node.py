@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros.convert import image_to_array, motors_to_msg, msg_to_parts, nanoseconds, to_time
@@ -169,6 +170,23 @@ def test_the_truth_has_angles_and_spins():
         truth = loop.truths[-1]
         assert msg_to_parts(truth).angle == pytest.approx(angle)
         assert [twist.angular.z for twist in truth.twist] == pytest.approx(spin)
+
+
+def test_reset_puts_the_parts_down_as_the_next_seed_would():
+    with Loop(lockstep=True, scenario="sort_4", seed=7, noise=0.0) as loop:
+        assert loop.spin(lambda: len(loop.truths) == 1)
+        client = loop.ear.create_client(Trigger, "simulator/reset")
+        assert loop.spin(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        assert loop.spin(future.done)
+        assert future.result().message == "parts put down anew, seed 8"
+        loop.answer = good
+        assert loop.spin(lambda: len(loop.truths) >= 2)
+        seeds = [msg_to_parts(msg).position for msg in loop.truths[:2]]
+    with Loop(lockstep=True, scenario="sort_4", seed=8, noise=0.0) as loop:
+        assert loop.spin(lambda: len(loop.truths) == 1)
+        assert np.array_equal(msg_to_parts(loop.truths[0]).position, seeds[1])
+        assert not np.array_equal(*seeds)
 
 
 def spoilt(index, stamp):

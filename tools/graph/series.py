@@ -1,0 +1,187 @@
+"""One task after the other in the same running graph, the parts put down anew each time."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plate_core import load_rig
+from plate_core.graph import RunOptions
+
+from .film import check_limits
+from .forward import NAMESPACE, commands, environment
+from .hops import CHAIN, Hops
+from .session import Session, session
+
+TASK_S = 240.0
+"""Longest wait for a task's end [s]."""
+
+TICK_S = os.sysconf("SC_CLK_TCK")
+PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
+
+STAGES = ("camera", "detector", "planner", "solver", "driver")
+"""What happens until the messages of `CHAIN` are published."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task of a series.
+
+    Attributes
+    ----------
+    at_s : float
+        When it ended, since the series began [s].
+    ended : str
+    counts : tuple of int
+        Plate cycles; those repeated since no new one had come; those begun too late.
+    tables, faults : int
+        Motor tables, and those that broke a limit.
+    memory_mb : dict of str to float
+        Of each node at the end of the task [MB].
+    hops, beside : (n, 6) arrays
+        Of each image that was answered: its stamp, and when it and its answers were published [s,
+        UTC]; in the real graph, and in the one that only forwards.
+    """
+
+    at_s: float
+    ended: str
+    counts: tuple[int, int, int]
+    tables: int
+    faults: int
+    memory_mb: dict[str, float]
+    hops: np.ndarray
+    beside: np.ndarray
+
+    @property
+    def latency(self) -> np.ndarray:
+        """From an image's stamp to the motors' setpoints (n,) [s]."""
+        return np.asarray(self.hops[:, -1] - self.hops[:, 0])
+
+
+@dataclass
+class Series:
+    """Tasks so far, and the share of a core that each process took meanwhile."""
+
+    tasks: list[Task] = field(default_factory=list)
+    cpu: dict[str, float] = field(default_factory=dict)
+
+    def hops(self, kind: str = "hops") -> np.ndarray:
+        """Return those of all tasks."""
+        return np.concatenate([getattr(task, kind) for task in self.tasks])
+
+
+def memory_mb(pid: int) -> float:
+    """Return the memory of a process that is in use [MB]."""
+    return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * PAGE_MB
+
+
+def cpu_s(pid: int) -> float:
+    """Return the time that a process has had of the cores [s]."""
+    words = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(words[11]) + int(words[12])) / TICK_S
+
+
+def work_again(
+    options: RunOptions,
+    logs: Path,
+    done: Callable[[Series], bool],
+    beside: bool = False,
+    longest_s: float = TASK_S,
+) -> Iterator[Series]:
+    """Run tasks in real time until `done`; yield after each what was seen so far.
+
+    Parameters
+    ----------
+    options : RunOptions
+        In real time.
+    logs : path
+        Folder for the nodes' logs.
+    done : callable
+    beside : bool
+        Whether a graph that only forwards runs meanwhile.
+    longest_s : float
+        A task is broken off after that long [s].
+    """
+    with ExitStack() as stack:
+        graph = stack.enter_context(session(options, logs, pictures=False))
+        hops = stack.enter_context(Hops())
+        graph.observer.activate_driver()
+        names, others = list(graph.nodes), None
+        if beside:
+            one_task(graph, hops, None, 0.0, 5.0)  # messages of their true size
+            others = stack.enter_context(Hops(NAMESPACE))
+            names += forward(graph, hops, others, logs)
+        series, began = Series(), time.monotonic()
+        before = {name: cpu_s(graph.processes.pid(name)) for name in names}
+        while not done(series):
+            series.tasks.append(one_task(graph, hops, others, began, longest_s))
+            passed = time.monotonic() - began
+            for name in names:
+                used = cpu_s(graph.processes.pid(name)) - before[name]
+                series.cpu[name] = used / passed
+            yield series
+
+
+def forward(graph: Session, hops: Hops, others: Hops, logs: Path) -> list[str]:
+    """Start the graph that only forwards; return its processes' names once it answers."""
+    for topic, _ in CHAIN:
+        (logs / topic).write_bytes(hops.newest[topic])
+    graph.processes.add(commands(logs), environment())
+    graph.observer.until(lambda: any(all(row) for row in others.times.values()), TASK_S)
+    return list(commands(logs))
+
+
+def one_task(
+    graph: Session, hops: Hops, others: Hops | None, began: float, longest_s: float
+) -> Task:
+    """Run one task, and return what was seen of it."""
+    observer, record = graph.observer, graph.observer.record
+    names = ("cycles", "held cycles", "late cycles")
+    before = [int(record.last("simulator", name, "0")) for name in names]
+    observer.begin_anew()
+    start = time.time()
+    observer.until(lambda: record.ended, longest_s)
+    end = time.time()
+    observer.until(lambda: False, 1.2)  # the simulator's next report
+    counts = [int(record.last("simulator", name, "0")) for name in names]
+    limits = check_limits(record, load_rig())
+    task = Task(
+        time.monotonic() - began,
+        record.states[-1],
+        (counts[0] - before[0], counts[1] - before[1], counts[2] - before[2]),
+        limits.tables,
+        len(limits.faults),
+        {name: memory_mb(graph.processes.pid(name)) for name in graph.nodes},
+        rows(hops, start, end),
+        rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),
+    )
+    record.tables.clear()
+    record.truth.clear()
+    for reports in record.reports.values():
+        del reports[:-1]
+    return task
+
+
+def rows(hops: Hops, start: float, end: float) -> np.ndarray:
+    """Return stamps and times (n, 6) [s] of the images since `start` that were answered."""
+    times = sorted((stamp, *row) for stamp, row in list(hops.times.items()) if all(row))
+    hops.times.clear()
+    found = 1e-9 * np.array(times, dtype=float).reshape(-1, len(CHAIN) + 1)
+    inside = (found[:, 0] > start) & (found[:, 0] < end)
+    return np.asarray(found[inside])
+
+
+def stages_ms(hops: np.ndarray) -> dict[str, np.ndarray]:
+    """Return how long each stage of `STAGES` took (n,) [ms], and all of them."""
+    parts = 1e3 * np.diff(hops, axis=1)
+    columns: dict[str, Any] = dict(zip(STAGES, parts.T, strict=True))
+    columns["image to setpoints"] = 1e3 * (hops[:, -1] - hops[:, 1])
+    columns["stamp to setpoints"] = 1e3 * (hops[:, -1] - hops[:, 0])
+    return columns
