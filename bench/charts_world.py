@@ -21,6 +21,7 @@ from chart import (
     table,
 )
 
+from plate_sim.bodies import STEP as BODY_STEP
 from plate_sim.friction import STEP
 from plate_sim.points import TOLERANCE
 
@@ -65,28 +66,34 @@ def sim(data: Data) -> Chart:
                 marks=tuple(marks), better="more less",
             )
         )  # fmt: skip
-    panels += disc_panels(data)
+    panels += [*disc_panels(data), body_panel(data)]
     speeds = table(data, "sim", "speed")
     lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["scene"] == "all ways")
     counts = ", ".join(str(r["parts"]) for r in speeds if r["scene"] == "all ways")
     return Chart(
         "sim", "c", "Simulator: error against speed, beside its peers",
         "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
-        "answer is known; discs that collide by how deep they overlap, which true ones never do. "
-        "Down and to the right is better.",
+        "answer is known; discs that collide by how deep they overlap, which true ones never do; "
+        "a body that turns against scipy. Down and to the right is better.",
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
         f"ways, and to an error of {min(r['error_mm'] for r in rows):.0e} mm where that is wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}: at once the fastest and the most "
         f"exact. Discs in steps of {1e3 * STEP:g} ms where parts touch: friction and knocks in one "
-        "step, at an overlap that no camera sees; bodies that turn only where a scene needs it.",
+        f"step, at an overlap that no camera sees. Bodies that turn, in {1e3 * BODY_STEP:g} ms, "
+        "only where a scene needs it.",
         ("sim",), tuple(panels), [*rows, *disc_rows(data)],
-        columns(data, "sim", "error") | {"gamma": "peak accel. [µg] / discs"},
+        columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
     )  # fmt: skip
 
 
 def disc_rows(data: Data) -> list[Row]:
-    """Return the settings of colliding discs in the form of the other rows."""
-    return [
+    """Return the settings of discs and bodies in the form of the other rows."""
+    found = [
+        {"method": r["method"], "gamma": "a body", "setting": r["setting"],
+         "error_mm": r["error_mm"], "error_percent": None, "speed": r["speed"]}
+        for r in table(data, "sim", "bodies")
+    ]  # fmt: skip
+    return found + [
         {"method": r["method"], "gamma": f"{r['parts']} discs", "setting": f"{r['step_ms']:g} ms",
          "error_mm": 1e-3 * r["overlap_um"], "error_percent": None, "speed": r["speed"]}
         for r in table(data, "sim", "discs")
@@ -102,7 +109,7 @@ def disc_panels(data: Data) -> list[Panel]:
         for method in dict.fromkeys(r["method"] for r in rows):
             mine = [r for r in rows if r["parts"] == count and r["method"] == method]
             colour, marker = SIMULATORS[method]
-            name = "discs and bodies, ours" if method == "plate_sim" else method
+            name = "discs, ours" if method == "plate_sim" else method
             points.append(
                 Points(
                     name, [r["speed"] for r in mine], [max(r["overlap_um"], 0.01) for r in mine],
@@ -122,6 +129,31 @@ def disc_panels(data: Data) -> list[Panel]:
             )
         )  # fmt: skip
     return panels
+
+
+def body_panel(data: Data) -> Panel:
+    """Return error against speed of a disc that turns."""
+    rows = table(data, "sim", "bodies")
+    points, marks = [], []
+    looks = (("bodies", SECOND, "s", "bodies that turn, ours"), ("scipy RK45", FAINT, "x", "scipy"))
+    for method, colour, marker, name in looks:
+        mine = [r for r in rows if r["method"] == method]
+        points.append(
+            Points(
+                name, [r["speed"] for r in mine], [r["error_mm"] for r in mine], colour, marker,
+                "-", notes=tuple(r["setting"] for r in mine),
+            )
+        )  # fmt: skip
+        marks += [
+            Mark(r["speed"], r["error_mm"])
+            for r in mine
+            if r["setting"] == f"{1e3 * BODY_STEP:g} ms"
+        ]
+    return Panel(
+        "1 body that slides and turns", Axis("simulated s per s of one core", log=True),
+        Axis("error of centre or rim after 0.2 s [mm]", log=True), tuple(points),
+        marks=tuple(marks), better="more less",
+    )  # fmt: skip
 
 
 def cost(data: Data) -> Chart:

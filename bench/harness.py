@@ -7,6 +7,7 @@ import json
 import math
 import os
 import platform
+import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -145,6 +146,15 @@ def machine() -> dict[str, Any]:
     }
 
 
+def commit() -> str:
+    """Return the name of the commit that is checked out; empty without git."""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
 def write(
     path: Path, name: str, about: str, quick: bool, seconds: float, code: str, result: Result
 ) -> None:
@@ -154,6 +164,7 @@ def write(
         "about": about,
         "quick": quick,
         "seconds": round(seconds, 1),
+        "commit": commit(),
         "code": code,
         "machine": machine(),
         **asdict(result),

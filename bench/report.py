@@ -177,13 +177,15 @@ def base64(text: str) -> str:
     return b64encode(text.encode()).decode("ascii")
 
 
-def repeat(sources: Iterable[str], data: Data) -> str:
+def repeat(sources: Sequence[str], data: Data) -> str:
     """Tell how to measure again."""
     told = [
         f"<code>make bench ARGS={escape(name)}</code> ({data[name]['seconds']:.0f} s)"
         for name in sources
     ]
-    return "To measure again: " + ", ".join(told) + "."
+    commits = ", ".join(dict.fromkeys(data[n].get("commit") or "unknown" for n in sources))
+    measured = f" Measured at commit {escape(commits)}." if told else ""
+    return "To measure again: " + ", ".join(told) + "." + measured
 
 
 def measurement(name: str, item: Mapping[str, Any]) -> str:

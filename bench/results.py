@@ -84,7 +84,8 @@ def section(chart: Chart, data: Data) -> str:
         lines.append(f"Our default: {chart.default}\n")
     if len(chart.rows) <= MOST_ROWS:
         lines.append(markdown_table(chart.headings, chart.rows))
-    lines.append(f"[All {len(chart.rows)} rows]({rows}). To repeat: {repeat}.\n")
+    commits = ", ".join(dict.fromkeys(data[n].get("commit") or "unknown" for n in chart.sources))
+    lines.append(f"[All {len(chart.rows)} rows]({rows}). To repeat: {repeat}; commit {commits}.\n")
     return "\n".join(lines)
 
 
