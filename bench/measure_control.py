@@ -1,6 +1,7 @@
 """The closed loop with more and less time for the solver: tracking error and time of a sort.
 
-The whole loop of `loop.run`: image noise, friction uneven by 10 %. Runs are spread over the cores.
+The whole loop of `loop.run`: image noise, friction uneven by 10 %. Runs are spread over the cores
+and kept as soon as they end, in `out/bench/control.jsonl`.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from typing import Any
 
 import numpy as np
 from harness import Result, Table
-from loop import Setup, summary, with_settings
-from spread import processes, spread
+from loop import Setup, with_settings
+from spread import processes
+from store import Store
 
 from plate_core import load_rig
 from plate_solver.controller import EFFORT
@@ -45,12 +47,14 @@ def measure(quick: bool) -> Result:
         for method, efforts in EFFORTS.items()
         for effort in (efforts[1:4:2] if quick else efforts)
     ]
-    work = []
+    setups = {}
     for scenario, method, effort in cases:
         settings = {"method": method, **DIRT, **{key: str(n) for key, n in effort.items()}}
-        work += [(with_settings(Setup(scenario, seed), settings), rig) for seed in seeds]
+        for seed in seeds:
+            name = f"{scenario} {method} {effort} {seed}"
+            setups[name] = with_settings(Setup(scenario, seed), settings)
     with processes(os.cpu_count() or 1) as pool:
-        runs = list(spread(pool, summary, work, _silent))
+        runs = Store("control", pool).runs(rig, setups)
     rows = [
         row_of(*case, runs[k * len(seeds) : (k + 1) * len(seeds)]) for k, case in enumerate(cases)
     ]
@@ -100,7 +104,3 @@ def sentence(row: dict[str, Any]) -> str:
     text += f", RMS {row['rms_mm']:.3f} mm" if row["rms_mm"] is not None else ""
     text += f", {row['time_s']:.0f} s" if row["time_s"] is not None else ""
     return text + f", {row['solve_ms']:.1f} ms an answer"
-
-
-def _silent(text: str) -> None:
-    """Progress is told by the row of measurements."""
