@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.cycle import quintic_pieces
 
-from .peaks import Peaks, derivative, peaks, polynomial_peak
+from .peaks import Peaks, derivative, peaks, polynomial_peaks
 
 TARGET = 0.999
 """Share of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
@@ -151,11 +151,11 @@ def check_setpoints(
         raise CycleError("motor setpoints: times must start at 0 and rise")
     home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
     travel, steps, ends = quintic_pieces(times, q, qd, qdd), np.diff(times), [0, -1]
+    far, fast = (polynomial_peaks(pieces, steps) for pieces in (travel, derivative(travel)))
     for number, motor in enumerate(rig.motors):
-        pieces = travel[:, :, number : number + 1]
         for what, unit, value, limit in (
-            ("travel", "m", polynomial_peak(pieces, steps), rig.limits.stroke_m),
-            ("speed", "m/s", polynomial_peak(derivative(pieces), steps), rig.limits.speed),
+            ("travel", "m", far[number], rig.limits.stroke_m),
+            ("speed", "m/s", fast[number], rig.limits.speed),
             ("travel at rest", "m", np.max(np.abs(q[ends, number])), home),
             ("speed at rest", "m/s", np.max(np.abs(qd[ends, number])), 100 * home),
         ):

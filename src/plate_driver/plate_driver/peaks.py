@@ -64,10 +64,10 @@ def peaks(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Peaks:
     q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
     travel = quintic_pieces(cycle.times, q, qd, qdd)
     pushes = motor_force(rig, cycle)
-    stroke = polynomial_peak(travel, steps)
-    speed = polynomial_peak(derivative(travel), steps)
+    moves = [travel, _padded(derivative(travel)), pushes]
+    each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
+    stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
     accel = _corner_peak(rig, cycle)
-    force = polynomial_peak(pushes, steps)
     warmth = mean_square(pushes, steps) / limits.continuous_force**2
     worst = max(
         stroke / limits.stroke_m, speed / limits.speed, accel / limits.accel, force / limits.force,
@@ -100,13 +100,14 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     return np.asarray(need @ share.T)
 
 
-def polynomial_peak(coefficients: np.ndarray, steps: np.ndarray) -> float:
-    """Greatest magnitude of pieces (k, d, m) in powers of time, over their lengths (k,) [s]."""
-    columns = coefficients.shape[2]
-    each = coefficients.transpose(0, 2, 1).reshape(-1, coefficients.shape[1], 1)
+def polynomial_peaks(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Greatest magnitudes (m,) of pieces (k, d, m) in powers of time, over their lengths [s]."""
+    count, powers, columns = coefficients.shape
+    each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
     steps = np.repeat(steps, columns)
     bend = _largest(derivative(each, 2), steps)[:, 0]
-    return _peak(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps)
+    column = np.tile(np.arange(columns), count)
+    return _peaks(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps, column)
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -143,31 +144,34 @@ def _corner_peak(rig: Rig, cycle: PlateCycle) -> float:
         ay = accel[:, 1:2] + accel[:, 2:] * arm_x - spin**2 * arm_y
         return np.hypot(ax, ay)
 
-    return _peak(curve, bend, steps)
+    return float(_peaks(curve, bend, steps, np.zeros(len(steps), int))[0])
 
 
-def _peak(curve: Curve, bend: np.ndarray, steps: np.ndarray) -> float:
-    """Return the peak of curves whose vectors bend by at most `bend` (k,), the second derivative.
+def _peaks(curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Return the peak of each group of curves; `group` (k,) tells which one a piece belongs to.
 
-    Between two times h apart a curve is within h^2 bend/8 of its chord. Pieces that can still hide
-    a peak are halved. What cannot be computed is infinite.
+    Their vectors bend by at most `bend` (k,), the second derivative: between two times h apart a
+    curve is within h^2 bend/8 of its chord. Pieces that can still hide a peak are halved. What
+    cannot be computed is infinite.
     """
     piece = np.arange(len(steps))
     start, length = np.zeros(len(steps)), np.array(steps, dtype=float)
     left, right = _most(curve(piece, start)), _most(curve(piece, length))
-    low = float(max(np.max(left), np.max(right)))
+    low = np.zeros(int(np.max(group)) + 1)
+    np.maximum.at(low, group, np.maximum(left, right))
     while True:
         high = np.maximum(left, right) + bend[piece] * length**2 / 8
         if not np.all(np.isfinite(high)):
-            return float("inf")
-        hides = high > low * (1 + CERTAINTY)
+            return np.full(len(low), np.inf)
+        hides = high > low[group[piece]] * (1 + CERTAINTY)
         if not np.any(hides):
-            return low * (1 + CERTAINTY)
+            return np.asarray(low * (1 + CERTAINTY))
         if len(piece) > MOST_PIECES + len(steps):
-            return float(np.max(high))
+            np.maximum.at(low, group[piece], high)
+            return low
         piece, start, length = piece[hides], start[hides], length[hides] / 2
         middle = _most(curve(piece, start + length))
-        low = max(low, float(np.max(middle)))
+        np.maximum.at(low, group[piece], middle)
         left, right = np.append(left[hides], middle), np.append(middle, right[hides])
         start = np.append(start, start + length)
         piece, length = np.tile(piece, 2), np.tile(length, 2)
