@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from math import ceil, floor, log10
 from typing import Any
 
+from plate_core import PlateError
+
 OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
 )  # fmt: skip
@@ -184,7 +186,13 @@ class Chart:
 
 
 def table(data: Data, name: str, key: str) -> list[Row]:
-    """Return the rows of one table of a measurement."""
+    """Return the rows of one table of a measurement.
+
+    Raises
+    ------
+    PlateError
+        If it is not there: the measurement is of older code.
+    """
     return list(_table(data, name, key)["rows"])
 
 
@@ -194,7 +202,10 @@ def columns(data: Data, name: str, key: str) -> dict[str, str]:
 
 
 def _table(data: Data, name: str, key: str) -> Mapping[str, Any]:
-    return next(t for t in data[name]["tables"] if t["key"] == key)
+    found = [t for t in data[name]["tables"] if t["key"] == key]
+    if not found:
+        raise PlateError(f"measurement {name} has no table {key!r}: it has to be made again")
+    return dict(found[0])
 
 
 def pareto_front(panel: Panel) -> list[tuple[float, float]]:

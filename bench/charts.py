@@ -25,6 +25,8 @@ from plot import save_picture
 from results import FOLDER, write_results
 from run import MEASUREMENTS, run_all
 
+from plate_core import PlateError
+
 CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (force_map, ("force_map",)),
     (solver, ("solver",)),
@@ -55,7 +57,11 @@ def main() -> int:
         needed = dict.fromkeys(name for _, names in CHARTS for name in names)
         run_all([n for n in needed if not is_done(folder, n, args.quick)], args.quick, folder)
     data = read(folder)
-    charts = [make(data) for make, names in CHARTS if all(name in data for name in names)]
+    try:
+        charts = [make(data) for make, names in CHARTS if all(name in data for name in names)]
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     if not charts:
         print(f"error: no measurement in {folder}: leave out --draw", file=sys.stderr)
         return 1
