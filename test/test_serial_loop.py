@@ -28,7 +28,7 @@ def _bench(monkeypatch):
     import serial_loop
 
     yield loop, serial_loop
-    for name in ("loop", "serial_loop", "serial_watch"):
+    for name in ("loop", "serial_line", "serial_loop", "serial_watch"):
         sys.modules.pop(name, None)
 
 
@@ -95,3 +95,36 @@ def test_the_judge_sees_a_jump(bench):
     assert verdict(still, still).kept
     assert verdict(still, moved).jump == pytest.approx(1e-5)
     assert not verdict(still, moved).kept
+
+
+def test_a_host_that_was_held_up_has_its_table_played_again(bench):
+    """It is not silent for so long that the link fails: the device alone has noticed."""
+    _, serial_loop = bench
+    from serial_line import shaking
+
+    from plate_core.serial_protocol import Fault, State
+    from plate_driver.serial_transport import SerialTransport
+    from plate_sim.device import DeviceLimits, Emulator
+
+    emulator = Emulator(DeviceLimits.of_rig(load_rig()))
+    host = [0.0]  # its clock stands still while it is held up
+    transport = SerialTransport(lambda: serial_loop.Port(emulator), lambda: host[0], 1)
+    transport.open()
+    transport.send(shaking(48, 5e-4))
+
+    def run(seconds: float, polls: bool = True) -> None:
+        for tick in range(round(seconds * 1e3)):
+            emulator.tick()
+            if polls:
+                host[0] += 1e-3
+                if tick % 5 == 0:
+                    transport.poll()
+
+    run(1.5)
+    assert emulator.device.motion.state is State.PLAYING
+    run(1.5, polls=False)
+    assert emulator.device.motion.state is State.OFF
+    assert Fault.HOST_SILENT in emulator.device.motion.faults
+    run(2.0)
+    assert transport.troubles() == []
+    assert emulator.device.motion.state is State.PLAYING

@@ -9,6 +9,7 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.kinematics import plate_state
+from plate_core.serial_protocol import Telemetry
 
 from .learning import (
     Response,
@@ -35,6 +36,9 @@ SETTLE, MEASURE = 2, 6
 
 SLOWEST = 4
 """Harmonics that tell when a cycle began: up to 3.9 Hz."""
+
+FOLLOWED = 0.2
+"""Least share of the slow motion that the plate must do: else the motors are off, or miswired."""
 
 AXES = ("x", "y", "theta")
 
@@ -85,7 +89,9 @@ class Calibration:
             return "done"
         return f"shaking {AXES[done]}, experiment {done + 1} of {len(self.cycles)}"
 
-    def heard(self, t: np.ndarray, q: np.ndarray, qdd: np.ndarray) -> Calibration:
+    def heard(
+        self, t: np.ndarray, q: np.ndarray, qdd: np.ndarray, played: PlateCycle | None = None
+    ) -> Calibration:
         """Return the calibration after an experiment.
 
         Parameters
@@ -94,6 +100,8 @@ class Calibration:
             Times since a cycle's start [s].
         q, qdd : (n, 4)
             Travel [m] and acceleration [m/s2] that the motors' sensors told then.
+        played : PlateCycle, optional
+            What was commanded, if the rig's limits made it less than `cycle`.
 
         Raises
         ------
@@ -102,7 +110,7 @@ class Calibration:
         """
         assert self.cycle is not None
         found = plate_amplitudes(self.rig, t, q, qdd, PERIOD_S, COUNT)
-        asked = harmonics(self.cycle, COUNT)
+        asked = harmonics(played or self.cycle, COUNT)
         return replace(self, commanded=(*self.commanded, asked), measured=(*self.measured, found))
 
     @property
@@ -119,32 +127,42 @@ class Run:
     Attributes
     ----------
     calibration : Calibration
-    since : float
-        When its cycle was sent [s].
+    played : PlateCycle or None
+        What was sent: the cycle within the rig's limits.
+    table : int
+        Number of the device's table that plays.
     samples : tuple of (time [s], q (4,), qdd (4,))
+        Since it began, by the device's clock: the host's idea of that shifts by milliseconds.
     """
 
     calibration: Calibration
-    since: float = 0.0
+    played: PlateCycle | None = None
+    table: int = 0
     samples: tuple[tuple[float, tuple[float, ...], tuple[float, ...]], ...] = ()
 
     @property
     def cycle(self) -> PlateCycle:
-        """The cycle that is played."""
+        """The cycle to play."""
         assert self.calibration.cycle is not None
         return self.calibration.cycle
 
-    def playing(self, now: float) -> Run:
-        """Return the run whose cycle is sent now [s]."""
-        return replace(self, since=now)
+    def playing(self, played: PlateCycle) -> Run:
+        """Return the run whose cycle was sent as `played`."""
+        return replace(self, played=played)
 
-    def noted(self, time: float, q: tuple[float, ...], qdd: tuple[float, ...]) -> Run:
-        """Return the run with a sample."""
-        return replace(self, samples=(*self.samples, (time, q, qdd)))
+    def noted(self, told: Telemetry) -> Run:
+        """Return the run with a sample; it begins anew where another table does, or none plays."""
+        sample = told.device_us * 1e-6, told.position, told.acceleration
+        if told.table == 0 or told.table != self.table:
+            return replace(self, table=told.table, samples=())
+        return replace(self, samples=(*self.samples, sample))
 
-    def over(self, now: float) -> bool:
-        """Tell whether the experiment has lasted long enough."""
-        return now - self.since >= self.calibration.duration
+    @property
+    def over(self) -> bool:
+        """Whether the table has played long enough."""
+        if not self.samples:
+            return False
+        return self.samples[-1][0] - self.samples[0][0] >= self.calibration.duration
 
     def heard(self) -> Calibration:
         """Return the calibration after this experiment.
@@ -152,14 +170,14 @@ class Run:
         Raises
         ------
         PlateError
-            If there are too few samples.
+            If there are too few samples, or the plate did not follow.
         """
-        if not self.samples:
-            raise PlateError("the device has told nothing")
         time, q, qdd = (np.array(column) for column in zip(*self.samples, strict=True))
         kept = time > time[-1] - self.calibration.measure * PERIOD_S
         time, q, qdd = time[kept] - time[kept][0], q[kept], qdd[kept]
-        return self.calibration.heard(aligned(self.calibration.rig, self.cycle, time, q), q, qdd)
+        played = self.played or self.cycle
+        time = aligned(self.calibration.rig, played, time, q)
+        return self.calibration.heard(time, q, qdd, played)
 
 
 def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -168,12 +186,23 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     The slowest harmonics are followed at once: their phase tells when the cycle began. What the
     motors' own lag delays them by (0.8 ms at 200 Hz) is taken for part of that, so the plate makes
     its motion as much later; its shape is not touched.
+
+    Raises
+    ------
+    PlateError
+        If the plate did something else.
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
     found = fitted(t, pose, cycle.period, COUNT)[:SLOWEST]
     asked = pose_harmonics(cycle, SLOWEST)[1:]
     turn = np.sum(found * np.conj(asked), axis=1)
+    followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(asked) ** 2))
+    if not followed >= FOLLOWED:
+        raise PlateError(
+            f"calibration: the plate followed {100 * followed:.2g} % of a slow motion, "
+            f"allowed: {100 * FOLLOWED:g} % or more"
+        )
     omega = 2 * np.pi * np.arange(1, SLOWEST + 1) / cycle.period
     late = -np.angle(turn[0]) / omega[0]
     rest = -np.angle(turn * np.exp(1j * omega * late))

@@ -103,14 +103,15 @@ class Guard:
         heat = heat.under(fit.usage.heat)
         return replace(self, table=table, sent_at=now, watchdog=watchdog, heat=heat), fit
 
-    def experimenting(self, cycle: PlateCycle, now: float) -> Guard:
-        """Return the guard with the table of a calibration's cycle, as it is.
+    def experimenting(self, cycle: PlateCycle, now: float) -> tuple[Guard, PlateCycle]:
+        """Return the guard with the table of a calibration's cycle, and what it makes of that.
 
         Nobody feeds the watchdog meanwhile: it bites if the calibration does not go on.
         """
         patient = replace(self, hold_cycles=EXPERIMENT_CYCLES, correction=None)
-        guard, _ = patient.commanded(cycle, 0, now)
-        return replace(guard, hold_cycles=self.hold_cycles, correction=self.correction)
+        guard, fitted = patient.commanded(cycle, 0, now)
+        guard = replace(guard, hold_cycles=self.hold_cycles, correction=self.correction)
+        return guard, fitted.cycle
 
     def refused(self) -> Guard:
         """Return the guard after a cycle that it did not take."""

@@ -23,8 +23,8 @@ from plate_core.kinematics import motor_state, plate_state
 SAMPLES = 512
 """Instants at which a cycle is read: far more than twice its harmonics."""
 
-KNOTS_PER_WAVE = 6
-"""Of the highest harmonic that is corrected: splines then miss 1e-4 of it."""
+KNOTS_PER_WAVE = 3
+"""Of the highest harmonic: splines then miss 2e-3 of it, and devices can hold the tables."""
 
 STRESS = 30.0
 """How much more an error counts at the strongest harmonic of a motion than where it has none."""

@@ -159,8 +159,7 @@ class DriverNode(SafeLifecycleNode):
         for measured in self._transport.poll():
             self._measured = measured
             if self._run is not None:
-                told = measured.telemetry
-                self._run = self._run.noted(measured.time, told.position, told.acceleration)
+                self._run = self._run.noted(measured.telemetry)
         for trouble in self._transport.troubles():
             self._guard = self._guard.troubled(trouble)
             self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
@@ -275,13 +274,14 @@ class DriverNode(SafeLifecycleNode):
 
     def _experiment(self, run: Run, now: float) -> None:
         """Begin the next experiment of a calibration."""
-        self._run = run = run.playing(now)
-        self._send(self._guard.experimenting(run.cycle, now))
+        guard, played = self._guard.experimenting(run.cycle, now)
+        self._run = run = run.playing(played)
+        self._send(guard)
         self.get_logger().info(f"calibration: {run.calibration.progress}")
 
     def _calibrate(self, now: float) -> None:
         """Go on with the calibration when an experiment is over."""
-        if self._run is None or not self._run.over(now):
+        if self._run is None or not self._run.over:
             return
         try:
             calibration = self._run.heard()

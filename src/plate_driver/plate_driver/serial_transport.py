@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,7 +12,17 @@ import serial
 
 from plate_core import CycleError, PlateError
 from plate_core.errors import FrameError
-from plate_core.serial_protocol import Knot, Reader, Telemetry, frame, pack, parse
+from plate_core.serial_protocol import (
+    Fault,
+    Knot,
+    Packet,
+    Reader,
+    State,
+    Telemetry,
+    frame,
+    pack,
+    parse,
+)
 from plate_core.serial_protocol.messages import TICK_S
 
 from .link import HARMLESS, Link
@@ -35,6 +46,17 @@ class Port(Protocol):
     def close(self) -> None: ...
 
 
+class _Serial(serial.Serial):
+    """A port whose writing returns at once too; pyserial's waits, or turns in circles."""
+
+    def write(self, data: bytes) -> int:
+        """Write what fits; returns how many bytes that is."""
+        try:
+            return os.write(self.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+
 def open_port(name: str) -> Port:
     """Open a serial port.
 
@@ -44,8 +66,7 @@ def open_port(name: str) -> Port:
         If it is not there or cannot be used.
     """
     try:
-        # A write that finds the line full for 50 ms is a fault, not something to wait for.
-        port: Port = serial.Serial(name, BAUD, timeout=0, write_timeout=0.05, exclusive=True)
+        port: Port = _Serial(name, BAUD, timeout=0, exclusive=True)
     except (OSError, ValueError) as error:  # SerialException is an OSError
         raise PlateError(f"port is {name!r}, allowed: a serial port that opens ({error})") from None
     return port
@@ -131,8 +152,7 @@ class SerialTransport:
             self.retries += link.retries - self._link.retries
             self._link = link
             if due:
-                # A zero first ends whatever noise has left on the line.
-                self._port.write(b"\0" + b"".join(frame(pack(packet)) for packet in due))
+                self._write(self._port, due)
         except OSError as error:
             self._fail(f"serial port: {error}", now)
             return measured
@@ -142,6 +162,12 @@ class SerialTransport:
             self._tell(self._link.refusal)
             self._link = self._link.forgiven()
         return measured
+
+    def _write(self, port: Port, due: list[Packet]) -> None:
+        # A zero first ends whatever noise has left on the line.
+        data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
+        if port.write(data) != len(data):
+            self._tell("serial line is full: what is lost is repeated")
 
     @property
     def busy(self) -> bool:
@@ -193,6 +219,8 @@ class SerialTransport:
             return None
         if message.faults & ~HARMLESS:
             self._tell(f"device has stopped: {message.faults!r}")
+        if message.state is State.OFF and message.faults & Fault.HOST_SILENT and not self.busy:
+            self._upload()  # it did not hear us for a while, and has braked
         # Until a pulse has come nobody knows when it was.
         return message if np.isfinite(self._link.clock.trip_s) else None
 

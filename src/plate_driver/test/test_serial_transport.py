@@ -80,3 +80,13 @@ def test_knots_are_the_table():
         got = np.array([getattr(k, name) for k in made])
         np.testing.assert_allclose(got, values, rtol=1e-7)
         assert np.array_equal(got, got.astype(np.float32))
+
+
+def test_a_full_line_loses_bytes_and_nobody_waits(terminal):
+    _, slave = terminal
+    port = open_port(os.ttyname(slave))
+    chunk = bytes(1000)
+    written = [port.write(chunk) for _ in range(200)]
+    assert written[0] == len(chunk)
+    assert written[-1] == 0
+    port.close()

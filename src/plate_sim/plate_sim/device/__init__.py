@@ -2,6 +2,7 @@
 
 from .controller import Device
 from .emulator import Accidents, Emulator
+from .hung import HungPlate
 from .limits import DeviceLimits
 from .line import Line, Trouble
 from .played import Recorder, Stretch
@@ -11,6 +12,7 @@ __all__ = [
     "Device",
     "DeviceLimits",
     "Emulator",
+    "HungPlate",
     "Line",
     "Recorder",
     "Stretch",

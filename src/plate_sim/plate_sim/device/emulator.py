@@ -11,8 +11,10 @@ from plate_core import PlateError
 from plate_core.serial_protocol import Fault, State
 
 from .controller import Device
+from .hung import HungPlate
 from .limits import DeviceLimits
 from .line import Line, Trouble
+from .motion import REST
 from .played import Recorder, Stretch
 
 TICK_US = 1_000
@@ -65,6 +67,8 @@ class Emulator:
     accidents : Accidents
     commanded : callable, optional
         Called with time [s] and setpoint (3, 4), or None, of every tick.
+    hung : HungPlate, optional
+        The plate on its flexures, if it does not do as commanded.
     """
 
     def __init__(
@@ -73,6 +77,7 @@ class Emulator:
         seed: int = 0,
         accidents: Accidents | None = None,
         commanded: Callable[[float, np.ndarray | None], None] | None = None,
+        hung: HungPlate | None = None,
     ) -> None:
         accidents = accidents or Accidents()
         chance = np.random.default_rng(seed).spawn(3)
@@ -82,6 +87,8 @@ class Emulator:
         self.to_host = Line(accidents.trouble, chance[1])
         self.connected = True
         self._commanded = commanded
+        self._hung = hung
+        self._measured = REST[:2]
         self._recorder = Recorder()
         self._away_until = self._silent_until = self._dark_until = 0.0
         self._homing = 0.0
@@ -93,7 +100,7 @@ class Emulator:
 
     @property
     def plate(self) -> np.ndarray:
-        """Position, speed and acceleration (3, 4) of the motors as they really move."""
+        """Position, speed and acceleration (3, 4) that the motors are led to, also by flexures."""
         return self._recorder.plate
 
     def configure(self, accidents: Accidents) -> None:
@@ -132,14 +139,17 @@ class Emulator:
             searching = device.motion.state is State.HOMING and device.motion.homeward is None
             self._homing = self._homing + TICK_US * 1e-6 if searching else 0.0
             idle = searching or device.motion.state is State.OFF
-            place = self.plate[::2].astype(np.float32) if idle else None
+            measured = self._measured if idle or self._hung is not None else None
             found = self._homing >= HOMING_S
-            self.device, said, at = device.ticked(now_us, came, faults, found, place)
+            self.device, said, at = device.ticked(now_us, came, faults, found, measured)
         if self.connected:
             self.to_host.sent(said, now)
         if self._commanded is not None:
             self._commanded(now, at)
-        return self._recorder.followed(now, self.device.motion, at)
+        stretches = self._recorder.followed(now, self.device.motion, at)
+        moved = self.plate[::2] if self._hung is None else self._hung.moved(self.plate)
+        self._measured = moved.astype(np.float32)
+        return stretches
 
     def _befall(self) -> None:
         accidents, tick = self.accidents, self.device.now_us // TICK_US + 1

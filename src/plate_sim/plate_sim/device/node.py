@@ -18,6 +18,7 @@ from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA
 
 from .emulator import TICK_US, Accidents, Emulator
+from .hung import HungPlate
 from .limits import DeviceLimits
 from .line import Trouble
 from .played import Stretch
@@ -27,6 +28,10 @@ SERVE_PERIOD_S = 0.002
 """Time between two looks at the port [s]: two ticks of the device."""
 
 REPORT_PERIOD_S = 1.0
+
+MOST_BEHIND_US = 100_000
+"""On a computer that is too busy the device catches up with this much [us]; from there on its clock
+has stood still. A board does not lose time: it would not take a host for silent that was not."""
 
 
 def _share(description: str) -> Any:
@@ -71,7 +76,9 @@ class DeviceNode(Node):
         super().__init__("device")
         options = declare(self, Options)
         self._rig = load_rig(options.rig_file)
-        self._emulator = Emulator(DeviceLimits.of_rig(self._rig), options.seed, options.accidents)
+        hung = HungPlate(self._rig, TICK_US * 1e-6) if self._rig.suspension is not None else None
+        limits = DeviceLimits.of_rig(self._rig)
+        self._emulator = Emulator(limits, options.seed, options.accidents, hung=hung)
         self._terminal = Terminal(options.link)
         self._terminal.plug()
         self._motions = self.create_publisher(JointTrajectory, "motor_motion", DATA)
@@ -80,7 +87,7 @@ class DeviceNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._begin_ns = self.get_clock().now().nanoseconds
         self._steady_ns = time.monotonic_ns()
-        self._late_ms = 0.0
+        self._late_ms = self._lost_ms = 0.0
         self.create_timer(SERVE_PERIOD_S, self._serve, clock=steady)
         self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
         self.get_logger().info(f"serial port: {options.link}")
@@ -96,6 +103,11 @@ class DeviceNode(Node):
         emulator = self._emulator
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.device.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
+        lost = max(0, due - MOST_BEHIND_US)
+        due -= lost
+        self._steady_ns += 1_000 * lost
+        self._begin_ns += 1_000 * lost
+        self._lost_ms += lost * 1e-3
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         emulator.to_device.sent(self._terminal.read(), emulator.now)
@@ -122,6 +134,7 @@ class DeviceNode(Node):
             "damaged frames": device.reader.refused,
             "hottest motor": f"{device.heat.max() / device.limits.bearable:.3f}",
             "latest tick [ms]": f"{late_ms:.1f}",
+            "clock stood still [ms]": f"{self._lost_ms:.0f}",
         }
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         msg = DiagnosticArray(status=[status])
