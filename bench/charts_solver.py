@@ -73,8 +73,8 @@ def solver(data: Data) -> Chart:
     return Chart(
         "solver", "b", "Solvers on the averaged map: error against time",
         "Random requests up to 0.2 µmg from a cold start, each a point, and their medians; judged "
-        f"on samples that no solver has used. Errors below {LEAST_ERROR:g} are drawn there. A point above the line "
-        "was not met: with few harmonics some requests cannot be.",
+        f"on samples that no solver has used. Errors below {LEAST_ERROR:g} are drawn there. Points "
+        "above the line were not met: with few harmonics some requests cannot be.",
         f"Within 1e-4 µmg, Method B: {lead}.",
         "Method B, sinusoids: the least time for every number of parts, and ten times as exact as "
         "Method A, which stops at 1e-3 µmg.",
