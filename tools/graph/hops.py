@@ -32,6 +32,12 @@ TAKE_S = 0.2
 class Hops:
     """A node that listens in a thread of its own; a context manager, inside an `Observer`'s.
 
+    Parameters
+    ----------
+    namespace : str
+    images : bool
+        Whether to listen to images too; if not, they count as published at their stamp.
+
     Attributes
     ----------
     times : dict of int to list
@@ -41,7 +47,8 @@ class Hops:
         The last message of each topic, as on the wire.
     """
 
-    def __init__(self, namespace: str = "") -> None:
+    def __init__(self, namespace: str = "", images: bool = True) -> None:
+        self._images = images
         self.times: dict[int, list[int]] = defaultdict(lambda: [0] * len(CHAIN))
         self.newest: dict[str, bytes] = {}
         self._over = False
@@ -49,6 +56,8 @@ class Hops:
         self._executor = SingleThreadedExecutor()  # EventsExecutor has no raw messages with times
         self._executor.add_node(self._node)
         for number, (topic, kind) in enumerate(CHAIN):
+            if number == 0 and not images:
+                continue
             heard = self._listener(number, topic)
             self._node.create_subscription(kind, topic, heard, CAMERA, raw=True)
         self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -56,7 +65,9 @@ class Hops:
     def _listener(self, number: int, topic: str) -> Any:
         def heard(data: bytes, info: dict[str, int]) -> None:
             second, nanosecond = STAMP.unpack_from(data)
-            row = self.times[second * 1_000_000_000 + nanosecond]
+            stamp = second * 1_000_000_000 + nanosecond
+            row = self.times[stamp]
+            row[0] = row[0] if self._images else stamp
             row[number] = row[number] or info["source_timestamp"]
             self.newest[topic] = data
 

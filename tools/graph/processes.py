@@ -132,6 +132,10 @@ class Processes:
         Folder for NODE.log.
     domain : int
         ROS domain.
+    prefix : mapping of str to list, optional
+        Words before the command line of a node.
+    environment : mapping, optional
+        Variables over those of `ros_environment`.
 
     Attributes
     ----------
@@ -140,12 +144,23 @@ class Processes:
     """
 
     def __init__(
-        self, nodes: Iterable[GraphNode], options: RunOptions, logs: Path, domain: int
+        self,
+        nodes: Iterable[GraphNode],
+        options: RunOptions,
+        logs: Path,
+        domain: int,
+        prefix: Mapping[str, list[str]] | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self.exit_codes: dict[str, int] = {}
-        self._commands = {node.name: command(node, options.parameters(node)) for node in nodes}
+        self._commands = {
+            node.name: [
+                *(prefix or {}).get(node.name, []), *command(node, options.parameters(node))
+            ]
+            for node in nodes
+        }  # fmt: skip
         self._logs = logs
-        self._environment = os.environ | ros_environment(domain)
+        self._environment = os.environ | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Processes:

@@ -1,0 +1,75 @@
+"""The graph on two machines: network namespaces joined by a cable."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+pytest.importorskip("rclpy")
+
+MACHINES = Path(__file__).resolve().parents[1] / "tools" / "machines.py"
+IMAGE_KB = 307
+TINY = {
+    "description": "One part goes 20 mm.",
+    "parts": [{"class": "black", "positions_m": [[0.0, 0.0]]}],
+    "task": {
+        "kind": "follow",
+        "max_error_m": 0.03,
+        "paths": [
+            {
+                "class": "black",
+                "waypoints_m": [[0.0, 0.0], [0.02, 0.0]],
+                "speed_mps": 0.01,
+                "closed": False,
+            }
+        ],
+    },
+    "time_limit_s": 60,
+}
+
+
+def namespaces_work() -> bool:
+    """Whether we may make network namespaces."""
+    if os.geteuid() != 0 or not shutil.which("ip") or not shutil.which("nsenter"):
+        return False
+    name = f"plate_test_{os.getpid()}"
+    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, check=False)
+    subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
+    return made.returncode == 0
+
+
+pytestmark = pytest.mark.skipif(not namespaces_work(), reason="needs root and network namespaces")
+
+
+def machines(tmp_path, *words):
+    file = tmp_path / "result.json"
+    done = subprocess.run(
+        [sys.executable, str(MACHINES), *words, "--json", str(file)],
+        capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    left = subprocess.run(["ip", "netns", "list"], capture_output=True, text=True, check=True)
+    assert "plate_" not in left.stdout
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
+    scenario = tmp_path / "tiny.yaml"
+    scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
+    result = machines(tmp_path, "--reach", "named", "--scenario", str(scenario))
+    assert result["ended"] == "done"
+    assert result["images"] > 10
+    # What goes over the cable is the parts and the motors' tables, not the images.
+    cycle_s = 0.2
+    assert 0 < result["crossed_kB_per_s"] < 0.5 * IMAGE_KB / cycle_s
+
+
+def test_by_default_nothing_leaves_the_machine(tmp_path):
+    result = machines(tmp_path, "--reach", "nobody")
+    assert result["heard"] == []
+    assert result["crossed_kB"] == 0

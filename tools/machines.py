@@ -1,0 +1,169 @@
+"""The graph on two machines: camera and vision on one; planner, solver and driver on the other.
+
+python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--json FILE]
+
+The machines are two network namespaces of this one, joined by a pair of virtual cards; needs root.
+`named`: as by default the graph stays on its machine, but each names the other (ROS_STATIC_PEERS).
+`subnet`: whoever is on the network. `nobody`: the default; the machines must not find each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from graph.hops import Hops
+from graph.observer import Observer
+from graph.processes import Processes, ros_environment
+from graph.series import rows
+
+from plate_core import PlateError
+from plate_core.graph import RunOptions, load_graph
+
+EYES, HANDS = "10.77.0.1", "10.77.0.2"
+SEEING = ("simulator", "detector")
+"""Nodes of the machine with the camera."""
+
+REACHES = ("named", "subnet", "nobody")
+DOMAIN = 0
+"""The machines have a network of their own, so no other domain is needed."""
+
+START_S, TASK_S, ALONE_S = 180.0, 180.0, 5.0
+CARD = "card"
+
+
+def machine(number: int) -> str:
+    """Return the name of a machine of this run."""
+    return f"plate_{os.getpid()}_{number}"
+
+
+@contextmanager
+def machines() -> Iterator[tuple[str, str]]:
+    """Make two machines, joined by a cable.
+
+    Raises
+    ------
+    PlateError
+        If that is not allowed.
+    """
+    names = machine(0), machine(1)
+    try:
+        for name in names:
+            ip("netns", "add", name)
+        ip("link", "add", CARD, "netns", names[0], "type", "veth", "peer", CARD, "netns", names[1])
+        for name, address in zip(names, (EYES, HANDS), strict=True):
+            ip("-n", name, "addr", "add", f"{address}/24", "dev", CARD)
+            ip("-n", name, "link", "set", CARD, "up")
+            ip("-n", name, "link", "set", "lo", "up")
+        yield names
+    finally:
+        for name in names:
+            subprocess.run(["ip", "netns", "del", name], stderr=subprocess.DEVNULL, check=False)
+
+
+def ip(*words: str) -> None:
+    """Run `ip`."""
+    try:
+        subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        told = getattr(error, "stderr", "") or str(error)
+        raise PlateError(f"ip {' '.join(words)}: {told.strip()}; it needs root") from None
+
+
+def enter(name: str) -> list[str]:
+    """Return the words before a command that is to run on a machine."""
+    return ["nsenter", f"--net=/var/run/netns/{name}"]
+
+
+def reach_environment(reach: str, other: str) -> dict[str, str]:
+    """Return the variables of a machine that is to reach the other one's address."""
+    peers = other if reach == "named" else ""
+    where = "SUBNET" if reach == "subnet" else "LOCALHOST"
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
+
+
+def run(reach: str, scenario: str, eyes: str, logs: Path) -> dict[str, Any]:
+    """Run a task; this process is on the machine with the driver."""
+    options = RunOptions(scenario=scenario)
+    graph = options.nodes(load_graph())
+    seeing = [node for node in graph if node.name in SEEING]
+    others = [node for node in graph if node.name not in SEEING]
+    prefix = {node.name: enter(eyes) for node in seeing}
+    away = Processes(seeing, options, logs, DOMAIN, prefix, reach_environment(reach, HANDS))
+    here = Processes(others, options, logs, DOMAIN, None, reach_environment(reach, EYES))
+    with away, here, Observer(DOMAIN, pictures=False) as observer:
+        record = observer.record
+        found = [node.name for node in others]
+        observer.await_nodes(found, START_S)
+        if reach == "nobody":
+            begun = crossed()
+            observer.until(lambda: False, ALONE_S)
+            names = [node.name for node in seeing]
+            return {"heard": observer.seen(names), "crossed_kB": round(1e-3 * (crossed() - begun))}
+        observer.await_nodes([node.name for node in graph], START_S)
+        observer.await_answers(START_S)
+        with Hops(images=False) as hops:
+            observer.trigger("start")
+            begun, start = crossed(), time.time()
+            observer.until(lambda: record.ended, TASK_S)
+            end = time.time()
+            latency = 1e3 * np.diff(rows(hops, start, end)[:, [0, -1]], axis=1)
+        return {
+            "ended": record.states[-1], "images": len(latency),
+            "latency_ms": round(float(np.median(latency)), 1),
+            "latency_p99_ms": round(float(np.percentile(latency, 99)), 1),
+            "crossed_kB_per_s": round(1e-3 * (crossed() - begun) / (end - start), 1),
+            "held_cycles": int(record.last("simulator", "held cycles", "0")),
+            "late_cycles": int(record.last("simulator", "late cycles", "0")),
+        }  # fmt: skip
+
+
+def crossed() -> int:
+    """Return the bytes that have gone over the cable, both ways."""
+    lines = Path("/proc/self/net/dev").read_text(encoding="ascii").splitlines()
+    words = next(line for line in lines if line.strip().startswith(CARD)).split(":")[1].split()
+    return int(words[0]) + int(words[8])
+
+
+def inside(args: argparse.Namespace) -> int:
+    """Do what is to be done on the machine with the driver."""
+    with tempfile.TemporaryDirectory() as logs:
+        result = {"reach": args.reach, **run(args.reach, args.scenario, args.inside, Path(logs))}
+    print(result, flush=True)
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    well = result["ended"] == "done" if args.reach != "nobody" else not result["heard"]
+    return 0 if well else 1
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--reach", default="named", choices=REACHES)
+    parser.add_argument("--scenario", default="sort_4")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--inside", default="", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.inside:
+        return inside(args)
+    try:
+        with machines() as (eyes, hands):
+            words = [*enter(hands), sys.executable, *sys.argv, "--inside", eyes]
+            reach = ros_environment(DOMAIN) | reach_environment(args.reach, EYES)
+            return subprocess.run(words, env=os.environ | reach, check=False).returncode
+    except PlateError as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
