@@ -76,11 +76,22 @@ def header(data: Data) -> str:
         "the plate (0.05 to 0.2 s) a motion must be found. So every stage has a time and an error: "
         "this page shows one against the other, ours beside the best others, and how both grow "
         "with the number of parts.</p>"
-        '<p class="soft">µmg is the friction of one part: forces are given as shares of it. '
-        "Times are of one core. Point at a mark to see what it is; drag to zoom, double-click to "
-        "zoom out; the names above a chart switch its marks on and off.</p>"
-        f"{warning}</header>"
+        '<p class="soft">Method A of the paper strings rotations of the plate about chosen centres '
+        "together, Method B, our default, superposes sinusoids. µmg is the friction of one part: "
+        "forces are given as shares of it. Times are of one core. Point at a mark to see what it "
+        "is; drag to zoom, double-click to zoom out; the names above a chart switch its marks on "
+        "and off.</p>"
+        f"{warning}{machine(data)}</header>"
     )
+
+
+def machine(data: Data) -> str:
+    """Say what the figures were measured on."""
+    facts = dict.fromkeys(
+        ", ".join(f"{key} {value}" for key, value in item["machine"].items() if key != "load")
+        for item in data.values()
+    )
+    return "".join(f'<p class="soft">Measured on: {escape(text)}.</p>' for text in facts)
 
 
 def navigation(charts: Iterable[Chart]) -> str:
@@ -190,7 +201,7 @@ def repeat(sources: Sequence[str], data: Data) -> str:
 
 def measurement(name: str, item: Mapping[str, Any]) -> str:
     """Return one measurement: its sentences and tables, and what it was made on."""
-    machine = ", ".join(f"{key} {value}" for key, value in item["machine"].items())
+    where = ", ".join(f"{key} {value}" for key, value in item["machine"].items())
     lines = "".join(f"<li>{escape(line)}</li>" for line in item["summary"])
     tables = "".join(
         f"<h3>{escape(table['title'])}</h3>{html_table(table['columns'], table['rows'])}"
@@ -199,7 +210,7 @@ def measurement(name: str, item: Mapping[str, Any]) -> str:
     )
     return (
         f"<details><summary>{escape(name)}: {escape(item['about'])}</summary><ul>{lines}</ul>"
-        f'{tables}<p class="soft">{repeat([name], {name: item})} {escape(machine)}</p></details>'
+        f'{tables}<p class="soft">{repeat([name], {name: item})} {escape(where)}</p></details>'
     )
 
 

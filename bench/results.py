@@ -111,12 +111,12 @@ def demos(folder: Path) -> str:
         "`python tools/demos.py` makes all. Arrows are the average force of the cycle that runs.\n",
     ]
     for name, run in runs.items():
-        lines += [
-            f"### {name}\n",
-            f"{run['description']} {run['outcome']}\n",
-            f"![{name} as the camera sees it]({FOLDER}/{name}.webp)\n",
-            f"<details><summary>Picture strip</summary>\n\n![{name}]({FOLDER}/{name}.png)\n\n"
-            "</details>\n",
-            f"To repeat: `make demo SCENARIO={name}`.\n",
-        ]
+        lines.append(f"### {name}\n\n{run['description']} {run['outcome']}\n")
+        if (folder / f"{name}.webp").exists():
+            lines += [
+                f"![{name} as the camera sees it]({FOLDER}/{name}.webp)\n",
+                f"<details><summary>Picture strip</summary>\n\n![{name}]({FOLDER}/{name}.png)\n\n"
+                "</details>\n",
+            ]
+        lines.append(f"To repeat: `make demo SCENARIO={name}`.\n")
     return "\n".join(lines)

@@ -10,7 +10,9 @@ from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 sys.path.insert(0, str(BENCH))
@@ -77,11 +79,8 @@ def drawn(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def every_kind(tmp_path_factory):
-    """A page with a panel of every kind: points and a front, bars, a field with a line on it."""
-    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
-    from report import write_report
-
+def chart():
+    """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
     points = Points("some", [1.0, 10.0, 100.0], [3.0, None, 1.0], marker="D", line="--")
     bars = Points("bars", [1.0, 2.0], ["a", "b"], bars=True)
     theory = Points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
@@ -93,9 +92,15 @@ def every_kind(tmp_path_factory):
         Panel("bars", y, Axis("", names=("b", "a")), (bars,)),
         Panel("field", y, y, (theory,), field=field),
     )  # fmt: skip
-    chart = Chart(
-        "one", "a", "Title </script>", "reading", "finding", "why", (), panels, [{"x": 1}]
-    )
+    return Chart("one", "a", "Title </script>", "reading", "finding", "why", (), panels, [{"x": 1}])
+
+
+@pytest.fixture(scope="module")
+def every_kind(chart, tmp_path_factory):
+    """A page with that chart."""
+    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
+    from report import write_report
+
     path = tmp_path_factory.mktemp("page") / "index.html"
     write_report(path, {}, [chart])
     return path
@@ -173,6 +178,15 @@ def test_a_page_that_cannot_draw_is_noticed(every_kind):
     assert "Plotly is not defined" in result["errors"][0]
     assert "Plotly is not defined" in console[0]
     assert all(panel["svgs"] == 0 for panel in result["panels"])
+
+
+def test_every_kind_of_panel_is_drawn_as_a_picture(chart, tmp_path):
+    from plot import save_picture
+
+    save_picture(chart, tmp_path / "one.png")
+    with Image.open(tmp_path / "one.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+    assert len(np.unique(pixels, axis=0)) > 200  # colours of a field, not a blank sheet
 
 
 def test_the_report_refers_to_nothing_outside(drawn):

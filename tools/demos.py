@@ -59,12 +59,14 @@ def run(name: str) -> dict[str, Any]:
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=LONGEST_S, check=False, cwd=ROOT
     )
-    result = out / "result.json"
+    result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
+        for picture in pictures:
+            picture.unlink(missing_ok=True)
         last = (done.stderr or done.stdout).strip().splitlines()[-1:]
         return {"description": "", "well": False, "outcome": f"Failed: {' '.join(last)}"}
-    shrink_strip(out / "strip.png", DOCS / f"{name}.png")
-    shrink_film(out / "demo.gif", DOCS / f"{name}.webp")
+    shrink_strip(out / "strip.png", pictures[0])
+    shrink_film(out / "demo.gif", pictures[1])
     found = json.loads(result.read_text(encoding="utf-8"))
     return {
         "description": load_scenario(name).description,
