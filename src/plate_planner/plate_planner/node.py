@@ -20,7 +20,7 @@ from plate_core.ros.convert import msg_to_cycle, msg_to_parts, parts_to_msg, sec
 from plate_core.ros.main import run_node
 from plate_core.ros.markers import forces_to_msg
 from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA, LATCHED
+from plate_core.ros.qos import DATA, LATCHED, NEWEST
 from plate_core.scenario import load_scenario
 
 from .assembling import AssembleOptions
@@ -142,7 +142,7 @@ class PlannerNode(Node):
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._task_state = self.create_publisher(String, "task_state", LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        self.create_subscription(MultiDOFJointState, "parts", self._on_parts, DATA)
+        self.create_subscription(MultiDOFJointState, "parts", self._on_parts, NEWEST)
         self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.create_subscription(String, "driver_state", self._on_driver, LATCHED)
         self.create_service(Trigger, "start", self._on_start)

@@ -18,7 +18,7 @@ from plate_core.ros.convert import cycle_to_msg, msg_to_parts, nanoseconds
 from plate_core.ros.main import run_node
 from plate_core.ros.markers import centres_to_msg
 from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA
+from plate_core.ros.qos import DATA, NEWEST
 
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
 from .library import Library
@@ -78,7 +78,7 @@ class SolverNode(Node):
         self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, DATA)
+        self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, NEWEST)
         self.create_timer(REPORT_PERIOD_S, self._report)
 
     def _set_options(self, options: Options) -> None:

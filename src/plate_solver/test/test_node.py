@@ -231,18 +231,28 @@ def test_life_of_a_solver(peer, rig):
     # Messages that make no sense are not answered, and the solver goes on.
     count = len(peer.cycles)
     whole = PartSet.make(("a_1", "a_2"), PLACES, force=1e-4 * np.ones((2, 2)))
-    for bad in (
+    refused = [
         PartSet.make(("a_1", "a_2"), PLACES * [np.nan, 1]),
         PartSet.make(("a_1", "a_2"), PLACES, force=np.full((2, 2), np.nan)),
         PartSet.make(("a_1", "a_1"), PLACES),
-    ):
+    ]
+    for number, bad in enumerate(refused, 1):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
+        peer.report(lambda r, number=number: r["refused_messages"] == str(number))
     peer.send(whole, plate.stamp_ns - 50 * MS)  # older than the last
     peer.report(lambda r: r["refused_messages"] == "4")
     stamp_ns += 100 * MS
     assert np.any(peer.ask(whole, stamp_ns).knot_pose != 0)
     assert len(peer.cycles) == count + 1
+
+    # Of what came while it was busy the last is answered, so that it is never far behind.
+    burst = [stamp_ns + k * MS for k in range(1, 9)]
+    count = len(peer.cycles)
+    for number in burst:
+        peer.send(whole, number)
+    peer.answer(burst[-1])
+    assert len(peer.cycles) < count + len(burst)
 
     # A stamp far back is a simulator that began anew: nothing is remembered.
     fresh = Plate(peer, stamp_ns=0)

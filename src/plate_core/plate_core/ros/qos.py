@@ -26,6 +26,14 @@ DATA = QoSProfile(
 )
 """Parts, forces, cycles, setpoints: none may be lost, old ones are of no use."""
 
+NEWEST = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""What takes long to answer: whoever is behind goes on with the newest, so that no queue stays."""
+
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,

@@ -1,0 +1,130 @@
+"""Sort for hours in real time, parts put down anew each time: does memory grow, or latency drift?
+
+python tools/soak.py [--minutes 60] [--scenario sort_10] [--json FILE]
+
+Prints a line per task, and at the end: slope of each node's memory and of the latency (image stamp
+to motor setpoints) with 95 % intervals, from one sample per task, always in the same state; share
+of cycles for which no new motion had come in time; how the tasks ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from graph.series import Series, Task, work_again
+from scipy import stats
+
+from plate_core.graph import RunOptions
+
+SETTLED_S = 120.0
+"""Until then memory may grow: buffers fill, caches are made [s]."""
+
+MOST_MISSED = 1e-3
+"""Share of cycles that may be missed."""
+
+CONFIDENCE = 0.95
+
+
+def slope(time_s: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+    """Return the slope of a straight line [1/h], and half the width of its interval."""
+    if len(time_s) < 3:
+        return float("nan"), float("nan")
+    line = stats.linregress(time_s / 3600, value)
+    wide = stats.t.ppf((1 + CONFIDENCE) / 2, len(time_s) - 2)
+    return float(line.slope), float(wide * line.stderr)
+
+
+def line(task: Task) -> str:
+    """Return one task in one line."""
+    cycles, held, late = task.counts
+    latency = 1e3 * task.latency
+    memory = " ".join(f"{name} {mb:.1f}" for name, mb in task.memory_mb.items())
+    return (
+        f"{task.at_s:7.0f} s  {task.ended[:40]:8s} {cycles:4d} cycles, {held} held, {late} late, "
+        f"latency {np.median(latency):.1f} ms, 99 % {np.percentile(latency, 99):.1f} ms; "
+        f"MB: {memory}; load {os.getloadavg()[0]:.1f}"
+    )
+
+
+def summed_up(series: Series) -> dict[str, Any]:
+    """Return what the tasks say together."""
+    tasks = series.tasks
+    settled = [task for task in tasks if task.at_s > SETTLED_S] or tasks
+    at = np.array([task.at_s for task in settled])
+    memory = []
+    for name in tasks[0].memory_mb:
+        values = np.array([task.memory_mb[name] for task in settled])
+        growth, wide = slope(at, values)
+        memory.append(
+            {
+                "node": name, "first_mb": values[0], "last_mb": values[-1],
+                "mb_per_hour": growth, "interval": wide, "cpu_share": series.cpu[name],
+            }
+        )  # fmt: skip
+    cycles, held, late = np.sum([task.counts for task in tasks], axis=0).tolist()
+    latency = 1e3 * np.concatenate([task.latency for task in tasks])
+    drift, wide = slope(at, np.array([1e3 * np.median(task.latency) for task in settled]))
+    return {
+        "hours": tasks[-1].at_s / 3600,
+        "tasks": len(tasks), "done": sum(task.ended == "done" for task in tasks),
+        "ended": [task.ended for task in tasks if task.ended != "done"],
+        "cycles": cycles, "held": held, "late": late, "missed_share": (held + late) / cycles,
+        "tables": sum(task.tables for task in tasks), "faults": sum(task.faults for task in tasks),
+        "latency_ms": np.median(latency), "latency_p99_ms": np.percentile(latency, 99),
+        "latency_ms_per_hour": drift, "latency_interval": wide,
+        "memory": memory,
+    }  # fmt: skip
+
+
+def text(result: dict[str, Any]) -> str:
+    """Return the sum as a table."""
+    lines = [f"{'node':10s} {'MB':>15s} {'MB/h':>16s} {'CPU':>6s}"]
+    for row in result["memory"]:
+        lines.append(
+            f"{row['node']:10s} {row['first_mb']:7.1f} {row['last_mb']:7.1f} "
+            f"{row['mb_per_hour']:7.2f} +- {row['interval']:5.2f} {100 * row['cpu_share']:4.1f} %"
+        )
+    return "\n".join(
+        [
+            *lines,
+            f"{result['done']} of {result['tasks']} tasks done in {result['hours']:.2f} h; "
+            f"{result['faults']} of {result['tables']} motor tables broke a limit",
+            f"{result['held']} cycles held and {result['late']} late of {result['cycles']}: "
+            f"{100 * result['missed_share']:.3f} %",
+            f"latency {result['latency_ms']:.1f} ms, 99 % {result['latency_p99_ms']:.1f} ms, "
+            f"drift {result['latency_ms_per_hour']:.2f} +- {result['latency_interval']:.2f} ms/h",
+        ]
+    )
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--scenario", default="sort_10")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    until = time.monotonic() + 60 * args.minutes
+    options = RunOptions(scenario=args.scenario, autostart=False)
+    load = os.getloadavg()[2]
+    with tempfile.TemporaryDirectory() as logs:
+        for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):
+            print(line(now.tasks[-1]), flush=True)
+            result = {**summed_up(now), "load": [load, os.getloadavg()[2]]}
+            if args.json:  # after each task: a run that is cut short has its table too
+                args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    print(text(result), flush=True)
+    well = result["faults"] == 0 and result["missed_share"] <= MOST_MISSED
+    return 0 if well else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
