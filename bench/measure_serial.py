@@ -34,8 +34,15 @@ def measure(quick: bool) -> Result:
         paths = both_paths(pool, "sort_4" if quick else "sort_10", seeds)
         samples = list(resumed(pool, accident_run, accident_work(runs), LOG, MODULES))
     faults = [fault_row(kind, [row for row in samples if row["kind"] == kind]) for kind in KINDS]
-    frames = 20_000 if quick else FRAMES
-    fuzz = [row for row in (fuzz_host(frames), fuzz_device(frames)) if row is not None]
+    frames, seconds = (20_000, 5.0) if quick else (FRAMES, LATENESS_S)
+    with processes(1) as pool:  # a fresh one: its memory is looked at
+        fuzz = [
+            row
+            for fuzzed in (fuzz_host, fuzz_device)
+            for row in resumed(pool, fuzzed, [(frames,)], LOG, ("serial_fuzz",))
+            if row is not None
+        ]
+        [late] = resumed(pool, over_terminal, [(seconds,)], LOG, ("serial_line",))
     uploads = [
         {
             "knots": knots,
@@ -46,7 +53,6 @@ def measure(quick: bool) -> Result:
         }
         for knots in (48, 64, 96)
     ]
-    late = over_terminal(5.0 if quick else LATENESS_S)
     return Result(
         [
             Table(
@@ -87,7 +93,8 @@ def measure(quick: bool) -> Result:
                 "terminal", "A new table of 64 pieces each 200 ms over a pseudo-terminal",
                 {"cycles": "cycles", "upload_ms": "upload, median [ms]",
                  "upload_p99_ms": "99 % [ms]", "late_share": "share too late",
-                 "tick_p99_ms": "device's tick late by, 99 % [ms]", "tick_max_ms": "most [ms]"},
+                 "tick_p99_ms": "device's tick late by, 99 % [ms]", "tick_max_ms": "most [ms]",
+                 "load": "load of the machine"},
                 [late],
             ),
         ],

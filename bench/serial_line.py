@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import tempfile
 import time
 from multiprocessing.synchronize import Event
@@ -94,6 +95,7 @@ def over_terminal(seconds: float, knots: int = 64) -> dict[str, Any]:
     when the cycle ends.
     """
     context = multiprocessing.get_context("spawn")
+    load = os.getloadavg()[0]
     ready, done, late = context.Event(), context.Event(), context.Queue()
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
@@ -114,6 +116,7 @@ def over_terminal(seconds: float, knots: int = 64) -> dict[str, Any]:
         "late_share": misses / max(1, len(uploads)),
         "tick_p99_ms": 1e3 * ticks[1],
         "tick_max_ms": 1e3 * ticks[2],
+        "load": (load + os.getloadavg()[0]) / 2,
     }
 
 

@@ -106,7 +106,7 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
     uint16_t id = get_u16(fields), count = get_u16(fields + 2);
     c->waiting = false;
     table->id = 0;
-    if (id == 0 || count < 2)
+    if (id == 0 || count == 1)
         return STATUS_WRONG_TABLE;
     if (count > MAX_KNOTS)
         return STATUS_TOO_LONG;
@@ -114,13 +114,35 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
     table->id = id;
     table->count = count;
     table->crc = get_u32(fields + 4);
+    table->streams = count == 0;
+    table->next = 0;
     return STATUS_DONE;
+}
+
+/* Add knots from number `first` on to a stream. */
+static uint8_t stream(Controller *c, Table *table, const uint8_t *fields, uint32_t count)
+{
+    double begin = 0, *time = table == &c->tables[c->playing] ? &c->time : &begin;
+    uint16_t known = (uint16_t)(table->next - get_u16(fields + 2));
+    uint8_t status = known < 0x8000 ? STATUS_DONE : STATUS_INCOMPLETE;
+    if (time == &c->time && table_rests(table) && c->time + BRAKE_S / 2 > table_period(table))
+        return STATUS_WRONG_STATE; /* it is at its end: too late to go on, since a brake must fit */
+    for (uint32_t k = known; k < count && status == STATUS_DONE; k++) {
+        Knot knot;
+        knot_read(&knot, fields + 4 + k * KNOT_BYTES);
+        status = stream_add(table, &knot, time, &c->limits);
+    }
+    return status;
 }
 
 static uint8_t fill(Controller *c, const uint8_t *fields, size_t size)
 {
-    Table *table = &c->tables[!c->playing];
+    Table *table = &c->tables[!c->playing], *now = &c->tables[c->playing];
     uint32_t first = get_u16(fields + 2), count = (uint32_t)(size - 4) / KNOT_BYTES;
+    if (c->state == STATE_PLAYING && now->streams && now->id == get_u16(fields))
+        return stream(c, now, fields, count);
+    if (table->id != 0 && table->streams && table->id == get_u16(fields))
+        return stream(c, table, fields, count);
     if (table->id == 0 || table->id != get_u16(fields) || first + count > table->count)
         return STATUS_WRONG_TABLE;
     if (c->waiting)
@@ -139,10 +161,16 @@ static uint8_t commit(Controller *c, const uint8_t *fields)
         return STATUS_WRONG_STATE;
     if (table->id == 0 || table->id != get_u16(fields))
         return STATUS_WRONG_TABLE;
-    uint8_t status = table_check(table, &c->limits);
+    const Table *now = &c->tables[c->playing];
+    if (c->state == STATE_PLAYING && (table->streams || now->streams))
+        return STATUS_WRONG_STATE; /* a stream has no end to begin at */
+    uint8_t status = STATUS_DONE;
+    if (!table->streams)
+        status = table_check(table, &c->limits);
+    else if (table->count < 2 || table_period(table) < BRAKE_S)
+        status = STATUS_INCOMPLETE; /* it must always be able to brake */
     if (status != STATUS_DONE)
         return status;
-    const Table *now = &c->tables[c->playing];
     const Knot *end = c->state == STATE_PLAYING ? &now->knots[now->count - 1] : NULL;
     for (int m = 0; m < MOTORS; m++) {
         float position = end ? end->position[m] : c->from.position[m];

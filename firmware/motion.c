@@ -5,7 +5,6 @@
 
 #include "message.h"
 
-#define BRAKE_S 0.2    /* longest brake: short, but gentle against the plate's 10 g */
 #define HOMEWARD_S 0.5 /* for a stroke: 0.04 m/s, 0.25 m/s2 */
 
 static const float ZERO[MOTORS];
@@ -30,10 +29,11 @@ void motion_brake(Controller *c, uint8_t faults)
     c->faults |= faults;
     c->waiting = false;
     if (c->state == STATE_PLAYING) {
-        double period = table_period(&c->tables[c->playing]);
+        const Table *table = &c->tables[c->playing];
+        double period = table_period(table);
         c->state = STATE_BRAKING;
         c->brake = 0;
-        c->brake_s = period < BRAKE_S ? period : BRAKE_S;
+        c->brake_s = period < BRAKE_S && !table->streams ? period : BRAKE_S;
     } else if (c->state != STATE_BRAKING) {
         motion_off(c, faults);
     }
@@ -54,21 +54,25 @@ static double brake_path(double u)
     return u - u * u * u * (1 - u / 2);
 }
 
-/* Along the table, slower and slower when braking. */
-static void play(Controller *c, double dt, Setpoint *at)
+/* Whether a stream's last knots are needed for a brake. */
+static bool runs_dry(const Controller *c, double dt)
 {
-    double rate = 1, slowing = 0, step = dt;
-    if (c->state == STATE_BRAKING) {
-        double from = c->brake / c->brake_s, u = fmin(from + dt / c->brake_s, 1);
-        c->brake = u * c->brake_s;
-        rate = 1 - u * u * (3 - 2 * u);
-        slowing = 6 * u * (u - 1) / c->brake_s;
-        step = c->brake_s * (brake_path(u) - brake_path(from));
-    }
-    c->time += step;
+    const Table *table = &c->tables[c->playing];
+    return c->state == STATE_PLAYING && table->streams && !table_rests(table) &&
+           c->time + dt + BRAKE_S / 2 > table_period(table);
+}
+
+/* Take over, begin again or end where the table's time is beyond its end. */
+static void wrap(Controller *c)
+{
     const Table *table = &c->tables[c->playing];
     double period = table_period(table);
-    while (c->time >= period && c->state != STATE_READY) {
+    if (table->streams && c->time >= period) { /* it ends at rest */
+        c->time = period;
+        if (c->state == STATE_PLAYING)
+            c->state = STATE_READY;
+    }
+    while (c->time >= period && !table->streams && c->state != STATE_READY) {
         c->time -= period;
         c->played++;
         if (c->waiting) {
@@ -80,7 +84,24 @@ static void play(Controller *c, double dt, Setpoint *at)
             c->time = 0;
         }
     }
-    table_at(table, c->time, at);
+}
+
+/* Along the table, slower and slower when braking. */
+static void play(Controller *c, double dt, Setpoint *at)
+{
+    double rate = 1, slowing = 0, step = dt;
+    if (runs_dry(c, dt))
+        motion_brake(c, FAULT_HOST_SILENT);
+    if (c->state == STATE_BRAKING) {
+        double from = c->brake / c->brake_s, u = fmin(from + dt / c->brake_s, 1);
+        c->brake = u * c->brake_s;
+        rate = 1 - u * u * (3 - 2 * u);
+        slowing = 6 * u * (u - 1) / c->brake_s;
+        step = c->brake_s * (brake_path(u) - brake_path(from));
+    }
+    c->time += step;
+    wrap(c);
+    table_at(&c->tables[c->playing], c->time, at);
     for (int m = 0; m < MOTORS; m++) {
         float along = c->state == STATE_READY ? 0 : (float)rate;
         at->acceleration[m] *= along * along;

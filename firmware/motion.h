@@ -4,6 +4,9 @@
 
 #include "controller.h"
 
+/* Longest brake [s]: short, but gentle against the plate's 10 g. It takes half as long of the path. */
+#define BRAKE_S 0.2
+
 /* Current off, for the reasons given. */
 void motion_off(Controller *c, uint8_t faults);
 

@@ -11,6 +11,9 @@
 /* Halvings of a piece until its hull tells whether a limit is kept: it closes in by 4 each time. */
 #define HALVINGS 12
 
+/* Longest piece of a stream [10 ns]: 50 ms, so that times never wrap. */
+#define LONGEST_PIECE 5000000u
+
 #define CLOSES_M 2e-6f     /* how far a table's end may be from its start [m] */
 #define CLOSES_SPEED 2e-3f /* [m/s] */
 
@@ -171,7 +174,17 @@ uint8_t table_check(const Table *table, const Limits *limits)
     return STATUS_DONE;
 }
 
-void table_at(const Table *table, double time, Setpoint *out)
+bool table_rests(const Table *table)
+{
+    const Knot *last = &table->knots[table->count - 1];
+    bool rests = true;
+    for (int m = 0; m < MOTORS; m++)
+        rests = rests && last->velocity[m] == 0 && last->acceleration[m] == 0;
+    return rests;
+}
+
+/* Number of the piece that is played at a time [s]. */
+static int piece_at(const Table *table, double time)
 {
     int low = 0, high = table->count - 1;
     while (high - low > 1) {
@@ -181,7 +194,44 @@ void table_at(const Table *table, double time, Setpoint *out)
         else
             high = middle;
     }
-    const Knot *a = &table->knots[low], *b = &table->knots[high];
+    return low;
+}
+
+uint8_t stream_add(Table *stream, const Knot *knot, double *time, const Limits *limits)
+{
+    Knot added = *knot;
+    added.ticks = 0;
+    if (stream->count > 0) {
+        const Knot *last = &stream->knots[stream->count - 1];
+        double heat[MOTORS] = {0}; /* is followed as it plays */
+        uint32_t step = knot->ticks - stream->told;
+        if (step == 0 || step > LONGEST_PIECE)
+            return STATUS_WRONG_TIMES;
+        added.ticks = last->ticks + step;
+        if (!piece_keeps(last, &added, limits, heat))
+            return STATUS_LIMIT;
+    }
+    if (stream->count == MAX_KNOTS) {
+        int gone = piece_at(stream, *time);
+        uint32_t begin = stream->knots[gone].ticks;
+        if (gone == 0)
+            return STATUS_TOO_LONG;
+        stream->count = (uint16_t)(stream->count - gone);
+        memmove(stream->knots, stream->knots + gone, stream->count * sizeof *stream->knots);
+        for (int k = 0; k < stream->count; k++)
+            stream->knots[k].ticks -= begin;
+        added.ticks -= begin;
+        *time -= begin * TICK_S;
+    }
+    stream->knots[stream->count++] = added;
+    stream->told = knot->ticks;
+    stream->next++;
+    return STATUS_DONE;
+}
+
+void table_at(const Table *table, double time, Setpoint *out)
+{
+    const Knot *a = &table->knots[piece_at(table, time)], *b = a + 1;
     float h = (float)((b->ticks - a->ticks) * TICK_S);
     float s = (float)(time - a->ticks * TICK_S) / h;
     for (int m = 0; m < MOTORS; m++) {

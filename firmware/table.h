@@ -21,6 +21,9 @@ typedef struct {
 typedef struct {
     uint16_t id;      /* 0: none */
     uint16_t count, repeats;
+    bool streams;     /* knots are added while it plays; `next` is the number of the one to come, */
+    uint16_t next;    /* `told` the time of the last one as the host counts it [10 ns] */
+    uint32_t told;
     uint32_t crc;     /* of the knots' bytes */
     Knot knots[MAX_KNOTS];
     uint8_t there[(MAX_KNOTS + 7) / 8];
@@ -45,6 +48,13 @@ void knot_write(const Knot *knot, uint8_t bytes[KNOT_BYTES]);
 
 /* Status of a whole table: DONE, or why it must not play. */
 uint8_t table_check(const Table *table, const Limits *limits);
+
+/* Add a knot to a stream that is `time` [s] into it; what has been played makes room for it, and
+   counts no longer. Returns DONE, or why it must not be added. */
+uint8_t stream_add(Table *stream, const Knot *knot, double *time, const Limits *limits);
+
+/* Whether a table's last knot is at rest. */
+bool table_rests(const Table *table);
 
 /* Force [N] of a motor for the accelerations of all. */
 double force_of(const Limits *limits, int motor, const float acceleration[MOTORS]);

@@ -37,10 +37,10 @@ from plate_core.serial_protocol import (
 from plate_core.serial_protocol.messages import MOTORS, VERSION
 
 from .limits import DeviceLimits
-from .motion import REST, Motion
-from .table import Draft
+from .motion import BRAKE_S, REST, Motion
+from .stream import MAX_KNOTS, Stream
+from .table import Draft, Table
 
-MAX_KNOTS = 512
 WINDOW = 8
 """Messages of knots that may be on their way."""
 
@@ -66,7 +66,7 @@ class Device:
     now_us, heard_us, told_us : int
         Time now, of the host's last frame, and of the last telemetry [us].
     motion : Motion
-    draft : Draft or None
+    draft : Draft, Stream or None
         The second buffer.
     heat : (4,)
         Mean square of each motor's force, of late [N2].
@@ -88,7 +88,7 @@ class Device:
     heard_us: int = 0
     told_us: int = 0
     motion: Motion = field(default_factory=Motion)
-    draft: Draft | None = None
+    draft: Draft | Stream | None = None
     heat: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS))
     measured: np.ndarray = field(default_factory=lambda: REST[:2])
     board: Fault = Fault.NONE
@@ -278,19 +278,44 @@ class Device:
 
     def _begun(self, begin: Begin) -> tuple[Device, Status]:
         device = replace(self, motion=replace(self.motion, waiting=None), draft=None)
-        if begin.table == 0 or begin.knots < 2:
+        if begin.table == 0 or begin.knots == 1:
             return device, Status.WRONG_TABLE
+        if begin.knots == 0:
+            return replace(device, draft=Stream.opened(begin.table)), Status.DONE
         if begin.knots > MAX_KNOTS:
             return device, Status.TOO_LONG
         return replace(device, draft=Draft(begin.table, begin.knots, begin.crc)), Status.DONE
 
     def _filled(self, message: Knots) -> tuple[Device, Status]:
         draft, end = self.draft, message.first + len(message.knots)
-        if draft is None or draft.table != message.table or end > draft.count:
+        playing, id = self.motion.playing, message.table
+        if self.motion.state is not State.PLAYING or not isinstance(playing, Stream):
+            playing = None
+        if playing is not None and playing.table == id:
+            return self._streamed(playing, message)
+        if isinstance(draft, Stream) and draft.table == id:
+            added, _, status = draft.added(message.first, message.knots, 0.0, self.limits)
+            waits = self.motion.waiting is not None
+            motion = replace(self.motion, waiting=added) if waits else self.motion
+            return replace(self, draft=added, motion=motion), status
+        if (
+            draft is None
+            or isinstance(draft, Stream)
+            or draft.table != message.table
+            or end > draft.count
+        ):
             return self, Status.WRONG_TABLE
         if self.motion.waiting is not None:
             return self, Status.DONE  # a repetition: the table has been looked at
         return replace(self, draft=draft.filled(message.first, message.knots)), Status.DONE
+
+    def _streamed(self, stream: Stream, message: Knots) -> tuple[Device, Status]:
+        """Add knots to the stream that plays."""
+        motion = self.motion
+        if stream.rests and motion.time + BRAKE_S / 2 > stream.period:
+            return self, Status.WRONG_STATE  # at its end: too late to go on, since a brake must fit
+        added, time, status = stream.added(message.first, message.knots, motion.time, self.limits)
+        return replace(self, motion=replace(motion, playing=added, time=time)), status
 
     def _committed(self, commit: Commit) -> tuple[Device, Status]:
         motion, draft = self.motion, self.draft
@@ -298,7 +323,15 @@ class Device:
             return self, Status.WRONG_STATE
         if draft is None or draft.table != commit.table:
             return self, Status.WRONG_TABLE
-        status, table = draft.checked(self.limits)
+        endless = isinstance(draft, Stream)
+        if motion.state is State.PLAYING and (endless or isinstance(motion.playing, Stream)):
+            return self, Status.WRONG_STATE  # a stream has no end to begin at
+        table: Table | None
+        if isinstance(draft, Draft):
+            status, table = draft.checked(self.limits)
+        else:  # it must always be able to brake
+            whole = len(draft.ticks) >= 2 and draft.period >= BRAKE_S
+            status, table = (Status.DONE, draft) if whole else (Status.INCOMPLETE, None)
         if table is None:
             return self, status
         position, speed = motion.start[0], REST[1]

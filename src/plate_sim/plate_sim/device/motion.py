@@ -9,6 +9,7 @@ import numpy as np
 from plate_core.serial_protocol import Fault, State
 from plate_core.serial_protocol.messages import MOTORS
 
+from .stream import Stream
 from .table import Table
 
 BRAKE_S = 0.2
@@ -69,7 +70,8 @@ class Motion:
         """Slow down along the table and go home; off at once where nothing plays."""
         motion = replace(self, faults=self.faults | faults, waiting=None)
         if motion.state is State.PLAYING and motion.playing is not None:
-            length = min(motion.playing.period, BRAKE_S)
+            endless = isinstance(motion.playing, Stream)
+            length = BRAKE_S if endless else min(motion.playing.period, BRAKE_S)
             return replace(motion, state=State.BRAKING, brake=0.0, brake_s=length)
         return motion if motion.state is State.BRAKING else motion.off(faults)
 
@@ -100,15 +102,17 @@ class Motion:
 
     def _played(self, dt: float) -> tuple[Motion, np.ndarray | None]:
         """Along the table, slower and slower when braking."""
-        rate, slowing, step, brake = 1.0, 0.0, dt, self.brake
-        if self.state is State.BRAKING:
-            begin = brake / self.brake_s
-            u = min(begin + dt / self.brake_s, 1.0)
-            brake = u * self.brake_s
+        dry = self.state is State.PLAYING and self._runs_dry(dt)
+        motion = self.braked(Fault.HOST_SILENT) if dry else self
+        rate, slowing, step, brake = 1.0, 0.0, dt, motion.brake
+        if motion.state is State.BRAKING:
+            begin = brake / motion.brake_s
+            u = min(begin + dt / motion.brake_s, 1.0)
+            brake = u * motion.brake_s
             rate = 1 - u * u * (3 - 2 * u)
-            slowing = 6 * u * (u - 1) / self.brake_s
-            step = self.brake_s * (_brake_path(u) - _brake_path(begin))
-        motion = replace(self, time=self.time + step, brake=brake)._wrapped()
+            slowing = 6 * u * (u - 1) / motion.brake_s
+            step = motion.brake_s * (_brake_path(u) - _brake_path(begin))
+        motion = replace(motion, time=motion.time + step, brake=brake)._wrapped()
         assert motion.playing is not None  # PLAYING and BRAKING always have one
         along = np.float32(0 if motion.state is State.READY else rate)
         position, speed, accel = motion.playing.at(motion.time)
@@ -120,9 +124,21 @@ class Motion:
             motion = motion.going_home(State.BRAKING)
         return motion, at
 
+    def _runs_dry(self, dt: float) -> bool:
+        """Whether a stream's last knots are needed for a brake."""
+        stream = self.playing
+        if not isinstance(stream, Stream) or stream.rests:
+            return False
+        return self.time + dt + BRAKE_S / 2 > stream.period
+
     def _wrapped(self) -> Motion:
         """Take over, begin again or end where the table's time is beyond its end."""
         motion = self
+        if isinstance(motion.playing, Stream):  # it ends at rest
+            if motion.time < motion.playing.period:
+                return motion
+            state = State.READY if motion.state is State.PLAYING else motion.state
+            return replace(motion, time=motion.playing.period, state=state)
         while motion.playing is not None and motion.time >= motion.playing.period:
             time, played = motion.time - motion.playing.period, motion.played + 1
             motion = replace(motion, time=time, played=played)

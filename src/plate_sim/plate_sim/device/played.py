@@ -10,6 +10,7 @@ from plate_core.serial_protocol import State
 from plate_core.serial_protocol.messages import MOTORS
 
 from .motion import Motion
+from .stream import Stream
 from .table import Table
 
 STRETCH_S = 0.1
@@ -79,6 +80,8 @@ class Recorder:
         """Return the stretches that have ended by `now` [s], when `at` was commanded."""
         done = []
         table = motion.playing if motion.state is State.PLAYING else None
+        if isinstance(table, Stream):
+            table = None  # it has no cycles
         play = (id(table), motion.played) if table is not None else None
         if table is not None and play != self._play:
             done = self._cut(now - motion.time, table)

@@ -120,9 +120,13 @@ class Table:
         c5 = 6 * dp - 3 * dv + half * da
         return np.stack([c0, c1, c2, c3, c4, c5], axis=1)
 
+    def piece_at(self, time: float) -> int:
+        """Return the number of the piece that is played at a time [s]."""
+        return int(np.clip(np.searchsorted(self.times, time, "right") - 1, 0, len(self.times) - 2))
+
     def at(self, time: float) -> np.ndarray:
         """Return position, speed and acceleration (3, 4) at a time [s] within the period."""
-        k = int(np.clip(np.searchsorted(self.times, time, "right") - 1, 0, len(self.times) - 2))
+        k = self.piece_at(time)
         h = self.lengths[k]
         s = np.array([time - self.times[k]], np.float32) / h
         c0, c1, c2, c3, c4, c5 = self.pieces[k]
@@ -158,20 +162,29 @@ class Table:
         ]
         return np.array(position), np.array(speed), np.array(accel)
 
-    def status(self, limits: DeviceLimits) -> Status:
-        """Return DONE, LIMIT or JUMP: all limits on the spline itself, not on samples."""
+    def keeps(self, limits: DeviceLimits) -> bool:
+        """Tell whether motion and force keep their limits, on the spline itself, not on samples."""
         with np.errstate(all="ignore"):  # wild tables overflow, and are refused for it
-            position, speed, accel = self.hulls
-            force = limits.forces(accel).astype(np.float32)
             bounds = (limits.stroke_m, limits.speed, limits.accel, limits.force)
-            for points, bound in zip((position, speed, accel, force), bounds, strict=True):
-                if exceeds(points, np.float32(bound) * SLACK):
-                    return Status.LIMIT
-            wide = force.astype(float)
-            squares = np.einsum("ij,ikm,jkm->km", PRODUCTS, wide, wide)
-            heat = np.sum(squares * np.diff(self.ticks)[:, None] * TICK_S, axis=0)
-            off = np.abs(self.position[0] - self.position[-1])
-            kick = np.abs(self.velocity[0] - self.velocity[-1])
+            curves = (*self.hulls, self._forces(limits))
+            return not any(
+                exceeds(points, np.float32(bound) * SLACK)
+                for points, bound in zip(curves, bounds, strict=True)
+            )
+
+    def _forces(self, limits: DeviceLimits) -> np.ndarray:
+        """Bezier points (4, k, 4) of the motors' forces [N]."""
+        return limits.forces(self.hulls[2]).astype(np.float32)
+
+    def status(self, limits: DeviceLimits) -> Status:
+        """Return DONE, LIMIT or JUMP."""
+        if not self.keeps(limits):
+            return Status.LIMIT
+        wide = self._forces(limits).astype(float)
+        squares = np.einsum("ij,ikm,jkm->km", PRODUCTS, wide, wide)
+        heat = np.sum(squares * np.diff(self.ticks)[:, None] * TICK_S, axis=0)
+        off = np.abs(self.position[0] - self.position[-1])
+        kick = np.abs(self.velocity[0] - self.velocity[-1])
         bearable = limits.bearable * self.period
         for m in range(MOTORS):
             if not heat[m] <= bearable:
