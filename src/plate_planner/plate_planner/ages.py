@@ -30,6 +30,9 @@ LOOKS, CLEAR, FORGET = 4, 4.0, 0.9
 """An age is chosen after so many images at the least, once the worst age foretells them so many
 times worse than the best; what older images tell fades by this factor an image."""
 
+SETTLED = 40
+"""Ages that so many images do not tell apart are equally good, and one is kept."""
+
 
 @dataclass(frozen=True)
 class Ages:
@@ -46,7 +49,7 @@ class Ages:
     misfit : (A,)
         Squared distances of parts from where each belief foretold them [m2], fading.
     looks : int
-        Images since the ages were set.
+        Images of a plate in motion since the ages were set.
     """
 
     ages: np.ndarray
@@ -80,17 +83,21 @@ class Ages:
             for belief, age in zip(self.beliefs, self.ages, strict=True)
         )
         misfit = FORGET * self.misfit + [belief.misfit for belief in beliefs]
-        seen = replace(self, beliefs=beliefs, misfit=misfit, looks=self.looks + 1)
-        if seen.looks < LOOKS or np.max(misfit) <= CLEAR * np.min(misfit):
-            return seen
-        return seen._closer(log, t, friction_accel)
+        moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
+        seen = replace(self, beliefs=beliefs, misfit=misfit, looks=self.looks + moved)
+        step = np.ptp(self.ages) / len(STEPS[1:])
+        if seen.looks >= LOOKS and np.max(misfit) > CLEAR * np.min(misfit):
+            best = int(np.argmin(misfit))
+            return seen._closer(best, log, t, friction_accel) if step > FINE_S else seen._one(best)
+        return seen._one(self.best) if seen.looks >= SETTLED and 0 < step < COARSE_S else seen
 
-    def _closer(self, log: PlateLog, t: float, friction_accel: float) -> Ages:
-        """Set the ages anew around the one that fits best."""
-        best = int(np.argmin(self.misfit))
+    def _one(self, k: int) -> Ages:
+        """Keep one age."""
+        return Ages(self.ages[k : k + 1], self.beliefs[k : k + 1], misfit=np.zeros(1))
+
+    def _closer(self, best: int, log: PlateLog, t: float, friction_accel: float) -> Ages:
+        """Set the ages anew around the best."""
         step = self.ages[1] - self.ages[0]
-        if step <= FINE_S:
-            return Ages(self.ages[best : best + 1], (self.beliefs[best],), misfit=np.zeros(1))
         at_end = best == len(STEPS) - 1 or (best == 0 and self.ages[0] > 0)
         step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
         middle = np.clip(self.ages[best], -STEPS[0] * step, OLDEST_S - STEPS[-1] * step)
