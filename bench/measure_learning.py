@@ -107,7 +107,7 @@ class Plate:
             motion, self.state = realise(self.rig, self.state, cycle)
         return motion
 
-    def read(self, cycle: PlateCycle, times: int) -> tuple[np.ndarray, ...]:
+    def read(self, cycle: PlateCycle, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Play a cycle; return times since its start (n,) and what the sensors say (n, 4) twice."""
         begin, parts = self.rng.uniform(0, SAMPLE_S), []
         for k in range(times):
@@ -117,7 +117,8 @@ class Plate:
             t = t[(t >= 0) & (t < cycle.period)]
             q, _, qdd = motor_record(self.rig, motion, t)
             parts.append((t, q, qdd + NOISE * self.rng.normal(size=qdd.shape)))
-        return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+        t, q, qdd = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return t, q, qdd
 
 
 def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
