@@ -21,7 +21,7 @@ from store import Store
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
 
-SPEEDS_MM = (2, 5, 10, 20, 40, 80, 160, 320)
+SPEEDS_MM = (5, 10, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]; tried in this order until one fails."""
 
 SEEDS = (0, 1)
@@ -33,10 +33,13 @@ DIRT = {"friction_spread": "0.1", "friction_patches": "0.1"}
 CENTRES_M = ((-0.2, 0.07), (0.2, -0.07), (0.0, 0.07), (-0.2, -0.07), (0.2, 0.07), (0.0, -0.07))
 """Centres of the circles, in the order in which they are used [m]."""
 
+COUNTS = {"sinusoids": (1, 2, 3, 4, 5, 6), "rotations": (1, 2, 4, 6)}
+"""Parts by method."""
+
 RADIUS_M = 0.05
 """Of the circles."""
 
-SPAN_S = 12.0
+SPAN_S = 6.0
 """How long each is driven [s], but for half a lap at least and two at most."""
 
 MOST_RMS_M, MOST_DELAY = 6e-3, 1.05
@@ -48,18 +51,18 @@ def measure(quick: bool) -> Result:
     """Drive 1 to 6 parts faster and faster."""
     rig = load_rig()
     methods = ("sinusoids",) if quick else ("sinusoids", "rotations")
-    counts = (2,) if quick else range(1, len(CENTRES_M) + 1)
+    counts = {name: (2,) if quick else COUNTS[name] for name in methods}
     seeds = SEEDS[:1] if quick else SEEDS
     rows: list[dict[str, Any]] = []
     with processes(len(seeds)) as pool:
         store = Store("tracking", pool)
         for method in methods:
-            for count in counts:
+            for count in counts[method]:
                 for speed in (20, 80) if quick else SPEEDS_MM:
                     rows.append(_row(rig, store, method, count, speed, seeds))
                     if not rows[-1]["kept"]:
                         break
-    ends = [_end(rows, method, count) for method in methods for count in counts]
+    ends = [_end(rows, method, count) for method in methods for count in counts[method]]
     speeds = {
         "method": "method", "parts": "parts", "speed_mm_s": "speed [mm/s]",
         "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",

@@ -107,8 +107,10 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each is one run of the real graph, five nodes in five processes, in real time: "
-        "`python tools/demos.py` makes all. Arrows are the average force of the cycle that runs.\n",
+        "Each is one run of the real graph, five nodes in five processes; simulated time waits for "
+        "the answers, so a film does not depend on what else the machine did, and a seed repeats "
+        "it. `python tools/demos.py` makes all; without `--lockstep` it is real time. Arrows are "
+        "the average force of the cycle that runs.\n",
     ]
     for name, run in runs.items():
         lines.append(f"### {name}\n\n{run['description']} {run['outcome']}\n")
@@ -118,5 +120,5 @@ def demos(folder: Path) -> str:
                 f"<details><summary>Picture strip</summary>\n\n![{name}]({FOLDER}/{name}.png)\n\n"
                 "</details>\n",
             ]
-        lines.append(f"To repeat: `make demo SCENARIO={name}`.\n")
+        lines.append(f"To repeat: `make demo SCENARIO={name} ARGS=--lockstep`.\n")
     return "\n".join(lines)

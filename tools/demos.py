@@ -2,7 +2,8 @@
 
 python tools/demos.py [SCENARIO ...]
 
-Each runs in real time, as `make demo SCENARIO=...`. A run that fails is kept and told, too.
+Each is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, but simulated time waits for the
+answers, so that a film does not depend on what else the machine does. A run that fails is told.
 """
 
 from __future__ import annotations
@@ -55,9 +56,14 @@ def main() -> int:
 def run(name: str) -> dict[str, Any]:
     """Run one demo, keep its pictures, and say what became of it."""
     out = ROOT / "out/demos" / name
-    command = [sys.executable, str(ROOT / "tools/demo.py"), "--scenario", name, "--out", str(out)]
+    command = ["tools/demo.py", "--scenario", name, "--lockstep", "--out", str(out)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=LONGEST_S, check=False, cwd=ROOT
+        [sys.executable, *command],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+        cwd=ROOT,
     )
     result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
