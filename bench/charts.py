@@ -18,6 +18,7 @@ from chart import Chart, Data
 from charts_forces import force_map, inversion, learning, rotations
 from charts_loop import control, tracking
 from charts_solver import options, solver, steering
+from charts_stability import STABILITY
 from charts_world import cost, sim, vision
 from digest import code_of
 from harness import ROOT, optional
@@ -40,6 +41,7 @@ CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (tracking, ("tracking",)),
     (cost, ("stages", "sim")),
     (learning, ("learning",)),
+    *((make, ("stability",)) for make in STABILITY),
 )
 """Every chart, and the measurements that it is drawn from."""
 

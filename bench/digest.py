@@ -11,13 +11,18 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def code_of(name: str) -> str:
     """Return a digest of all that a measurement depends on: `src`, `config`, and its own files."""
+    return code_of_module(f"measure_{name}")
+
+
+def code_of_module(module: str) -> str:
+    """Return the same of any module of this folder."""
     digest = hashlib.sha256()
     for folder in (ROOT / "src", ROOT / "config"):
         for path in sorted(folder.rglob("*")):
             inside = path.relative_to(folder).parts
             if path.suffix in (".py", ".yaml") and "test" not in inside:
                 digest.update(path.read_bytes())
-    for path in sorted(own_files(f"measure_{name}")):
+    for path in sorted(own_files(module)):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -33,6 +33,7 @@ MEASUREMENTS = {
     "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
     "control": "The closed loop with more and less time for the solver",
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
+    "stability": "Stability maps: where methods fail, and where theory says so",
     "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
     "latency": "Image to motors in the real graph, beside one that only forwards",
     "closed_loop": "Whole tasks in the closed loop",

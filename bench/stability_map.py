@@ -1,0 +1,88 @@
+"""What the stability maps share: a success or an error over two parameters, and a theory's line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Grid:
+    """One map, measured.
+
+    Attributes
+    ----------
+    title : str
+        Tells grids of one chart apart; empty if there is only one.
+    x, y : list
+        Values of the two parameters.
+    z : list of list
+        Success or error: a row for each y, a column for each x.
+    line_x, line_y : list
+        Where the theory says that the border runs.
+    """
+
+    title: str
+    x: list[float]
+    y: list[float]
+    z: list[list[float]]
+    line_x: list[float] = field(default_factory=list)
+    line_y: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """What is measured and how it is shown.
+
+    Attributes
+    ----------
+    key : str
+        Of its table and its chart.
+    title : str
+    x_label, y_label, z_label, line_label : str
+        With units.
+    level : float
+        The border is where z passes this value.
+    measure : function of bool
+        Measures all grids; quickly, if asked to.
+    bounds : (float, float)
+        Ends of the colour scale.
+    log : str
+        Which axes are logarithmic, of "x" and "y".
+    steps : bool
+        Whether x counts, so that lines have steps.
+    finding : str
+        What comes out.
+    note : str
+        How it was measured.
+    """
+
+    key: str
+    title: str
+    x_label: str
+    y_label: str
+    z_label: str
+    line_label: str
+    level: float
+    measure: Callable[[bool], list[Grid]]
+    bounds: tuple[float, float]
+    log: str = ""
+    steps: bool = False
+    finding: str = ""
+    note: str = ""
+
+
+def crossing(place: Sequence[float], value: Sequence[float], level: float) -> float:
+    """Return where a curve first passes a level, between neighbours by a straight line.
+
+    NaN if it does not pass.
+    """
+    above = np.asarray(value, float) >= level
+    turns = np.flatnonzero(above[1:] != above[:-1])
+    if not len(turns):
+        return float("nan")
+    k = turns[0]
+    share = (level - value[k]) / (value[k + 1] - value[k])
+    return float(place[k] + share * (place[k + 1] - place[k]))

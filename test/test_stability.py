@@ -1,0 +1,119 @@
+"""The stability maps: the border that is measured lies where the theory says."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plate_core import load_rig
+from plate_solver.library import Library
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
+
+import map_harmonics
+import map_separation
+import map_stick
+from chart import Panel
+from charts_stability import chart_of
+from measure_stability import MAPS, cells, grids, nearness, sample
+from stability_map import Grid, StabilityMap, crossing
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig()
+
+
+def test_crossing_is_where_a_line_passes_the_level():
+    assert crossing([1, 2, 4], [0.0, 0.0, 1.0], 0.25) == pytest.approx(2.5)
+    assert crossing([1, 2, 4], [1.0, 0.0, 0.0], 0.25) == pytest.approx(1.75)
+    assert np.isnan(crossing([1, 2], [0.0, 0.1], 0.25))
+
+
+@pytest.mark.parametrize("grid", [(12, 6), (24, 13), (48, 26)])
+def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
+    library = Library.around(rig.plate.half, *grid)
+    predicted = map_separation.least_separation(rig, grid[0] * grid[1])
+    separation = predicted * np.geomspace(0.5, 2, 7)
+    force = [map_separation.guaranteed(rig, library, d, 8) for d in separation]
+    observed = crossing(separation.tolist(), force, map_separation.LEVEL)
+    assert observed == pytest.approx(predicted, rel=0.25)
+    assert force[0] == pytest.approx(force[2] / np.sqrt(2.52), rel=0.3)  # falls with the distance
+
+
+@pytest.mark.parametrize("harmonics", [2, 3])
+def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, harmonics):
+    most = map_harmonics.most_parts(harmonics)
+    parts = [most - 1, most, most + 1]
+    share = [map_harmonics.solved(rig, m, harmonics, 5, restarts=60) for m in parts]
+    assert share[0] >= 0.6
+    assert share[1] > 0
+    assert share[2] == 0
+
+
+def test_one_harmonic_serves_nobody(rig):
+    assert map_harmonics.most_parts(1) == 0
+    assert map_harmonics.solved(rig, 1, 1, 3, restarts=10) == 0
+
+
+@pytest.mark.parametrize("force", [0.0, 0.1, 0.2])
+def test_a_part_never_rests_above_the_predicted_shaking_ratio(rig, force):
+    predicted = map_stick.least_gamma(force)
+    below, above = (map_stick.resting_share(rig, force, s * predicted) for s in (0.9, 1.1))
+    assert below > 2 * map_stick.LEVEL
+    assert above == 0
+
+
+def test_dry_friction_of_den_hartog():
+    assert map_stick.least_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
+
+
+def test_the_overtone_gives_the_force_that_is_asked():
+    t = (np.arange(200_000) + 0.5) * 2 * np.pi / 200_000
+    for force in (0.05, 0.2, 0.33):
+        u = np.sin(t) + map_stick.overtone(force) * np.cos(2 * t)
+        assert np.mean(np.sign(u)) == pytest.approx(force, abs=1e-4)
+
+
+@pytest.mark.parametrize("key", MAPS)
+def test_the_chart_of_a_map_has_its_border_and_the_theory_in_every_panel(key):
+    one = MAPS[key]
+    low, high = one.bounds
+    z = [[low, low], [2 * one.level - low] * 2, [high, high]]
+    found = [Grid(t, [1.0, 2.0], [1.0, 2.0, 3.0], z, [1.0, 2.0], [1.4, 1.6]) for t in ("a", "b")]
+    table = {"key": key, "columns": {"x": "x", "z": "z"}, "rows": cells(found[0])}
+    samples = [sample(one, grid) for grid in found]
+    chart = chart_of({"stability": {"samples": samples, "tables": [table]}}, one)
+    assert [panel.title for panel in chart.panels] == ["a", "b"]
+    for panel in chart.panels:
+        assert isinstance(panel, Panel)
+        assert panel.field is not None
+        border, theory = panel.points
+        halfway = np.sqrt(2) if "y" in one.log else 1.5
+        assert border.y == pytest.approx([halfway] * len(border.y))
+        assert set(theory.y) == {1.4, 1.6}
+        assert panel.x.limits[0] < 1 < 2 < panel.x.limits[1]
+
+
+def test_nearness_is_the_ratio_of_borders():
+    one = MAPS["stick"]
+    z = [[0.0], [2 * one.level], [2 * one.level]]
+    grid = Grid("", [1.0], [1.0, 1.0001, 2.0], z, [0.5, 1.5], [1.25, 1.25])
+    assert nearness([sample(one, grid)]).startswith("measured and predicted border differ by 25 %")
+    grid = Grid("", [1.0], [1.0, 2.0], [[0.0], [0.0]], [0.5, 1.5], [1.25, 1.25])
+    assert nearness([sample(one, grid)]).startswith("no border")
+
+
+def test_a_map_is_kept_and_not_measured_again(tmp_path):
+    calls = []
+
+    def measured(quick):
+        calls.append(quick)
+        return [Grid("", [1.0], [2.0], [[3.0]])]
+
+    labels = dict.fromkeys(("title", "x_label", "y_label", "z_label", "line_label"), "")
+    one = StabilityMap("stick", level=0.0, measure=measured, bounds=(0, 1), **labels)
+    for quick in (True, True, False, True):
+        assert grids(one, quick, tmp_path / "kept.jsonl") == [Grid("", [1.0], [2.0], [[3.0]])]
+    assert calls == [True, False]
