@@ -14,13 +14,15 @@ from typing import Any
 import map_harmonics
 import map_separation
 import map_stick
+import map_suspension
 import numpy as np
 from digest import code_of_module
 from harness import ROOT, Result, Table, rounded
 from stability_map import Grid, StabilityMap, crossing
 
 MAPS: dict[str, StabilityMap] = {
-    module.MAP.key: module.MAP for module in (map_separation, map_harmonics, map_stick)
+    module.MAP.key: module.MAP
+    for module in (map_separation, map_harmonics, map_stick, map_suspension)
 }
 """Every map, by its key; each is measured in `map_KEY.py`."""
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plate_core import load_rig
+from plate_core import PlateCycle, load_rig
 from plate_solver.library import Library
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 import map_harmonics
 import map_separation
 import map_stick
+import map_suspension
 from chart import Panel
 from charts_stability import chart_of
 from measure_stability import MAPS, cells, grids, nearness, sample
@@ -74,6 +75,28 @@ def test_the_overtone_gives_the_force_that_is_asked():
     for force in (0.05, 0.2, 0.33):
         u = np.sin(t) + map_stick.overtone(force) * np.cos(2 * t)
         assert np.mean(np.sign(u)) == pytest.approx(force, abs=1e-4)
+
+
+@pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
+def test_a_plate_that_hangs_stiffer_than_predicted_does_nearly_as_commanded(rig, method, parts):
+    cycle = map_suspension.motions(rig, method, parts, 1)[0]
+    predicted = map_suspension.least_frequency(rig, [cycle])
+    stiffness = predicted * np.geomspace(0.7, 1.4, 4)
+    error = [map_suspension.realised_error(rig, cycle, hz) for hz in stiffness]
+    assert error[0] > map_suspension.LEVEL > error[-1]
+    assert crossing(stiffness.tolist(), error, map_suspension.LEVEL) == pytest.approx(
+        predicted, rel=0.2
+    )
+
+
+def test_the_predicted_error_of_one_harmonic_is_its_transmissibility_less_one(rig):
+    t = np.linspace(0, 0.1, 64, endpoint=False)
+    pose = np.column_stack([1e-3 * np.sin(2 * np.pi * 10 * t), 0 * t, 0 * t])
+    cycle = PlateCycle.from_samples(0.1, pose)
+    r, z = 10 / 50, map_suspension.DAMPING
+    assert map_suspension.predicted_error(rig, cycle, 50.0) == pytest.approx(
+        abs(1 / (1 - r**2 + 2j * z * r) - 1), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("key", MAPS)
