@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import ceil, floor, log10
 from typing import Any
 
@@ -16,6 +17,9 @@ OURS, PEER, SECOND, THIRD, FAINT, LIMIT = (
     "#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#767676", "#b02a37",
 )  # fmt: skip
 """Colours: our default, the peers, our second and third, notes, limits."""
+
+FIELD = ("#ffffd9", "#7fcdbb", "#2c7fb8")
+"""Colours of a field from low to high: black and coloured lines are seen on all of them."""
 
 FRONT = "Pareto front"
 
@@ -237,6 +241,14 @@ def values(panel: Panel, which: str) -> list[float]:
     found = [value for points in panel.points for value in getattr(points, which)]
     found += [value for rule in panel.rules if (value := getattr(rule, which)) is not None]
     return [value for value in found if isinstance(value, int | float)]
+
+
+def edges(axis: Axis, middles: Sequence[float]) -> list[float]:
+    """Return the edges between cells of a field whose middles are given, two at least."""
+    at = [log10(value) if axis.log else value for value in middles]
+    inner = [(a + b) / 2 for a, b in pairwise(at)]
+    found = [2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]]
+    return [10**value if axis.log else value for value in found]
 
 
 def ticks_of(axis: Axis, values: list[float]) -> list[float]:

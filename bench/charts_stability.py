@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from chart import PEER, Axis, Chart, Data, Field, Panel, Points, columns, table
+from chart import PEER, Axis, Chart, Data, Field, Panel, Points, columns, edges, table
 from measure_stability import MAPS, nearness
 from stability_map import StabilityMap
+
+MOST_NAMED = 14
+"""As many whole numbers on an axis are all named."""
 
 Line = list[tuple[float, float]]
 
@@ -36,18 +40,17 @@ def chart_of(data: Data, one: StabilityMap) -> Chart:
 
 def panel(one: StabilityMap, sample: dict[str, Any]) -> Panel:
     """Return one grid with its lines."""
-    x, y = (edges(sample[name], name in one.log) for name in ("x", "y"))
+    across, up = (axis(one, name, sample[name]) for name in ("x", "y"))
     border = [(a, b) for a, b in zip(sample["x"], sample["observed"], strict=True) if b is not None]
     theory = list(zip(sample["line_x"], sample["line_y"], strict=True))
     if one.steps:
-        border, theory = steps(border, sample["x"], x), steps(theory, sample["x"], x)
+        border, theory = (steps(line, sample["x"], across) for line in (border, theory))
     low, high = one.bounds
     z = [[None if v is None else float(np.clip(v, low, high)) for v in row] for row in sample["z"]]
-    ticks = {name: tuple(sample[name]) if counts(sample[name], one) else () for name in ("x", "y")}
     return Panel(
         sample["panel"],
-        Axis(one.x_label, "x" in one.log, ticks=ticks["x"], limits=(x[0], x[-1])),
-        Axis(one.y_label, "y" in one.log, ticks=ticks["y"], limits=(y[0], y[-1])),
+        across,
+        up,
         (
             Points("measured border", *split(border), "black", "", "-", in_front=False),
             Points("theory", *split(theory), PEER, "", "--", in_front=False),
@@ -56,21 +59,18 @@ def panel(one: StabilityMap, sample: dict[str, Any]) -> Panel:
     )
 
 
-def counts(values: Sequence[float], one: StabilityMap) -> bool:
-    """Whether these are few whole numbers, each to be named."""
-    return one.steps and len(values) <= 14 and all(float(v).is_integer() for v in values)
+def axis(one: StabilityMap, name: str, values: Sequence[float]) -> Axis:
+    """Return the axis of one parameter, x or y, from edge to edge of the cells."""
+    few = one.steps and len(values) <= MOST_NAMED and all(float(v).is_integer() for v in values)
+    label = one.x_label if name == "x" else one.y_label
+    plain = Axis(label, name in one.log, ticks=tuple(values) if few else ())
+    ends = edges(plain, values)
+    return replace(plain, limits=(ends[0], ends[-1]))
 
 
-def edges(values: Sequence[float], log: bool) -> list[float]:
-    """Return the edges between cells whose middles are given."""
-    at = np.log(values) if log else np.asarray(values, dtype=float)
-    middle = (at[1:] + at[:-1]) / 2
-    found = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return (np.exp(found) if log else found).tolist()
-
-
-def steps(line: Line, x: Sequence[float], ends: Sequence[float]) -> Line:
+def steps(line: Line, x: Sequence[float], across: Axis) -> Line:
     """Return the line as steps, level across each cell."""
+    ends = edges(across, x)
     column = {value: k for k, value in enumerate(x)}
     return [(ends[column[a] + side], b) for a, b in line for side in (0, 1)]
 

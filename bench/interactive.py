@@ -5,7 +5,20 @@ from __future__ import annotations
 from math import log10
 from typing import Any
 
-from chart import FRONT, Axis, Chart, Field, Panel, Points, Rule, pareto_front, ticks_of, values
+from chart import (
+    FIELD,
+    FRONT,
+    Axis,
+    Chart,
+    Field,
+    Panel,
+    Points,
+    Rule,
+    edges,
+    pareto_front,
+    ticks_of,
+    values,
+)
 from plotly import graph_objects as go
 from plotly.offline import get_plotlyjs
 
@@ -121,11 +134,12 @@ def add_field(figure: go.Figure, panel: Panel, field: Field) -> None:
     low, high = field.limits or (None, None)
     figure.add_trace(
         go.Heatmap(
-            x=list(field.x), y=list(field.y), z=[list(row) for row in field.z], zmin=low,
-            zmax=high, colorscale="Viridis", name=field.label,
+            x=edges(panel.x, field.x), y=edges(panel.y, field.y),
+            z=[list(row) for row in field.z], zmin=low, zmax=high, colorscale=list(FIELD),
+            customdata=[[[x, y] for x in field.x] for y in field.y], name=field.label,
             colorbar={"title": {"text": field.label, "side": "right"}, "thickness": 14},
-            hovertemplate=f"{panel.x.label}: %{{x}}<br>{panel.y.label}: %{{y}}<br>"
-            f"{field.label}: %{{z}}<extra></extra>",
+            hovertemplate=f"{panel.x.label}: %{{customdata[0]:.4g}}<br>{panel.y.label}: "
+            f"%{{customdata[1]:.4g}}<br>{field.label}: %{{z:.3g}}<extra></extra>",
         )
     )  # fmt: skip
 

@@ -7,8 +7,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from chart import FRONT, Axis, Chart, Panel, Points, pareto_front, ticks_of, values
+from chart import FIELD, FRONT, Axis, Chart, Panel, Points, edges, pareto_front, ticks_of, values
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
@@ -19,6 +20,8 @@ ROW = 3
 """Most panels beside each other; four make two rows."""
 
 DPI = 100
+
+COLOURS = LinearSegmentedColormap.from_list("field", FIELD)
 
 STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -62,9 +65,8 @@ def draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
         field = panel.field
         z = np.array([[np.nan if v is None else v for v in row] for row in field.z])
         low, high = field.limits or (None, None)
-        mesh = axes.pcolormesh(
-            field.x, field.y, z, cmap="viridis", vmin=low, vmax=high, shading="nearest"
-        )
+        sides = edges(panel.x, field.x), edges(panel.y, field.y)
+        mesh = axes.pcolormesh(*sides, z, cmap=COLOURS, vmin=low, vmax=high)
         axes.grid(False)
         figure.colorbar(mesh, ax=axes, label=field.label)
     left = np.zeros(len(panel.y.names))
