@@ -88,8 +88,10 @@ def _board(program):
     board.close()
 
 
-def test_cycles_reach_the_board_and_telemetry_the_graph(board):
-    words = ["transport:=serial", f"port:={board.port}", "state_rate:=50.0", "hold_cycles:=1000"]
+@pytest.mark.parametrize("streams", ["false", "true"])
+def test_cycles_reach_the_board_and_telemetry_the_graph(board, streams):
+    words = [f"streams:={streams}"]
+    words += ["transport:=serial", f"port:={board.port}", "state_rate:=50.0", "hold_cycles:=1000"]
     arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/serial_node"]
     rclpy.init(args=arguments, domain_id=DOMAIN)
     executor = SingleThreadedExecutor()

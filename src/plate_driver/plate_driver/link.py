@@ -49,6 +49,10 @@ HARMLESS = Fault.HOST_SILENT | Fault.STOPPED | Fault.NO_HOME
 reset finds home and goes on; one whose supply, drive, limit or heat failed waits for a person."""
 
 
+LATER = (Status.INCOMPLETE, Status.TOO_LONG)
+"""Answers to setpoints of a stream that come before others, or find no room."""
+
+
 @dataclass(frozen=True)
 class DeviceClock:
     """Where the device's clock stands on the host's.
@@ -154,11 +158,18 @@ class Link:
         An upload that is under way is finished first, or a quick planner would never see one
         through; of those that wait, the newest counts.
         """
-        messages: list[Message] = [Begin(table, len(knots), table_crc(knots))]
-        for first in range(0, len(knots), KNOTS_PER_MESSAGE):
-            some = tuple(knots[first : first + KNOTS_PER_MESSAGE])
-            messages.append(Knots(table, first, some))
-        return replace(self, next_table=(*messages, Commit(table, 0)))
+        begin = Begin(table, len(knots), table_crc(knots))
+        return replace(self, next_table=(begin, *_parts(table, 0, knots), Commit(table, 0)))
+
+    def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
+        """Return the link that opens a stream with its first setpoints."""
+        return replace(
+            self, next_table=(Begin(table, 0, 0), *_parts(table, 0, knots), Commit(table, 0))
+        )
+
+    def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
+        """Return the link that adds setpoints, from number `first` on, to the stream that plays."""
+        return self._asked(*_parts(table, first, knots))
 
     def stopping(self, now: bool = False) -> Link:
         """Return the link that wants the plate to brake, or to lose its current `now`."""
@@ -217,6 +228,8 @@ class Link:
         about = [p for p in self.queue if p.sequence == answer.sequence and p.tries]
         if not about:
             return self
+        if isinstance(about[0].message, Knots) and answer.status in LATER:
+            return self._missed(about[0])
         queue = tuple(p for p in self.queue if p.sequence != answer.sequence)
         if answer.status is Status.DONE:
             # State and waiting table are known by the next telemetry: the last is from before.
@@ -227,6 +240,20 @@ class Link:
         reason = f"device refuses {name}: {answer.status.name.lower().replace('_', ' ')}"
         queue = tuple(p for p in queue if not isinstance(p.message, Knots | Commit))
         return replace(self, queue=queue, refusal=reason)
+
+    def _missed(self, early: Pending) -> Link:
+        """Return the link that sends setpoints again, up to those that came before their turn.
+
+        The line keeps the order: what was sent before them and is not answered was lost.
+        """
+        end = self.queue.index(early) + 1
+        queue = tuple(
+            replace(p, sent_at=float("-inf"))
+            if isinstance(p.message, Knots) and p.tries and p.sent_at <= early.sent_at
+            else p
+            for p in self.queue[:end]
+        )
+        return replace(self, queue=queue + self.queue[end:])
 
     # What is to be sent
 
@@ -297,7 +324,7 @@ class Link:
                 queue.append(p)
                 continue
             for i, knot in enumerate(message.knots):
-                part = replace(message, first=message.first + i, knots=(knot,))
+                part = replace(message, first=(message.first + i) % 2**16, knots=(knot,))
                 queue.append(replace(p, sequence=sequence, message=part))
                 sequence = (sequence + 1) % 2**16
         return replace(self, queue=tuple(queue), sequence=sequence)
@@ -310,3 +337,11 @@ class Link:
         due = [p for p in knots if not self._in_flight(p, now)]
         room = self.device.window - (len(knots) - len(due))
         return due[: max(0, room)]
+
+
+def _parts(table: int, first: int, knots: Sequence[Knot]) -> list[Message]:
+    """Knots from number `first` on, in messages."""
+    starts = range(0, len(knots), KNOTS_PER_MESSAGE)
+    return [
+        Knots(table, (first + k) % 2**16, tuple(knots[k : k + KNOTS_PER_MESSAGE])) for k in starts
+    ]

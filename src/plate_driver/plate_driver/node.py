@@ -51,6 +51,7 @@ class Options:
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     transport: str = parameter("sim", "What moves the plate: sim or serial.")
     port: str = parameter("", "Serial port of the motor controller, if transport is serial.")
+    streams: bool = parameter(False, "Whether to stream setpoints, not to send whole cycles ahead.")
     hold_cycles: int = parameter(
         5, "Periods that the plate goes on without a new cycle before it rests.", 1, 1000, live=True
     )
@@ -149,8 +150,8 @@ class DriverNode(SafeLifecycleNode):
     def _make_transport(self) -> Transport:
         if self._options.transport == "sim":
             return SimTransport(self._publish)
-        port = self._options.port
-        return SerialTransport(lambda: open_port(port), time.monotonic, time.time_ns() % 2**32)
+        port, seed = self._options.port, time.time_ns() % 2**32
+        return SerialTransport(lambda: open_port(port), time.monotonic, seed, self._options.streams)
 
     def _poll(self) -> None:
         """Serve the serial link, and tell what is wrong with it."""
@@ -262,8 +263,8 @@ class DriverNode(SafeLifecycleNode):
         response.success = False
         if not self._options.calibration_file:
             response.message = "calibration_file is '', allowed: the name of a file"
-        elif not isinstance(self._transport, SerialTransport):
-            response.message = "transport is sim, allowed: serial, where something is measured"
+        elif not isinstance(self._transport, SerialTransport) or self._options.streams:
+            response.message = "transport is sim or streams, allowed: serial with cycles"
         elif self._state != Mode.READY.value:
             response.message = f"the driver is {self._state}, allowed: ready"
         else:
@@ -336,8 +337,7 @@ class DriverNode(SafeLifecycleNode):
         if self._run is not None:
             values["calibration"] = self._run.calibration.progress
         if isinstance(self._transport, SerialTransport):
-            values["retries"] = str(self._transport.retries)
-            values["frames_refused"] = str(self._transport.refused)
+            values |= self._transport.values()
         status.message = ", ".join(record.troubles) or "all cycles as asked"
         status.values = [KeyValue(key=k, value=v) for k, v in values.items()]
         msg = DiagnosticArray(status=[status])

@@ -14,7 +14,6 @@ from plate_core import CycleError, PlateError
 from plate_core.errors import FrameError
 from plate_core.serial_protocol import (
     Fault,
-    Knot,
     Packet,
     Reader,
     State,
@@ -23,14 +22,17 @@ from plate_core.serial_protocol import (
     pack,
     parse,
 )
-from plate_core.serial_protocol.messages import TICK_S
 
 from .link import HARMLESS, Link
 from .motor_table import MotorTable
+from .unrolled import Unrolled, finer, knots
 
 BAUD = 921_600
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 """Waits between attempts to begin anew [s]; the last one from then on."""
+
+LEAD_S = 0.3
+"""How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
 
 READ_BYTES = 65_536
 """Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
@@ -91,9 +93,21 @@ class SerialTransport:
         Time that never runs back [s].
     seed : int
         Where session numbers begin: another one for each run.
+    streams : bool
+        Whether setpoints are streamed, not sent ahead cycle by cycle.
     """
 
-    def __init__(self, make_port: Callable[[], Port], clock: Callable[[], float], seed: int):
+    def __init__(
+        self,
+        make_port: Callable[[], Port],
+        clock: Callable[[], float],
+        seed: int,
+        streams: bool = False,
+    ) -> None:
+        self._streams = streams
+        self._row: Unrolled | None = None
+        self._row_began: float | None = None  # on the device's clock [s]
+        self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
@@ -129,7 +143,10 @@ class SerialTransport:
                 f"plate_cycle: {len(table.q)} knots, allowed by the device: {device.max_knots}"
             )
         self._newest = table
-        self._upload()
+        if self._row is not None:
+            self._row = self._row.followed_by(finer(table))
+        else:
+            self._upload()
         self.poll()
 
     def poll(self) -> list[Measured]:
@@ -138,6 +155,7 @@ class SerialTransport:
         if self._port is None:
             self._reopen(now)
             return []
+        self.least_lead_s = min(self.least_lead_s, self._lead(now))
         measured = []
         try:
             reader, packets = self._reader.fed(self._port.read(READ_BYTES))
@@ -148,6 +166,7 @@ class SerialTransport:
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
                     measured.append(Measured(telemetry, min(when, now)))
+            self._stream(now)
             link, due = self._link.due(now)
             self.retries += link.retries - self._link.retries
             self._link = link
@@ -161,6 +180,7 @@ class SerialTransport:
         elif self._link.refusal:
             self._tell(self._link.refusal)
             self._link = self._link.forgiven()
+            self._row = None  # the device would miss what follows: it brakes, and is begun anew
         return measured
 
     def _write(self, port: Port, due: list[Packet]) -> None:
@@ -179,9 +199,15 @@ class SerialTransport:
         told, self._troubles = self._troubles, []
         return told
 
+    def values(self) -> dict[str, str]:
+        """Return what is to be reported since the last call, name to value."""
+        lead, self.least_lead_s = self.least_lead_s, float("inf")
+        told = {"retries": str(self.retries), "frames_refused": str(self.refused)}
+        return told | ({"least_lead_ms": f"{1e3 * lead:.1f}"} if np.isfinite(lead) else {})
+
     def stop(self, now: bool = False) -> None:
         """Have the device brake, or take the current away at once; the last table is forgotten."""
-        self._newest = None
+        self._newest = self._row = None
         self._link = self._link.stopping(now)
         self.poll()
 
@@ -197,7 +223,7 @@ class SerialTransport:
         """Have the device brake, and release the port."""
         if self._port is not None:
             self.stop()
-        self._newest = None
+        self._newest = self._row = None
         self._release()
 
     def _tell(self, trouble: str) -> None:
@@ -228,7 +254,31 @@ class SerialTransport:
         if self._newest is None:
             return
         self._table = self._table % 65_535 + 1
-        self._link = self._link.uploading(self._table, knots(self._newest))
+        if not self._streams:
+            self._link = self._link.uploading(self._table, knots(self._newest))
+            return
+        self._row, first = Unrolled.of(finer(self._newest)).until(LEAD_S)
+        self._row_began = None
+        self._link = self._link.streaming(self._table, first)
+
+    def _lead(self, now: float) -> float:
+        """How far the stream is ahead of the device [s]; infinite if none plays."""
+        if self._row is None or self._row_began is None:
+            return float("inf")
+        return self._row.time - (now - self._link.clock.offset_s - self._row_began)
+
+    def _stream(self, now: float) -> None:
+        """Add to the stream what keeps it `LEAD_S` ahead of the device."""
+        row, told = self._row, self._link.telemetry
+        if row is None or told is None or told.table != self._table:
+            return
+        if not np.isfinite(self._link.clock.trip_s):
+            return  # nobody knows what the time is there
+        if self._row_began is None:
+            self._row_began = told.device_us * 1e-6
+        self._row, more = row.until(row.time - self._lead(now) + LEAD_S)
+        if more:
+            self._link = self._link.adding(self._table, row.told, more)
 
     def _connect(self, port: Port) -> None:
         self._port, self._reader = port, Reader()
@@ -257,11 +307,3 @@ class SerialTransport:
                 port.close()
             except OSError as error:
                 self._tell(f"serial port: {error}")
-
-
-def knots(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the knots of a motor table, as the device gets them."""
-    q, qd, qdd = (np.asarray(x, np.float32).tolist() for x in (table.q, table.qd, table.qdd))
-    ticks = np.round(table.cycle.times / TICK_S).astype(int).tolist()
-    rows = zip(ticks, q, qd, qdd, strict=True)
-    return tuple(Knot(t, tuple(x), tuple(v), tuple(a)) for t, x, v, a in rows)

@@ -1,0 +1,59 @@
+"""Cycles as an endless row of setpoints."""
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+from plate_core import PlateCycle, load_rig
+from plate_driver.motor_table import MotorTable
+from plate_driver.unrolled import LONGEST_S, TICKS, Unrolled, finer, knots
+
+RIG = load_rig()
+
+
+def cycle(period: float, count: int, seed: int) -> MotorTable:
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, period, count)
+    states = 1e-3 * rng.normal(size=(3, count, 3))
+    states[:, [0, -1]] = 0
+    return MotorTable.of(RIG, PlateCycle.from_knots(t, *states), 1)
+
+
+def test_finer_pieces_are_the_same_motion():
+    table = cycle(0.5, 5, 0)
+    made = finer(table)
+    t = np.array([k.ticks * 1e-8 for k in made])
+    assert np.max(np.diff(t)) <= LONGEST_S + 1e-8
+    ends = np.stack([table.q, table.qd, table.qdd], axis=1)
+    exact = BPoly.from_derivatives(table.cycle.times, ends)
+    for order, name in enumerate(("position", "velocity", "acceleration")):
+        got = np.array([getattr(k, name) for k in made])
+        np.testing.assert_allclose(got[:-1], exact(t[:-1], order), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(got[-1], ends[-1, order], rtol=1e-6)
+
+
+def test_a_fine_table_stays_as_it_is():
+    table = cycle(0.2, 49, 1)
+    assert finer(table) == knots(table)
+
+
+def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
+    first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
+    row, told = Unrolled.of(first).until(0.3)
+    assert told[0] == first[0]
+    assert abs(row.time - 0.3) <= 0.025
+    row = row.followed_by(second)
+    row, more = row.until(0.7)
+    both = [*told, *more]
+    assert row.told == len(both)
+    assert [k.ticks for k in both] == [2_500_000 * i for i in range(len(both))]
+    states = [(k.position, k.velocity) for k in both]
+    wanted = [*first, *first[1:], *second[1:], *second[1:]]
+    assert states == [(k.position, k.velocity) for k in wanted[: len(both)]]
+
+
+def test_times_wrap():
+    row = Unrolled.of(knots(cycle(0.2, 9, 2)))
+    row, told = row.until(50.0)
+    ticks = np.array([k.ticks for k in told])
+    assert np.all(np.diff(ticks) % TICKS == 2_500_000)
+    assert ticks.max() < TICKS

@@ -1,0 +1,119 @@
+"""Cycles streamed by the driver's transport to the device, in simulated time, over bad lines."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, load_rig
+from plate_core.serial_protocol import State
+from plate_driver.motor_table import MotorTable
+from plate_driver.serial_transport import LEAD_S, SerialTransport
+from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
+
+RIG = load_rig()
+BENCH = str(Path(__file__).resolve().parents[1] / "bench")
+PERIOD_S = 0.2
+
+
+def swing(size: float) -> MotorTable:
+    """(1 - cos)^2 along x and y, at rest at both ends [m]."""
+    t = np.linspace(0, PERIOD_S, 33)
+    w = 2 * np.pi / PERIOD_S
+    c, s = np.cos(w * t), np.sin(w * t)
+    wave = [(1 - c) ** 2, 2 * w * (1 - c) * s, 2 * w**2 * (s**2 + c - c**2)]
+    states = [np.outer(row, [size / 4, -size / 8, 0]) for row in wave]
+    for state in states:
+        state[[0, -1]] = 0
+    return MotorTable.of(RIG, PlateCycle.from_knots(t, *states), 1)
+
+
+class Bench:
+    """Transport, line and device; notes each setpoint."""
+
+    def __init__(self, monkeypatch, trouble: Trouble) -> None:
+        monkeypatch.syspath_prepend(BENCH)
+        from serial_loop import opened
+        from serial_watch import Watch
+
+        self.watch = Watch(RIG)
+        self.travel: list[float] = []
+        self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, Accidents(trouble), self.see)
+        self.transport = SerialTransport(
+            lambda: opened(self.emulator), lambda: self.emulator.now, 1, streams=True
+        )
+        self.transport.open()
+
+    def see(self, now: float, at: np.ndarray | None) -> None:
+        self.watch.see(now, at)
+        self.travel.append(float("nan") if at is None else float(at[0, 0]))
+
+    def run(self, seconds: float, polls: bool = True) -> None:
+        for tick in range(round(seconds * 1e3)):
+            self.emulator.tick()
+            if polls and tick % 5 == 0:
+                self.transport.poll()
+
+    @property
+    def state(self) -> State:
+        return self.emulator.device.motion.state
+
+
+@pytest.fixture(name="made")
+def _made(monkeypatch):
+    yield lambda trouble: Bench(monkeypatch, trouble)
+    for name in ("loop", "serial_loop", "serial_watch"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    "trouble",
+    [
+        Trouble(baud=921_600.0),
+        Trouble(dropped=3e-4, corrupted=3e-4, repeated=3e-4, split=0.3, baud=921_600.0),
+        Trouble(delay=0.02),
+    ],
+)
+def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
+    bench = made(trouble)
+    bench.transport.send(swing(0.004))
+    bench.run(2.5)
+    assert bench.state is State.PLAYING
+    assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.004, rel=0.01)
+    bench.transport.send(swing(0.002))
+    bench.run(1.0)
+    assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.002, rel=0.01)
+    assert bench.state is State.PLAYING
+    assert bench.transport.troubles() == []
+    assert 0.1 < bench.transport.least_lead_s < LEAD_S
+    assert (bench.transport.retries > 5) == bool(trouble.dropped)
+    bench.transport.stop()
+    bench.run(1.5)
+    assert bench.state is State.OFF
+    assert bench.watch.verdict().kept
+
+
+def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
+    bench = made(Trouble())
+    bench.transport.send(swing(0.008))
+    bench.run(2.0)
+    bench.run(0.4, polls=False)
+    assert bench.state in (State.BRAKING, State.OFF)
+    bench.run(3.0)
+    assert bench.state is State.PLAYING
+    assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
+    assert bench.transport.least_lead_s < 0.1
+    assert bench.watch.verdict().kept
+
+
+def test_a_line_that_is_away_is_survived(made):
+    bench = made(Trouble())
+    bench.transport.send(swing(0.008))
+    bench.run(2.0)
+    bench.emulator.disconnect()
+    bench.run(5.0)
+    assert bench.state is State.PLAYING
+    assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
+    assert bench.transport.troubles()
+    assert bench.watch.verdict().kept
