@@ -99,7 +99,8 @@ def kill(name: str, processes: Processes, watch: Watch, hold: int) -> dict[str, 
     began = time.monotonic()
     watch.moving = False
     if name == "planner":
-        observer.until(lambda: name in observer.seen([name]), RETURN_S)
+        # The dead one is still in the graph; the new one says that it is idle.
+        observer.until(lambda: record.states[-1] == "idle", RETURN_S)
         observer.until(lambda: False, 1.0)
         observer.trigger("start")
     observer.until(lambda: watch.moving, RETURN_S)
