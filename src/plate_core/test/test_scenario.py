@@ -52,6 +52,22 @@ task: {kind: assemble, places_m: {black: [[0.1, 0], [0.1, 0.1]], grey: [[0, 0]]}
 time_limit_s: 60
 """
 
+POSE = """
+description: test
+marked: true
+parts:
+  - {class: black, count: 2}
+task:
+  kind: pose
+  poses:
+    - {class: black, angle_deg: 90}
+    - {class: black, place_m: [0.1, 0], angle_deg: -45}
+  tolerance_m: 0.003
+  tolerance_deg: 3
+  hold_s: 1
+time_limit_s: 60
+"""
+
 BINS = """
 description: test
 parts:
@@ -105,7 +121,7 @@ def test_the_papers_tasks_are_shipped():
     assert isinstance(sort.task, SortTask)
     assert dict(sort.task.regions) == {"black": Side(-1, 0), "grey": Side(1, 0)}
     assert isinstance(follow.task, FollowTask)
-    assert [path.speed for path in follow.task.paths] == [0.02, 0.02]
+    assert [path.speed for path in follow.task.paths] == [0.04, 0.04]
     starts = [path.waypoint[0] for path in follow.task.paths]
     assert list(follow.parts[0].position or ()) == starts
 
@@ -164,6 +180,9 @@ def test_an_unknown_name_lists_the_available_ones():
         (ASSEMBLE, ", [0.1, 0.1]]", "]", r"places_m has 1 places for class black, allowed: 2, one"),
         (ASSEMBLE, ", grey: [[0, 0]]", "", r"places_m: grey is missing"),
         (ASSEMBLE, "tolerance_m: 0.003", "tolerance_m: 0", r"tolerance_m is 0, allowed"),
+        (POSE, "marked: true", "", r"marked is false, allowed with a task of poses: true"),
+        (POSE, "angle_deg: 90", "angle_deg: 400", r"angle_deg is 400, allowed"),
+        (POSE, "    - {class: black, angle_deg: 90}\n", "", r"poses .*black.*allowed: 2"),
         (
             FOLLOW,
             "[[0.0, 0.0]]",
@@ -265,3 +284,13 @@ def test_points_off_the_plate_are_refused(tmp_path, rig, text):
     scenario = load_scenario(write(tmp_path, text.replace("[0.1, 0", "[0.295, 0", 1)))
     with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, allowed: \|x\| up to 0.292"):
         start_positions(scenario, rig, np.random.default_rng(0))
+
+
+def test_poses_are_read_in_radians_and_a_place_may_be_left_out(tmp_path):
+    scenario = load_scenario(write(tmp_path, POSE))
+    stays, goes = scenario.task.poses
+    assert scenario.marked
+    assert stays.place is None
+    assert stays.angle == pytest.approx(np.pi / 2)
+    assert goes.place == (0.1, 0.0)
+    assert scenario.task.tolerance_rad == pytest.approx(np.radians(3))
