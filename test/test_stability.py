@@ -11,6 +11,7 @@ from plate_solver.library import Library
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 
+import map_gamma
 import map_harmonics
 import map_separation
 import map_stick
@@ -75,6 +76,22 @@ def test_the_overtone_gives_the_force_that_is_asked():
     for force in (0.05, 0.2, 0.33):
         u = np.sin(t) + map_stick.overtone(force) * np.cos(2 * t)
         assert np.mean(np.sign(u)) == pytest.approx(force, abs=1e-4)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
+    cases = map_gamma.motions(rig, parts, 4)
+    predicted = map_gamma.least_gamma(rig, cases)
+    ratio = predicted * np.array([0.25, 0.5, 1, 2])
+    error = [
+        float(np.median([map_gamma.error(rig, map_gamma.scaled(c, r), p) / f for c, p, f in cases]))
+        for r in ratio
+    ]
+    assert 0.5 * predicted < crossing(ratio.tolist(), error, map_gamma.LEVEL) < 1.25 * predicted
+    cycle, position, _ = cases[0]
+    first = map_gamma.first_order(rig, cycle, position) / 1000
+    at_1000 = map_gamma.error(rig, map_gamma.scaled(cycle, 1000), position)
+    assert at_1000 == pytest.approx(first, rel=0.05)
 
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
