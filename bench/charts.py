@@ -35,7 +35,7 @@ CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (steering, ("steering",)),
     (rotations, ("rotations",)),
     (inversion, ("inversion",)),
-    (sim, ("sim",)),
+    (sim, ("sim", "bodies")),
     (vision, ("vision",)),
     (control, ("control",)),
     (tracking, ("tracking",)),

@@ -81,7 +81,7 @@ def sim(data: Data) -> Chart:
         f"exact. Discs in steps of {1e3 * STEP:g} ms where parts touch: friction and knocks in one "
         f"step, at an overlap that no camera sees. Bodies that turn, in {1e3 * BODY_STEP:g} ms, "
         "only where a scene needs it.",
-        ("sim",), tuple(panels), [*rows, *disc_rows(data)],
+        ("sim", "bodies"), tuple(panels), [*rows, *disc_rows(data)],
         columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
     )  # fmt: skip
 
@@ -91,7 +91,7 @@ def disc_rows(data: Data) -> list[Row]:
     found = [
         {"method": r["method"], "gamma": "a body", "setting": r["setting"],
          "error_mm": r["error_mm"], "error_percent": None, "speed": r["speed"]}
-        for r in table(data, "sim", "bodies")
+        for r in table(data, "bodies", "bodies")
     ]  # fmt: skip
     return found + [
         {"method": r["method"], "gamma": f"{r['parts']} discs", "setting": f"{r['step_ms']:g} ms",
@@ -133,7 +133,7 @@ def disc_panels(data: Data) -> list[Panel]:
 
 def body_panel(data: Data) -> Panel:
     """Return error against speed of a disc that turns."""
-    rows = table(data, "sim", "bodies")
+    rows = table(data, "bodies", "bodies")
     points, marks = [], []
     looks = (("bodies", SECOND, "s", "bodies that turn, ours"), ("scipy RK45", FAINT, "x", "scipy"))
     for method, colour, marker, name in looks:

@@ -13,7 +13,6 @@ from harness import Race, Result, Table, missing_peer, optional, race
 from pymunk_scene import PymunkScene
 from shaken_scene import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, SCENES, Scene, alike, all_ways
 from tray import tray_tables
-from turning_disc import disc_rows
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import Contacts, WorldState, run_cycle
@@ -89,16 +88,6 @@ def measure(quick: bool) -> Result:
                 "loop.",
             ),
             *tray,
-            Table(
-                "bodies",
-                "A sliding, turning disc on a plate that shakes and turns, 0.2 s",
-                {
-                    "method": "method", "setting": "setting", "error_mm": "error [mm]",
-                    "speed": "simulated s per s",
-                },
-                disc_rows(quick),
-                "Error: how far centre or rim are off, against scipy's DOP853 with 1152 cells.",
-            ),
         ],
         summary(errors, speeds, peers),
     )  # fmt: skip

@@ -21,7 +21,7 @@ from store import Store
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
 
-SPEEDS_MM = (5, 10, 20, 40, 80, 160, 320)
+SPEEDS_MM = (5, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]; tried in this order until one fails."""
 
 SEEDS = (0, 1)
@@ -33,7 +33,7 @@ DIRT = {"friction_spread": "0.1", "friction_patches": "0.1"}
 CENTRES_M = ((-0.2, 0.07), (0.2, -0.07), (0.0, 0.07), (-0.2, -0.07), (0.2, 0.07), (0.0, -0.07))
 """Centres of the circles, in the order in which they are used [m]."""
 
-COUNTS = {"sinusoids": (1, 2, 3, 4, 5, 6), "rotations": (1, 2, 4, 6)}
+COUNTS = {"sinusoids": (1, 2, 3, 4, 5, 6), "rotations": (2, 4, 6)}
 """Parts by method."""
 
 RADIUS_M = 0.05
