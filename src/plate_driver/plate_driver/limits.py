@@ -151,7 +151,8 @@ def check_setpoints(
         raise CycleError("motor setpoints: times must start at 0 and rise")
     home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
     travel, steps, ends = quintic_pieces(times, q, qd, qdd), np.diff(times), [0, -1]
-    far, fast = (polynomial_peaks(pieces, steps) for pieces in (travel, derivative(travel)))
+    far = polynomial_peaks(travel, steps, rig.limits.stroke_m)
+    fast = polynomial_peaks(derivative(travel), steps, rig.limits.speed)
     for number, motor in enumerate(rig.motors):
         for what, unit, value, limit in (
             ("travel", "m", far[number], rig.limits.stroke_m),

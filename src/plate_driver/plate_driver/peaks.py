@@ -100,14 +100,19 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     return np.asarray(need @ share.T)
 
 
-def polynomial_peaks(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Greatest magnitudes (m,) of pieces (k, d, m) in powers of time, over their lengths [s]."""
+def polynomial_peaks(
+    coefficients: np.ndarray, steps: np.ndarray, enough: float = 0.0
+) -> np.ndarray:
+    """Greatest magnitudes (m,) of pieces (k, d, m) in powers of time, over their lengths [s].
+
+    Below `enough` they are not looked for closely: such a one may be told too low.
+    """
     count, powers, columns = coefficients.shape
     each = coefficients.transpose(0, 2, 1).reshape(-1, powers, 1)
     steps = np.repeat(steps, columns)
     bend = _largest(derivative(each, 2), steps)[:, 0]
     column = np.tile(np.arange(columns), count)
-    return _peaks(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps, column)
+    return _peaks(lambda piece, t: np.abs(_at(each[piece], t)), bend, steps, column, enough)
 
 
 def mean_square(coefficients: np.ndarray, steps: np.ndarray) -> np.ndarray:
@@ -147,7 +152,9 @@ def _corner_peak(rig: Rig, cycle: PlateCycle) -> float:
     return float(_peaks(curve, bend, steps, np.zeros(len(steps), int))[0])
 
 
-def _peaks(curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray) -> np.ndarray:
+def _peaks(
+    curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray, enough: float = 0.0
+) -> np.ndarray:
     """Return the peak of each group of curves; `group` (k,) tells which one a piece belongs to.
 
     Their vectors bend by at most `bend` (k,), the second derivative: between two times h apart a
@@ -163,7 +170,7 @@ def _peaks(curve: Curve, bend: np.ndarray, steps: np.ndarray, group: np.ndarray)
         high = np.maximum(left, right) + bend[piece] * length**2 / 8
         if not np.all(np.isfinite(high)):
             return np.full(len(low), np.inf)
-        hides = high > low[group[piece]] * (1 + CERTAINTY)
+        hides = high > np.maximum(low[group[piece]] * (1 + CERTAINTY), enough)
         if not np.any(hides):
             return np.asarray(low * (1 + CERTAINTY))
         if len(piece) > MOST_PIECES + len(steps):

@@ -11,7 +11,7 @@ from plate_core.kinematics import motor_state
 from plate_core.limits import corner_accel
 from plate_core.suspension import Suspension
 from plate_driver.heat import AMBIENT_C, Heat
-from plate_driver.peaks import CERTAINTY, peaks
+from plate_driver.peaks import CERTAINTY, peaks, polynomial_peaks
 
 RIG = load_rig()
 MASS = RIG.plate.mass_kg
@@ -102,3 +102,15 @@ def test_there_is_room_up_to_the_limit_and_no_further(share):
     room = heat.room(RIG, 3.0)
     assert np.all(room >= 1)
     np.testing.assert_allclose(heat.under(room).now(RIG, 3.0).share, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_enough_tells_the_same_of_a_limit(seed):
+    cycle = random_cycle(seed)
+    q = motor_state(RIG, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
+    pieces, steps = quintic_pieces(cycle.times, *q), np.diff(cycle.times)
+    exact = polynomial_peaks(pieces, steps)
+    for limit in [*(exact * (1 - 1e-5)), *(exact * (1 + 1e-5)), 0.0, 1.0]:
+        quick = polynomial_peaks(pieces, steps, limit)
+        np.testing.assert_array_equal(quick > limit, exact > limit)
+        np.testing.assert_allclose(quick[quick > limit], exact[quick > limit], rtol=3e-6)
