@@ -146,17 +146,23 @@ class Loop:
                 each_tick(self)
         time_s = self.emulator.now
         self._answers = []
-        for _ in range(round(CALM_S / 1e-3)):
+        while self.emulator.now - time_s < CALM_S and not self._resting:
             self._tick()
-        resting = self.emulator.device.motion.state in (State.OFF, State.READY) or bool(
-            np.max(np.abs(self.emulator.device.motion.start)) < 1e-6
-        )
         text = progress.text + (f" ({self._newest})" if self._newest else "")
         return Ending(
             progress.phase, text, time_s, self._simulation.state.dropped, self.watch.verdict(),
-            resting, self.transport.retries, self.transport.refused, self._late, self._images,
+            self._resting, self.transport.retries, self.transport.refused, self._late, self._images,
             self._troubles,
         )  # fmt: skip
+
+    @property
+    def _resting(self) -> bool:
+        """Whether the driver wants rest, and the motors are off, or held."""
+        motion = self.emulator.device.motion
+        still = motion.playing is not None and not np.any(motion.playing.position)
+        return self._watchdog.fed_at is None and (
+            motion.state in (State.OFF, State.READY) or (motion.state is State.PLAYING and still)
+        )
 
     def _tick(self) -> list[Stretch]:
         """Let a millisecond pass for all."""

@@ -17,16 +17,16 @@ from plate_sim.device import Accidents, Trouble
 BAUD = 921_600.0
 
 SHORT = {
-    "description": "Two parts go to their sides: a task of some ten seconds.",
+    "description": "Two parts go to their sides: a task of some five seconds.",
     "parts": [
-        {"class": "black", "positions_m": [[-0.03, 0.06]]},
-        {"class": "grey", "positions_m": [[0.03, -0.06]]},
+        {"class": "black", "positions_m": [[-0.11, 0.06]]},
+        {"class": "grey", "positions_m": [[0.11, -0.06]]},
     ],
     "task": {
         "kind": "sort", "sides": {"black": "left", "grey": "right"}, "goal_fraction": 0.6,
         "hold_s": 0.5,
     },
-    "time_limit_s": 60,
+    "time_limit_s": 15,
 }  # fmt: skip
 
 KINDS: dict[str, tuple[dict[str, float], str]] = {
@@ -46,7 +46,7 @@ KINDS: dict[str, tuple[dict[str, float], str]] = {
 def accident_run(kind: str, seed: int) -> dict[str, Any]:
     """Run the short task with one kind of accident."""
     trouble, event = KINDS[kind]
-    at = 2 + 3 * float(np.random.default_rng(seed).random())
+    at = 1.2 + 1.8 * float(np.random.default_rng(seed).random())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "short.yaml"
         path.write_text(yaml.safe_dump(SHORT), encoding="utf-8")

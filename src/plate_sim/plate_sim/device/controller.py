@@ -5,7 +5,7 @@ No port and no clock of its own: bytes and time are arguments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from plate_core.serial_protocol import (
 )
 from plate_core.serial_protocol.messages import MOTORS, VERSION
 
+from .changed import changed
 from .limits import DeviceLimits
 from .motion import BRAKE_S, REST, Motion
 from .stream import MAX_KNOTS, Stream
@@ -127,12 +128,12 @@ class Device:
         Device, bytes, and the setpoint (3, 4), or None while current is off.
         """
         dt = (now_us - self.now_us) * 1e-6
-        device, said = replace(self, now_us=now_us, board=faults), b""
+        device, said = changed(self, now_us=now_us, board=faults), b""
         if measured is not None:
-            device = replace(device, measured=measured)
+            device = changed(device, measured=measured)
         if data:
             reader, packets = self.reader.fed(data)
-            device = replace(device, reader=reader)
+            device = changed(device, reader=reader)
             for packet in packets:
                 device, answer = device._obeyed(packet)
                 said += answer
@@ -148,11 +149,11 @@ class Device:
         if motion.state is not State.OFF and not np.all(heat <= self.limits.bearable):
             motion = motion.braked(Fault.HEAT)
         draft = device.draft if motion.playing is device.motion.playing else None  # taken over
-        device = replace(device, motion=motion, heat=heat, draft=draft)
+        device = changed(device, motion=motion, heat=heat, draft=draft)
         if at is not None and measured is None:
-            device = replace(device, measured=at[::2])
+            device = changed(device, measured=at[::2])
         if now_us - device.told_us >= TELEMETRY_US:
-            device, told = replace(device, told_us=now_us)._say(device._telemetry())
+            device, told = changed(device, told_us=now_us)._say(device._telemetry())
             said += told
         return device, said, at
 
@@ -166,7 +167,7 @@ class Device:
 
     def _say(self, message: Message) -> tuple[Device, bytes]:
         data = frame(pack(Packet(self.sent, message)))
-        return replace(self, sent=(self.sent + 1) % 2**16), data
+        return changed(self, sent=(self.sent + 1) % 2**16), data
 
     def _capabilities(self, session: int) -> Capabilities:
         limits = self.limits
@@ -203,7 +204,7 @@ class Device:
         message, number = packet.message, packet.sequence
         if isinstance(message, Capabilities | Acknowledgement | Pulse | Telemetry):
             return self, b""
-        device = replace(self, heard_us=self.now_us)
+        device = changed(self, heard_us=self.now_us)
         if isinstance(message, Hello):
             return device._greeted(number, message)
         if isinstance(message, Stop):
@@ -226,8 +227,8 @@ class Device:
             motion = self.motion
             if motion.state is not State.OFF:
                 motion = motion.braked(Fault.STOPPED)
-            device = replace(
-                self, motion=replace(motion, waiting=None), draft=None, session=hello.session,
+            device = changed(
+                self, motion=changed(motion, waiting=None), draft=None, session=hello.session,
                 answered=number, answer=Status.DONE,
             )  # fmt: skip
         return device._say(device._capabilities(hello.session))
@@ -238,9 +239,9 @@ class Device:
             motion = motion.off(Fault.STOPPED)
         elif motion.state is not State.OFF:
             motion = motion.braked(Fault.STOPPED)
-        device = replace(self, motion=motion)
+        device = changed(self, motion=motion)
         if newer(number, self.answered):
-            device = replace(device, answered=number, answer=Status.DONE)
+            device = changed(device, answered=number, answer=Status.DONE)
         return device, Status.DONE
 
     def _ordered(
@@ -259,7 +260,7 @@ class Device:
             device, status = self._begun(message)
         else:
             device, status = self._committed(message)
-        return replace(device, answered=number, answer=status), status
+        return changed(device, answered=number, answer=status), status
 
     def _enabled(self) -> tuple[Device, Status]:
         motion = self.motion
@@ -268,23 +269,23 @@ class Device:
         if motion.state is not State.OFF or self.board or motion.faults & Fault.NO_HOME:
             return self, Status.WRONG_STATE
         start = np.stack([self.measured[0], REST[1], REST[2]])
-        motion = replace(motion, faults=Fault.NONE, start=start).going_home(State.HOMING)
-        return replace(self, motion=motion), Status.DONE
+        motion = changed(motion, faults=Fault.NONE, start=start).going_home(State.HOMING)
+        return changed(self, motion=motion), Status.DONE
 
     def _home(self) -> tuple[Device, Status]:
         if self.motion.state is not State.OFF:
             return self, Status.WRONG_STATE
-        return replace(self, motion=replace(self.motion, state=State.HOMING)), Status.DONE
+        return changed(self, motion=changed(self.motion, state=State.HOMING)), Status.DONE
 
     def _begun(self, begin: Begin) -> tuple[Device, Status]:
-        device = replace(self, motion=replace(self.motion, waiting=None), draft=None)
+        device = changed(self, motion=changed(self.motion, waiting=None), draft=None)
         if begin.table == 0 or begin.knots == 1:
             return device, Status.WRONG_TABLE
         if begin.knots == 0:
-            return replace(device, draft=Stream.opened(begin.table)), Status.DONE
+            return changed(device, draft=Stream.opened(begin.table)), Status.DONE
         if begin.knots > MAX_KNOTS:
             return device, Status.TOO_LONG
-        return replace(device, draft=Draft(begin.table, begin.knots, begin.crc)), Status.DONE
+        return changed(device, draft=Draft(begin.table, begin.knots, begin.crc)), Status.DONE
 
     def _filled(self, message: Knots) -> tuple[Device, Status]:
         draft, end = self.draft, message.first + len(message.knots)
@@ -296,8 +297,8 @@ class Device:
         if isinstance(draft, Stream) and draft.table == id:
             added, _, status = draft.added(message.first, message.knots, 0.0, self.limits)
             waits = self.motion.waiting is not None
-            motion = replace(self.motion, waiting=added) if waits else self.motion
-            return replace(self, draft=added, motion=motion), status
+            motion = changed(self.motion, waiting=added) if waits else self.motion
+            return changed(self, draft=added, motion=motion), status
         if (
             draft is None
             or isinstance(draft, Stream)
@@ -307,7 +308,7 @@ class Device:
             return self, Status.WRONG_TABLE
         if self.motion.waiting is not None:
             return self, Status.DONE  # a repetition: the table has been looked at
-        return replace(self, draft=draft.filled(message.first, message.knots)), Status.DONE
+        return changed(self, draft=draft.filled(message.first, message.knots)), Status.DONE
 
     def _streamed(self, stream: Stream, message: Knots) -> tuple[Device, Status]:
         """Add knots to the stream that plays."""
@@ -315,7 +316,7 @@ class Device:
         if stream.rests and motion.time + BRAKE_S / 2 > stream.period:
             return self, Status.WRONG_STATE  # at its end: too late to go on, since a brake must fit
         added, time, status = stream.added(message.first, message.knots, motion.time, self.limits)
-        return replace(self, motion=replace(motion, playing=added, time=time)), status
+        return changed(self, motion=changed(motion, playing=added, time=time)), status
 
     def _committed(self, commit: Commit) -> tuple[Device, Status]:
         motion, draft = self.motion, self.draft
@@ -340,5 +341,5 @@ class Device:
         jump = np.abs(table.position[0] - position), np.abs(table.velocity[0] - speed)
         if not (np.all(jump[0] <= JUMP_M) and np.all(jump[1] <= JUMP_SPEED)):
             return self, Status.JUMP
-        motion = replace(motion, waiting=table, next_repeats=commit.repeats)
-        return replace(self, motion=motion), Status.DONE
+        motion = changed(motion, waiting=table, next_repeats=commit.repeats)
+        return changed(self, motion=motion), Status.DONE

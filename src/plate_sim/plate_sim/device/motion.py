@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from plate_core.serial_protocol import Fault, State
 from plate_core.serial_protocol.messages import MOTORS
 
+from .changed import changed
 from .stream import Stream
 from .table import Table
 
@@ -64,26 +65,26 @@ class Motion:
     def off(self, faults: Fault) -> Motion:
         """Return the motion with current off, for the reasons given."""
         faults = self.faults | faults
-        return replace(self, state=State.OFF, faults=faults, waiting=None, homeward=None)
+        return changed(self, state=State.OFF, faults=faults, waiting=None, homeward=None)
 
     def braked(self, faults: Fault) -> Motion:
         """Slow down along the table and go home; off at once where nothing plays."""
-        motion = replace(self, faults=self.faults | faults, waiting=None)
+        motion = changed(self, faults=self.faults | faults, waiting=None)
         if motion.state is State.PLAYING and motion.playing is not None:
             endless = isinstance(motion.playing, Stream)
             length = BRAKE_S if endless else min(motion.playing.period, BRAKE_S)
-            return replace(motion, state=State.BRAKING, brake=0.0, brake_s=length)
+            return changed(motion, state=State.BRAKING, brake=0.0, brake_s=length)
         return motion if motion.state is State.BRAKING else motion.off(faults)
 
     def going_home(self, state: State) -> Motion:
         """From `start`, at rest, to home; HOMING ends in READY, BRAKING in OFF."""
-        return replace(self, state=state, homeward=0.0)
+        return changed(self, state=state, homeward=0.0)
 
     def stepped(self, dt: float, home_found: bool) -> tuple[Motion, np.ndarray | None]:
         """Let `dt` [s] pass; returns the setpoint (3, 4) too, if there is one to command."""
         motion = self
         if motion.state is State.READY and motion.waiting is not None:
-            motion = replace(motion._taken_over(), state=State.PLAYING, time=-dt)  # it begins now
+            motion = changed(motion._taken_over(), state=State.PLAYING, time=-dt)  # it begins now
         if motion.homeward is not None:
             return motion._homeward(motion.homeward + dt)
         if motion.state in (State.PLAYING, State.BRAKING):
@@ -92,11 +93,11 @@ class Motion:
             return motion, np.stack([motion.start[0], REST[1], REST[2]])
         if motion.state is State.HOMING and home_found:
             motion = motion.off(Fault.NONE)
-            motion = replace(motion, faults=motion.faults & ~Fault.NO_HOME)
+            motion = changed(motion, faults=motion.faults & ~Fault.NO_HOME)
         return motion, None
 
     def _taken_over(self) -> Motion:
-        return replace(
+        return changed(
             self, playing=self.waiting, repeats=self.next_repeats, waiting=None, played=0
         )
 
@@ -112,14 +113,14 @@ class Motion:
             rate = 1 - u * u * (3 - 2 * u)
             slowing = 6 * u * (u - 1) / motion.brake_s
             step = motion.brake_s * (_brake_path(u) - _brake_path(begin))
-        motion = replace(motion, time=motion.time + step, brake=brake)._wrapped()
+        motion = changed(motion, time=motion.time + step, brake=brake)._wrapped()
         assert motion.playing is not None  # PLAYING and BRAKING always have one
         along = np.float32(0 if motion.state is State.READY else rate)
         position, speed, accel = motion.playing.at(motion.time)
         accel = accel * (along * along)
         accel += np.float32(slowing) * speed
         at = np.stack([position, speed * along, accel])
-        motion = replace(motion, start=at)
+        motion = changed(motion, start=at)
         if motion.state is State.BRAKING and motion.brake >= motion.brake_s:
             motion = motion.going_home(State.BRAKING)
         return motion, at
@@ -138,15 +139,15 @@ class Motion:
             if motion.time < motion.playing.period:
                 return motion
             state = State.READY if motion.state is State.PLAYING else motion.state
-            return replace(motion, time=motion.playing.period, state=state)
+            return changed(motion, time=motion.playing.period, state=state)
         while motion.playing is not None and motion.time >= motion.playing.period:
             time, played = motion.time - motion.playing.period, motion.played + 1
-            motion = replace(motion, time=time, played=played)
+            motion = changed(motion, time=time, played=played)
             if motion.waiting is not None:
                 motion = motion._taken_over()
             elif motion.state is State.PLAYING and 0 < motion.repeats <= played:
                 # All tables begin and end at rest, since the first one does.
-                return replace(motion, state=State.READY, time=0.0)
+                return changed(motion, state=State.READY, time=0.0)
         return motion
 
     def _homeward(self, homeward: float) -> tuple[Motion, np.ndarray | None]:
@@ -157,12 +158,12 @@ class Motion:
         bend = -60 * u * (1 - u) * (1 - 2 * u) / np.float32(HOMEWARD_S * HOMEWARD_S)
         at = np.stack([left * self.start[0], slope * self.start[0], bend * self.start[0]])
         if u[0] < 1:
-            return replace(self, homeward=homeward), at
+            return changed(self, homeward=homeward), at
         home = np.stack([REST[0], self.start[1], self.start[2]])
-        motion = replace(self, homeward=None, start=home)
+        motion = changed(self, homeward=None, start=home)
         if motion.state is State.BRAKING:
             return motion.off(Fault.NONE), None
-        return replace(motion, state=State.READY), at
+        return changed(motion, state=State.READY), at
 
 
 def _brake_path(u: float) -> float:
