@@ -179,7 +179,7 @@ def steering(data: Data) -> Chart:
         f"{last['sinusoids']['missed_percent']:.0f} % missed; "
         f"{last['rotations']['warm_ms']:.0f} ms by Method A, "
         f"{last['rotations']['missed_percent']:.0f} %.",
-        f"Method B: it misses less with {less} parts, in less time.",
+        f"Method B: it misses less with {less} parts.",
         ("steering",), tuple(panels), rows,
         columns(data, "steering", "steering"),
     )  # fmt: skip

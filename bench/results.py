@@ -20,7 +20,8 @@ ABOUT = """# Results: speed against accuracy
 
 Written by `make charts` from its measurements; do not edit. The same with charts to point at and to
 zoom: `out/report/index.html`. µmg is the friction of one part. The front of what is not beaten in
-both time and error is drawn as a black line, our default has a ring.
+both time and error is drawn as a black line, our default has a ring. Times are of the cores: other
+programs count little, but on a busy machine (its load is told) times are up to twice as long.
 """
 
 
@@ -84,8 +85,13 @@ def section(chart: Chart, data: Data) -> str:
         lines.append(f"Our default: {chart.default}\n")
     if len(chart.rows) <= MOST_ROWS:
         lines.append(markdown_table(chart.headings, chart.rows))
-    commits = ", ".join(dict.fromkeys(data[n].get("commit") or "unknown" for n in chart.sources))
-    lines.append(f"[All {len(chart.rows)} rows]({rows}). To repeat: {repeat}; commit {commits}.\n")
+    made = ", ".join(
+        f"commit {data[name].get('commit') or 'unknown'}, load {data[name]['machine']['load']:g}"
+        for name in chart.sources
+    )
+    lines.append(
+        f"[All {len(chart.rows)} rows]({rows}). To repeat: {repeat}. Measured at {made}.\n"
+    )
     return "\n".join(lines)
 
 
@@ -107,10 +113,10 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each is one run of the real graph, five nodes in five processes; simulated time waits for "
-        "the answers, so a film does not depend on what else the machine did, and a seed repeats "
-        "it. `python tools/demos.py` makes all; without `--lockstep` it is real time. Arrows are "
-        "the average force of the cycle that runs.\n",
+        "Each is one run of the real graph, five nodes in five processes. With `--lockstep` "
+        "simulated time waits for the answers, so a film does not depend on what else the machine "
+        "did, and a seed repeats it; without it is real time. `python tools/demos.py` makes all. "
+        "Arrows are the average force of the cycle that runs.\n",
     ]
     for name, run in runs.items():
         lines.append(f"### {name}\n\n{run['description']} {run['outcome']}\n")
@@ -120,5 +126,5 @@ def demos(folder: Path) -> str:
                 f"<details><summary>Picture strip</summary>\n\n![{name}]({FOLDER}/{name}.png)\n\n"
                 "</details>\n",
             ]
-        lines.append(f"To repeat: `make demo SCENARIO={name} ARGS=--lockstep`.\n")
+        lines.append(f"To repeat: `{run['command']}`.\n")
     return "\n".join(lines)

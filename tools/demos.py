@@ -65,20 +65,20 @@ def run(name: str) -> dict[str, Any]:
         check=False,
         cwd=ROOT,
     )
+    facts = {
+        "description": load_scenario(name).description,
+        "command": f"make demo SCENARIO={name} ARGS=--lockstep",
+    }
     result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
         for picture in pictures:
             picture.unlink(missing_ok=True)
         last = (done.stderr or done.stdout).strip().splitlines()[-1:]
-        return {"description": "", "well": False, "outcome": f"Failed: {' '.join(last)}"}
+        return facts | {"well": False, "outcome": f"Failed: {' '.join(last)}"}
     shrink_strip(out / "strip.png", pictures[0])
     shrink_film(out / "demo.gif", pictures[1])
     found = json.loads(result.read_text(encoding="utf-8"))
-    return {
-        "description": load_scenario(name).description,
-        "well": done.returncode == 0,
-        "outcome": summary(found),
-    }
+    return facts | {"well": done.returncode == 0, "outcome": summary(found)}
 
 
 def shrink_strip(source: Path, target: Path) -> None:
