@@ -24,8 +24,8 @@ from scipy import stats
 
 from plate_core.graph import RunOptions
 
-SETTLED_S = 120.0
-"""Until then memory may grow: buffers fill, caches are made [s]."""
+SETTLED_S = 600.0
+"""Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
 
 MOST_MISSED = 1e-3
 """Share of cycles that may be missed."""
@@ -57,7 +57,8 @@ def line(task: Task) -> str:
 def summed_up(series: Series) -> dict[str, Any]:
     """Return what the tasks say together."""
     tasks = series.tasks
-    settled = [task for task in tasks if task.at_s > SETTLED_S] or tasks
+    after = min(SETTLED_S, tasks[-1].at_s / 3)
+    settled = [task for task in tasks if task.at_s > after]
     at = np.array([task.at_s for task in settled])
     memory = []
     for name in tasks[0].memory_mb:
