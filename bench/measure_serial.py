@@ -13,7 +13,7 @@ from serial_line import PERIOD_S, over_terminal, upload_s
 from serial_runs import KINDS, accident_run, path_run
 from spread import processes, resumed
 
-SEEDS = range(8000, 8020)
+SEEDS = range(10_000, 10_020)
 """Of the runs over both transports."""
 
 RUNS = 100
