@@ -206,7 +206,7 @@ def columns(data: Data, name: str, key: str) -> dict[str, str]:
 
 
 def _table(data: Data, name: str, key: str) -> Mapping[str, Any]:
-    found = [t for t in data[name]["tables"] if t["key"] == key]
+    found = [t for t in data[name]["tables"] if t["key"] == key] if name in data else []
     if not found:
         raise PlateError(f"measurement {name} has no table {key!r}: it has to be made again")
     return dict(found[0])

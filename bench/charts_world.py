@@ -66,7 +66,9 @@ def sim(data: Data) -> Chart:
                 marks=tuple(marks), better="more less",
             )
         )  # fmt: skip
-    panels += [*disc_panels(data), body_panel(data)]
+    panels += disc_panels(data)
+    if "bodies" in data:
+        panels.append(body_panel(data))
     speeds = table(data, "sim", "speed")
     lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["scene"] == "all ways")
     counts = ", ".join(str(r["parts"]) for r in speeds if r["scene"] == "all ways")
@@ -81,17 +83,17 @@ def sim(data: Data) -> Chart:
         f"exact. Discs in steps of {1e3 * STEP:g} ms where parts touch: friction and knocks in one "
         f"step, at an overlap that no camera sees. Bodies that turn, in {1e3 * BODY_STEP:g} ms, "
         "only where a scene needs it.",
-        ("sim", "bodies"), tuple(panels), [*rows, *disc_rows(data)],
+        tuple(n for n in ("sim", "bodies") if n in data), tuple(panels), [*rows, *disc_rows(data)],
         columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
     )  # fmt: skip
 
 
 def disc_rows(data: Data) -> list[Row]:
     """Return the settings of discs and bodies in the form of the other rows."""
-    found = [
+    found: list[Row] = [
         {"method": r["method"], "gamma": "a body", "setting": r["setting"],
          "error_mm": r["error_mm"], "error_percent": None, "speed": r["speed"]}
-        for r in table(data, "bodies", "bodies")
+        for r in (table(data, "bodies", "bodies") if "bodies" in data else ())
     ]  # fmt: skip
     return found + [
         {"method": r["method"], "gamma": f"{r['parts']} discs", "setting": f"{r['step_ms']:g} ms",
