@@ -26,6 +26,7 @@ LIBRARIES = {
     "serial": "python3-serial",
     "yaml": "python3-yaml",
 }
+TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
 MAX_LINES = 350
 
 
@@ -60,9 +61,9 @@ def may_use_ros(path: Path) -> bool:
     return inside.name == "node.py" or (package(path) == "plate_core" and inside.parts[0] == "ros")
 
 
-def declared(name: str) -> set[str]:
+def declared(name: str, kinds: str = "exec_") -> set[str]:
     text = (ROOT / "src" / name / "package.xml").read_text(encoding="utf-8")
-    return set(re.findall(r"<(?:exec_)?depend>([^<]+)</(?:exec_)?depend>", text))
+    return set(re.findall(rf"<(?:{kinds})?depend>([^<]+)</", text))
 
 
 def test_there_is_something_to_check():
@@ -101,6 +102,19 @@ def test_package_declares_what_it_imports(name):
     needed |= {root for root in roots if ROS.fullmatch(root) or root == "plate_core"}
     missing = needed - declared(name) - {name}
     assert not missing, f"package.xml of {name} lacks exec_depend of {sorted(missing)}"
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_package_declares_what_its_tests_import(name):
+    """Or `colcon test`, which knows of nothing else, cannot run them."""
+    files = sorted((ROOT / "src" / name / "test").glob("*.py"))
+    roots = {n.split(".")[0] for path in files for n in imports(path)}
+    known = LIBRARIES | TESTED_WITH
+    needed = {known.get(root, root) for root in roots if root in {*known, *PACKAGES}}
+    needed |= {root for root in roots if ROS.fullmatch(root)}
+    missing = needed - declared(name, "exec_|test_") - {name}
+    assert files
+    assert not missing, f"package.xml of {name} lacks test_depend of {sorted(missing)}"
 
 
 @pytest.mark.parametrize("path", FILES, ids=label)
