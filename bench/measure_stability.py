@@ -13,6 +13,7 @@ from typing import Any
 
 import map_gamma
 import map_harmonics
+import map_latency
 import map_separation
 import map_stick
 import map_suspension
@@ -23,7 +24,7 @@ from stability_map import Grid, StabilityMap, crossing
 
 MAPS: dict[str, StabilityMap] = {
     module.MAP.key: module.MAP
-    for module in (map_separation, map_harmonics, map_gamma, map_stick, map_suspension)
+    for module in (map_separation, map_harmonics, map_gamma, map_latency, map_stick, map_suspension)
 }
 """Every map, by its key; each is measured in `map_KEY.py`."""
 

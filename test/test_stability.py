@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 
 import map_gamma
 import map_harmonics
+import map_latency
 import map_separation
 import map_stick
 import map_suspension
@@ -92,6 +93,26 @@ def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
     first = map_gamma.first_order(rig, cycle, position) / 1000
     at_1000 = map_gamma.error(rig, map_gamma.scaled(cycle, 1000), position)
     assert at_1000 == pytest.approx(first, rel=0.05)
+
+
+def test_the_loop_swings_up_from_the_predicted_latency_on(rig):
+    linear = map_latency.LinearLoop(rig)
+    for friction in (1.0, 1.4):
+        margin = linear.delay_margin(friction)
+        ages = margin * np.array([0.6, 1.0, 1.4])
+        error = [
+            1e3 * np.mean([map_latency.Loop(rig, seed).run(friction, age) for seed in (1, 2)])
+            for age in ages
+        ]
+        observed = crossing(ages.tolist(), error, map_latency.LEVEL_MM)
+        assert observed == pytest.approx(margin, rel=0.4)
+
+
+def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig):
+    linear = map_latency.LinearLoop(rig)
+    assert linear.response(1.0, 1.0)[0, 0] == pytest.approx(1.0, abs=0.1)
+    assert linear.growth(1.0, 0.0) < 0.6
+    assert linear.growth(1.0, 1.0) > 1
 
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
