@@ -186,14 +186,15 @@ MAP = StabilityMap(
     title="the plain PD loop, by latency of the image and error of the friction believed",
     x_label="true friction over the friction believed",
     y_label="latency of the image [cycles]",
-    z_label="error of a part that is to stay in its place, RMS [mm]",
+    z_label="RMS error of a part that is to stay [mm]",
     line_label="theory: the delay margin of the linear loop",
     level=LEVEL_MM,
     measure=measure,
     bounds=(0.0, 6.0),
     log="x",
     finding="A loop that takes late images for new swings up from about half a cycle on, sooner "
-    "if parts are less slippery than believed. Parts more slippery than believed only lag.",
+    "if parts are less slippery than believed. Where parts are "
+    "more slippery, theory's growth, some per cent a cycle, does not show within the runs.",
     note=f"One part, {CYCLES} cycles of 0.1 s, mean of {len(SEEDS)} runs; kp = {KP:g}, no "
     "estimate of friction or age: the planner's estimation finds out both.",
 )

@@ -121,7 +121,7 @@ MAP = StabilityMap(
     title="natural frequency of the plate on its flexures and method, nothing learned",
     x_label="parts",
     y_label="natural frequency [Hz]",
-    z_label="error of the plate's velocity, over the velocity",
+    z_label="velocity error over velocity",
     line_label="where |H - 1| over the motion's harmonics predicts that error",
     level=LEVEL,
     measure=measure,
@@ -130,6 +130,7 @@ MAP = StabilityMap(
     steps=True,
     finding="A plate that hangs softer than the line has to be learned first. Rotations, with "
     "their quick ramps, need one that is 1.6 to 3.3 times as fast as sinusoids do.",
-    note=f"Median of {REQUESTS} random requests, each repeated until the plate is in its rhythm; "
-    f"damping {100 * DAMPING:g} %, motors 15 % apart with a lag of 200 Hz.",
+    note=f"Root mean squares of the plate's motion; median of {REQUESTS} random requests, each "
+    f"repeated until the plate is in its rhythm; damping {100 * DAMPING:g} %, motors 15 % apart, "
+    "with a lag of 200 Hz.",
 )
