@@ -1,11 +1,12 @@
-"""The calibrate service, end to end: driver node, pseudo-terminal, device, plate on flexures."""
+"""The calibrate service, end to end: driver node, serial line, device, plate on flexures.
+
+In simulated time: the node's timers are called here, its clock is the device's.
+"""
 
 import itertools
 import os
-import subprocess
 import sys
-import time
-from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,23 +15,20 @@ from plate_core import PlateCycle, load_rig
 from plate_core.kinematics import motor_state
 
 rclpy = pytest.importorskip("rclpy")
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
-from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros.convert import cycle_to_msg, to_time  # noqa: E402
-from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
-from plate_driver.calibration import Calibration  # noqa: E402
+from plate_driver.guard import Mode  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
+from plate_driver.serial_transport import SerialTransport  # noqa: E402
+from plate_sim.device import Accidents, DeviceLimits, Emulator, HungPlate, Trouble  # noqa: E402
 
 RIG = load_rig()
+BENCH = str(Path(__file__).resolve().parents[1] / "bench")
 DOMAIN = 1 + (43 * os.getpid() + 29) % 99
-DEVICE = [sys.executable, "-c", "from plate_sim.device.node import main; main()"]
-PATIENCE_S = 90.0
-PERIOD = 0.207
+PERIOD = 0.2
+TICK_S = 1e-3
 HUNG = """
 suspension:
   frequency_hz: [35, 35, 35]
@@ -58,90 +56,73 @@ def shaking() -> PlateCycle:
     return PlateCycle.from_knots(t, *states)
 
 
-def waited(condition, step=lambda: time.sleep(0.01)) -> bool:
-    end = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end:
-        if condition():
-            return True
-        step()
-    return False
+@pytest.fixture(name="port_of")
+def _port_of(monkeypatch):
+    monkeypatch.syspath_prepend(BENCH)
+    from serial_loop import opened
+
+    yield opened
+    for name in ("loop", "serial_loop", "serial_watch"):
+        sys.modules.pop(name, None)
 
 
-@pytest.fixture(name="quick")
-def _quick(monkeypatch):
-    """A third less patience than on a real rig: a single cycle settles, four are measured."""
-    begun = Calibration.begun
-    quick = lambda rig: replace(begun(rig), settle=1, measure=4)  # noqa: E731
-    monkeypatch.setattr(Calibration, "begun", quick)
-
-
-def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(quick, tmp_path):
-    link, learned, rig_file = (tmp_path / name for name in ("port", "plate.npz", "rig.yaml"))
+def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
+    port_of, monkeypatch, tmp_path
+):
+    learned, rig_file = tmp_path / "plate.npz", tmp_path / "rig.yaml"
     rig_file.write_text(default_rig_path().read_text(encoding="utf-8") + HUNG, encoding="utf-8")
-    words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=1000"]
-    words += [
-        "state_rate:=200.0",
-        f"calibration_file:={learned}",
-        f"rig_file:={rig_file}",
-    ]
+    sessions = itertools.count(1, 1000)
+    hung, line = load_rig(rig_file), Accidents(Trouble(baud=921_600.0))
+    emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, hung=HungPlate(hung, TICK_S))
+    monkeypatch.setattr(DriverNode, "_now", lambda self: emulator.now)
+    monkeypatch.setattr(
+        DriverNode,
+        "_make_transport",
+        lambda self: SerialTransport(
+            lambda: port_of(emulator), lambda: emulator.now, next(sessions)
+        ),
+    )
+    words = ["transport:=serial", "port:=simulated", "hold_cycles:=1000"]
+    words += [f"calibration_file:={learned}", f"rig_file:={rig_file}"]
     arguments = ["--ros-args", "-r", "__ns:=/calibrate_node"]
-    arguments += [w for p in words for w in ("-p", p)]
-    env = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}
-    device = subprocess.Popen([*DEVICE, *arguments], env=env)
-    assert waited(link.exists)
-    rclpy.init(args=arguments, domain_id=DOMAIN)
-    executor = SingleThreadedExecutor()
-    driver, peer = DriverNode(), rclpy.create_node("peer")
-    states: list[JointState] = []
-    told: list[str] = []
-    peer.create_subscription(JointState, "motor_states", states.append, DATA)
-    peer.create_subscription(String, "driver_state", lambda m: told.append(m.data), LATCHED)
-    cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
-    calibrate = peer.create_client(Trigger, "calibrate")
-    for node in (driver, peer):
-        executor.add_node(node)
-
-    def until(condition) -> bool:
-        return waited(condition, lambda: executor.spin_once(timeout_sec=0.01))
-
-    cycle, stamps = shaking(), itertools.count(1_000)
-    t = np.linspace(0, PERIOD, 1000)
+    rclpy.init(args=arguments + [w for p in words for w in ("-p", p)], domain_id=DOMAIN)
+    driver, cycle = DriverNode(), shaking()
+    t = PERIOD * np.arange(1000) / 1000
     _, _, wanted = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
 
-    def shaken(low: float, high: float) -> bool:
-        """Whether the plate comes to shake by so much: measured acceleration over wanted (4,)."""
+    def run(seconds: float) -> np.ndarray:
+        """Accelerations (n, 4) that are measured meanwhile."""
+        measured = []
+        for tick in range(round(seconds / TICK_S)):
+            emulator.tick()
+            measured.append(emulator.device.measured[1])
+            if tick % 5 == 0:
+                driver._poll()
+            if tick % 20 == 0:
+                driver._watch()
+        return np.array(measured)
 
-        def judged() -> bool:
-            if len(states) < 105:
-                return False
-            got = np.array([state.effort for state in states[-105:]])
-            ratio = np.sqrt(np.mean(got**2, axis=0) / np.mean(wanted**2, axis=0))
-            return bool(np.all((low < ratio) & (ratio < high)))
-
-        states.clear()
-        assert until(lambda: cycles.get_subscription_count() > 0)
-        cycles.publish(cycle_to_msg(cycle, to_time(next(stamps))))
-        return until(judged)
+    def shaken(stamp_ns: int) -> np.ndarray:
+        """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
+        run(0.1)
+        driver._on_cycle(cycle_to_msg(cycle, to_time(stamp_ns)))
+        run(2.5)
+        return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(wanted**2, axis=0))
 
     try:
-        assert shaken(3, 4)  # at the resonance of 3 %
-        assert until(lambda: calibrate.service_is_ready())
-        answer = calibrate.call_async(Trigger.Request())
-        assert until(answer.done)
-        assert answer.result().success, answer.result().message
-        assert until(lambda: "calibrating" in told)
-        assert until(lambda: told[-1] == "ready"), told
+        assert np.min(shaken(1_000)) > 2.8  # at the resonance of 3 %
+        assert driver._on_calibrate(Trigger.Request(), Trigger.Response()).success
+        assert driver._guard.mode is Mode.CALIBRATING
+        run(3.0)
+        emulator.reset()  # the experiment is begun anew
+        for _ in range(40):
+            if driver._guard.mode is Mode.CALIBRATING:
+                run(1.0)
+        assert driver._guard.mode is Mode.READY
         assert learned.exists()
-        for change in (driver.trigger_deactivate, driver.trigger_cleanup):
-            change()
-        for change in (driver.trigger_configure, driver.trigger_activate):
-            change()
-        assert shaken(0.95, 1.05)
+        for change in ("deactivate", "cleanup", "configure", "activate"):
+            getattr(driver, f"trigger_{change}")()
+        np.testing.assert_allclose(shaken(2_000), 1, atol=0.02)
     finally:
         driver.destroy_node()
-        executor.shutdown()
-        peer.destroy_node()
         rclpy.shutdown()
-        device.terminate()
-        code = device.wait(20)
-    assert code == 0
