@@ -131,7 +131,7 @@ def control(data: Data) -> Chart:
         "of the solver (restarts, iterations), several seeds. Hollow: not all runs ended well. "
         "Down and to the left is better.",
         f"Per cycle, our default: {told}.",
-        "Method B with 24 iterations and 3 restarts: more of either costs time and buys little, "
-        "fewer lose accuracy where many parts follow paths.",
+        "Method B, at most 24 iterations and 3 restarts: in the loop a cycle starts next to its "
+        "solution and seldom needs them; fewer iterations lose accuracy.",
         ("control",), tuple(panels), rows, columns(data, "control", "control"),
     )  # fmt: skip
