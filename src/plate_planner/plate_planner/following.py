@@ -21,6 +21,10 @@ EDGE = (0.70, 0.85)
 LACKING, SLOW_DOWN = 0.1, 0.7
 """A cycle that lacks more than this share of a path's speed takes this share of the pace [-]."""
 
+NEGLIGIBLE = 0.3e-3
+"""Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
+down on a slow path."""
+
 SPEED_UP = 0.1
 """Growth of the pace in one cycle, after it was slow: smoother than the errors that slow it [-]."""
 
@@ -122,7 +126,7 @@ class Follower:
             samples=state.samples + len(distance),
             max_error_m=max(state.max_error_m, worst),
         )
-        lacking = float(np.max(short[part] / self._speeds[path], initial=0.0))
+        lacking = float(np.max((short[part] - NEGLIGIBLE) / self._speeds[path], initial=0.0))
         return self._pace(state, worst, lacking, start, options)
 
     def _learn(

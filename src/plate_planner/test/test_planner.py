@@ -113,7 +113,7 @@ def test_it_follows_the_papers_rectangles(shuffle):
     plant = Plant(scenario, shuffle=shuffle, seed=5)
     _, _, progress = run(Planner(RIG, scenario), plant)
     assert progress.text == "done"
-    assert progress.time_s == pytest.approx(0.56 / 0.02 + T, abs=T)
+    assert progress.time_s == pytest.approx(0.56 / 0.04 + T, abs=T)
     assert progress.rms_error_m < 1e-12  # a plant without error can be followed without error
 
 
@@ -187,7 +187,7 @@ def test_the_integral_takes_away_what_friction_costs():
 
 def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
     plant = Weak(load_scenario("follow_2"))
-    plant.bound = 0.014  # of the 20 mm/s that the paths are run at
+    plant.bound = 0.014  # of the 40 mm/s that the paths are run at
     _, _, progress = run(Planner(RIG, plant.scenario), plant)
     assert progress.text == "done"
     assert 0.9 < progress.time_s / (0.56 / 0.014) < 1.1
@@ -199,7 +199,7 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(share, pac
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     state = follower.begin(plant.seen(), 0.0)
-    short = np.array([share * 0.02, 0.0])
+    short = np.array([share * 0.04, 0.0])
     for k, pace in enumerate(paces):
         seen = PartSet.make(plant.ids, follower.reference(state, k * T))  # no error at all as yet
         state = follower.measure(state, seen, k * T, (k + 1) * T, short, FollowOptions())
