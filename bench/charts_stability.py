@@ -26,10 +26,10 @@ def chart_of(data: Data, one: StabilityMap) -> Chart:
     return Chart(
         f"stability_{one.key}",
         "",
-        f"Where methods fail: {one.title}",
+        one.title,
         f"Colour: {one.z_label}. Black: where it passes {one.level:g}. Dashed: {one.line_label}. "
         f"{one.note}",
-        f"{one.finding} Along the dashed line, {nearness(samples)}",
+        f"{one.finding} {nearness(samples)}",
         "",
         ("stability",),
         tuple(panel(one, s) for s in samples),

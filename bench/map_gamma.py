@@ -115,7 +115,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="gamma",
-    title="averages, by shaking ratio and number of parts",
+    title="Averages fail: shaking ratio and number of parts",
     x_label="parts",
     y_label="shaking ratio Γ = greatest acceleration/(µg)",
     z_label="force missed over force asked for",

@@ -57,7 +57,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="harmonics",
-    title="Method B: number of parts and harmonics",
+    title="Too many parts: number of parts and harmonics, Method B",
     x_label="harmonics N",
     y_label="parts M",
     z_label="requests solved",

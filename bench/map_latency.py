@@ -183,7 +183,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="latency",
-    title="the plain PD loop, by latency of the image and error of the friction believed",
+    title="Late images: latency and error of the friction believed, plain PD loop",
     x_label="true friction over the friction believed",
     y_label="latency of the image [cycles]",
     z_label="RMS error of a part that is to stay [mm]",

@@ -80,7 +80,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="separation",
-    title="Method A: separation of two parts and number of centres",
+    title="Parts too near: distance of two parts and number of centres, Method A",
     x_label="centres of rotation",
     y_label="distance of the two parts [mm]",
     z_label="force guaranteed in every direction [µmg]",

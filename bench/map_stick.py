@@ -100,7 +100,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="stick",
-    title="One part, two harmonics along a line: the share of a cycle that it rests on the plate",
+    title="Parts at rest: request and shaking ratio, one part on a line",
     x_label="request: average force on a part at rest [µmg]",
     y_label="shaking ratio Γ = greatest acceleration/(µg)",
     z_label="share of a cycle at rest on the plate",

@@ -118,7 +118,7 @@ def measure(quick: bool) -> list[Grid]:
 
 MAP = StabilityMap(
     key="suspension",
-    title="natural frequency of the plate on its flexures and method, nothing learned",
+    title="Soft plate: natural frequency and method, nothing learned",
     x_label="parts",
     y_label="natural frequency [Hz]",
     z_label="velocity error over velocity",

@@ -41,7 +41,7 @@ def measure(quick: bool) -> Result:
         rows = [row for grid in found for row in cells(grid)]
         tables.append(Table(one.key, one.title, columns, rows, one.note))
         samples += [sample(one, grid) for grid in found]
-        summary.append(f"{one.title}: {nearness([s for s in samples if s['key'] == one.key])}")
+        summary.append(f"{one.title}. {nearness([s for s in samples if s['key'] == one.key])}")
     return Result(tables, summary, samples)
 
 
@@ -106,9 +106,9 @@ def nearness(samples: list[dict[str, Any]]) -> str:
         if o is not None and p is not None
     ]
     if not pairs:
-        return "no border is measured where one is predicted."
+        return "No border is measured where one is predicted."
     off = np.abs(np.log([o / p for o, p in pairs]))
     return (
-        f"measured and predicted border differ by {100 * np.expm1(np.median(off)):.0f} % "
+        f"Measured and predicted border differ by {100 * np.expm1(np.median(off)):.0f} % "
         f"(median of {len(pairs)} places), {100 * np.expm1(np.max(off)):.0f} % at most."
     )

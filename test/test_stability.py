@@ -161,9 +161,9 @@ def test_nearness_is_the_ratio_of_borders():
     one = MAPS["stick"]
     z = [[0.0], [2 * one.level], [2 * one.level]]
     grid = Grid("", [1.0], [1.0, 1.0001, 2.0], z, [0.5, 1.5], [1.25, 1.25])
-    assert nearness([sample(one, grid)]).startswith("measured and predicted border differ by 25 %")
+    assert nearness([sample(one, grid)]).startswith("Measured and predicted border differ by 25 %")
     grid = Grid("", [1.0], [1.0, 2.0], [[0.0], [0.0]], [0.5, 1.5], [1.25, 1.25])
-    assert nearness([sample(one, grid)]).startswith("no border")
+    assert nearness([sample(one, grid)]).startswith("No border")
 
 
 def test_a_map_is_kept_and_not_measured_again(tmp_path):
