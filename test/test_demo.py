@@ -88,7 +88,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     assert result["setpoints_within_limits"] is True
     assert result["motor_setpoints"] >= result["cycles"] > 100
     assert result["rms_error_m"] < 0.002
-    assert result["time_s"] == pytest.approx(28.1, abs=1)
+    assert result["time_s"] == pytest.approx(14.1, abs=1)
     with Image.open(tmp_path / "strip.png") as strip:
         assert min(strip.size) > 600
     with Image.open(tmp_path / "demo.gif") as animation:
