@@ -169,7 +169,7 @@ def test_wrong_arguments_are_refused_in_one_line(program, arguments, words):
 def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
     done = bench("run.py", "force_map", "--quick", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "[1/1] force_map" in done.stdout
+    assert "[1/1, 0:00] force_map" in done.stdout
     data = json.loads((tmp_path / "force_map.json").read_text(encoding="utf-8"))
     assert [file.name for file in tmp_path.iterdir()] == ["force_map.json"]
     assert data["quick"] is True

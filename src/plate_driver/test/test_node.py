@@ -104,6 +104,8 @@ class Peer:
                 and self.node.count_publishers("motor_setpoints") > 0
             )
         ), self.end()
+        # The driver may get to know us a little later than we it; until then its words are lost.
+        self.until(lambda: False, 0.5)
 
     def send(self, cycle: PlateCycle, stamp_ns: int) -> None:
         self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
