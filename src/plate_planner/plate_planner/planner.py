@@ -77,7 +77,8 @@ class PlannerState:
     asked : Asked
         The last request.
     known : tuple of str
-        Ids in the last image with all parts: tells which one is missing.
+        Ids in the last image with all parts: tells which one is missing, and whether all were
+        there before.
     answer : (PartSet, Progress) or None
         Answer to the last image, given again when the same image comes again.
     """
@@ -161,10 +162,8 @@ class Planner:
         return PlannerState(TaskState(), clock, watch)
 
     def start(self, state: PlannerState) -> PlannerState:
-        """Start the task, or start it again; its time begins when all parts are seen."""
-        return replace(
-            state, task=started(), follow=FollowState(), pose=PoseState(), asked=Asked(), known=()
-        )
+        """Start the task, or start it again; its time begins when all parts are seen twice."""
+        return replace(state, task=started(), follow=FollowState(), pose=PoseState(), asked=Asked())
 
     def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
@@ -215,7 +214,8 @@ class Planner:
     def _advance(self, state: PlannerState, parts: PartSet, t: float) -> tuple[PlannerState, View]:
         """Bring the task up to date."""
         missing = missing_parts(self.scenario, state.known, parts)
-        task = begin(state.task, t, missing, self.limits)
+        again = set(parts.ids) == set(state.known)
+        task = begin(state.task, t, missing, again, self.limits)
         begins = task.active and not state.task.active
         state = replace(state, task=task, known=state.known if missing else parts.ids)
         if isinstance(self._rules, Sorter):

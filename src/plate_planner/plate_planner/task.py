@@ -72,7 +72,7 @@ class TaskState:
     asked : float or None
         First image after `start`.
     began : float or None
-        First image with all parts: time zero of the task.
+        Second image with the same parts, all: time zero of the task.
     ended : float or None
         Image at which it ended.
     missing_since : tuple of (str, float)
@@ -120,8 +120,12 @@ def started() -> TaskState:
     return TaskState(phase=Phase.RUNNING)
 
 
-def begin(state: TaskState, t: float, missing: tuple[str, ...], limits: TaskLimits) -> TaskState:
-    """Begin a task that was told to start, as soon as no part is missing.
+def begin(
+    state: TaskState, t: float, missing: tuple[str, ...], again: bool, limits: TaskLimits
+) -> TaskState:
+    """Begin a task that was told to start, as soon as the same parts, all, are seen twice.
+
+    In one image a glare may stand for a part that was not seen.
 
     Parameters
     ----------
@@ -130,16 +134,18 @@ def begin(state: TaskState, t: float, missing: tuple[str, ...], limits: TaskLimi
         Stamp of the image [s].
     missing : tuple of str
         Parts of the scenario that are not seen, as a reader would name them.
+    again : bool
+        Whether these parts, and no others, are those of the last image with all parts.
     limits : TaskLimits
     """
     if state.phase is not Phase.RUNNING or state.began is not None:
         return state
     asked = t if state.asked is None else state.asked
-    if not missing:
+    if again and not missing:
         return replace(state, asked=asked, began=t)
     if t - asked > limits.wait_s + TIME_TOLERANCE_S:
-        reason = f"{_listed(missing)} not seen within {limits.wait_s:g} s of start"
-        return _end(state, t, Phase.ABORTED, reason)
+        what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
+        return _end(state, t, Phase.ABORTED, f"{what} within {limits.wait_s:g} s of start")
     return replace(state, asked=asked)
 
 

@@ -1,68 +1,15 @@
 """The planner as a whole, against a plant that does what it is asked one cycle later."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant import RIG, Plant, T, ready, run, without
 
-from plate_core import PartSet, ScenarioError, load_rig
+from plate_core import PartSet, ScenarioError
 from plate_core.parts import part_class
-from plate_core.scenario import Bin, Side, SortTask, load_scenario, start_positions
-from plate_planner import FollowOptions, Planner, PlannerOptions
-from plate_planner.following import Follower
-
-RIG = load_rig()
-MASS = RIG.parts.mass_kg
-T = 0.1
-
-
-class Plant:
-    """Parts whose drift changes by F T/m, one cycle after the image: no friction model at all."""
-
-    def __init__(self, scenario, seed=0, disturbance=0.0, shuffle=False):
-        self.scenario = scenario
-        self.rng = np.random.default_rng(seed)
-        labels, self.position = start_positions(scenario, RIG, self.rng)
-        if shuffle:
-            order = self.rng.permutation(len(labels))
-            labels, self.position = tuple(labels[i] for i in order), self.position[order]
-        number = Counter()
-        ids = []
-        for label in labels:
-            number[label] += 1
-            ids.append(f"{label}_{number[label]}")
-        self.ids = tuple(ids)
-        self.drift = np.zeros_like(self.position)
-        self.coming = np.zeros_like(self.position)
-        self.disturbance = disturbance
-
-    def seen(self) -> PartSet:
-        return PartSet.make(self.ids, self.position, self.drift)
-
-    def step(self, asked: PartSet) -> None:
-        noise = self.disturbance * self.rng.normal(size=self.drift.shape)
-        answer = self.answer(asked) + noise
-        self.drift, self.coming = self.coming, answer
-        self.position = self.position + T * self.drift
-
-    def answer(self, asked: PartSet) -> np.ndarray:
-        """Return the drift wanted, as far as parts are named; parts that are not come to rest."""
-        drift = np.zeros_like(self.position)
-        for i, part_id in enumerate(asked.ids):
-            row = self.ids.index(part_id)
-            drift[row] = self.drift[row] + asked.force[i] * T / MASS
-        return drift
-
-
-def run(planner, plant, cycles=2000, t=0.0, state=None):
-    state = planner.start(planner.initial()) if state is None else state
-    for k in range(cycles):
-        state, asked, progress = planner.plan(state, plant.seen(), t + k * T)
-        if progress.phase != "running":
-            break
-        plant.step(asked)
-    return state, asked, progress
+from plate_core.scenario import Bin, Side, SortTask, load_scenario
+from plate_planner import Planner
 
 
 @pytest.mark.parametrize("name", ["sort_4", "sort_6", "sort_8", "sort_10"])
@@ -83,7 +30,7 @@ def test_sorted_parts_stay_sorted_while_others_are_on_their_way():
     scenario = load_scenario("sort_4")
     plant = Plant(scenario, seed=2, disturbance=3e-3)
     planner = Planner(RIG, scenario)
-    state = planner.start(planner.initial())
+    state = ready(planner, plant.seen())
     best = 0
     for k in range(400):
         state, asked, progress = planner.plan(state, plant.seen(), k * T)
@@ -98,116 +45,13 @@ def test_the_hold_time_has_passed_when_it_is_done():
     planner = Planner(RIG, scenario)
     x = np.array([[-0.2, -0.05], [-0.2, 0.05], [0.2, -0.05], [0.2, 0.05]])
     parts = PartSet.make(("black_1", "black_2", "grey_1", "grey_2"), x)
-    state = planner.start(planner.initial())
+    state = ready(planner, parts)
     phases = []
     for k in range(7):
         state, _, progress = planner.plan(state, parts, k * T)
         phases.append(progress.phase)
     assert phases == ["running"] * 5 + ["done"] * 2
     assert progress.time_s == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("shuffle", [False, True])
-def test_it_follows_the_papers_rectangles(shuffle):
-    scenario = load_scenario("follow_2")
-    plant = Plant(scenario, shuffle=shuffle, seed=5)
-    _, _, progress = run(Planner(RIG, scenario), plant)
-    assert progress.text == "done"
-    assert progress.time_s == pytest.approx(0.56 / 0.04 + T, abs=T)
-    assert progress.rms_error_m < 1e-12  # a plant without error can be followed without error
-
-
-def test_it_follows_in_spite_of_disturbances():
-    scenario = load_scenario("follow_2")
-    plant = Plant(scenario, disturbance=1e-3)
-    options = PlannerOptions(follow=FollowOptions(kp=0.3))
-    _, _, progress = run(Planner(RIG, scenario, options), plant)
-    assert progress.text == "done"
-    assert progress.rms_error_m < 1e-3
-    assert progress.max_error_m < 3e-3
-
-
-def test_following_corrects_an_offset_at_the_start():
-    scenario = load_scenario("follow_2")
-    plant = Plant(scenario)
-    plant.position += [0.02, -0.01]
-    planner = Planner(RIG, scenario)
-    state, _, progress = run(planner, plant, cycles=100)
-    reference = Follower(scenario.task, RIG).reference(state.follow, 100 * T)
-    assert progress.phase == "running"
-    assert np.max(np.abs(plant.position - reference)) < 1e-3
-
-
-def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
-    scenario = load_scenario("follow_2")
-    plant = Plant(scenario)
-    plant.answer = lambda asked: np.zeros((2, 2))
-    _, asked, progress = run(Planner(RIG, scenario), plant)
-    assert progress.pace == 0
-    assert 0.0045 < progress.max_error_m <= 0.5 * scenario.task.max_error_m + 1e-3
-    assert progress.text.startswith("stuck after ")
-    assert "no nearer to the goal for 30 s; black_" in progress.text
-    assert "asked for (" in progress.text
-    assert len(asked) == 0
-
-
-def test_a_part_pushed_far_off_its_path_ends_the_task():
-    scenario = load_scenario("follow_2")
-    plant, planner = Plant(scenario), Planner(RIG, scenario)
-    state, _, _ = run(planner, plant, cycles=50)
-    plant.position[1] += [0.0, 0.04]
-    _, asked, progress = planner.plan(state, plant.seen(), 5.0)
-    assert progress.text == "stuck after 5.0 s: black_2 is 40.0 mm off its path, allowed: 30 mm"
-    assert len(asked) == 0
-
-
-class Weak(Plant):
-    """A plant on which parts get a share of the drift that is asked of them, up to a bound."""
-
-    share, bound = 1.0, np.inf
-
-    def answer(self, asked):
-        drift = self.share * super().answer(asked)
-        return np.clip(drift, -self.bound, self.bound)
-
-
-def test_the_integral_takes_away_what_friction_costs():
-    errors = {}
-    for ki in (0.0, 0.05):
-        plant = Weak(load_scenario("follow_2"))
-        plant.share = 0.8
-        planner = Planner(RIG, plant.scenario, PlannerOptions(follow=FollowOptions(ki=ki)))
-        state, _, _ = run(planner, plant, cycles=240)
-        follower = Follower(plant.scenario.task, RIG)
-        errors[ki] = np.max(follower.errors(state.follow, plant.seen(), 240 * T))
-    # Without: (1/0.8 - 1) v (1 + 1/kp) T, as in test_pd, of which 0.8 arrives. With: none is left.
-    assert errors[0.0] > 0.8e-3
-    assert errors[0.05] < 0.02 * errors[0.0]
-
-
-def test_it_slows_down_instead_of_failing_when_the_plate_cannot_give_so_much():
-    plant = Weak(load_scenario("follow_2"))
-    plant.bound = 0.014  # of the 40 mm/s that the paths are run at
-    _, _, progress = run(Planner(RIG, plant.scenario), plant)
-    assert progress.text == "done"
-    assert 0.9 < progress.time_s / (0.56 / 0.014) < 1.1
-    assert progress.max_error_m < 0.016
-
-
-@pytest.mark.parametrize(("share", "paces"), [(0.05, (1.0, 1.0)), (0.2, (0.7, 0.49))])
-def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(share, paces):
-    scenario = load_scenario("follow_2")
-    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
-    state = follower.begin(plant.seen(), 0.0)
-    short = np.array([share * 0.04, 0.0])
-    for k, pace in enumerate(paces):
-        seen = PartSet.make(plant.ids, follower.reference(state, k * T))  # no error at all as yet
-        state = follower.measure(state, seen, k * T, (k + 1) * T, short, FollowOptions())
-        assert state.paces[1] == pytest.approx(pace)
-    for k in range(2, 12):
-        seen = PartSet.make(plant.ids, follower.reference(state, k * T))
-        state = follower.measure(state, seen, k * T, (k + 1) * T, 0 * short, FollowOptions())
-    assert state.paces[1] == 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -275,18 +119,15 @@ def test_stop_aborts_and_start_begins_anew():
     assert (len(asked), progress.phase, progress.time_s) == (4, "running", 0.0)
 
 
-def without(parts: PartSet, *gone: str) -> PartSet:
-    keep = [i for i, part_id in enumerate(parts.ids) if part_id not in gone]
-    return PartSet.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
-
-
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
-def test_the_clock_waits_for_all_parts(name):
+def test_the_clock_waits_until_the_same_parts_are_seen_twice(name):
     scenario = load_scenario(name)
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state = planner.start(planner.initial())
-    state, asked, progress = planner.plan(state, without(plant.seen(), "black_1"), 0.0)
-    assert (len(asked), progress.phase, progress.time_s) == (0, "running", 0.0)
+    glare = replace(plant.seen(), ids=("black_9", *plant.ids[1:]))
+    for t, parts in ((0.0, without(plant.seen(), "black_1")), (4.8, glare), (4.9, plant.seen())):
+        state, asked, progress = planner.plan(state, parts, t)
+        assert (len(asked), progress.phase, progress.time_s) == (0, "running", 0.0)
     state, asked, progress = planner.plan(state, plant.seen(), 5.0)
     assert (len(asked), progress.time_s) == (scenario.count, 0.0)
     state, asked, progress = planner.plan(state, plant.seen(), 5.1)
@@ -339,22 +180,12 @@ def test_a_part_of_an_unknown_class_is_free_and_does_not_count(name):
     plant.ids += ("red_1",)
     plant.position = np.vstack([plant.position, [0.0, 0.0]])
     plant.drift = plant.coming = np.zeros_like(plant.position)
-    _, asked, progress = planner.plan(planner.start(planner.initial()), plant.seen(), 0.0)
+    _, asked, progress = planner.plan(ready(planner, plant.seen()), plant.seen(), 0.0)
     assert progress.phase == "running"
     assert np.all(np.abs(asked.force[-1]) < 0.02 * RIG.force_unit)
     assert np.all(asked.tolerance[-1] > 0)
     _, _, progress = run(planner, plant)
     assert progress.phase == "done"
-
-
-def test_a_part_back_under_a_new_number_is_followed_on():
-    scenario = load_scenario("follow_2")
-    plant, planner = Plant(scenario), Planner(RIG, scenario)
-    state, _, _ = run(planner, plant, cycles=20)
-    plant.ids = ("black_1", "black_9")
-    _, _, progress = run(planner, plant, t=20 * T, state=state)
-    assert progress.text == "done"
-    assert progress.max_error_m < 1e-3
 
 
 def test_the_same_image_again_gets_the_same_answer_and_changes_nothing():
@@ -416,7 +247,7 @@ def test_forces_are_bounded_however_wild_the_measured_drift():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     parts = replace(plant.seen(), velocity=np.full((4, 2), 5.0))
-    _, asked, _ = planner.plan(planner.start(planner.initial()), parts, 0.0)
+    _, asked, _ = planner.plan(ready(planner, parts), parts, 0.0)
     assert np.all(np.abs(asked.force) <= RIG.force_unit)
 
 

@@ -18,14 +18,15 @@ from plate_planner.task import (
 
 LIMITS = TaskLimits(time_limit_s=10.0, hold_s=0.5, wait_s=3.0, patience_s=1.0)
 EPS = 1e-3
-RUNNING = begin(started(), 100.0, (), LIMITS)
+RUNNING = begin(started(), 100.0, (), True, LIMITS)
 GONE = ("black_1",)
 
 
 def run(*images, state=RUNNING):
     """Feed images (t, missing, goal met) and return the last state."""
     for t, missing, met in images:
-        state = judge(begin(state, t, missing, LIMITS), t, Findings(missing, met, 0.0), LIMITS)
+        state = begin(state, t, missing, True, LIMITS)
+        state = judge(state, t, Findings(missing, met, 0.0), LIMITS)
     return state
 
 
@@ -48,6 +49,14 @@ def test_it_gives_up_waiting_for_parts():
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
     assert state.text == "aborted: 2 of 5 black parts, grey_1 not seen within 3 s of start"
+
+
+def test_it_gives_up_waiting_for_the_same_parts_again():
+    waiting = begin(started(), 5.0, (), False, LIMITS)
+    assert not waiting.active
+    assert begin(waiting, 8.0, (), False, LIMITS).phase is Phase.RUNNING
+    state = begin(waiting, 8.0 + EPS, (), False, LIMITS)
+    assert state.text == "aborted: no two images with the same parts within 3 s of start"
 
 
 def test_done_when_the_goal_was_met_for_the_hold_time():
