@@ -31,6 +31,12 @@ class PlateMotion:
     times: np.ndarray
     coefficients: np.ndarray
 
+    def __post_init__(self) -> None:
+        # Read-only like those of a cycle: numba would compile everything again for others.
+        times = np.array(self.times, dtype=float)
+        times.setflags(write=False)
+        object.__setattr__(self, "times", times)
+
     @classmethod
     def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
         """Return a cycle done exactly as commanded."""
