@@ -148,7 +148,11 @@ def test_wrong_cycles(change, message):
         (lambda m: m.twist.pop(), "2 twist for 3 names"),
         (lambda m: setattr(m, "joint_names", ["a", "b", "a"]), "a name is given twice"),
         (lambda m: setattr(m.wrench[1].force, "x", float("nan")), "white_1 has a value"),
-        (lambda m: setattr(m.wrench[1].torque, "z", float("nan")), "white_1 has a value"),
+        (lambda m: setattr(m.wrench[1].torque, "z", float("nan")), "white_1 has a value of nan"),
+        (
+            lambda m: setattr(m.wrench[1].force, "y", -1e200),
+            "value of -1e.200, allowed: up to 1e.09",
+        ),
         (lambda m: setattr(m.transforms[2].rotation, "z", float("nan")), "white_2 has a value"),
     ],
 )

@@ -21,6 +21,9 @@ FRAME = "plate_home"
 PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
 
+MOST = 1e9
+"""Of a part nothing is larger than this, in SI units: enough for all, and computable with."""
+
 
 def seconds(stamp: Time) -> float:
     """Return a stamp in seconds; exact to better than a microsecond until the year 2100."""
@@ -73,7 +76,7 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
     Raises
     ------
     PlateError
-        If lengths disagree, a name is given twice, or a value is not finite.
+        If lengths disagree, a name is given twice, or a value is not finite or beyond `MOST`.
     """
     count = len(msg.joint_names)
     for name, items in (
@@ -102,10 +105,13 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
             parts.torque, parts.grip,
         ]
     )  # fmt: skip
-    finite = np.all(np.isfinite(columns), axis=1)
-    if not np.all(finite):
-        name = parts.ids[int(np.argmin(finite))]
-        raise PlateError(f"parts: {name} has a value that is not finite")
+    sane = np.max(np.abs(columns), axis=1, initial=0.0) <= MOST  # not so where one is NaN
+    if not np.all(sane):
+        row = int(np.argmin(sane))
+        value = columns[row][int(np.argmin(np.abs(columns[row]) <= MOST))]
+        raise PlateError(
+            f"parts: {parts.ids[row]} has a value of {value:g}, allowed: up to {MOST:g}"
+        )
     return parts
 
 
