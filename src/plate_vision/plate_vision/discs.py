@@ -45,22 +45,22 @@ def find_discs(
         Gives for image points (n, 2) [px] the radius there, as a share (n,) of the options'.
     """
     radius = options.radius_px
-    brightness = fit_brightness(grey, region, options.min_plate_grey)
+    light = fit_brightness(grey, region, options.min_plate_grey)
     seeds = np.empty((0, 2))
-    if brightness is not None:
+    if light is not None:
         usable = usable_pixels(region, *grey.shape)
-        seeds = find_seeds(grey, region, brightness, usable, options.threshold, radius)
-    if brightness is None or not len(seeds):
+        seeds = find_seeds(grey, region, light, usable, options.threshold, radius)
+    if light is None or not len(seeds):
         nothing = np.empty(0)
         return Discs(np.empty((0, 2)), nothing, nothing, nothing, np.empty(0, bool), nothing)
-    grey, marks = paint_over(grey, brightness, seeds, radius)
+    grey, marks = paint_over(grey, light, seeds, radius)
     shared = crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
     shared |= region.depth(*seeds.T) - SEAM_PX < radius + RIM_PX + 1
-    discs, beside = measure_alone(grey, brightness, seeds[~shared], radius)
+    discs, beside = measure_alone(grey, light, seeds[~shared], radius)
     discs = discs.select(~beside)
     shared[np.flatnonzero(~shared)[beside]] = True
     if np.any(shared):
-        discs = discs.join(fit_discs(grey, brightness, usable, seeds[shared], radius))
+        discs = discs.join(fit_discs(grey, light, usable, seeds[shared], radius))
     marks = marks.select(np.argsort(shared, kind="stable"))
     discs = replace(discs, angle=marks.angle(discs.centre))
     expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)

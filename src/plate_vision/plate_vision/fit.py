@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .brightness import PlateBrightness, bare
+from .brightness import bare, solve
 from .measure import CORE, MIN_DARKNESS, RIM_PX, Discs
 
 EDGE_PX = (0.4, 0.8, 3.0)
@@ -36,7 +36,7 @@ SIZE = 5
 
 def fit_discs(
     grey: np.ndarray,
-    brightness: PlateBrightness,
+    light: np.ndarray,
     usable: np.ndarray,
     seeds: np.ndarray,
     radius_px: float,
@@ -47,8 +47,8 @@ def fit_discs(
     ----------
     grey : (H, W) uint8
         Image [grey levels].
-    brightness : PlateBrightness
-        The bare plate.
+    light : (9,)
+        The bare plate, of `fit_brightness`.
     usable : (H, W) bool
         Pixels that show the plate.
     seeds : (n, 2)
@@ -58,13 +58,13 @@ def fit_discs(
     """
     state = np.empty((len(seeds), SIZE))
     state[:, :2], state[:, 2], state[:, 3] = seeds, radius_px, EDGE_PX[1]
-    misfit = _fit_all(grey, brightness.light(), usable, state, radius_px)
+    misfit = _fit_all(grey, light, usable, state, radius_px)
     count = len(seeds)
     one, none = np.ones(count, bool), np.zeros(count)
     return Discs(state[:, :2], state[:, 2], state[:, 4], misfit, one, none)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _fit_all(
     grey: np.ndarray, light: np.ndarray, usable: np.ndarray, state: np.ndarray, radius: float
 ) -> np.ndarray:
@@ -82,6 +82,7 @@ def _fit_all(
     moved = np.ones(count, np.bool_)
     work = np.empty((2, pixels.shape[2]), np.float32)
     neighbours = np.empty(count, np.int64)
+    normal, right = np.empty((SIZE, SIZE)), np.empty(SIZE)
     for _ in range(MAX_ITERATIONS):
         still = True
         moves = np.zeros(count, np.bool_)
@@ -96,7 +97,8 @@ def _fit_all(
             if not stale:
                 continue
             _without_others(pixels[k], length[k], state, neighbours[:others], work)
-            misfit[k], change = _improve(pixels[k], length[k], work, state[k], radius)
+            misfit[k] = _sum_up(pixels[k], length[k], work, state[k], normal, right)
+            change = _improve(state[k], normal, right, radius)
             if change >= SETTLED_PX:
                 moves[k] = True
                 still = False
@@ -106,7 +108,7 @@ def _fit_all(
     return misfit
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _gather(
     grey: np.ndarray,
     light: np.ndarray,
@@ -130,7 +132,7 @@ def _gather(
     return count
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: float) -> float:
     total, count = 0.0, 0
     for i in range(size):
@@ -141,7 +143,7 @@ def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: flo
     return max(total / max(count, 1), MIN_DARKNESS)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _without_others(
     pixels: np.ndarray, size: int, state: np.ndarray, neighbours: np.ndarray, work: np.ndarray
 ) -> None:
@@ -162,28 +164,24 @@ def _without_others(
             work[1, i] *= one - cover
 
 
-@njit(cache=True, fastmath=True)
-def _improve(
-    pixels: np.ndarray, size: int, work: np.ndarray, disc: np.ndarray, first_radius: float
-) -> tuple[float, float]:
-    """Make one step of a disc (SIZE,); return its misfit before and the change [px]."""
-    normal, right = np.zeros((SIZE, SIZE)), np.zeros(SIZE)
-    misfit = _sum_up(pixels, size, work, disc, normal, right)
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _improve(disc: np.ndarray, normal: np.ndarray, right: np.ndarray, first_radius: float) -> float:
+    """Make one step of a disc (SIZE,) by its normal equations; return the change [px]."""
     for i in range(SIZE):
         normal[i, i] = normal[i, i] * (1 + DAMPING) + DAMPING
         for j in range(i):
             normal[j, i] = normal[i, j]
-    _solve(normal, right)
+    solve(normal, right)
     largest = max(abs(right[0]), abs(right[1]), abs(right[2]))
     share = min(1.0, MAX_STEP_PX / max(largest, 1e-9))
     for i in range(SIZE):
         disc[i] += share * right[i]
     disc[2] = min(max(disc[2], 0.5 * first_radius), 1.5 * first_radius)
     disc[3] = min(max(disc[3], EDGE_PX[0]), EDGE_PX[2])
-    return misfit, largest
+    return largest
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _sum_up(
     pixels: np.ndarray,
     size: int,
@@ -225,19 +223,3 @@ def _sum_up(
     normal[4, 4] = dd
     right[0], right[1], right[2], right[3], right[4] = x0, y0, r0, e0, d0
     return np.sqrt(square / max(seen, one)) / max(disc[4], MIN_DARKNESS)
-
-
-@njit(cache=True)
-def _solve(normal: np.ndarray, right: np.ndarray) -> None:
-    """Solve positive definite equations in place: `right` becomes the solution."""
-    size = len(right)
-    for i in range(size):
-        for j in range(i + 1, size):
-            factor = normal[j, i] / normal[i, i]
-            for k in range(i, size):
-                normal[j, k] -= factor * normal[i, k]
-            right[j] -= factor * right[i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= normal[i, k] * right[k]
-        right[i] /= normal[i, i]

@@ -12,7 +12,7 @@ from math import pi
 import numpy as np
 from numba import njit
 
-from .brightness import PlateBrightness
+from .brightness import bare
 
 RADIUS = 0.3
 """Of a mark [part radii]."""
@@ -66,7 +66,7 @@ class Marks:
 
 
 def paint_over(
-    grey: np.ndarray, brightness: PlateBrightness, seeds: np.ndarray, radius_px: float
+    grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius_px: float
 ) -> tuple[np.ndarray, Marks]:
     """Find marks, and paint them over.
 
@@ -74,8 +74,8 @@ def paint_over(
     ----------
     grey : (H, W) uint8
         Image [grey levels].
-    brightness : PlateBrightness
-        The bare plate.
+    light : (9,)
+        The bare plate, of `fit_brightness`.
     seeds : (n, 2)
         Places within a pixel or two of the parts' centres [px].
     radius_px : float
@@ -87,9 +87,8 @@ def paint_over(
         The image as if the parts had no marks; the same one if they have none.
     marks : Marks
     """
-    bare = brightness.at(*seeds.T).astype(float)
     found, level = np.full((len(seeds), 2), np.nan), np.zeros((len(seeds), 2))
-    _find(grey, bare, seeds, float(radius_px), found, level)
+    _find(grey, light, seeds, float(radius_px), found, level)
     marked = np.isfinite(found[:, 0])
     if np.any(marked):
         grey = grey.copy()
@@ -97,8 +96,8 @@ def paint_over(
     return grey, Marks(found)
 
 
-@njit(cache=True)
-def _find(grey, bare, seeds, radius, found, level):
+@njit(cache=True, error_model="numpy")
+def _find(grey, light, seeds, radius, found, level):
     """Fill the places of marks (n, 2) [px], and the grey of their parts and their contrasts."""
     height, width = grey.shape
     mark = RADIUS * radius
@@ -115,10 +114,13 @@ def _find(grey, bare, seeds, radius, found, level):
                     count += 1
         if count == 0:
             continue
+        plate, darkest, lightest = bare(light, u, v), np.min(core[:count]), np.max(core[:count])
+        if lightest - darkest < CONTRAST * (plate - lightest):
+            continue  # whatever the median is
         part = np.median(core[:count])
-        darkest, lightest = np.min(core[:count]) - part, np.max(core[:count]) - part
+        darkest, lightest = darkest - part, lightest - part
         contrast = lightest if lightest > -darkest else darkest
-        if abs(contrast) < CONTRAST * (bare[i] - part):
+        if abs(contrast) < CONTRAST * (plate - part):
             continue
         x, y, mass = 0.0, 0.0, 0.0
         for turn in range(ROUNDS):
@@ -142,7 +144,7 @@ def _find(grey, bare, seeds, radius, found, level):
             level[i, 0], level[i, 1] = part, contrast
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _paint(grey, centre, level, reach):
     """Give what stands out round the marks (n, 2) [px] the grey of their parts."""
     height, width = grey.shape

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numba import njit
 
-from .brightness import PlateBrightness, bare
+from .brightness import bare
 
 RIM_PX = 3.0
 """Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
@@ -73,7 +73,7 @@ class Discs:
 
 
 def measure_alone(
-    grey: np.ndarray, brightness: PlateBrightness, seeds: np.ndarray, radius_px: float
+    grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius_px: float
 ) -> tuple[Discs, np.ndarray]:
     """Measure discs that have their surroundings to themselves, by moments of darkness.
 
@@ -84,8 +84,8 @@ def measure_alone(
     ----------
     grey : (H, W) uint8
         Image [grey levels].
-    brightness : PlateBrightness
-        The bare plate.
+    light : (9,)
+        The bare plate, of `fit_brightness`.
     seeds : (n, 2)
         First guesses of the centres [px].
     radius_px : float
@@ -98,61 +98,67 @@ def measure_alone(
         Whether there is something else beside it, or the image's border: the measurement is then
         wrong.
     """
-    sums = np.zeros((len(seeds), 7))
-    _add_moments(grey, brightness.light(), np.rint(seeds).astype(np.int64), radius_px, sums)
-    mass = np.maximum(sums[:, 0], 1e-6)
-    shift = sums[:, 1:3] / mass[:, None]
-    # The mean over the inner part; the seed is near enough for that to be all inside.
-    darkness = np.maximum(sums[:, 4] / np.maximum(sums[:, 5], 1), MIN_DARKNESS)
-    radius = np.sqrt(mass / (np.pi * darkness))
-    spread = sums[:, 3] / mass - np.sum(shift**2, axis=1)
-    misfit = np.abs(2 * spread / radius**2 - 1)
-    beside = sums[:, 6] > RIM_DIRT_PX2 * darkness
+    row = _moments(grey, light, np.rint(seeds).astype(np.int64), radius_px)
     fitted, angle = np.zeros(len(seeds), bool), np.zeros(len(seeds))
-    return Discs(np.rint(seeds) + shift, radius, darkness, misfit, fitted, angle), beside
+    discs = Discs(row[:, :2], row[:, 2], row[:, 3], row[:, 4], fitted, angle)
+    return discs, row[:, 5] > RIM_DIRT_PX2 * discs.darkness
 
 
-@njit(cache=True, fastmath=True)
-def _add_moments(
-    grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius: float, sums: np.ndarray
-) -> None:
-    """Sum darkness times 1, dx, dy, d2 in a round window; darkness and pixels of its inner part;
-    darkness of its rim, infinite at the image's border. `sums` is (n, 7)."""
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _moments(grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius: float) -> np.ndarray:
+    """Return x, y, radius [px], darkness, misfit, and the dark area [px2] of the rim, infinite at
+    the image's border: (n, 6), from round windows at seeds (n, 2)."""
     height, width = grey.shape
-    outer, clear = np.float32((radius + RIM_PX) ** 2), np.float32((radius + RIM_CLEAR_PX) ** 2)
-    core = np.float32((CORE * radius) ** 2)
     reach = int(radius + RIM_PX)
-    zero, one = np.float32(0), np.float32(1)
+    side = np.arange(-reach, reach + 1)
+    size = len(side) ** 2
+    x, y, square = (
+        np.empty(size, np.float32),
+        np.empty(size, np.float32),
+        np.empty(size, np.float32),
+    )
+    for i in range(size):
+        x[i], y[i] = side[i % len(side)], side[i // len(side)]
+        square[i] = x[i] ** 2 + y[i] ** 2
+    outer, clear = np.float32((radius + RIM_PX) ** 2), np.float32((radius + RIM_CLEAR_PX) ** 2)
+    core, noise, zero = np.float32((CORE * radius) ** 2), np.float32(NOISE), np.float32(0)
+    level = np.empty(size, np.float32)
+    rows = np.zeros((len(seeds), 6))
+    rows[:, 5] = np.inf
     for k in range(len(seeds)):
         x0, y0 = seeds[k]
         if min(x0, y0) < reach or x0 + reach >= width or y0 + reach >= height:
-            sums[k, 6] = np.inf
             continue
-        for dy in range(-reach, reach + 1):
-            chord = int(np.sqrt(outer - dy * dy))
-            mass, across, square, inner, rim = zero, zero, zero, zero, zero
-            pixels = 0
-            for dx in range(-chord, chord + 1):
-                x, y = x0 + dx, y0 + dy
-                dark = one - np.float32(grey[y, x]) / bare(light, x, y)
-                d2 = np.float32(dx * dx + dy * dy)
-                inner += dark if d2 <= core else zero
-                pixels += 1 if d2 <= core else 0
-                dark = dark if dark > np.float32(NOISE) else zero
-                mass += dark
-                across += dark * np.float32(dx)
-                square += dark * d2
-                rim += dark if d2 > clear else zero
-            sums[k, 0] += mass
-            sums[k, 1] += across
-            sums[k, 2] += mass * dy
-            sums[k, 3] += square
-            sums[k, 4] += inner
-            sums[k, 5] += pixels
-            sums[k, 6] += rim
+        i = 0
+        for row in range(y0 - reach, y0 + reach + 1):
+            for column in range(x0 - reach, x0 + reach + 1):
+                level[i] = grey[row, column]
+                i += 1
+        left, top = np.float32(x0), np.float32(y0)
+        # Flat and without branches, so that it runs on eight pixels at a time.
+        mass, right, down, wide, rim, inner, pixels = zero, zero, zero, zero, zero, zero, zero
+        for i in range(size):
+            dark = np.float32(1) - level[i] / bare(light, left + x[i], top + y[i])
+            inner += dark if square[i] <= core else zero
+            pixels += np.float32(1) if square[i] <= core else zero
+            dark = dark if dark > noise and square[i] <= outer else zero
+            mass += dark
+            right += dark * x[i]
+            down += dark * y[i]
+            wide += dark * square[i]
+            rim += dark if square[i] > clear else zero
+        mass = max(mass, np.float32(1e-6))
+        right, down = right / mass, down / mass
+        # The mean over the inner part; the seed is near enough for that to be all inside.
+        darkness = max(inner / pixels, np.float32(MIN_DARKNESS))
+        area = mass / (np.pi * darkness)
+        misfit = abs(2 * (wide / mass - right**2 - down**2) / area - 1)
+        rows[k, 0], rows[k, 1], rows[k, 2] = x0 + right, y0 + down, np.sqrt(area)
+        rows[k, 3], rows[k, 4], rows[k, 5] = darkness, misfit, rim
+    return rows
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:
     """Tell which centres (n, 2) [px] have another nearer than a distance: (n,) bool."""
     count = len(centre)

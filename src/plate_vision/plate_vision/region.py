@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from .errors import ImageError
 
@@ -25,6 +26,9 @@ BOW_DEGREE = 4
 BOW_REACH = 1.05
 """How far beyond its ends, in half lengths, a bent edge is followed."""
 
+STRAIGHT = np.empty((0, BOW_DEGREE + 3))
+"""No bent edges."""
+
 Points = tuple[tuple[float, float], ...]
 
 
@@ -34,22 +38,20 @@ class Region:
 
     Attributes
     ----------
-    normals : (4, 2)
-        Inward unit normals of the edges; (0, 2) for the whole image.
-    offsets : (4,)
-        Distance of the image's origin from the edges [px], positive inside.
+    edges : (4, 3)
+        Inward unit normal of each edge, and the distance of the image's origin from it [px],
+        positive inside; (0, 3) for the whole image.
     box : (x0, y0, x1, y1)
         Pixel ranges [px] that hold the region, half open.
-    bows : (4, BOW_DEGREE + 3), optional
+    bows : (4, BOW_DEGREE + 3)
         Of edges that a lens bends: three numbers by which 1, x, y give the place along the straight
         edge, -1 and 1 at its ends; then the polynomial of that place which gives how far the edge
-        is inside the straight one [px], highest power first.
+        is inside the straight one [px], highest power first. (0, BOW_DEGREE + 3) if none is bent.
     """
 
-    normals: np.ndarray
-    offsets: np.ndarray
+    edges: np.ndarray
     box: tuple[int, int, int, int]
-    bows: np.ndarray | None = None
+    bows: np.ndarray
 
     def depth(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
         """Distance from the nearest edge of the plate [px], negative outside.
@@ -59,15 +61,26 @@ class Region:
         x_px, y_px : (...)
             Image points [px]; they broadcast.
         """
-        depth = np.full(np.broadcast_shapes(np.shape(x_px), np.shape(y_px)), np.inf)
-        for edge, ((nx, ny), offset) in enumerate(zip(self.normals, self.offsets, strict=True)):
-            inside = nx * x_px + ny * y_px + offset
-            if self.bows is not None:
-                at, along_x, along_y = self.bows[edge, :3]
-                place = np.clip(at + along_x * x_px + along_y * y_px, -BOW_REACH, BOW_REACH)
-                inside = inside - np.polyval(self.bows[edge, 3:], place)
-            depth = np.minimum(depth, inside)
-        return depth
+        x, y = np.broadcast_arrays(np.asarray(x_px, float), np.asarray(y_px, float))
+        return _depth(self.edges, self.bows, x.ravel(), y.ravel()).reshape(x.shape)
+
+
+@njit(cache=True)
+def _depth(edges: np.ndarray, bows: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `Region.depth` (n,) of points (n,)."""
+    depth = np.full(len(x), np.inf)
+    for i in range(len(x)):
+        for edge in range(len(edges)):
+            inside = edges[edge, 0] * x[i] + edges[edge, 1] * y[i] + edges[edge, 2]
+            if len(bows):
+                place = bows[edge, 0] + bows[edge, 1] * x[i] + bows[edge, 2] * y[i]
+                place = min(max(place, -BOW_REACH), BOW_REACH)
+                bow = 0.0
+                for factor in bows[edge, 3:]:
+                    bow = bow * place + factor
+                inside -= bow
+            depth[i] = min(depth[i], inside)
+    return depth
 
 
 @lru_cache(maxsize=16)
@@ -89,7 +102,7 @@ def make_region(height_px: int, width_px: int, edges: tuple[Points, ...] | None)
         If the corners are outside the image.
     """
     if edges is None:
-        return Region(np.empty((0, 2)), np.empty(0), (0, 0, width_px, height_px))
+        return Region(np.empty((0, 3)), (0, 0, width_px, height_px), STRAIGHT)
     points = np.array(edges, dtype=float)
     polygon = points[:, 0]
     low = np.maximum(np.floor(points.min(axis=(0, 1))).astype(int), 0)
@@ -107,8 +120,8 @@ def make_region(height_px: int, width_px: int, edges: tuple[Points, ...] | None)
     normals = sense * np.stack([-sides[:, 1], sides[:, 0]], axis=1) / length
     offsets = -np.sum(normals * polygon, axis=1)
     box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-    bows = _bows(points, normals, offsets) if points.shape[1] > 1 else None
-    return Region(normals, offsets, box, bows)
+    bows = _bows(points, normals, offsets) if points.shape[1] > 1 else STRAIGHT
+    return Region(np.column_stack([normals, offsets]), box, bows)
 
 
 def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:

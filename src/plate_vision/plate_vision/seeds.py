@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from .brightness import PlateBrightness, bare
+from .brightness import bare
 from .region import SEAM_PX, Region
 from .votes import split
 
@@ -30,7 +30,7 @@ MAX_CORE = 1.5
 def find_seeds(
     grey: np.ndarray,
     region: Region,
-    brightness: PlateBrightness,
+    light: np.ndarray,
     usable: np.ndarray,
     threshold: float,
     radius_px: float,
@@ -43,8 +43,8 @@ def find_seeds(
         Image [grey levels].
     region : Region
         Where the plate is.
-    brightness : PlateBrightness
-        The bare plate.
+    light : (9,)
+        The bare plate, of `fit_brightness`.
     usable : (H, W) bool
         Pixels that show the plate.
     threshold : float
@@ -63,47 +63,80 @@ def find_seeds(
         return np.empty((0, 2))
     # What is outside counts as dark while eroding: a part is not eroded from the plate's edge.
     dark = outside.copy()
-    _darken(grey, brightness.light(threshold), region.box[:2], stride, dark)
-    eroded = cv2.erode(dark, _disc(round(EROSION * radius_px / stride)))
-    core = np.asarray(eroded, dtype=np.uint8) & ~outside
-    contours = cv2.findContours(core, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    _darken(grey, light, threshold, region.box[:2], stride, dark)
+    core = cv2.erode(dark, _disc(round(EROSION * radius_px / stride))) > outside
     whole = np.pi * ((1 - EROSION) * radius_px / stride) ** 2
-    if not contours:
-        return np.empty((0, 2))
-    length = np.array([len(contour) for contour in contours])
-    area = np.array([cv2.contourArea(contour) for contour in contours])
-    size = (area + 0.5 * length + 1) / whole  # pixels, by Pick's theorem
-    first = np.cumsum(length) - length
-    middle = np.add.reduceat(np.concatenate(contours)[:, 0], first) / length[:, None]
-    seeds = middle[(size >= MIN_CORE) & (size <= MAX_CORE)]
+    places = np.flatnonzero(core)
+    seeds, boxes, merged = _blobs(core, places, MIN_CORE * whole, MAX_CORE * whole)
     seeds = seeds * stride + region.box[:2]
-    large = np.flatnonzero(size > MAX_CORE)
-    if not large.size:
+    if not len(boxes):
         return seeds
-    merged = np.zeros_like(core)
-    boxes = []
-    for index in large.tolist():
-        cv2.drawContours(merged, contours, index, (1,), cv2.FILLED)
-        x, y, wide, high = (length * stride for length in cv2.boundingRect(contours[index]))
-        boxes.append((x, x + wide, y, y + high))
     # Around a core is what was eroded, with the edges that vote.
     pad = round(radius_px) + stride
     low, size_px = np.repeat(region.box[:2], 2), np.repeat(grey.shape[::-1], 2)
-    box = np.clip(np.array(boxes) + low + (-pad, pad, -pad, pad), 0, size_px)
+    box = np.clip(boxes * stride + low + (-pad, pad, -pad, pad), 0, size_px)
     grid = (int(region.box[0]), int(region.box[1]), stride)
-    return np.concatenate([seeds, split(grey, brightness, usable, merged, grid, box, radius_px)])
+    return np.concatenate([seeds, split(grey, light, usable, merged, grid, box, radius_px)])
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _darken(
-    grey: np.ndarray, light: np.ndarray, corner: tuple[int, int], stride: int, dark: np.ndarray
+    grey: np.ndarray,
+    light: np.ndarray,
+    share: float,
+    corner: tuple[int, int],
+    stride: int,
+    dark: np.ndarray,
 ) -> None:
-    """Set 1 in `dark` (h, w), a coarse grid from `corner`, where it is darker than `light`."""
+    """Set 1 in `dark` (h, w), a coarse grid from `corner`, where there is less than a share of the
+    light."""
+    light = light.copy()
+    light[:6] *= np.float32(share)
     for row in range(dark.shape[0]):
         y = corner[1] + row * stride
         for column in range(dark.shape[1]):
             x = corner[0] + column * stride
             dark[row, column] |= grey[y, x] < bare(light, x, y)
+
+
+@njit(cache=True, error_model="numpy")
+def _blobs(
+    core: np.ndarray, places: np.ndarray, least: float, most: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the centres x, y (n, 2) of the blobs in `core` (h, w) of `least` to `most` pixels; the
+    boxes x0, x1, y0, y1 (m, 4), half open, of larger ones, and a mask (h, w) of these.
+
+    `places` are the indices of the pixels in blobs; `core` is False everywhere afterwards.
+    """
+    height, width = core.shape
+    xs, ys = np.empty(len(places), np.int64), np.empty(len(places), np.int64)
+    centres, boxes = np.empty((len(places), 2)), np.empty((len(places), 4), np.int64)
+    merged = np.zeros_like(core)
+    whole, large = 0, 0
+    for place in places:
+        y, x = divmod(place, width)
+        if not core[y, x]:
+            continue
+        core[y, x] = False
+        xs[0], ys[0], size, done = x, y, 1, 0
+        while done < size:
+            for row in range(max(ys[done] - 1, 0), min(ys[done] + 2, height)):
+                for column in range(max(xs[done] - 1, 0), min(xs[done] + 2, width)):
+                    if core[row, column]:
+                        core[row, column] = False
+                        xs[size], ys[size] = column, row
+                        size += 1
+            done += 1
+        if size > most:
+            x0, x1, y0, y1 = xs[:size].min(), xs[:size].max(), ys[:size].min(), ys[:size].max()
+            boxes[large] = x0, x1 + 1, y0, y1 + 1
+            large += 1
+            for k in range(size):
+                merged[ys[k], xs[k]] = True
+        elif size >= least:
+            centres[whole] = xs[:size].mean(), ys[:size].mean()
+            whole += 1
+    return centres[:whole], boxes[:large], merged
 
 
 @lru_cache(maxsize=16)

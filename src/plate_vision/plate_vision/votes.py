@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .brightness import PlateBrightness, bare
+from .brightness import bare
 
 MIN_SLOPE = 0.03
 """Change of darkness [1/px], by Sobel, that is an edge: seven times what noise makes."""
@@ -27,7 +27,7 @@ SPREAD = 0.2
 
 def split(
     grey: np.ndarray,
-    brightness: PlateBrightness,
+    light: np.ndarray,
     usable: np.ndarray,
     merged: np.ndarray,
     grid: tuple[int, int, int],
@@ -40,8 +40,8 @@ def split(
     ----------
     grey : (H, W) uint8
         Image [grey levels].
-    brightness : PlateBrightness
-        The bare plate.
+    light : (9,)
+        The bare plate, of `fit_brightness`.
     usable : (H, W) bool
         Pixels that show the plate.
     merged : (h, w) bool
@@ -56,7 +56,7 @@ def split(
     found = np.empty((0, 2))
     for x0, x1, y0, y1 in boxes.tolist():
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
-        _vote(grey, brightness.light(), usable, x0, y0, radius_px, votes)
+        _vote(grey, light, usable, x0, y0, radius_px, votes)
         _count(votes, max(1, round(SPREAD * radius_px)))
         # Boxes may overlap, so that a part is found in two of them.
         for x, y in _peaks(votes, merged, grid, x0, y0, radius_px):
@@ -65,7 +65,7 @@ def split(
     return found
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _vote(
     grey: np.ndarray,
     light: np.ndarray,
@@ -104,7 +104,7 @@ def _vote(
             votes[to_y - y0, to_x - x0] += rise / here / max(dark, MIN_TARGET)
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _count(votes: np.ndarray, spread: int) -> None:
     """Add to every vote those up to `spread` pixels away along x and y, in place."""
     rows, columns = votes.shape
@@ -119,7 +119,7 @@ def _count(votes: np.ndarray, spread: int) -> None:
             votes[y, x] = line[max(y - spread, 0) : min(y + spread + 1, rows)].sum()
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _peaks(
     votes: np.ndarray,
     merged: np.ndarray,
@@ -169,7 +169,7 @@ def _peaks(
     return found[:size]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _nearest(centre: np.ndarray, x: float, y: float) -> float:
     """Return the squared distance [px2] of a point from the nearest of centres (n, 2)."""
     least = np.inf
