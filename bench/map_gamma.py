@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from measure_requests import scatter
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
@@ -109,8 +109,7 @@ def measure(quick: bool) -> list[Grid]:
         ]
         for gamma in gammas
     ]
-    x = [float(m) for m in parts]
-    return [Grid("", x, gammas.tolist(), z, x, [least_gamma(rig, mine) for mine in cases])]
+    return [grid(parts, gammas, z, parts, [least_gamma(rig, mine) for mine in cases])]
 
 
 MAP = StabilityMap(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from measure_solver import LARGEST, targets
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, average_force
@@ -51,8 +51,7 @@ def measure(quick: bool) -> list[Grid]:
     numbers, counts = (HARMONICS[:2], PARTS[:7]) if quick else (HARMONICS, PARTS)
     requests, restarts = (3, 30) if quick else (REQUESTS, RESTARTS)
     z = [[solved(rig, m, n, requests, restarts) for n in numbers] for m in counts]
-    x = [float(n) for n in numbers]
-    return [Grid("", x, [float(m) for m in counts], z, x, [most_parts(n) + 0.5 for n in numbers])]
+    return [grid(numbers, counts, z, numbers, [most_parts(n) + 0.5 for n in numbers])]
 
 
 MAP = StabilityMap(

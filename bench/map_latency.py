@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_planner import FollowOptions
@@ -177,8 +177,7 @@ def measure(quick: bool) -> list[Grid]:
     linear = LinearLoop(rig)
     line = [(k, linear.delay_margin(k)) for k in FRICTIONS]
     line = [(k, age) for k, age in line if not np.isnan(age)]
-    x, y = ([end[i] for end in line] for i in (0, 1))
-    return [Grid("", frictions.tolist(), latencies.tolist(), z, x, y)]
+    return [grid(frictions, latencies, z, *np.reshape(line, (-1, 2)).T)]
 
 
 MAP = StabilityMap(

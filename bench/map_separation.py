@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import Rig, load_rig
 from plate_solver.library import REACH, Library
@@ -57,25 +57,17 @@ def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> flo
 def measure(quick: bool) -> list[Grid]:
     """Measure all cells."""
     rig = load_rig()
-    grids = GRIDS[::3] if quick else GRIDS
+    spread = GRIDS[::3] if quick else GRIDS
     separations = SEPARATIONS_M[::2] if quick else SEPARATIONS_M
-    centres = [columns * rows for columns, rows in grids]
-    libraries = [Library.around(rig.plate.half, *grid) for grid in grids]
+    centres = [columns * rows for columns, rows in spread]
+    libraries = [Library.around(rig.plate.half, *sides) for sides in spread]
     z = [
         [guaranteed(rig, library, d, 4 if quick else PAIRS) for library in libraries]
         for d in separations
     ]
     line = np.geomspace(centres[0], centres[-1], 20).round()
-    return [
-        Grid(
-            "",
-            [float(n) for n in centres],
-            (1e3 * separations).tolist(),
-            z,
-            line.tolist(),
-            [1e3 * least_separation(rig, n) for n in line],
-        )
-    ]
+    least = [1e3 * least_separation(rig, n) for n in line]
+    return [grid(centres, 1e3 * separations, z, line, least)]
 
 
 MAP = StabilityMap(

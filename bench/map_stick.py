@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import brentq
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
@@ -93,9 +93,7 @@ def measure(quick: bool) -> list[Grid]:
     forces, gammas = (FORCES[::5], GAMMAS[::3]) if quick else (FORCES, GAMMAS)
     z = [[resting_share(rig, f, gamma) for f in forces] for gamma in gammas]
     line = np.linspace(FORCES[0], FORCES[-1], 31)
-    return [
-        Grid("", forces.tolist(), gammas.tolist(), z, line.tolist(), [least_gamma(f) for f in line])
-    ]
+    return [grid(forces, gammas, z, line, [least_gamma(f) for f in line])]
 
 
 MAP = StabilityMap(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from measure_learning import hung
 from measure_requests import scatter
-from stability_map import Grid, StabilityMap
+from stability_map import Grid, StabilityMap, grid
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.suspension import modal_matrices
@@ -110,9 +110,8 @@ def measure(quick: bool) -> list[Grid]:
             [float(np.median([realised_error(rig, c, hz) for c in mine])) for mine in cycles]
             for hz in frequencies
         ]
-        x = [float(m) for m in parts]
         line = [least_frequency(rig, mine) for mine in cycles]
-        grids.append(Grid(method, x, frequencies.tolist(), z, x, line))
+        grids.append(grid(parts, frequencies, z, parts, line, method))
     return grids
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+Numbers = Sequence[float] | np.ndarray
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -30,6 +32,14 @@ class Grid:
     z: list[list[float]]
     line_x: list[float] = field(default_factory=list)
     line_y: list[float] = field(default_factory=list)
+
+
+def grid(
+    x: Numbers, y: Numbers, z: list[list[float]], line_x: Numbers, line_y: Numbers, title: str = ""
+) -> Grid:
+    """Return a grid of plain numbers."""
+    plain = (np.asarray(numbers, float).tolist() for numbers in (x, y, z, line_x, line_y))
+    return Grid(title, *plain)
 
 
 @dataclass(frozen=True)
