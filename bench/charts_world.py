@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 from chart import (
     FAINT,
     LIMIT,
@@ -41,31 +43,18 @@ SIMULATORS = {
 def sim(data: Data) -> Chart:
     """Return error against speed of the simulator: parts alone, and parts that collide."""
     rows = table(data, "sim", "error")
-    panels = []
-    for gamma in sorted({r["gamma"] for r in rows}):
-        points, marks = [], []
-        for method in dict.fromkeys(r["method"] for r in rows):
-            mine = [r for r in rows if r["gamma"] == gamma and r["method"] == method]
-            colour, marker = SIMULATORS[method]
-            name = f"points, {method}" if method in ("by events", "in steps") else method
-            points.append(
-                Points(
-                    name, [r["speed"] for r in mine], [max(r["error_mm"], LEAST_MM) for r in mine],
-                    colour, marker, "-", notes=tuple(r["setting"] for r in mine),
-                )
-            )  # fmt: skip
-            marks += [
-                Mark(r["speed"], max(r["error_mm"], LEAST_MM))
-                for r in mine
-                if method == "by events" and r["setting"] == DEFAULT_TOLERANCE
-            ]
-        panels.append(
-            Panel(
-                f"1 part, shaken at {gamma} µg", Axis("simulated s per s of one core", log=True),
-                Axis("error of the travel after 1 s [mm]", log=True), tuple(points),
-                marks=tuple(marks), better="more less",
-            )
-        )  # fmt: skip
+    looks = {
+        method: (f"points, {method}" if method in ("by events", "in steps") else method, *look, "-")
+        for method, look in SIMULATORS.items()
+    }
+    panels = [
+        speed_panel(
+            f"1 part, shaken at {gamma} µg", "error of the travel after 1 s [mm]", looks,
+            [r | {"error": max(r["error_mm"], LEAST_MM)} for r in rows if r["gamma"] == gamma],
+            lambda r: r["method"] == "by events" and r["setting"] == DEFAULT_TOLERANCE,
+        )
+        for gamma in sorted({r["gamma"] for r in rows})
+    ]  # fmt: skip
     panels += disc_panels(data)
     if "bodies" in data:
         panels.append(body_panel(data))
@@ -104,57 +93,60 @@ def disc_rows(data: Data) -> list[Row]:
 
 def disc_panels(data: Data) -> list[Panel]:
     """Return overlap against speed for colliding discs."""
-    rows = table(data, "sim", "discs")
-    panels = []
-    for count in sorted({r["parts"] for r in rows}):
-        points, marks = [], []
-        for method in dict.fromkeys(r["method"] for r in rows):
-            mine = [r for r in rows if r["parts"] == count and r["method"] == method]
-            colour, marker = SIMULATORS[method]
-            name = "discs, ours" if method == "plate_sim" else method
-            points.append(
-                Points(
-                    name, [r["speed"] for r in mine], [max(r["overlap_um"], 0.01) for r in mine],
-                    colour, marker, notes=tuple(f"steps of {r['step_ms']:g} ms" for r in mine),
-                )
-            )  # fmt: skip
-            marks += [
-                Mark(r["speed"], max(r["overlap_um"], 0.01))
-                for r in mine
-                if method == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP
-            ]
-        panels.append(
-            Panel(
-                f"{count} discs that collide", Axis("simulated s per s of one core", log=True),
-                Axis("deepest overlap [µm]", log=True), tuple(points), marks=tuple(marks),
-                better="more less",
-            )
-        )  # fmt: skip
-    return panels
+    rows = [
+        r | {"error": max(r["overlap_um"], 0.01), "setting": f"steps of {r['step_ms']:g} ms"}
+        for r in table(data, "sim", "discs")
+    ]
+    looks = {
+        method: ("discs, ours" if method == "plate_sim" else method, *look, "")
+        for method, look in SIMULATORS.items()
+    }
+    return [
+        speed_panel(
+            f"{count} discs that collide", "deepest overlap [µm]", looks,
+            [r for r in rows if r["parts"] == count],
+            lambda r: r["method"] == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP,
+        )
+        for count in sorted({r["parts"] for r in rows})
+    ]  # fmt: skip
 
 
 def body_panel(data: Data) -> Panel:
     """Return error against speed of a disc that turns."""
-    rows = table(data, "bodies", "bodies")
-    points, marks = [], []
-    looks = (("bodies", SECOND, "s", "bodies that turn, ours"), ("scipy RK45", FAINT, "x", "scipy"))
-    for method, colour, marker, name in looks:
+    looks = {
+        "bodies": ("bodies that turn, ours", SECOND, "s", "-"),
+        "scipy RK45": ("scipy", FAINT, "x", "-"),
+    }
+    return speed_panel(
+        "1 body that slides and turns", "error of centre or rim after 0.2 s [mm]", looks,
+        [r | {"error": r["error_mm"]} for r in table(data, "bodies", "bodies")],
+        lambda r: r["setting"] == f"{1e3 * BODY_STEP:g} ms",
+    )  # fmt: skip
+
+
+def speed_panel(
+    title: str,
+    label: str,
+    looks: Mapping[str, tuple[str, str, str, str]],
+    rows: list[Row],
+    is_default: Callable[[Row], bool],
+) -> Panel:
+    """Return a panel of `error` against `speed`; `looks` are name, colour, marker and line of each
+    method, and our default has a mark."""
+    points = []
+    for method in dict.fromkeys(r["method"] for r in rows):
         mine = [r for r in rows if r["method"] == method]
+        name, colour, marker, line = looks[method]
         points.append(
             Points(
-                name, [r["speed"] for r in mine], [r["error_mm"] for r in mine], colour, marker,
-                "-", notes=tuple(r["setting"] for r in mine),
+                name, [r["speed"] for r in mine], [r["error"] for r in mine], colour, marker, line,
+                notes=tuple(r["setting"] for r in mine),
             )
         )  # fmt: skip
-        marks += [
-            Mark(r["speed"], r["error_mm"])
-            for r in mine
-            if r["setting"] == f"{1e3 * BODY_STEP:g} ms"
-        ]
     return Panel(
-        "1 body that slides and turns", Axis("simulated s per s of one core", log=True),
-        Axis("error of centre or rim after 0.2 s [mm]", log=True), tuple(points),
-        marks=tuple(marks), better="more less",
+        title, Axis("simulated s per s of one core", log=True), Axis(label, log=True),
+        tuple(points), better="more less",
+        marks=tuple(Mark(r["speed"], r["error"]) for r in rows if is_default(r)),
     )  # fmt: skip
 
 
