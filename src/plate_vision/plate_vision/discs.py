@@ -12,7 +12,7 @@ import numpy as np
 
 from .brightness import fit_brightness
 from .fit import fit_discs
-from .marks import paint_over
+from .marks import angles, paint_over
 from .measure import RIM_PX, Discs, crowded, measure_alone
 from .options import DetectorOptions
 from .region import SEAM_PX, Region, usable_pixels
@@ -53,7 +53,7 @@ def find_discs(
     if light is None or not len(seeds):
         nothing = np.empty(0)
         return Discs(np.empty((0, 2)), nothing, nothing, nothing, np.empty(0, bool), nothing)
-    grey, marks = paint_over(grey, light, seeds, radius)
+    grey, mark = paint_over(grey, light, seeds, radius)
     shared = crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
     shared |= region.depth(*seeds.T) - SEAM_PX < radius + RIM_PX + 1
     discs, beside = measure_alone(grey, light, seeds[~shared], radius)
@@ -61,8 +61,8 @@ def find_discs(
     shared[np.flatnonzero(~shared)[beside]] = True
     if np.any(shared):
         discs = discs.join(fit_discs(grey, light, usable, seeds[shared], radius))
-    marks = marks.select(np.argsort(shared, kind="stable"))
-    discs = replace(discs, angle=marks.angle(discs.centre))
+    mark = mark[np.argsort(shared, kind="stable")]
+    discs = replace(discs, angle=angles(mark, discs.centre))
     expected = np.full(len(discs.radius), radius) if size is None else radius * size(discs.centre)
     return discs.select(np.flatnonzero(_is_part(discs, region, options, expected)))
 

@@ -6,13 +6,13 @@ over, so that the part is then measured as one without a mark.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import pi
 
 import numpy as np
 from numba import njit
 
 from .brightness import bare
+from .measure import CORE
 
 RADIUS = 0.3
 """Of a mark [part radii]."""
@@ -28,9 +28,6 @@ REACH = 1.5
 """Round the mark's centre, what stands out belongs to it [mark radii]: with its blurred edge, and
 short of the part's."""
 
-CORE = 0.6
-"""Inner part of a disc, in radii, whose median darkness is the part's: a mark covers a fifth."""
-
 CONTRAST = 0.3
 """Least contrast of a mark, over the part's darkness: a black part's grey mark has 0.5, a grey
 part's black mark 1."""
@@ -42,32 +39,16 @@ ROUNDS = 4
 """Times that the centre is taken again, in the window round the last one."""
 
 
-@dataclass(frozen=True)
-class Marks:
-    """Marks of n parts.
-
-    Attributes
-    ----------
-    centre : (n, 2)
-        x, y [px]; NaN for a part without one.
-    """
-
-    centre: np.ndarray
-
-    def select(self, index: np.ndarray) -> Marks:
-        """Return those of some parts."""
-        return Marks(self.centre[index])
-
-    def angle(self, disc: np.ndarray) -> np.ndarray:
-        """Return the directions (n,) [rad, counter-clockwise as seen] from the centres (n, 2) [px]
-        of the parts; 0 for a part without a mark."""
-        dx, dy = (self.centre - disc).T
-        return np.nan_to_num(np.arctan2(-dy, dx))
+def angles(mark: np.ndarray, disc: np.ndarray) -> np.ndarray:
+    """Return the directions (n,) [rad, counter-clockwise as seen] of marks (n, 2) [px] from the
+    centres (n, 2) [px] of their parts; 0 where the mark is NaN."""
+    dx, dy = (mark - disc).T
+    return np.nan_to_num(np.arctan2(-dy, dx))
 
 
 def paint_over(
     grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius_px: float
-) -> tuple[np.ndarray, Marks]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Find marks, and paint them over.
 
     Parameters
@@ -85,7 +66,8 @@ def paint_over(
     -------
     grey : (H, W) uint8
         The image as if the parts had no marks; the same one if they have none.
-    marks : Marks
+    mark : (n, 2)
+        Centres of the marks, x, y [px]; NaN for a part without one.
     """
     found, level = np.full((len(seeds), 2), np.nan), np.zeros((len(seeds), 2))
     _find(grey, light, seeds, float(radius_px), found, level)
@@ -93,7 +75,7 @@ def paint_over(
     if np.any(marked):
         grey = grey.copy()
         _paint(grey, found[marked], level[marked], REACH * RADIUS * radius_px)
-    return grey, Marks(found)
+    return grey, found
 
 
 @njit(cache=True, error_model="numpy")

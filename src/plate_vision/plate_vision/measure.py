@@ -24,7 +24,8 @@ RIM_DIRT_PX2 = 0.5
 much would shift the moments of a part of 8 px radius by 0.05 px."""
 
 CORE = 0.6
-"""Inner part of a disc, in radii, whose mean darkness is the part's: away from the blurred edge."""
+"""Inner part of a disc, in radii, whose mean darkness, or median if it may have a mark, is the
+part's: away from the blurred edge."""
 
 NOISE = 0.04
 """Darkness below which moments leave a pixel out: 4 standard deviations of a noise of 2 in 200
