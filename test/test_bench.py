@@ -10,27 +10,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from trips import trip
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {"solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99"}
 
-TINY = {
-    "description": "One part goes 10 mm, then the run is over.",
-    "parts": [{"class": "black", "positions_m": [[0.0, 0.0]]}],
-    "task": {
-        "kind": "follow",
-        "max_error_m": 0.03,
-        "paths": [
-            {
-                "class": "black",
-                "waypoints_m": [[0.0, 0.0], [0.01, 0.0]],
-                "speed_mps": 0.01,
-                "closed": False,
-            }
-        ],
-    },
-    "time_limit_s": 20,
-}
+TINY = trip(0.01, 20)
 
 
 def bench(program, *arguments):

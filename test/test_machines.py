@@ -9,28 +9,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from trips import trip
 
 pytest.importorskip("rclpy")
 
 MACHINES = Path(__file__).resolve().parents[1] / "tools" / "machines.py"
 IMAGE_KB = 307
-TINY = {
-    "description": "One part goes 20 mm.",
-    "parts": [{"class": "black", "positions_m": [[0.0, 0.0]]}],
-    "task": {
-        "kind": "follow",
-        "max_error_m": 0.03,
-        "paths": [
-            {
-                "class": "black",
-                "waypoints_m": [[0.0, 0.0], [0.02, 0.0]],
-                "speed_mps": 0.01,
-                "closed": False,
-            }
-        ],
-    },
-    "time_limit_s": 60,
-}
+TINY = trip(0.02, 60)
 
 
 def namespaces_work() -> bool:

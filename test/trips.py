@@ -1,0 +1,19 @@
+"""A task of a few seconds, for tests that run programs."""
+
+from typing import Any
+
+
+def trip(way_m: float, time_limit_s: float) -> dict[str, Any]:
+    """Return a scenario: one part goes along x."""
+    path = {
+        "class": "black",
+        "waypoints_m": [[0.0, 0.0], [way_m, 0.0]],
+        "speed_mps": 0.01,
+        "closed": False,
+    }
+    return {
+        "description": f"One part goes {1e3 * way_m:g} mm.",
+        "parts": [{"class": "black", "positions_m": [[0.0, 0.0]]}],
+        "task": {"kind": "follow", "max_error_m": 0.03, "paths": [path]},
+        "time_limit_s": time_limit_s,
+    }
