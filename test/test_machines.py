@@ -20,11 +20,9 @@ TINY = trip(0.02, 60)
 
 def namespaces_work() -> bool:
     """Whether we may make network namespaces."""
-    if os.geteuid() != 0 or not shutil.which("ip") or not shutil.which("nsenter"):
+    if not all(shutil.which(program) for program in ("ip", "nsenter", "unshare")):
         return False
-    name = f"plate_test_{os.getpid()}"
-    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, check=False)
-    subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
+    made = subprocess.run(["unshare", "--net", "--mount", "true"], capture_output=True, check=False)
     return made.returncode == 0
 
 
@@ -38,8 +36,6 @@ def machines(tmp_path, *words):
         capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    left = subprocess.run(["ip", "netns", "list"], capture_output=True, text=True, check=True)
-    assert "plate_" not in left.stdout
     return json.loads(file.read_text(encoding="utf-8"))
 
 

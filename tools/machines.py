@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from graph.hops import Hops
 from graph.observer import Observer
-from graph.processes import Processes, ros_environment
+from graph.processes import Processes, ros_environment, signals_raise
 from graph.series import rows
 
 from plate_core import PlateError
@@ -38,17 +38,36 @@ REACHES = ("named", "subnet", "nobody")
 DOMAIN = 0
 """The machines have a network of their own, so no other domain is needed."""
 
-START_S, TASK_S, ALONE_S = 180.0, 180.0, 5.0
+START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 5.0, 10.0
+POLL_S = 0.02
 CARD = "card"
-
-
-def machine(number: int) -> str:
-    """Return the name of a machine of this run."""
-    return f"plate_{os.getpid()}_{number}"
+OWN_SHM = "mount -t tmpfs none /dev/shm"
 
 
 @contextmanager
-def machines() -> Iterator[tuple[str, str]]:
+def machine() -> Iterator[int]:
+    """Make a machine: a process that does nothing and has a network and a /dev/shm of its own.
+
+    DDS talks over /dev/shm with everybody who shares it, and names its files there by port: two
+    machines with one /dev/shm take each other's ports.
+
+    Raises
+    ------
+    PlateError
+        If that is not allowed.
+    """
+    words = ["unshare", "--net", "--mount", "sh", "-c", f"{OWN_SHM} && echo made && exec cat"]
+    pipe = subprocess.PIPE
+    # It ends with its standard input, so also when we die without a word.
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True) as process:
+        assert process.stdout
+        if not process.stdout.readline():
+            raise PlateError("no machine could be made of a network namespace; it needs root")
+        yield process.pid
+
+
+@contextmanager
+def machines() -> Iterator[tuple[int, int]]:
     """Make two machines, joined by a cable.
 
     Raises
@@ -56,33 +75,45 @@ def machines() -> Iterator[tuple[str, str]]:
     PlateError
         If that is not allowed.
     """
-    names = machine(0), machine(1)
-    try:
-        for name in names:
-            ip("netns", "add", name)
-        ip("link", "add", CARD, "netns", names[0], "type", "veth", "peer", CARD, "netns", names[1])
-        for name, address in zip(names, (EYES, HANDS), strict=True):
-            ip("-n", name, "addr", "add", f"{address}/24", "dev", CARD)
-            ip("-n", name, "link", "set", CARD, "up")
-            ip("-n", name, "link", "set", "lo", "up")
-        yield names
-    finally:
-        for name in names:
-            subprocess.run(["ip", "netns", "del", name], stderr=subprocess.DEVNULL, check=False)
+    with machine() as eyes, machine() as hands:
+        ends = f"{CARD} netns {eyes} type veth peer {CARD} netns {hands}"
+        do("ip", "link", "add", *ends.split())
+        for pid, address in ((eyes, EYES), (hands, HANDS)):
+            do(*enter(pid), "ip", "addr", "add", f"{address}/24", "dev", CARD)
+            for card in (CARD, "lo"):
+                do(*enter(pid), "ip", "link", "set", card, "up")
+        for pid in (eyes, hands):
+            await_card(pid)
+        yield eyes, hands
 
 
-def ip(*words: str) -> None:
-    """Run `ip`."""
+def await_card(pid: int) -> None:
+    """Wait until a machine's card runs: DDS asks for the addresses once, when a node starts.
+
+    Raises
+    ------
+    PlateError
+        If it does not within `CARD_S`.
+    """
+    end = time.monotonic() + CARD_S
+    while " UP " not in do(*enter(pid), "ip", "-brief", "link", "show", CARD):
+        if time.monotonic() > end:
+            raise PlateError(f"the cable is not up after {CARD_S:g} s")
+        time.sleep(POLL_S)
+
+
+def do(*words: str) -> str:
+    """Run a command, and return what it says."""
     try:
-        subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
+        return subprocess.run(words, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError) as error:
         told = getattr(error, "stderr", "") or str(error)
-        raise PlateError(f"ip {' '.join(words)}: {told.strip()}; it needs root") from None
+        raise PlateError(f"{' '.join(words)}: {told.strip()}; it needs root") from None
 
 
-def enter(name: str) -> list[str]:
+def enter(pid: int) -> list[str]:
     """Return the words before a command that is to run on a machine."""
-    return ["nsenter", f"--net=/var/run/netns/{name}"]
+    return ["nsenter", f"--target={pid}", "--net", "--mount", "--wd"]
 
 
 def reach_environment(reach: str, other: str) -> dict[str, str]:
@@ -92,7 +123,7 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
     return {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
 
 
-def run(reach: str, scenario: str, eyes: str, logs: Path) -> dict[str, Any]:
+def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
     """Run a task; this process is on the machine with the driver."""
     options = RunOptions(scenario=scenario)
     graph = options.nodes(load_graph())
@@ -152,13 +183,13 @@ def main() -> int:
     parser.add_argument("--reach", default="named", choices=REACHES)
     parser.add_argument("--scenario", default="sort_4")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--inside", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--inside", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.inside:
         return inside(args)
     try:
-        with machines() as (eyes, hands):
-            words = [*enter(hands), sys.executable, *sys.argv, "--inside", eyes]
+        with signals_raise(), machines() as (eyes, hands):
+            words = [*enter(hands), sys.executable, *sys.argv, "--inside", str(eyes)]
             reach = ros_environment(DOMAIN) | reach_environment(args.reach, EYES)
             return subprocess.run(words, env=os.environ | reach, check=False).returncode
     except PlateError as error:
