@@ -103,7 +103,7 @@ def rotations(data: Data) -> Chart:
     ]  # fmt: skip
     titles = {
         "force": ("Force at 10 parts, 10 % quantile", "[µmg]"),
-        "time": ("Time of the linear problem, 10 parts", "[ms]"),
+        "time": ("Linear problem of 10 parts", "[ms]"),
     }
     panels = [bar_panel([r for r in rows if r["case"] == c], *titles[c]) for c in titles]
     value = {r["label"]: r["value"] for r in rows}

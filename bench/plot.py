@@ -7,10 +7,23 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from chart import FIELD, FRONT, Axis, Chart, Panel, Points, edges, pareto_front, ticks_of, values
+from chart import (
+    FIELD,
+    FRONT,
+    Axis,
+    Chart,
+    Panel,
+    Points,
+    Rule,
+    edges,
+    pareto_front,
+    ticks_of,
+    values,
+)
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import NullLocator
 
 PANEL_IN = (4.6, 3.6)
@@ -20,6 +33,9 @@ ROW = 3
 """Most panels beside each other; four make two rows."""
 
 DPI = 100
+
+HALO = [withStroke(linewidth=2.5, foreground="white")]
+"""Keeps text legible on lines and points."""
 
 COLOURS = LinearSegmentedColormap.from_list("field", FIELD)
 
@@ -84,22 +100,33 @@ def draw_panel(figure: Figure, axes: Axes, panel: Panel) -> None:
     set_ticks(axes, "y", panel.y, ticks_of(panel.y, values(panel, "y")))
     draw_front(axes, panel)
     for rule in panel.rules:
-        line = axes.axvline if rule.x is not None else axes.axhline
-        line(rule.x if rule.x is not None else rule.y, color=rule.colour, lw=1, ls="--")
-        if rule.x is not None:
-            at, by, turn = (rule.x, 0.02), axes.get_xaxis_transform(), 90
-        else:
-            at, by, turn = (0.99, rule.y), axes.get_yaxis_transform(), 0
-        axes.text(
-            *at, rule.text, transform=by, rotation=turn, color=rule.colour, fontsize=8.5,
-            ha="right", va="bottom",
-        )  # fmt: skip
+        draw_rule(axes, rule)
     for mark in panel.marks:
         axes.plot(mark.x, mark.y, "o", ms=15, mfc="none", mec="black", mew=1.3)
+        across = axes.transAxes.inverted().transform(axes.transData.transform((mark.x, mark.y)))[0]
         axes.annotate(
             mark.text, (mark.x, mark.y), (0, 11), textcoords="offset points", fontsize=9,
-            ha="center", va="bottom",
+            ha="left" if across < 0.12 else "right" if across > 0.88 else "center", va="bottom",
+            path_effects=HALO,
         )  # fmt: skip
+
+
+def draw_rule(axes: Axes, rule: Rule) -> None:
+    """Draw a line across, and what it says; nothing where it lies outside of what is shown."""
+    upright = rule.x is not None
+    place = rule.x if upright else rule.y
+    low, high = sorted(axes.get_xlim() if upright else axes.get_ylim())
+    if place is None or not low <= place <= high:
+        return
+    line = axes.axvline if upright else axes.axhline
+    line(place, color=rule.colour, lw=1, ls="--")
+    x, y, turn, across = 0.99, place, 0, axes.get_yaxis_transform()
+    if upright:
+        x, y, turn, across = place, 0.02, 90, axes.get_xaxis_transform()
+    axes.text(
+        x, y, rule.text, color=rule.colour, fontsize=8.5, transform=across, rotation=turn,
+        ha="right", va="bottom", path_effects=HALO,
+    )  # fmt: skip
 
 
 def draw_points(axes: Axes, panel: Panel, points: Points) -> None:
@@ -122,7 +149,7 @@ def draw_points(axes: Axes, panel: Panel, points: Points) -> None:
         if text:
             axes.annotate(
                 text, (at_x, at_y), (6, 3), textcoords="offset points", fontsize=8.5,
-                color=points.colour,
+                color=points.colour, path_effects=HALO,
             )  # fmt: skip
 
 
