@@ -73,8 +73,8 @@ def summary(result: dict[str, Any]) -> str:
     if result["rms_error_m"] is None:
         done = f"{result['parts_sorted']} of {result['parts']} parts {result['there']}"
     else:
-        done = f"{result['parts']} parts followed their paths, "
-        done += f"error {1e3 * result['rms_error_m']:.2f} mm rms"
+        whose = "part followed its path" if result["parts"] == 1 else "parts followed their paths"
+        done = f"{result['parts']} {whose}, error {1e3 * result['rms_error_m']:.2f} mm rms"
     verdict = "Success" if result["success"] else f"No success ({result['message']})"
     used = max(result[f"{name}_share_max"] for name in ("stroke", "speed", "accel"))
     limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
