@@ -1,7 +1,6 @@
 """The graph on two machines: network namespaces joined by a cable."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -39,10 +38,6 @@ def machines(tmp_path, *words):
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-@pytest.mark.skipif(
-    "PLATE_MACHINES" not in os.environ,
-    reason="real time over a network: set PLATE_MACHINES=1, and keep the machine idle",
-)
 def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
     scenario = tmp_path / "tiny.yaml"
     scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
