@@ -70,6 +70,11 @@ class Ages:
         return float(self.ages[self.best])
 
     @property
+    def found(self) -> bool:
+        """Whether the age is known, but for a few milliseconds."""
+        return bool(np.ptp(self.ages) < COARSE_S * np.ptp(STEPS))
+
+    @property
     def belief(self) -> Belief:
         """The belief at that age."""
         return self.beliefs[self.best]

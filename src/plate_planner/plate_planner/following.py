@@ -11,6 +11,7 @@ from plate_core import PartSet, Rig
 from plate_core.scenario import FollowTask
 
 from .assignment import UNMATCHED, match_paths, rematch_paths
+from .disturbance import Disturbance
 from .pd import FollowOptions, pd_drift
 from .requests import DriftRequest, stay_within
 from .trajectory import PolygonPath
@@ -43,8 +44,8 @@ class FollowState:
         A stamp [s], and how far on their paths the references are then [s at full pace].
     paces : (float, float)
         Seconds on the path per second, before the anchor and after it: 1 is full pace.
-    bias : (P, 2)
-        Drift added along and across each path [m/s].
+    disturbance : Disturbance
+        What parts do otherwise than foretold.
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and their number.
     max_error_m : float
@@ -56,7 +57,7 @@ class FollowState:
     anchor: float = 0.0
     progress: float = 0.0
     paces: tuple[float, float] = (1.0, 1.0)
-    bias: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    disturbance: Disturbance = field(default_factory=lambda: Disturbance.none(0))
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
@@ -91,7 +92,8 @@ class Follower:
 
     def begin(self, parts: PartSet, start: float) -> FollowState:
         """Match parts to paths; the references leave at `start` [s]."""
-        state = FollowState(began=start, anchor=start, bias=np.zeros((len(self.paths), 2)))
+        disturbance = Disturbance.none(len(self.paths))
+        state = FollowState(began=start, anchor=start, disturbance=disturbance)
         return replace(state, match=match_paths(self._labels, self.reference(state, start), parts))
 
     def measure(
@@ -103,7 +105,7 @@ class Follower:
         short: np.ndarray,
         options: FollowOptions,
     ) -> FollowState:
-        """Take one image into the match, the error statistics, the bias and the pace.
+        """Take one image into the match, the error statistics and the pace.
 
         Its answer begins to act at `start` [s]; `short` (M,) [m/s] is what the present cycle gives
         of drift less than what was asked of it.
@@ -115,13 +117,8 @@ class Follower:
         error = reference[path] - parts.position[part]
         distance = np.hypot(*error.T)
         worst = float(np.max(distance, initial=0.0))
-        bias = state.bias
-        # What a part that is far off has to catch up is none of the bias's business.
-        if worst <= options.slow_from * self.task.max_error_m:
-            bias = self._learn(state, path, error, t - (start - t) / 2, start - t, options)
         state = replace(
             state,
-            bias=bias,
             square_sum=state.square_sum + float(np.sum(distance**2)),
             samples=state.samples + len(distance),
             max_error_m=max(state.max_error_m, worst),
@@ -129,22 +126,30 @@ class Follower:
         lacking = float(np.max((short[part] - NEGLIGIBLE) / self._speeds[path], initial=0.0))
         return self._pace(state, worst, lacking, start, options)
 
-    def _learn(
+    def observe(
         self,
         state: FollowState,
-        path: np.ndarray,
-        error: np.ndarray,
+        parts: PartSet,
         t: float,
-        period: float,
+        ahead: np.ndarray,
+        start: float,
+        age: float | None,
         options: FollowOptions,
-    ) -> np.ndarray:
-        """Return the bias (P, 2) after errors (K, 2) [m] of the parts on some paths."""
-        along = self._headings(state, t)[path]
-        across = np.column_stack([-along[:, 1], along[:, 0]])
-        own = np.column_stack([np.sum(error * along, axis=1), np.sum(error * across, axis=1)])
-        bias, bound = state.bias.copy(), options.bias_max * self._speeds[path, None]
-        bias[path] = np.clip(bias[path] + options.ki * own / period, -bound, bound)
-        return bias
+    ) -> FollowState:
+        """Take one image into the disturbance.
+
+        `ahead` (M, 2) [m] is where the parts should be at `start` [s] by all that is known, `age`
+        [s] how old the images are then taken to be; None as long as that is not known.
+        """
+        path, part = self._rows(state, parts)
+        seen, foretold = np.full((2, len(self.paths), 2), np.nan)
+        seen[path], foretold[path] = parts.position[part], ahead[part]
+        disturbance, period = state.disturbance, start - t
+        if age == disturbance.age:
+            axes = self._axes(state, t - period / 2)
+            most = options.disturbance_max * self._speeds
+            disturbance = disturbance.see(seen, t, period, axes, options.observer_gain, most)
+        return replace(state, disturbance=disturbance.foretell(foretold, start, age))
 
     def _pace(
         self, state: FollowState, worst: float, lacking: float, t: float, options: FollowOptions
@@ -205,13 +210,17 @@ class Follower:
         """
         low, high = self._keep_on_plate(parts)
         path, part = self._rows(state, parts)
+        before, after = (
+            state.disturbance.along(self._axes(state, start + k * period / 2))[path]
+            for k in (-1, 1)
+        )
         low[part] = high[part] = pd_drift(
-            ahead[part],
+            ahead[part] + before * period,
             self.reference(state, start)[path],
             self.reference(state, start + period)[path],
             period,
             options.kp,
-            self._turned(state, start + 0.5 * period)[path],
+            after,
             options.speed_ratio_max * self._speeds[path],
         )
         return DriftRequest(low, high)
@@ -225,16 +234,11 @@ class Follower:
         """Greatest speed of each path (P,) [m/s]."""
         return np.array([path.speed for path in self.paths])
 
-    def _headings(self, state: FollowState, t: float) -> np.ndarray:
-        """Direction of each path (P, 2) at a stamp t [s]."""
+    def _axes(self, state: FollowState, t: float) -> np.ndarray:
+        """Unit vectors along and across each path (P, 2, 2), in rows, at a stamp t [s]."""
         time = state.path_time(t)
-        return np.array([path.heading(time) for path in self.paths])
-
-    def _turned(self, state: FollowState, t: float) -> np.ndarray:
-        """Bias of each path (P, 2) [m/s, plate_home] at a stamp t [s]."""
-        along = self._headings(state, t)
-        across = np.column_stack([-along[:, 1], along[:, 0]])
-        return state.bias[:, :1] * along + state.bias[:, 1:] * across
+        along = np.array([path.heading(time) for path in self.paths])
+        return np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
 
     def _rows(self, state: FollowState, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
         """Rows of paths, and of the parts that are seen on them: two index arrays (K,)."""

@@ -101,11 +101,11 @@ class PlannerParameters:
     kp: float = parameter(
         FollowOptions.kp, "Following: share of the error corrected a cycle [-]", 0.0, 2.0, live=True
     )
-    ki: float = parameter(
-        FollowOptions.ki,
-        "Following: share of the error added to the bias a cycle",
+    observer_gain: float = parameter(
+        FollowOptions.observer_gain,
+        "Following: share of a cycle's surprise expected of the next one",
         0.0,
-        0.5,
+        1.0,
         live=True,
     )
 
@@ -113,7 +113,7 @@ class PlannerParameters:
         """Return the core's options."""
         return PlannerOptions(
             sort=SortOptions(drift_max=self.drift_max, wander=self.wander, dodge=self.dodge),
-            follow=FollowOptions(kp=self.kp, ki=self.ki),
+            follow=FollowOptions(kp=self.kp, observer_gain=self.observer_gain),
             assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
             wait_s=self.wait_s,

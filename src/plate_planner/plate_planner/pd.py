@@ -1,16 +1,13 @@
-"""One PD step per cycle, with a slow integral, for parts that follow a path.
+"""One PD step per cycle, with a disturbance observer, for parts that follow a path.
 
 The answer to image k acts during cycle k+1. So the controller looks at the error where the part
 will be when its answer begins to act, and asks for the mean drift over that cycle:
 
-    v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T + bias
+    v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T - d
 
 kp = 1 corrects the whole predicted error in one cycle. The solver brings a part from the drift it
-has to the one it should have: that is the D of PD, with a gain of 1.
-
-A part on a surface that is more slippery than assumed gets a share of what is asked, always the
-same share: so the bias is kept along and across the path, and turns with it at corners. It grows
-by ki times the error over T each cycle.
+has to the one it should have: that is the D of PD, with a gain of 1. What parts are known to do
+otherwise than foretold, the disturbance d, is part of the prediction, and taken away.
 """
 
 from __future__ import annotations
@@ -28,10 +25,10 @@ class FollowOptions:
     ----------
     kp : float
         Share of the predicted position error to correct in one cycle [-].
-    ki : float
-        Share of the position error that is added to the bias each cycle [-].
-    bias_max : float
-        Greatest bias along and across the path, in multiples of the path's speed [-].
+    observer_gain : float
+        Share of a cycle's surprise that is expected of the next one [-].
+    disturbance_max : float
+        Greatest disturbance along and across the path, in multiples of the path's speed [-].
     slow_from, slow_to : float
         Errors at which the references begin to slow down, and stand still [max_error_m].
     speed_ratio_max : float
@@ -43,8 +40,8 @@ class FollowOptions:
     """
 
     kp: float = 0.8
-    ki: float = 0.05
-    bias_max: float = 1.0
+    observer_gain: float = 0.7
+    disturbance_max: float = 1.0
     slow_from: float = 0.15
     slow_to: float = 0.5
     speed_ratio_max: float = 3.0
@@ -58,7 +55,7 @@ def pd_drift(
     reference_after: np.ndarray,
     period: float,
     kp: float,
-    bias: np.ndarray,
+    disturbance: np.ndarray,
     speed_max: np.ndarray,
 ) -> np.ndarray:
     """Drift wanted over the cycle in which the answer acts.
@@ -73,8 +70,8 @@ def pd_drift(
         Length of a cycle [s].
     kp : float
         Share of the error to correct [-].
-    bias : (M, 2)
-        Added to the drift [m/s].
+    disturbance : (M, 2)
+        Drift that they have anyway [m/s, plate_home].
     speed_max : (M,)
         Bound of the result's magnitude [m/s].
 
@@ -83,6 +80,6 @@ def pd_drift(
     (M, 2)
         Drift [m/s, plate_home].
     """
-    wanted = (reference_after - reference + kp * (reference - predicted)) / period + bias
+    wanted = (reference_after - reference + kp * (reference - predicted)) / period - disturbance
     magnitude = np.hypot(*wanted.T)
     return wanted * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]

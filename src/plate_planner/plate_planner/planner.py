@@ -300,6 +300,8 @@ class Planner:
         if ahead is None:
             ahead = hoped
         short = np.hypot(*(hoped - ahead).T) / period
+        age = state.watch.ages.age if state.watch.ages.found or not known else None
+        follow = follower.observe(follow, parts, t, ahead, start, age, options)
         follow = follower.measure(follow, parts, t, start, short, options)
         error = follower.errors(follow, parts, t)
         found = Findings(
