@@ -48,7 +48,7 @@ def shares(table) -> dict[str, float]:
     found = {"stroke": 0.0, "speed": 0.0}
     states = np.stack([table.q, table.qd, table.qdd], axis=1)  # (k, 3, 4)
     for motor in range(4):
-        spline = BPoly.from_derivatives(table.cycle.times, states[:, :, motor])
+        spline = BPoly.from_derivatives(table.cycle.times.copy(), states[:, :, motor])
         t = (table.cycle.times[:-1, None] + np.diff(table.cycle.times)[:, None] * U).ravel()
         found["stroke"] = max(found["stroke"], np.max(np.abs(spline(t))) / LIMITS.stroke_m)
         found["speed"] = max(found["speed"], np.max(np.abs(spline(t, 1))) / LIMITS.speed)

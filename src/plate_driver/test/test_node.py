@@ -84,7 +84,7 @@ class Peer:
             command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
 
-    def until(self, condition, seconds: float = 20.0) -> bool:
+    def until(self, condition, seconds: float = 60.0) -> bool:
         """Spin until the condition holds; False when it takes too long.
 
         A datagram that gets lost on a busy machine is sent again only with the writer's next
