@@ -43,6 +43,9 @@ model does not know: it is taken to be where it is seen, at any speed."""
 PUSHED_M = 5e-3
 """A larger distance from where a part was foretold tells no more of the motion [m]."""
 
+SURPRISING = 0.3
+"""Share of a cycle's surprise that is expected of the next one, for parts without a path [-]."""
+
 FRICTION = np.log(3.0)
 """Friction is looked for between a third and three times the rig's [log]."""
 
@@ -63,6 +66,8 @@ class Belief:
     covariance : (M, 5, 5)
     drift : (M, 2)
         As it was seen last [m/s].
+    surprise : (M, 2)
+        Drift beyond what the motion model foretells, over the last images [m/s].
     unseen : (M,)
         Images in a row that do not show the part.
     misfit : float
@@ -74,6 +79,7 @@ class Belief:
     mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 5)))
     drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    surprise: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     unseen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     misfit: float = 0.0
 
@@ -103,8 +109,11 @@ class Belief:
         new = [i for i, name in enumerate(parts.ids) if name not in row]
         rows = np.array([row[parts.ids[i]] for i in old], int)
         mean, covariance, drift = now.mean.copy(), now.covariance.copy(), now.drift.copy()
-        unseen = now.unseen + 1
-        gap = np.sum((parts.position[old] - mean[rows, :2]) ** 2, axis=1)
+        surprise, unseen = now.surprise.copy(), now.unseen + 1
+        gap = parts.position[old] - mean[rows, :2]
+        if time > self.time:
+            new_surprise = np.clip(gap, -PUSHED_M, PUSHED_M) / (time - self.time)
+            surprise[rows] += SURPRISING * (new_surprise - surprise[rows])
         mean[rows], covariance[rows] = updated(mean[rows], covariance[rows], parts.position[old])
         drift[rows], unseen[rows] = parts.velocity[old], 0
         first = np.hstack([parts.position[new], np.zeros((len(new), 3))])
@@ -114,8 +123,9 @@ class Belief:
             np.vstack([mean, first]),
             np.concatenate([covariance, np.tile(np.diag(UNSEEN**2), (len(new), 1, 1))]),
             np.vstack([drift, parts.velocity[new]]),
+            np.vstack([surprise, np.zeros((len(new), 2))]),
             np.append(unseen, np.zeros(len(new), int)),
-            float(np.sum(np.minimum(gap, PUSHED_M**2))),
+            float(np.sum(np.minimum(np.sum(gap**2, axis=1), PUSHED_M**2))),
         )
 
     def taken_at(self, log: PlateLog, time: float, friction_accel: float) -> Belief:
@@ -141,7 +151,7 @@ class Belief:
             return self
         return Belief(
             tuple(name for name, k in zip(self.ids, keep, strict=True) if k), self.time,
-            self.mean[keep], self.covariance[keep], self.drift[keep],
+            self.mean[keep], self.covariance[keep], self.drift[keep], self.surprise[keep],
             self.unseen[keep],
         )  # fmt: skip
 

@@ -77,8 +77,7 @@ class PlannerState:
     asked : Asked
         The last request.
     known : tuple of str
-        Ids in the last image with all parts: tells which one is missing, and whether all were
-        there before.
+        Ids in the last image with all parts.
     answer : (PartSet, Progress) or None
         Answer to the last image, given again when the same image comes again.
     """
@@ -321,12 +320,14 @@ class Planner:
         task, period = self.scenario.task, state.period
         kinds = {SortTask: "sort", AssembleTask: "assemble", PoseTask: "pose", FollowTask: "follow"}
         share = getattr(self.options, kinds[type(task)]).force_share_max
-        force, tolerance = request.force(parts.velocity, self.rig, period, share)
-        drift = parts.velocity + force * period / self.rig.parts.mass_kg
+        free = isinstance(task, SortTask | AssembleTask)  # following has an observer of its own
+        velocity = parts.velocity + (state.watch.surprise(parts.ids) if free else 0.0)
+        force, tolerance = request.force(velocity, self.rig, period, share)
+        drift = velocity + force * period / self.rig.parts.mass_kg
         state = replace(state, asked=Asked(parts.ids, drift, t, force))
-        torque = np.zeros(len(parts))
-        if isinstance(self._rules, Poser):
-            torque = self._rules.torque(state.pose, parts, period)
+        poser, torque = self._rules, np.zeros(len(parts))
+        if isinstance(poser, Poser):
+            torque = poser.torque(state.pose, parts, period)
         return replace(parts, force=force, tolerance=tolerance, torque=torque), state
 
     def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:

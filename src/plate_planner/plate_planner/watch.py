@@ -65,6 +65,13 @@ class Watch:
             return self.seen
         return self.belief.parts(self.log, self.stamp, self.friction_accel, self.mass)
 
+    def surprise(self, ids: tuple[str, ...]) -> np.ndarray:
+        """Drift (K, 2) [m/s] that parts have beyond what is foretold; 0 while that is not known."""
+        if not (self.log.known and self.ages.found):
+            return np.zeros((len(ids), 2))
+        row = {name: i for i, name in enumerate(self.belief.ids)}
+        return self.belief.surprise[[row[name] for name in ids]]
+
     def ahead(self, ids: tuple[str, ...]) -> np.ndarray | None:
         """Where parts will be (K, 2) [m] when the answer to the last image begins to act.
 

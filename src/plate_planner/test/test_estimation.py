@@ -167,3 +167,19 @@ def test_a_slipping_part_is_pulled_by_mu_g():
     assert end[0, 0] == pytest.approx(0.01 / (2 * ACCEL), rel=0.01)
     assert end[1, 1] == pytest.approx(0.01 / ACCEL, rel=0.01)
     assert end[:, 2:4] == pytest.approx(np.zeros((2, 2)), abs=1e-12)
+
+
+class Windy(World):
+    """Parts that are also blown about."""
+
+    wind = np.array([[8e-3, 0.0], [0.0, -5e-3], [0.0, 0.0]])
+
+    def run(self, cycle):
+        super().run(cycle)
+        self.place = self.place + self.wind * cycle.period
+        self.past.append(self.place)
+
+
+def test_what_parts_do_beyond_what_the_model_knows_is_observed():
+    surprises = [w.surprise(w.belief.ids) for w, _ in watched(Windy(3, 1.0), 40) if w.belief.ids]
+    assert surprises[-1] == pytest.approx(Windy.wind, abs=2e-3)  # the filter takes some for speed
