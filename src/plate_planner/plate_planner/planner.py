@@ -213,7 +213,7 @@ class Planner:
     def _advance(self, state: PlannerState, parts: PartSet, t: float) -> tuple[PlannerState, View]:
         """Bring the task up to date."""
         missing = missing_parts(self.scenario, state.known, parts)
-        again = set(parts.ids) == set(state.known)
+        again = set(state.known) == set(parts.ids) <= set(state.watch.seen.ids)
         task = begin(state.task, t, missing, again, self.limits)
         begins = task.active and not state.task.active
         state = replace(state, task=task, known=state.known if missing else parts.ids)

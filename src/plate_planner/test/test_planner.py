@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready, run, without
 
-from plate_core import PartSet, ScenarioError
+from plate_core import PartSet, PlateCycle, ScenarioError
 from plate_core.parts import part_class
 from plate_core.scenario import Bin, Side, SortTask, load_scenario
 from plate_planner import Planner
@@ -132,6 +132,17 @@ def test_the_clock_waits_until_the_same_parts_are_seen_twice(name):
     assert (len(asked), progress.time_s) == (scenario.count, 0.0)
     state, asked, progress = planner.plan(state, plant.seen(), 5.1)
     assert progress.time_s == pytest.approx(0.1)
+
+
+def test_a_part_that_is_only_carried_on_is_not_seen_twice():
+    scenario = load_scenario("follow_2")
+    plant, planner = Plant(scenario), Planner(RIG, scenario)
+    state = planner.start(planner.initial())
+    for k in range(4):  # in the second and fourth image black_1 is where it should still be
+        state = planner.hear(state, PlateCycle.rest(T), (k - 1) * T)
+        parts = without(plant.seen(), "black_1") if k % 2 else plant.seen()
+        state, asked, progress = planner.plan(state, parts, k * T)
+        assert (progress.parts_seen, len(asked)) == (2, 0 if k < 2 else 2)
 
 
 def test_parts_that_never_come_are_named():
