@@ -21,7 +21,7 @@ from store import Store
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
 
-SPEEDS_MM = (5, 20, 40, 80, 160, 320)
+SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
 """Speeds along the circles [mm/s]; tried in this order until one fails."""
 
 SEEDS = (0, 1)
