@@ -30,7 +30,7 @@ from .light import light_problem
 from .options import DetectorOptions
 from .pictures import read_pictures, rig_of_picture
 from .tracking import Tracker, TrackerOptions
-from .vision import HOME, check_image, look, make_vision
+from .vision import HOME, check_image, look, make_vision, warm_up
 from .watching import Watch, watch
 
 WARN_PERIOD_S = 2.0
@@ -168,6 +168,7 @@ class DetectorNode(Node):
             size = self._rig.camera
             self._lens = load_camera(values.camera_file, (size.width_px, size.height_px)).lens
         self._vision = make_vision(self._rig, values.detector(), self._lens)
+        warm_up(self._vision)
         has_markers = self._rig.fiducials is not None
         self._watch = Watch(self._rig, self._lens) if has_markers else None
         self._tracker = Tracker(values.tracker())

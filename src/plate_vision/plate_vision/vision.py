@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from plate_core import Rig
+from plate_core import PlateError, Rig
 from plate_core.frames import to_home
 
 from .calibration import Calibration, Lens, calibrate_by_rig
@@ -17,6 +19,9 @@ from .tracking import Tracker, step
 
 HOME = np.zeros(3)
 """The plate at rest."""
+
+BRIGHT, DARK = 200, 30
+"""Grey levels of a plate and of parts that everything is compiled for."""
 
 EDGE_POINTS = 8
 """Points by which every bent edge of the plate is known: twice what its polynomial needs."""
@@ -122,6 +127,24 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
     centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
     centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
     return step(tracker, stamp, centre, found["label"], _angles(vision, found, centre_px))
+
+
+def three_discs(vision: Vision) -> np.ndarray:
+    """Return an image (H, W) uint8 of two discs that touch and a third, amid the region."""
+    width, height = vision.size_px
+    image = np.full((height, width), BRIGHT, np.uint8)
+    radius = vision.options.radius_px
+    middle = np.mean(np.reshape(vision.region_px, (-1, 2)), axis=0)
+    for place in (-1, 1, 5):
+        x, y = np.rint(middle + [place * radius, 0]).astype(int)
+        cv2.circle(image, (int(x), int(y)), round(radius), DARK, thickness=-1)
+    return image
+
+
+def warm_up(vision: Vision) -> None:
+    """Compile what parts need, also such as touch, before the first image comes."""
+    with suppress(PlateError):  # a camera that sees too little of the plate is told of later
+        look(vision, Tracker(), three_discs(vision), 0.0)
 
 
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:

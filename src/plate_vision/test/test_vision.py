@@ -5,6 +5,7 @@ import pytest
 
 from plate_core import load_rig
 from plate_vision import DetectorOptions, ImageError, Tracker, look, make_vision
+from plate_vision.vision import three_discs
 
 DT = 0.05
 
@@ -74,3 +75,10 @@ def test_drift_of_still_parts_is_small(draw, rng):
     assert drift.shape == (39, 10, 2)
     assert drift.std() < 0.5e-3
     assert drift.std(axis=0).max() < 1e-3
+
+
+def test_what_is_compiled_first_has_parts_that_touch_and_one_that_does_not(vision):
+    parts = look(vision, Tracker(), three_discs(vision), 0.0).parts
+    x = np.sort(parts.position[:, 0])
+    radius = load_rig().parts.radius_m
+    assert np.diff(x) == pytest.approx([2 * radius, 4 * radius], abs=0.15 * radius)
