@@ -46,6 +46,7 @@ class Disturbance:
         self,
         place: np.ndarray,
         t: float,
+        age: float | None,
         period: float,
         axes: np.ndarray,
         gain: float,
@@ -59,6 +60,8 @@ class Disturbance:
             As seen [m, plate_home]; NaN if unseen.
         t : float
             Stamp of the image [s]; nothing is learnt if nothing was foretold for it.
+        age : float or None
+            Age that the image is taken to have [s]; nothing is learnt if it is another, or unknown.
         period : float
             Length of the cycle that has ended [s].
         axes : (P, 2, 2)
@@ -68,7 +71,7 @@ class Disturbance:
         most : (P,)
             Greatest drift to be believed [m/s].
         """
-        if self.age is None or abs(t - self.at) > 0.01 * period:
+        if age is None or age != self.age or abs(t - self.at) > 0.01 * period:
             return self
         new = np.einsum("pij,pj->pi", axes, place - self.place) / period
         new = np.clip(new, -most[:, None], most[:, None])

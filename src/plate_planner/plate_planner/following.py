@@ -144,11 +144,9 @@ class Follower:
         path, part = self._rows(state, parts)
         seen, foretold = np.full((2, len(self.paths), 2), np.nan)
         seen[path], foretold[path] = parts.position[part], ahead[part]
-        disturbance, period = state.disturbance, start - t
-        if age == disturbance.age:
-            axes = self._axes(state, t - period / 2)
-            most = options.disturbance_max * self._speeds
-            disturbance = disturbance.see(seen, t, period, axes, options.observer_gain, most)
+        period, gain = start - t, options.observer_gain
+        axes, most = self._axes(state, t - period / 2), options.disturbance_max * self._speeds
+        disturbance = state.disturbance.see(seen, t, age, period, axes, gain, most)
         return replace(state, disturbance=disturbance.foretell(foretold, start, age))
 
     def _pace(

@@ -20,7 +20,7 @@ def observed(drift, cycles, gain, most=MOST, age=0.0, late=0.0):
     for k in range(cycles):
         place = np.full((2, 2), 0.3 * k)
         seen = seen.foretell(place, k * T, age)
-        seen = seen.see(place + T * drift, k * T + late, T, axes(0.4, 2.0), gain, most)
+        seen = seen.see(place + T * drift, k * T + late, age, T, axes(0.4, 2.0), gain, most)
     return seen
 
 
