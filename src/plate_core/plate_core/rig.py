@@ -71,6 +71,9 @@ class Limits:
         Time constant of a winding's heat [s].
     heat_rise_k : float
         Winding over ambient at the continuous force [K].
+    following_error_m : float
+        Distance between where a motor is and where it was told to be that is a fault [m]; 0: not
+        watched.
     """
 
     stroke_m: float
@@ -80,6 +83,7 @@ class Limits:
     continuous_force: float = 100.0
     thermal_time_s: float = 60.0
     heat_rise_k: float = 80.0
+    following_error_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -241,6 +245,9 @@ def _limits(fields: Fields) -> Limits:
         ),
         thermal_time_s=fields.number("thermal_time_s", 0.1, 1e5, default=Limits.thermal_time_s),
         heat_rise_k=fields.number("heat_rise_k", 0.1, 1e3, default=Limits.heat_rise_k),
+        following_error_m=fields.number(
+            "following_error_m", 0, 1, default=Limits.following_error_m
+        ),
     )
     fields.finish()
     return limits

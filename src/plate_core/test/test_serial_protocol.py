@@ -55,24 +55,26 @@ KNOTS = (
     Knot(10_000_000, REST, REST, REST),
 )
 SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
-LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0)
+LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0, 0.003)
 SAID = [
-    Packet(1, Hello(1, 0x12345678)),
+    Packet(1, Hello(2, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
-    Packet(3, Enable()),
+    Packet(3, Enable(0xCAFE)),
     Packet(4, Stop(0)),
     Packet(5, Stop(1)),
     Packet(6, Home()),
     Packet(256, Begin(7, 3, table_crc(KNOTS))),
     Packet(257, Knots(7, 0, KNOTS)),
     Packet(258, Commit(7, 5)),
-    Packet(1, Capabilities(1, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS)),
+    Packet(1, Capabilities(2, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
     Packet(2, Acknowledgement(258, Status.DONE)),
     Packet(3, Acknowledgement(258, Status.JUMP)),
     Packet(4, Pulse(1_500_000_000, 2_000_000)),
     Packet(
         5,
-        Telemetry(2_000_500, State.PLAYING, Fault.NONE, 7, 8, 1, *SHAKEN, 0.25),
+        Telemetry(
+            2_000_500, State.PLAYING, Fault.NONE, 0xCAFF, 7, 8, 1, *SHAKEN, 0.25, *f32(1e-4, 0.125)
+        ),
     ),
 ]
 
@@ -108,7 +110,7 @@ def u(code: str):
 messages = st.one_of(
     st.builds(Hello, u("B"), u("I")),
     st.builds(Heartbeat, u("Q")),
-    st.just(Enable()),
+    st.builds(Enable, u("H")),
     st.builds(Stop, st.integers(0, 1)),
     st.just(Home()),
     st.builds(Begin, u("H"), u("H"), u("I")),
@@ -121,14 +123,14 @@ messages = st.one_of(
     st.builds(Commit, u("H"), u("H")),
     st.builds(
         Capabilities,
-        u("B"), u("I"), u("I"), u("B"), u("H"), u("B"), u("H"), *[floats] * 5,
+        u("B"), u("I"), u("I"), u("B"), u("H"), u("B"), u("H"), *[floats] * 6, u("H"),
     ),
     st.builds(Acknowledgement, u("H"), st.sampled_from(Status)),
     st.builds(Pulse, u("Q"), u("Q")),
     st.builds(
         Telemetry,
-        u("Q"), st.sampled_from(State), st.integers(0, 127).map(Fault), u("H"), u("H"), u("H"),
-        four, four, floats,
+        u("Q"), st.sampled_from(State), st.integers(0, 255).map(Fault), u("H"), u("H"),
+        u("H"), u("H"), four, four, floats, floats, floats,
     ),
 )  # fmt: skip
 packets = st.builds(Packet, u("H"), messages)
@@ -232,9 +234,9 @@ def test_endless_frame_does_not_fill_memory():
     [
         (b"\1", "packet has 1 bytes"),
         (b"\x06\0\0", "packet type is 0x06, allowed: 0x1, "),
-        (b"\3\0\0\0", "Enable has 1 bytes, allowed: 0"),
+        (b"\3\0\0\0", "Enable has 1 bytes, allowed: 2"),
         (b"\4\0\0\2", r"Stop.now is 2, which is no \(0, 1\)"),
-        (b"\x82\0\0\0\0\x0a", "Acknowledgement.status is 10"),
+        (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
         (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 1 to 4 times 52"),
         (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),
         (b"\x11\0\0" + bytes(52) + struct.pack("<f", float("nan")), "not finite"),
@@ -246,7 +248,7 @@ def test_wrong_packets_are_refused(packet, message):
 
 
 @pytest.mark.parametrize(
-    "packet", [Packet(65536, Enable()), Packet(0, Begin(-1, 0, 0)), Packet(0, Heartbeat(2**64))]
+    "packet", [Packet(65536, Enable(1)), Packet(0, Begin(-1, 0, 0)), Packet(0, Heartbeat(2**64))]
 )
 def test_what_does_not_fit_is_refused(packet):
     with pytest.raises(FrameError):

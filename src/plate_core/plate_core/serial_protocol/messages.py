@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import FrameError
 
-VERSION = 1
+VERSION = 2
 MOTORS = 4
 TICK_S = 1e-8
 """Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
@@ -44,12 +44,14 @@ class Status(IntEnum):
     INCOMPLETE = 5  # knots are missing or damaged
     WRONG_TIMES = 6  # they do not begin at 0 or do not rise
     LIMIT = 7  # stroke, speed, acceleration, force or heat; on the spline, not only at knots
-    JUMP = 8  # the table does not begin where the one before ends, or does not close
+    JUMP = 8  # the table does not begin and end at rest at home
     TOO_LONG = 9
+    WRONG_STOP = 10  # Enable names a stop that is not the present one
+    REPEATS = 11  # none, or for longer than the device plays a table again
 
 
 class Fault(IntFlag):
-    """Why the device is not playing; all but NO_HOME are kept until it is enabled again."""
+    """Why the device is not playing; all but NO_HOME are kept until a person enables."""
 
     NONE = 0
     HOST_SILENT = 1
@@ -58,7 +60,8 @@ class Fault(IntFlag):
     SUPPLY = 8
     HARDWARE = 16
     HEAT = 32
-    NO_HOME = 64  # until it is told to find home: not since the last reset
+    NO_HOME = 64  # where home is was not found since the last reset, or since Home
+    FOLLOWING = 128  # the motors were not where they were told to be
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -93,7 +96,12 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Enable:
-    """Host: current on, hold home."""
+    """Host: a person has looked at the rig and clears this stop: find home if need be, hold home.
+
+    `stop` is the number that telemetry tells: an Enable for any other stop is refused.
+    """
+
+    stop: int = field(metadata=_wire("H"))
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class Home:
-    """Host: find home."""
+    """Host: forget where home is; the next Enable finds it."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +136,7 @@ class Knots:
 
 @dataclass(frozen=True)
 class Commit:
-    """Host: take the table over at the next boundary; play it `repeats` times, 0: until another."""
+    """Host: take the table over at the next boundary; play it `repeats` times, then rest."""
 
     table: int = field(metadata=_wire("H"))
     repeats: int = field(metadata=_wire("H"))
@@ -150,6 +158,8 @@ class Capabilities:
     accel: float = field(metadata=_wire("f"))
     force: float = field(metadata=_wire("f"))
     lasting: float = field(metadata=_wire("f"))  # root mean square of force, for ever
+    following_m: float = field(metadata=_wire("f"))  # following error that is a fault; 0: none is
+    hold_ms: int = field(metadata=_wire("H"))  # longest time that a table is played again
 
 
 @dataclass(frozen=True)
@@ -175,12 +185,15 @@ class Telemetry:
     device_us: int = field(metadata=_wire("Q"))
     state: State = field(metadata=_wire("B", kind=State))
     faults: Fault = field(metadata=_wire("B", kind=Fault))
+    stop: int = field(metadata=_wire("H"))  # number of the present, or else of the last, stop
     table: int = field(metadata=_wire("H"))  # that plays; 0: none
     waiting: int = field(metadata=_wire("H"))  # that is to be taken over; 0: none
     refused: int = field(metadata=_wire("H"))  # damaged frames, modulo 2^16
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     acceleration: tuple[float, ...] = field(metadata=_wire("f", MOTORS))
     heat: float = field(metadata=_wire("f"))  # mean square of force over what a motor bears: worst
+    following_m: float = field(metadata=_wire("f"))  # largest following error since the last one
+    load: float = field(metadata=_wire("f"))  # longest tick since the last one, over its period
 
 
 Message = (
