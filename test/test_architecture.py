@@ -27,7 +27,6 @@ LIBRARIES = {
     "yaml": "python3-yaml",
 }
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
-MAX_LINES = 350
 
 
 def label(path: Path) -> str:
@@ -115,9 +114,3 @@ def test_package_declares_what_its_tests_import(name):
     missing = needed - declared(name, "exec_|test_") - {name}
     assert files
     assert not missing, f"package.xml of {name} lacks test_depend of {sorted(missing)}"
-
-
-@pytest.mark.parametrize("path", FILES, ids=label)
-def test_file_fits_a_readers_head(path):
-    lines = len(path.read_text(encoding="utf-8").splitlines())
-    assert lines <= MAX_LINES, f"{label(path)} has {lines} lines, allowed: {MAX_LINES}"
