@@ -1,0 +1,52 @@
+"""The relay's topics: joint_trajectory to the controller, joint_states from its broadcaster."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core.ros.convert import trajectory_to_msg
+from plate_core.ros.qos import DATA
+from plate_driver.transport import TransportContext
+
+from .relay import Relay, Trajectory
+
+TOPIC = "joint_trajectory_controller/joint_trajectory"
+
+
+def make(context: TransportContext) -> Relay:
+    """Return the transport: what the entry point names. The joints are called motor_1 to motor_4."""
+    node = rclpy.create_node("trajectory_controller_relay")
+    trajectories = node.create_publisher(JointTrajectory, TOPIC, DATA)
+    names = [motor.name for motor in context.rig.motors]
+
+    def command(way: Trajectory) -> None:
+        now = Time()  # a stamp of zero means: begin now
+        states = (way.position, way.velocity, way.acceleration)
+        trajectories.publish(trajectory_to_msg(names, way.times, *states, now))
+
+    relay = Relay(context.rig, command, context.publish, context.clock)
+
+    def on_states(msg: JointState) -> None:
+        places = dict(zip(msg.name, msg.position, strict=False))
+        if all(name in places for name in names):
+            relay.heard(np.array([places[name] for name in names]))
+
+    node.create_subscription(JointState, "joint_states", on_states, DATA)
+
+    def spin() -> None:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    threading.Thread(target=spin, daemon=True).start()
+    return relay

@@ -1,0 +1,208 @@
+"""The relay without ROS: which trajectory the controller gets next, and when.
+
+A joint_trajectory_controller follows the newest trajectory at once and holds its last point, so each
+table is handed over when the one before it ends. All tables begin and end at rest at home: a table
+that is handed over late makes the plate rest a little longer, and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import CycleError, Rig
+from plate_core.kinematics import motor_state
+from plate_driver.motor_table import MAX_KNOTS, MotorTable
+from plate_driver.transport import Condition, Measured, Order, Report
+
+SILENCE_S = 0.25
+"""Joint states that are older say nothing of the motors now [s]."""
+
+BRAKE_S, STEP_S, HOMEWARD_S = 0.2, 0.005, 0.5
+"""Longest brake, time between its points, and the way home after it [s]."""
+
+AT_HOME_M = 1e-3
+"""Distance from home up to which a table may begin [m]."""
+
+STILL_M, STILL_S = 2e-4, 0.1
+"""Motors that move by less than this in this time rest [m], [s]."""
+
+STOP_S = BRAKE_S + HOMEWARD_S + 0.5
+"""Longest wait until the joint states show that the motors rest [s]."""
+
+HELD = "at rest, but the drives hold their current: cut it at the drives before you reach in"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the controller is told: times (k,) [s] from now, travel [m], speed [m/s] and acceleration
+    [m/s2] of the motors (k, 4); quintics between."""
+
+    times: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+
+class Relay:
+    """A transport of plate_driver; see `plate_driver.transport.Transport` for its methods.
+
+    Parameters
+    ----------
+    rig : Rig
+    command : callable
+        Hands a Trajectory to the controller.
+    publish : callable
+        Publishes a table on motor_setpoints.
+    clock : callable
+        Time that never runs back [s].
+    """
+
+    motors = True
+    calibrates = False
+    max_knots = MAX_KNOTS
+    hold_s = 10.0
+
+    def __init__(
+        self,
+        rig: Rig,
+        command: Callable[[Trajectory], None],
+        publish: Callable[[MotorTable], None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._rig, self._command, self._publish, self._clock = rig, command, publish, clock
+        self._enabled = False
+        self._next: tuple[MotorTable, int] | None = None
+        self._playing: MotorTable | None = None
+        self._left = 0
+        self._began = 0.0
+        self._rests_at = float("-inf")  # when the last brake is over
+        self._stop: tuple[Order, float] | None = None
+        self._states: list[tuple[float, np.ndarray]] = []
+
+    def open(self) -> None:
+        """Nothing to open: whether the controller runs, its joint states tell."""
+
+    def heard(self, position: np.ndarray) -> None:
+        """Take in the motors' travel (4,) [m] from a joint state."""
+        now = self._clock()
+        recent = [state for state in self._states if now - state[0] <= 2 * STILL_S]
+        self._states = [*recent, (now, position)]
+
+    def poll(self) -> list[Measured]:
+        """Hand over the next table when the last one has ended."""
+        now = self._clock()
+        self._settle_stop(now)
+        playing = self._playing
+        if playing is not None and now - self._began >= playing.cycle.period:
+            self._left -= 1
+            if self._next is None and self._left > 0:
+                self._play(playing, now)
+            elif self._next is None:
+                self._playing = None
+        ended = self._playing is None or now - self._began >= self._playing.cycle.period
+        if self._next is not None and ended and now >= self._rests_at:
+            (table, self._left), self._next = self._next, None
+            self._play(table, now)
+        return []
+
+    def report(self) -> Report:
+        """Say what is known: a joint_trajectory_controller does not tell whether current flows."""
+        now = self._clock()
+        if not self._states or now - self._states[-1][0] > SILENCE_S:
+            return Report(Condition.GONE, "no joint_states")
+        if now < self._rests_at:
+            return Report(Condition.BRAKING)
+        if not self._enabled:
+            return Report(Condition.OFF, HELD)
+        return Report(Condition.READY)
+
+    def send(self, table: MotorTable, repeats: int) -> None:
+        """Keep the table until the one that plays has ended."""
+        if self.report().condition is not Condition.READY:
+            raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
+        self._next = table, repeats
+        self._publish(table)
+        self.poll()
+
+    def stop(self, cut: bool = False) -> Order:
+        """Brake along the path and go home; current cannot be taken away from here."""
+        now, order = self._clock(), Order(STOP_S)
+        self._enabled, self._next = False, None
+        playing, self._playing = self._playing, None
+        if playing is not None:
+            along = now - self._began
+            self._command(brake(self._rig, playing, along))
+            self._rests_at = now + min(playing.cycle.period, BRAKE_S) + HOMEWARD_S
+        if cut:
+            return order.settle("a trajectory controller cannot cut the current: use the drives' stop")
+        self._stop = order, now
+        return order
+
+    def enable(self) -> Order:
+        """Let tables through, if the motors are there, at home, and at rest."""
+        now, order = self._clock(), Order()
+        if not self._states or now - self._states[-1][0] > SILENCE_S:
+            return order.settle("no joint_states: does the trajectory controller run?")
+        if now < self._rests_at:
+            return order.settle("the motors are braking")
+        off = float(np.max(np.abs(self._states[-1][1])))
+        if off > AT_HOME_M:
+            return order.settle(f"a motor is {1e3 * off:.2g} mm from home, allowed: 1 mm")
+        self._enabled = True
+        return order.settle()
+
+    def home(self) -> Order:
+        """Not from here: homing belongs to the drives."""
+        return Order().settle("homing is the drives' own")
+
+    def troubles(self) -> list[str]:
+        """Nothing that the report does not say."""
+        return []
+
+    def values(self) -> dict[str, str]:
+        """Nothing to report."""
+        return {}
+
+    def close(self) -> None:
+        """Brake."""
+        self.stop()
+
+    def _play(self, table: MotorTable, now: float) -> None:
+        self._playing, self._began = table, now
+        self._command(Trajectory(table.cycle.times, table.q, table.qd, table.qdd))
+
+    def _settle_stop(self, now: float) -> None:
+        """A stop is done when the joint states show that the motors rest."""
+        if self._stop is None:
+            return
+        order, asked = self._stop
+        recent = [p for t, p in self._states if now - t <= STILL_S and t >= self._rests_at]
+        if len(recent) > 1 and recent and np.max(np.ptp(recent, axis=0)) < STILL_M:
+            order.settle()
+        elif now - asked > STOP_S:
+            order.settle("joint_states do not show that the motors rest")
+        if order.settled:
+            self._stop = None
+
+
+def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
+    """Return the way from a table's path, `along` [s] into it, to rest and home.
+
+    The table's clock is slowed to a stand, as docs/protocol.md has it: the plate stays on its path.
+    """
+    cycle = table.cycle
+    length = min(cycle.period, BRAKE_S)
+    t = np.append(np.arange(STEP_S, length, STEP_S), length)
+    u = t / length
+    rate = (1 - 3 * u**2 + 2 * u**3)[:, None]
+    slowing = (6 * u * (u - 1) / length)[:, None]
+    at = (along + length * (u - u**3 + u**4 / 2)) % cycle.period
+    twist = cycle.twist(at)
+    accel = cycle.accel(at) * rate**2 + slowing * twist
+    states = motor_state(rig, cycle.pose(at), twist * rate, accel)
+    home = [np.concatenate([state, np.zeros((1, 4))]) for state in states]
+    home[1][-2] = home[2][-2] = 0.0
+    return Trajectory(np.append(t, length + HOMEWARD_S), *home)
