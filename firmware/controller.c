@@ -8,10 +8,12 @@
 
 #define WATCHDOG_US 250000u
 #define TELEMETRY_US 10000u
-#define WINDOW 8        /* knot messages that may be on their way: what hal_read's buffer holds */
-#define JUMP_M 2e-6f    /* how far a table may begin from where the plate is [m]: f32 rounding */
-#define JUMP_SPEED 2e-3f /* [m/s] */
-#define BRAKE_ROOM 0.1f  /* acceleration beyond the limit while braking [share] */
+#define HOLD_MS 10000u      /* longest time that a table is played again */
+#define TICKS_PER_MS 100000u
+#define WINDOW 8            /* knot messages that may be on their way: what the board's buffer holds */
+#define BRAKE_ROOM 0.1f     /* acceleration beyond the limit while braking [share] */
+#define ASTRAY_TICKS 3      /* with a following error, on end, that are a fault */
+#define MOST_HEAT_US 1000000u /* between two ticks: so that it is a float [us] */
 
 static void send(Controller *c, uint8_t type, const uint8_t *fields, size_t size)
 {
@@ -31,6 +33,7 @@ static void acknowledge(Controller *c, uint16_t sequence, uint8_t status)
 
 static void tell_capabilities(Controller *c, uint32_t session)
 {
+    const Limits *limits = &c->limits;
     uint8_t fields[48], *at = fields;
     *at++ = VERSION;
     at = put_u32(put_u32(at, session), hal_boot());
@@ -38,8 +41,9 @@ static void tell_capabilities(Controller *c, uint32_t session)
     at = put_u16(at, MAX_KNOTS);
     *at++ = WINDOW;
     at = put_u16(at, WATCHDOG_US / 1000);
-    at = put_f32(put_f32(put_f32(at, c->limits.stroke_m), c->limits.speed), c->limits.accel);
-    at = put_f32(put_f32(at, c->limits.force), c->limits.lasting);
+    at = put_f32(put_f32(put_f32(at, limits->stroke_m), limits->speed), limits->accel);
+    at = put_f32(put_f32(put_f32(at, limits->force), limits->lasting), limits->following_m);
+    at = put_u16(at, HOLD_MS);
     send(c, CAPABILITIES, fields, (size_t)(at - fields));
 }
 
@@ -52,43 +56,84 @@ static void tell_pulse(Controller *c, const uint8_t host_ns[8])
 }
 
 /* Mean square of a motor's force that it bears for ever [N2]. */
-static double bearable(const Controller *c)
+static float bearable(const Controller *c)
 {
-    return (double)c->limits.lasting * (double)c->limits.lasting;
+    return c->limits.lasting * c->limits.lasting;
 }
 
 static void tell_state(Controller *c)
 {
     uint8_t fields[64], *at = put_u64(fields, c->now_us);
-    float values[2][MOTORS];
     *at++ = c->state;
     *at++ = c->faults;
+    at = put_u16(at, c->stops);
     bool moving = c->state == STATE_PLAYING || (c->state == STATE_BRAKING && !c->going_home);
     at = put_u16(at, moving ? c->tables[c->playing].id : 0);
     at = put_u16(at, c->waiting ? c->tables[!c->playing].id : 0);
     at = put_u16(at, c->reader.refused);
-    hal_measure(values[0], values[1]);
-    for (int i = 0; i < 2 * MOTORS; i++)
-        at = put_f32(at, values[i / MOTORS][i % MOTORS]);
-    double hottest = fmax(fmax(c->heat[0], c->heat[1]), fmax(c->heat[2], c->heat[3]));
-    at = put_f32(at, (float)(hottest / bearable(c)));
+    float hottest = c->heat[0];
+    for (int m = 1; m < MOTORS; m++)
+        hottest = fmaxf(hottest, c->heat[m]);
+    for (int m = 0; m < MOTORS; m++)
+        at = put_f32(at, c->measured[m]);
+    for (int m = 0; m < MOTORS; m++)
+        at = put_f32(at, c->accelerations[m]);
+    at = put_f32(put_f32(put_f32(at, hottest / bearable(c)), c->following_m), hal_load());
+    c->following_m = 0;
     send(c, TELEMETRY, fields, (size_t)(at - fields));
+}
+
+/* Stops */
+
+/* A stop: brake, or current off at once; counted also where no current flows. */
+static void stop(Controller *c, bool now, uint8_t faults)
+{
+    uint16_t before = c->stops;
+    if (now)
+        motion_off(c, faults);
+    else
+        motion_brake(c, faults);
+    if (c->stops == before)
+        c->stops++;
+}
+
+/* The board's faults: each that appears anew is a stop, also while the motors are off. */
+static void watch_board(Controller *c)
+{
+    uint8_t faults = hal_faults(), appeared = faults & (uint8_t)~c->board;
+    c->board = faults;
+    if (appeared)
+        stop(c, true, appeared);
+}
+
+/* Where the motors are, and whether that is where they were told to be in the tick before. */
+static void measure(Controller *c)
+{
+    bool astray = false;
+    hal_measure(c->measured, c->accelerations);
+    for (int m = 0; m < MOTORS && c->follows; m++) {
+        float error = fabsf(c->measured[m] - c->commanded.position[m]);
+        c->following_m = fmaxf(c->following_m, error);
+        astray = astray || !(error <= c->limits.following_m); /* what is not finite, too */
+    }
+    astray = astray && c->limits.following_m > 0;
+    c->astray = astray ? (uint8_t)(c->astray + 1) : 0;
+    if (c->astray == ASTRAY_TICKS) {
+        motion_off(c, FAULT_FOLLOWING);
+        c->astray = 0;
+    }
 }
 
 /* Commands */
 
-static uint8_t enable(Controller *c)
+static uint8_t enable(Controller *c, const uint8_t *fields)
 {
-    float measured[MOTORS];
-    if (c->state == STATE_READY || c->state == STATE_PLAYING)
-        return STATUS_DONE;
-    if (c->state != STATE_OFF || hal_faults() || c->faults & FAULT_NO_HOME)
+    if (get_u16(fields) != c->stops)
+        return STATUS_WRONG_STOP;
+    if (c->state == STATE_BRAKING || c->board)
         return STATUS_WRONG_STATE;
-    c->faults = 0;
-    memset(&c->from, 0, sizeof c->from);
-    hal_measure(c->from.position, measured);
-    motion_home(c, STATE_HOMING);
-    hal_drive(true);
+    if (c->state == STATE_OFF)
+        motion_enable(c);
     return STATUS_DONE;
 }
 
@@ -96,7 +141,7 @@ static uint8_t home(Controller *c)
 {
     if (c->state != STATE_OFF)
         return STATUS_WRONG_STATE;
-    c->state = STATE_HOMING;
+    c->faults |= FAULT_NO_HOME;
     return STATUS_DONE;
 }
 
@@ -110,78 +155,124 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
         return STATUS_WRONG_TABLE;
     if (count > MAX_KNOTS)
         return STATUS_TOO_LONG;
-    memset(table->there, 0, sizeof table->there);
-    table->id = id;
-    table->count = count;
-    table->crc = get_u32(fields + 4);
-    table->streams = count == 0;
-    table->next = 0;
+    table_open(table, id, count, get_u32(fields + 4));
     return STATUS_DONE;
 }
 
-/* Add knots from number `first` on to a stream. */
-static uint8_t stream(Controller *c, Table *table, const uint8_t *fields, uint32_t count)
-{
-    double begin = 0, *time = table == &c->tables[c->playing] ? &c->time : &begin;
-    uint16_t known = (uint16_t)(table->next - get_u16(fields + 2));
-    uint8_t status = known < 0x8000 ? STATUS_DONE : STATUS_INCOMPLETE;
-    if (time == &c->time && table_rests(table) && c->time + BRAKE_S / 2 > table_period(table))
-        return STATUS_WRONG_STATE; /* it is at its end: too late to go on, since a brake must fit */
-    for (uint32_t k = known; k < count && status == STATUS_DONE; k++) {
-        Knot knot;
-        knot_read(&knot, fields + 4 + k * KNOT_BYTES);
-        status = stream_add(table, &knot, time, &c->limits);
-    }
-    return status;
-}
-
-static uint8_t fill(Controller *c, const uint8_t *fields, size_t size)
+/* The stream with a number, while knots may be added to it. */
+static Table *stream_of(Controller *c, uint16_t id)
 {
     Table *table = &c->tables[!c->playing], *now = &c->tables[c->playing];
-    uint32_t first = get_u16(fields + 2), count = (uint32_t)(size - 4) / KNOT_BYTES;
-    if (c->state == STATE_PLAYING && now->streams && now->id == get_u16(fields))
-        return stream(c, now, fields, count);
-    if (table->id != 0 && table->streams && table->id == get_u16(fields))
-        return stream(c, table, fields, count);
-    if (table->id == 0 || table->id != get_u16(fields) || first + count > table->count)
-        return STATUS_WRONG_TABLE;
-    if (c->waiting)
-        return STATUS_DONE; /* a repetition: the table has been looked at, and stays as it is */
-    for (uint32_t k = 0; k < count; k++) {
-        knot_read(&table->knots[first + k], fields + 4 + k * KNOT_BYTES);
-        table->there[(first + k) / 8] |= (uint8_t)(1u << ((first + k) % 8));
-    }
-    return STATUS_DONE;
+    if (c->state == STATE_PLAYING && now->streams && now->id == id)
+        return now;
+    return id != 0 && table->streams && table->id == id ? table : NULL;
 }
 
-static uint8_t commit(Controller *c, const uint8_t *fields)
+/* Go on adding the knots of the message that is held, while there is work left; no more bytes are
+   read before it is answered. */
+static void add_knots(Controller *c, int *work)
+{
+    const uint8_t *fields = c->reader.held + HEADER_BYTES;
+    uint16_t first = get_u16(fields + 2);
+    uint8_t status = STATUS_DONE;
+    while (status == STATUS_DONE) {
+        Table *table = stream_of(c, get_u16(fields));
+        if (!table) {
+            status = STATUS_WRONG_TABLE;
+            break;
+        }
+        bool plays = table == &c->tables[c->playing];
+        uint16_t known = (uint16_t)(table->next - first);
+        if (plays && table_rests(table) &&
+            c->time + BRAKE_TICKS / 2 - table_knot(table, 0)->ticks > table_period(table))
+            status = STATUS_WRONG_STATE; /* at its end: too late, since a brake must fit */
+        else if (known >= 0x8000)
+            status = STATUS_INCOMPLETE;
+        else if (known >= (c->adding - 4) / KNOT_BYTES)
+            break;
+        else if (*work <= 0 ||
+                 !stream_add(table, fields + 4 + known * KNOT_BYTES,
+                             plays ? c->time : table_knot(table, 0)->ticks, &c->limits, work,
+                             &status))
+            return;
+    }
+    c->adding = 0;
+    acknowledge(c, get_u16(c->reader.held + 1), status);
+}
+
+/* Knots for the table that is open, or for a stream. */
+static void fill(Controller *c, uint16_t sequence, const uint8_t *fields, size_t size, int *work)
 {
     Table *table = &c->tables[!c->playing];
+    int first = get_u16(fields + 2), count = (int)(size - 4) / KNOT_BYTES;
+    if (stream_of(c, get_u16(fields))) {
+        c->adding = (uint8_t)size;
+        add_knots(c, work);
+        return;
+    }
+    if (table->id == 0 || table->id != get_u16(fields) || first + count > table->count) {
+        acknowledge(c, sequence, STATUS_WRONG_TABLE);
+        return;
+    }
+    for (int k = 0; k < count; k++)
+        table_put(table, first + k, fields + 4 + k * KNOT_BYTES);
+    acknowledge(c, sequence, STATUS_DONE);
+}
+
+/* Whether the second buffer may be taken over; that of a table remains to be looked at. */
+static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
+{
+    Table *table = &c->tables[!c->playing];
+    uint16_t repeats = get_u16(fields + 2);
     if (c->state != STATE_READY && c->state != STATE_PLAYING)
         return STATUS_WRONG_STATE;
     if (table->id == 0 || table->id != get_u16(fields))
         return STATUS_WRONG_TABLE;
-    const Table *now = &c->tables[c->playing];
-    if (c->state == STATE_PLAYING && (table->streams || now->streams))
+    if (c->state == STATE_PLAYING && (table->streams || c->tables[c->playing].streams))
         return STATUS_WRONG_STATE; /* a stream has no end to begin at */
-    uint8_t status = STATUS_DONE;
-    if (!table->streams)
-        status = table_check(table, &c->limits);
-    else if (table->count < 2 || table_period(table) < BRAKE_S)
-        status = STATUS_INCOMPLETE; /* it must always be able to brake */
-    if (status != STATUS_DONE)
-        return status;
-    const Knot *end = c->state == STATE_PLAYING ? &now->knots[now->count - 1] : NULL;
-    for (int m = 0; m < MOTORS; m++) {
-        float position = end ? end->position[m] : c->from.position[m];
-        float velocity = end ? end->velocity[m] : 0;
-        if (fabsf(table->knots[0].position[m] - position) > JUMP_M ||
-            fabsf(table->knots[0].velocity[m] - velocity) > JUMP_SPEED)
+    if (repeats == 0 || (table->streams && repeats != 1))
+        return STATUS_REPEATS;
+    if (table->streams) {
+        if (table->count < 2 || table_period(table) < BRAKE_TICKS)
+            return STATUS_INCOMPLETE; /* it must always be able to brake */
+        if (!knot_is_home(table_knot(table, 0)))
             return STATUS_JUMP;
+        c->waiting = true;
+        return STATUS_DONE;
     }
-    table->repeats = get_u16(fields + 2);
-    c->waiting = true;
+    if (table->have < table->count)
+        return STATUS_INCOMPLETE;
+    if (repeats > 1 && (uint64_t)repeats * table_period(table) > (uint64_t)HOLD_MS * TICKS_PER_MS)
+        return STATUS_REPEATS;
+    c->committing = true;
+    c->commit_sequence = sequence;
+    c->commit_repeats = repeats;
     return STATUS_DONE;
+}
+
+static void answer_commit(Controller *c, uint8_t status)
+{
+    c->committing = false;
+    if (c->answered == c->commit_sequence)
+        c->answer = status;
+    acknowledge(c, c->commit_sequence, status);
+}
+
+/* Look at the table that is being filled; answer Commit when all of it has been looked at. */
+static void look(Controller *c, int work)
+{
+    Table *table = &c->tables[!c->playing];
+    if (table->id != 0 && !table->streams)
+        table_look(table, &c->limits, &work);
+    if (!c->committing)
+        return;
+    if (c->state != STATE_READY && c->state != STATE_PLAYING) {
+        answer_commit(c, STATUS_WRONG_STATE);
+    } else if (table_looked_at(table)) {
+        c->waiting = table->check.status == STATUS_DONE;
+        table->repeats = c->commit_repeats;
+        answer_commit(c, table->check.status);
+    }
 }
 
 static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
@@ -193,8 +284,9 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
     }
     if (!c->session_open || session != c->session) {
         if (c->state != STATE_OFF)
-            motion_brake(c, FAULT_STOPPED);
+            stop(c, false, FAULT_STOPPED);
         c->tables[!c->playing].id = 0;
+        c->waiting = c->committing = c->stop_known = false;
         c->session_open = true;
         c->session = session;
         c->answered = sequence;
@@ -207,21 +299,32 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
 static void ordered(Controller *c, uint8_t type, uint16_t sequence, const uint8_t *fields)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
+    bool later = false;
+    if (c->committing && sequence == c->commit_sequence)
+        return; /* it will be answered */
     if (ahead != 0 && ahead < 0x8000) {
+        if (c->committing)
+            answer_commit(c, STATUS_OLD);
         c->answered = sequence;
-        c->answer = type == ENABLE ? enable(c) : type == HOME ? home(c)
-                  : type == BEGIN ? begin(c, fields) : commit(c, fields);
+        c->answer = type == ENABLE ? enable(c, fields) : type == HOME ? home(c)
+                  : type == BEGIN ? begin(c, fields) : commit(c, sequence, fields);
+        later = c->committing;
     }
-    acknowledge(c, sequence, ahead < 0x8000 ? c->answer : (uint8_t)STATUS_OLD);
+    if (!later)
+        acknowledge(c, sequence, ahead < 0x8000 ? c->answer : (uint8_t)STATUS_OLD);
 }
 
-static void stop(Controller *c, uint16_t sequence, bool now)
+/* Always done; a repetition of the last one is a stop only where it still ends anything. */
+static void obey_stop(Controller *c, uint16_t sequence, bool now)
 {
     uint16_t ahead = (uint16_t)(sequence - c->answered);
-    if (now)
-        motion_off(c, FAULT_STOPPED);
-    else if (c->state != STATE_OFF)
-        motion_brake(c, FAULT_STOPPED);
+    bool again = c->stop_known && c->stop_sequence == sequence && c->stop_now == now;
+    if (!again || (c->state != STATE_OFF && (now || c->state != STATE_BRAKING)))
+        stop(c, now, FAULT_STOPPED);
+    c->faults |= FAULT_STOPPED;
+    c->stop_known = true;
+    c->stop_sequence = sequence;
+    c->stop_now = now;
     if (ahead != 0 && ahead < 0x8000) {
         c->answered = sequence;
         c->answer = STATUS_DONE;
@@ -235,7 +338,8 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     switch (type) {
     case HELLO: return size == 5;
     case HEARTBEAT: return size == 8;
-    case ENABLE: case HOME: return size == 0;
+    case ENABLE: return size == 2;
+    case HOME: return size == 0;
     case STOP: return size == 1 && fields[0] <= 1;
     case BEGIN: return size == 8;
     case COMMIT: return size == 4;
@@ -250,28 +354,49 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     return true;
 }
 
-static void obey(Controller *c, const uint8_t *packet, size_t size)
+static void obey(Controller *c, size_t size, int *work)
 {
-    if (size < HEADER_BYTES)
+    const uint8_t *packet = c->reader.held, *fields = packet + HEADER_BYTES;
+    if (size < HEADER_BYTES || !sound(packet[0], fields, size - HEADER_BYTES))
         return;
     uint8_t type = packet[0];
     uint16_t sequence = get_u16(packet + 1);
-    const uint8_t *fields = packet + HEADER_BYTES;
-    if (!sound(type, fields, size - HEADER_BYTES))
-        return;
     c->heard_us = c->now_us;
     if (type == HELLO)
         hello(c, sequence, fields);
     else if (type == STOP)
-        stop(c, sequence, fields[0] == 1);
+        obey_stop(c, sequence, fields[0] == 1);
     else if (!c->session_open)
         acknowledge(c, sequence, STATUS_NO_SESSION);
     else if (type == HEARTBEAT)
         tell_pulse(c, fields);
     else if (type == KNOTS)
-        acknowledge(c, sequence, fill(c, fields, size - HEADER_BYTES));
+        fill(c, sequence, fields, size - HEADER_BYTES, work);
     else
         ordered(c, type, sequence, fields);
+}
+
+/* Read and obey what has come, as far as a tick goes. */
+static void listen(Controller *c, int *work)
+{
+    size_t bytes = TICK_BYTES;
+    int packets = TICK_PACKETS;
+    if (c->adding)
+        add_knots(c, work);
+    while (bytes > 0 && packets > 0 && !c->adding) {
+        if (c->input_at == c->input_count) {
+            c->input_at = 0;
+            c->input_count = (uint8_t)hal_read(c->input, bytes);
+            if (c->input_count == 0)
+                return;
+        }
+        size_t size = reader_take(&c->reader, c->input[c->input_at++]);
+        bytes--;
+        if (size) {
+            packets--;
+            obey(c, size, work);
+        }
+    }
 }
 
 void controller_start(Controller *c, Limits limits)
@@ -279,30 +404,42 @@ void controller_start(Controller *c, Limits limits)
     memset(c, 0, sizeof *c);
     c->limits = limits;
     c->faults = FAULT_NO_HOME;
+    c->stops = (uint16_t)hal_boot();
     c->now_us = c->heard_us = c->told_us = hal_time_us();
     hal_drive(false);
 }
 
-/* What may be commanded; a brake adds at most 1.5 (v / Tb)^2 / accel, a tenth, to the table's. */
-static bool sane(const Controller *c, const Setpoint *at)
+/* What may be commanded, also after what was commanded `dt` [s] ago. A brake adds at most
+   1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration; where one table follows another
+   both may be as far from rest at home as a table may. */
+static bool sane(const Controller *c, const Setpoint *at, float dt)
 {
+    const Limits *limits = &c->limits;
+    float speed = limits->speed * (1 + LIMIT_SLACK), accel = limits->accel * (1 + BRAKE_ROOM);
+    float stroke = limits->stroke_m * (1 + LIMIT_SLACK);
+    float step = speed * dt + REST_M, change = accel * dt + 2 * REST_SPEED;
     bool inside = true;
     for (int m = 0; m < MOTORS; m++) /* false for what is not finite, too */
-        inside = inside && fabsf(at->position[m]) <= c->limits.stroke_m * (1 + LIMIT_SLACK) &&
-                 fabsf(at->velocity[m]) <= c->limits.speed * (1 + LIMIT_SLACK) &&
-                 fabsf(at->acceleration[m]) <= c->limits.accel * (1 + BRAKE_ROOM);
+        inside = inside && fabsf(at->position[m]) <= stroke && fabsf(at->velocity[m]) <= speed &&
+                 fabsf(at->acceleration[m]) <= accel &&
+                 fabsf(at->position[m] - c->commanded.position[m]) <= step &&
+                 fabsf(at->velocity[m] - c->commanded.velocity[m]) <= change;
     return inside;
 }
 
-/* Heat of the motors follows the square of their force; returns whether they bear it. */
-static bool heat_step(Controller *c, double dt, const Setpoint *at)
+/* Heat of the motors follows the square of their force; returns whether they bear it. What is added
+   in a tick is little beside the sum, so the rounding error is carried on (Kahan 1965). */
+static bool heat_step(Controller *c, uint32_t dt_us, const Setpoint *at)
 {
-    double share = fmin(dt / (double)c->limits.heat_s, 1);
+    float share = fminf((float)dt_us * 1e-6f / c->limits.heat_s, 1);
     bool bears = true;
     for (int m = 0; m < MOTORS; m++) {
-        double force = at ? force_of(&c->limits, m, at->acceleration) : 0;
-        c->heat[m] += share * (force * force - c->heat[m]);
-        bears = bears && c->heat[m] <= bearable(c);
+        float force = at ? force_of(&c->limits, m, at->acceleration) : 0;
+        float more = share * (force * force - c->heat[m]) + c->heat_rest[m];
+        float sum = c->heat[m] + more;
+        c->heat_rest[m] = more - (sum - c->heat[m]);
+        c->heat[m] = sum;
+        bears = bears && sum <= bearable(c);
     }
     return bears;
 }
@@ -310,34 +447,34 @@ static bool heat_step(Controller *c, double dt, const Setpoint *at)
 void controller_tick(Controller *c)
 {
     uint64_t before = c->now_us;
-    uint8_t bytes[64];
-    size_t count;
+    int work = TICK_WORK;
     c->now_us = hal_time_us();
-    while ((count = hal_read(bytes, sizeof bytes)) > 0)
-        for (size_t i = 0; i < count; i++) {
-            size_t size = reader_take(&c->reader, bytes[i]);
-            if (size)
-                obey(c, c->reader.held, size);
-        }
-    uint8_t faults = hal_faults();
-    if (faults)
-        motion_off(c, faults);
+    uint64_t passed = c->now_us - before;
+    uint32_t dt_us = passed < MOST_TICK_US ? (uint32_t)passed : MOST_TICK_US;
+    measure(c);
+    watch_board(c);
+    listen(c, &work);
+    look(c, work);
     if (c->state != STATE_OFF && c->now_us - c->heard_us > WATCHDOG_US)
         motion_brake(c, FAULT_HOST_SILENT);
 
     Setpoint at;
-    double dt = (double)(c->now_us - before) * 1e-6;
-    bool moves = motion_step(c, dt, &at);
-    if (moves && !sane(c, &at)) {
+    bool moves = motion_step(c, dt_us, &at);
+    if (moves && !sane(c, &at, (float)dt_us * 1e-6f)) {
         motion_off(c, FAULT_LIMIT);
         moves = false;
     }
-    if (moves)
+    if (moves) {
         hal_command(at.position, at.velocity, at.acceleration);
-    if (!heat_step(c, dt, moves ? &at : NULL) && c->state != STATE_OFF)
+        c->commanded = at;
+    }
+    c->follows = moves;
+    uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
+    if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
     if (c->now_us - c->told_us >= TELEMETRY_US) {
         c->told_us = c->now_us;
         tell_state(c);
     }
+    hal_watchdog();
 }

@@ -1,14 +1,19 @@
 #include "frame.h"
 
-#include <string.h>
+#define WHOLE 0x2144DF1Cu /* CRC-32 of bytes that are followed by their own CRC-32 */
+
+/* CRC-32 of half bytes: 64 bytes of memory, a quarter of the time that single bits take. */
+static const uint32_t HALVES[16] = {
+    0x00000000, 0x1DB71064, 0x3B6E20C8, 0x26D930AC, 0x76DC4190, 0x6B6B51F4, 0x4DB26158, 0x5005713C,
+    0xEDB88320, 0xF00F9344, 0xD6D6A3E8, 0xCB61B38C, 0x9B64C2B0, 0x86D3D2D4, 0xA00AE278, 0xBDBDF21C};
 
 uint32_t crc32_of(uint32_t crc, const uint8_t *data, size_t size)
 {
     crc = ~crc;
     for (size_t i = 0; i < size; i++) {
         crc ^= data[i];
-        for (int bit = 0; bit < 8; bit++)
-            crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+        crc = crc >> 4 ^ HALVES[crc & 15];
+        crc = crc >> 4 ^ HALVES[crc & 15];
     }
     return ~crc;
 }
@@ -31,55 +36,48 @@ size_t frame(const uint8_t *packet, size_t size, uint8_t out[MAX_FRAME])
     return at;
 }
 
-/* Decode the held bytes in place; return the length, 0 if they are no COBS. */
-static size_t decode(Reader *reader)
+static void hold(Reader *reader, uint8_t byte)
 {
-    size_t in = 0, out = 0;
-    while (in < reader->count) {
-        size_t after = in + reader->held[in];
-        if (after > reader->count)
-            return 0;
-        size_t length = after - in - 1;
-        memmove(reader->held + out, reader->held + in + 1, length);
-        out += length;
-        in = after;
-        if (in < reader->count)
-            reader->held[out++] = 0;
-    }
-    return out;
+    reader->held[reader->size++] = byte;
+    reader->crc = crc32_of(reader->crc, &byte, 1);
 }
 
-static size_t checked(Reader *reader)
+/* One more byte of a frame, whose first is a block's length plus one. */
+static void decode(Reader *reader, uint8_t byte)
 {
-    size_t size = decode(reader);
-    if (size <= CRC_BYTES)
-        return 0;
-    size -= CRC_BYTES;
-    uint32_t crc = crc32_of(0, reader->held, size);
-    for (int i = 0; i < CRC_BYTES; i++)
-        if (reader->held[size + (size_t)i] != (uint8_t)(crc >> (8 * i)))
-            return 0;
-    return size;
+    if (reader->left > 0) {
+        hold(reader, byte);
+        reader->left--;
+    } else {
+        if (reader->count > 0)
+            hold(reader, 0); /* between two blocks */
+        reader->left = (uint8_t)(byte - 1);
+    }
+    reader->count++;
 }
 
 size_t reader_take(Reader *reader, uint8_t byte)
 {
+    if (byte && reader->lost)
+        return 0;
+    if (byte && reader->count <= MAX_PACKET) {
+        decode(reader, byte);
+        return 0;
+    }
     if (byte) {
-        if (reader->count < sizeof reader->held) {
-            reader->held[reader->count++] = byte;
-        } else if (!reader->lost) {
-            reader->lost = true;
-            reader->refused++;
-        }
+        reader->lost = true;
+        reader->refused++;
         return 0;
     }
     size_t size = 0;
     if (reader->count && !reader->lost) {
-        size = checked(reader);
-        if (size == 0)
+        if (reader->left == 0 && reader->size > CRC_BYTES && reader->crc == WHOLE)
+            size = reader->size - (size_t)CRC_BYTES;
+        else
             reader->refused++;
     }
-    reader->count = 0;
+    reader->size = reader->count = reader->left = 0;
+    reader->crc = 0;
     reader->lost = false;
     return size;
 }

@@ -10,11 +10,16 @@
 #define MAX_FRAME (MAX_PACKET + 2)  /* one byte of overhead, and the end */
 #define CRC_BYTES 4
 
+/* A frame is decoded, and its CRC counted, as its bytes come: so its end costs no more than any
+   other byte. */
 typedef struct {
-    uint8_t held[MAX_PACKET + 1];
-    size_t count;
-    bool lost;        /* too many bytes: skip to the frame's end */
-    uint16_t refused; /* damaged frames */
+    uint8_t held[MAX_PACKET]; /* what is decoded of the frame that is coming */
+    uint8_t size;             /* how much that is */
+    uint8_t count;            /* bytes of the frame so far */
+    uint8_t left;             /* bytes to come of its COBS block */
+    bool lost;                /* too many bytes: skip to the frame's end */
+    uint32_t crc;             /* of what is held */
+    uint16_t refused;         /* damaged frames */
 } Reader;
 
 /* Continue a CRC-32; start with 0. */

@@ -8,16 +8,21 @@
 
 #define MOTORS 4
 
+/* Bytes that came and are not read yet: the board must hold at least this many, since a tick reads
+   128 and obeys four packets, and a host may have 8 messages of 225 bytes on their way. */
+#define HAL_INPUT_BYTES 2048
+
 /* Time since start [us]; never runs back. */
 uint64_t hal_time_us(void);
 
 /* A number that differs after each reset: a counter in flash, or noise. */
 uint32_t hal_boot(void);
 
-/* Bytes that came, at most `size`; returns how many, at once. */
+/* Bytes that came, at most `size`; returns how many, at once. What is not taken stays. */
 size_t hal_read(uint8_t *data, size_t size);
 
-/* Bytes to send; those that do not fit into the board's buffer may be dropped. */
+/* Bytes to send; those that do not fit into the board's buffer may be dropped. In a tick at most
+   eight frames, of 71 bytes or less. */
 void hal_write(const uint8_t *data, size_t size);
 
 /* Motor current on or off. Must work at any time. */
@@ -27,13 +32,20 @@ void hal_drive(bool on);
 void hal_command(const float position[MOTORS], const float velocity[MOTORS],
                  const float acceleration[MOTORS]);
 
-/* Where they are: travel [m], acceleration [m/s2]. */
+/* Where they are: travel [m], acceleration [m/s2]. Read once, at a tick's beginning. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS]);
 
-/* One tick of finding home; true when it is found. */
+/* One tick of finding home, with current on; true when it is found. The next hal_measure tells
+   where the motors are from there. */
 bool hal_home(void);
 
-/* FAULT_SUPPLY, FAULT_HARDWARE or 0. */
+/* FAULT_SUPPLY, FAULT_HARDWARE or 0. Read once in a tick. */
 uint8_t hal_faults(void);
+
+/* The longest tick since the last call, as a share of a tick's period; 0 if that is not known. */
+float hal_load(void);
+
+/* Feed the independent watchdog: called at the end of each whole tick, and nowhere else. */
+void hal_watchdog(void);
 
 #endif

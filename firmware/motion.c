@@ -1,42 +1,66 @@
 #include "motion.h"
 
-#include <math.h>
 #include <string.h>
 
 #include "message.h"
 
-#define HOMEWARD_S 0.5 /* for a stroke: 0.04 m/s, 0.25 m/s2 */
-
-static const float ZERO[MOTORS];
+#define HOMEWARD_US 500000u /* for a stroke: 0.04 m/s, 0.25 m/s2 */
+#define HOMEWARD_S 0.5f
+#define SEARCH_US 5000000u  /* longest search for home */
+#define TICKS_PER_US 100u   /* of TICK_S */
 
 void motion_off(Controller *c, uint8_t faults)
 {
     hal_drive(false);
+    if (faults && c->state != STATE_OFF)
+        c->stops++;
     c->state = STATE_OFF;
     c->faults |= faults;
-    c->waiting = c->going_home = false;
+    c->waiting = c->going_home = c->follows = false;
 }
 
-void motion_home(Controller *c, uint8_t state)
+/* From rest at c->commanded; STATE_HOMING ends in READY, STATE_BRAKING in OFF. */
+static void go_home(Controller *c)
 {
-    c->state = state;
+    memcpy(c->from, c->commanded.position, sizeof c->from);
     c->going_home = true;
-    c->home_time = 0;
+    c->home_us = 0;
 }
 
 void motion_brake(Controller *c, uint8_t faults)
 {
-    c->faults |= faults;
-    c->waiting = false;
     if (c->state == STATE_PLAYING) {
         const Table *table = &c->tables[c->playing];
-        double period = table_period(table);
+        uint32_t period = table_period(table);
         c->state = STATE_BRAKING;
         c->brake = 0;
-        c->brake_s = period < BRAKE_S && !table->streams ? period : BRAKE_S;
+        c->brake_length = period < BRAKE_TICKS && !table->streams ? period : BRAKE_TICKS;
+        c->waiting = false;
+        c->stops++;
+        c->faults |= faults;
     } else if (c->state != STATE_BRAKING) {
         motion_off(c, faults);
+    } else if (faults & ~c->faults) {
+        c->stops++;
+        c->faults |= faults;
     }
+}
+
+void motion_enable(Controller *c)
+{
+    c->faults &= FAULT_NO_HOME;
+    c->state = STATE_HOMING;
+    c->enabled_us = c->now_us;
+    hal_drive(true);
+}
+
+/* Find home; the way there begins in the tick after, from what is then measured. */
+static void search(Controller *c)
+{
+    if (hal_home())
+        c->faults &= (uint8_t)~FAULT_NO_HOME;
+    else if (c->now_us - c->enabled_us >= SEARCH_US)
+        motion_off(c, FAULT_HARDWARE);
 }
 
 /* The table that waits begins to play; the buffer of the one before is empty. */
@@ -45,90 +69,97 @@ static void take_over(Controller *c)
     c->tables[c->playing].id = 0;
     c->playing = !c->playing;
     c->waiting = false;
+    c->time = table_knot(&c->tables[c->playing], 0)->ticks;
     c->played = 0;
 }
 
-/* Integral of the brake's rate 1 - 3 u^2 + 2 u^3. */
-static double brake_path(double u)
+/* How far into the table it is [TICK_S]. */
+static uint32_t into(const Controller *c)
 {
-    return u - u * u * u * (1 - u / 2);
+    return c->time - table_knot(&c->tables[c->playing], 0)->ticks;
 }
 
 /* Whether a stream's last knots are needed for a brake. */
-static bool runs_dry(const Controller *c, double dt)
+static bool runs_dry(const Controller *c, uint32_t dt)
 {
     const Table *table = &c->tables[c->playing];
     return c->state == STATE_PLAYING && table->streams && !table_rests(table) &&
-           c->time + dt + BRAKE_S / 2 > table_period(table);
+           into(c) + dt + BRAKE_TICKS / 2 > table_period(table);
 }
 
-/* Take over, begin again or end where the table's time is beyond its end. */
-static void wrap(Controller *c)
+/* Let the table's time pass: take over, begin again or end where it is beyond the table's end.
+   A period is longer than any tick, so that this happens once at most. */
+static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];
-    double period = table_period(table);
-    if (table->streams && c->time >= period) { /* it ends at rest */
-        c->time = period;
+    uint32_t left = table_period(table) - into(c);
+    if (step < left) {
+        c->time += step;
+    } else if (table->streams) { /* it ends at rest */
+        c->time += left;
         if (c->state == STATE_PLAYING)
             c->state = STATE_READY;
-    }
-    while (c->time >= period && !table->streams && c->state != STATE_READY) {
-        c->time -= period;
+    } else {
         c->played++;
         if (c->waiting) {
             take_over(c);
-            table = &c->tables[c->playing];
-            period = table_period(table);
-        } else if (c->state == STATE_PLAYING && table->repeats && c->played >= table->repeats) {
-            c->state = STATE_READY; /* all tables begin and end at rest, since the first one does */
-            c->time = 0;
+        } else if (c->state == STATE_PLAYING && c->played >= table->repeats) {
+            c->state = STATE_READY;
+            step = left; /* rest is at its beginning, too */
         }
+        c->time = step - left;
     }
+}
+
+/* Rate of the table's time while braking. */
+static float brake_rate(float u)
+{
+    return 1 - u * u * (3 - 2 * u);
 }
 
 /* Along the table, slower and slower when braking. */
-static void play(Controller *c, double dt, Setpoint *at)
+static void play(Controller *c, uint32_t dt, Setpoint *at)
 {
-    double rate = 1, slowing = 0, step = dt;
+    float rate = 1, slowing = 0;
+    uint32_t step = dt;
     if (runs_dry(c, dt))
         motion_brake(c, FAULT_HOST_SILENT);
     if (c->state == STATE_BRAKING) {
-        double from = c->brake / c->brake_s, u = fmin(from + dt / c->brake_s, 1);
-        c->brake = u * c->brake_s;
-        rate = 1 - u * u * (3 - 2 * u);
-        slowing = 6 * u * (u - 1) / c->brake_s;
-        step = c->brake_s * (brake_path(u) - brake_path(from));
+        uint32_t end = c->brake + dt < c->brake_length ? c->brake + dt : c->brake_length;
+        float length = (float)c->brake_length;
+        float u = (float)end / length, before = (float)c->brake / length;
+        /* Simpson's rule is exact for a cubic. */
+        float mean = (brake_rate(before) + 4 * brake_rate((before + u) / 2) + brake_rate(u)) / 6;
+        step = (uint32_t)((float)(end - c->brake) * mean + 0.5f);
+        rate = brake_rate(u);
+        slowing = 6 * u * (u - 1) / (length * TICK_S);
+        c->brake = end;
     }
-    c->time += step;
-    wrap(c);
-    table_at(&c->tables[c->playing], c->time, at);
+    pass(c, step);
+    table_at(&c->tables[c->playing], into(c), at);
+    if (c->state == STATE_READY)
+        rate = 0;
     for (int m = 0; m < MOTORS; m++) {
-        float along = c->state == STATE_READY ? 0 : (float)rate;
-        at->acceleration[m] *= along * along;
-        at->acceleration[m] += (float)slowing * at->velocity[m];
-        at->velocity[m] *= along;
+        at->acceleration[m] = at->acceleration[m] * (rate * rate) + slowing * at->velocity[m];
+        at->velocity[m] *= rate;
     }
-    c->from = *at;
-    if (c->state == STATE_BRAKING && c->brake >= c->brake_s)
-        motion_home(c, STATE_BRAKING);
 }
 
 /* From where the plate stands to home, from rest to rest. */
-static bool homeward(Controller *c, double dt, Setpoint *at)
+static bool homeward(Controller *c, uint32_t dt_us, Setpoint *at)
 {
-    c->home_time += dt;
-    float u = (float)(c->home_time < HOMEWARD_S ? c->home_time / HOMEWARD_S : 1);
+    c->home_us = c->home_us + dt_us < HOMEWARD_US ? c->home_us + dt_us : HOMEWARD_US;
+    float u = (float)c->home_us / (float)HOMEWARD_US;
     float left = 1 - u * u * u * (10 - u * (15 - 6 * u));
-    float slope = -30 * u * u * (1 - u) * (1 - u) / (float)HOMEWARD_S;
-    float bend = -60 * u * (1 - u) * (1 - 2 * u) / (float)(HOMEWARD_S * HOMEWARD_S);
+    float slope = -30 * u * u * (1 - u) * (1 - u) / HOMEWARD_S;
+    float bend = -60 * u * (1 - u) * (1 - 2 * u) / (HOMEWARD_S * HOMEWARD_S);
     for (int m = 0; m < MOTORS; m++) {
-        at->position[m] = left * c->from.position[m];
-        at->velocity[m] = slope * c->from.position[m];
-        at->acceleration[m] = bend * c->from.position[m];
+        at->position[m] = left * c->from[m];
+        at->velocity[m] = slope * c->from[m];
+        at->acceleration[m] = bend * c->from[m];
     }
-    if (u >= 1) {
+    if (c->home_us == HOMEWARD_US) {
         c->going_home = false;
-        memcpy(c->from.position, ZERO, sizeof ZERO);
         if (c->state == STATE_BRAKING) {
             motion_off(c, 0);
             return false;
@@ -138,27 +169,32 @@ static bool homeward(Controller *c, double dt, Setpoint *at)
     return true;
 }
 
-bool motion_step(Controller *c, double dt, Setpoint *at)
+bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at)
 {
+    uint32_t dt = dt_us * TICKS_PER_US;
     if (c->state == STATE_READY && c->waiting) {
         take_over(c);
         c->state = STATE_PLAYING;
-        c->time = -dt; /* it begins now */
+        dt = 0; /* it begins now */
     }
+    if (c->state == STATE_HOMING && c->faults & FAULT_NO_HOME) {
+        search(c);
+        return false;
+    }
+    if (c->state == STATE_HOMING && !c->going_home) {
+        memset(&c->commanded, 0, sizeof c->commanded);
+        memcpy(c->commanded.position, c->measured, sizeof c->measured);
+        go_home(c);
+    }
+    if (c->state == STATE_BRAKING && !c->going_home && c->brake == c->brake_length)
+        go_home(c);
     if (c->going_home)
-        return homeward(c, dt, at);
+        return homeward(c, dt_us, at);
     if (c->state == STATE_PLAYING || c->state == STATE_BRAKING) {
         play(c, dt, at);
         return true;
     }
-    if (c->state == STATE_READY) {
-        memset(at, 0, sizeof *at);
-        memcpy(at->position, c->from.position, sizeof at->position);
-        return true;
-    }
-    if (c->state == STATE_HOMING && hal_home()) {
-        motion_off(c, 0);
-        c->faults &= (uint8_t)~FAULT_NO_HOME;
-    }
-    return false;
+    memset(at, 0, sizeof *at); /* ready: at rest where it was told to be last */
+    memcpy(at->position, c->commanded.position, sizeof at->position);
+    return c->state == STATE_READY;
 }

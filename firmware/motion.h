@@ -4,19 +4,21 @@
 
 #include "controller.h"
 
-/* Longest brake [s]: short, but gentle against the plate's 10 g. It takes half as long of the path. */
-#define BRAKE_S 0.2
+/* Longest brake [TICK_S]: 0.2 s, short, but gentle against the plate's 10 g. It takes half as long
+   of the path. */
+#define BRAKE_TICKS 20000000u
 
-/* Current off, for the reasons given. */
+/* Current off, for the reasons given: a stop, if current flowed and there are any. */
 void motion_off(Controller *c, uint8_t faults);
 
-/* Slow down along the table and go home; off at once where nothing plays. */
+/* Slow down along the table and go home; off at once where nothing plays. A stop, unless the plate
+   brakes for these reasons already. */
 void motion_brake(Controller *c, uint8_t faults);
 
-/* From c->from, at rest, to home; STATE_HOMING ends in READY, STATE_BRAKING in OFF. */
-void motion_home(Controller *c, uint8_t state);
+/* Current on: find home if it is not known, then go there. */
+void motion_enable(Controller *c);
 
-/* Let `dt` [s] pass; returns whether there is a setpoint to command. */
-bool motion_step(Controller *c, double dt, Setpoint *at);
+/* Let `dt_us`, at most MOST_TICK_US, pass; returns whether there is a setpoint to command. */
+bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at);
 
 #endif

@@ -2,66 +2,71 @@
 #ifndef PLATE_TABLE_H
 #define PLATE_TABLE_H
 
-#include "hal.h"
+#include "piece.h"
 
 #ifndef MAX_KNOTS
 #define MAX_KNOTS 512 /* two tables of 52 bytes a knot: 52 kB */
 #endif
 #define KNOT_BYTES 52
 
-/* A limit may be passed by this share: the host keeps it on the plate's spline, and the motors' own
-   splines differ from that by the curvature of the kinematics, up to 1e-3. */
-#define LIMIT_SLACK 2e-3f
+/* How far from rest at home a table may begin and end: f32 rounding, and no jolt. */
+#define REST_M 2e-6f
+#define REST_SPEED 2e-3f /* [m/s] */
+
+/* How far the looking at a table has come: a piece as soon as both its ends are there, in order. */
+typedef struct {
+    uint16_t knots;     /* that have been looked at, each with the piece before it */
+    uint8_t status;     /* DONE so far, or why the table must not play */
+    uint32_t crc;       /* of their bytes */
+    float heat[MOTORS]; /* integral of force squared so far [N2 s] */
+    Look look;
+} Check;
 
 typedef struct {
-    uint32_t ticks; /* [10 ns] since the table's start */
-    float position[MOTORS], velocity[MOTORS], acceleration[MOTORS];
-} Knot;
-
-typedef struct {
-    uint16_t id;      /* 0: none */
-    uint16_t count, repeats;
-    bool streams;     /* knots are added while it plays; `next` is the number of the one to come, */
-    uint16_t next;    /* `told` the time of the last one as the host counts it [10 ns] */
-    uint32_t told;
-    uint32_t crc;     /* of the knots' bytes */
+    uint16_t id;    /* 0: none */
+    uint16_t count; /* knots that it has, or, while it is being filled, is to have */
+    uint16_t repeats;
+    bool streams;   /* knots are added while it plays, in a ring: */
+    uint16_t first; /* where the oldest is in `knots`, */
+    uint16_t next;  /* and the number of the one to come */
+    uint16_t have;  /* different knots that have come, if it does not stream */
+    uint32_t crc;   /* of the knots' bytes */
     Knot knots[MAX_KNOTS];
     uint8_t there[(MAX_KNOTS + 7) / 8];
+    Check check;
 } Table;
 
-typedef struct {
-    float position[MOTORS], velocity[MOTORS], acceleration[MOTORS];
-} Setpoint;
+/* Make a table empty, to be filled. */
+void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc);
 
-/* What each motor may do. */
-typedef struct {
-    float stroke_m, speed, accel;  /* [m], [m/s], [m/s2] */
-    float force;                   /* peak [N] */
-    float lasting;                 /* root mean square that it bears for ever [N] */
-    float heat_s;                  /* time constant of its heat [s] */
-    float load[MOTORS][MOTORS];    /* forces for the accelerations of all motors [kg] */
-} Limits;
+/* Put a knot into its place; one that is there stays as it came first. */
+void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES]);
 
-/* Knot from and to its bytes. */
-void knot_read(Knot *knot, const uint8_t bytes[KNOT_BYTES]);
-void knot_write(const Knot *knot, uint8_t bytes[KNOT_BYTES]);
+/* Go on looking at a table that is being filled, for as long as there is `work`. */
+void table_look(Table *table, const Limits *limits, int *work);
 
-/* Status of a whole table: DONE, or why it must not play. */
-uint8_t table_check(const Table *table, const Limits *limits);
+/* Whether all has been looked at, or enough to refuse it: then check.status is the answer. */
+bool table_looked_at(const Table *table);
 
-/* Add a knot to a stream that is `time` [s] into it; what has been played makes room for it, and
-   counts no longer. Returns DONE, or why it must not be added. */
-uint8_t stream_add(Table *stream, const Knot *knot, double *time, const Limits *limits);
+/* Add a knot to a stream that is at `time` [TICK_S]; what has been played makes room for it. The
+   piece is looked at while there is `work`. Returns false if that did not suffice: call again, with
+   the same knot. *status is then DONE, or why it must not be added. */
+bool stream_add(Table *stream, const uint8_t bytes[KNOT_BYTES], uint32_t time,
+                const Limits *limits, int *work, uint8_t *status);
 
-/* Whether a table's last knot is at rest. */
+/* A table's knot by its number, the oldest being 0. */
+const Knot *table_knot(const Table *table, int number);
+
+/* Whether a knot is at rest at home. */
+bool knot_is_home(const Knot *knot);
+
+/* Whether the last knot has no speed and no acceleration. */
 bool table_rests(const Table *table);
 
-/* Force [N] of a motor for the accelerations of all. */
-double force_of(const Limits *limits, int motor, const float acceleration[MOTORS]);
+/* From the first to the last knot [TICK_S]. */
+uint32_t table_period(const Table *table);
 
-double table_period(const Table *table);
-
-/* The setpoint at a time [s] within the period. */
-void table_at(const Table *table, double time, Setpoint *out);
+/* The setpoint `into` [TICK_S] the table, within its period. */
+void table_at(const Table *table, uint32_t into, Setpoint *out);
 
 #endif
