@@ -28,6 +28,10 @@ void piece_at(const Knot *a, const Knot *b, uint32_t into, Setpoint *out)
         out->position[m] = a->position[m] + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))));
         out->velocity[m] = (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * (5 * c5))))) / h;
         out->acceleration[m] = (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * (20 * c5)))) / (h * h);
+        /* No negative zero: which zero it is depends on how the sum is made. */
+        out->position[m] += 0.0f;
+        out->velocity[m] += 0.0f;
+        out->acceleration[m] += 0.0f;
     }
 }
 

@@ -10,7 +10,7 @@ from desk import running, twin
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
 STRICT = [
     "-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion",
-    "-Werror",
+    "-Wfloat-conversion", "-Werror",
 ]  # fmt: skip
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 

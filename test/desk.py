@@ -17,7 +17,6 @@ from plate_core.serial_protocol import (
     Fault,
     Heartbeat,
     Hello,
-    Home,
     Knot,
     Knots,
     Message,
@@ -30,16 +29,20 @@ from plate_core.serial_protocol import (
     parse,
     table_crc,
 )  # fmt: skip
+from plate_core.serial_protocol.messages import VERSION
 from plate_sim.device import Device, DeviceLimits
 
 STROKE_M, SPEED = 0.010, 1.0
 SILENCE_S = 0.25
 PERIOD_S = 0.1
+BOOT = 0xCAFE
+"""Of a device on a desk, which takes the number of its first stop from it."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the device did: times [s], setpoints (n, 3, 4), messages, and its state in the end."""
+    """What the device did: times [s], setpoints (n, 3, 4), messages, when current was switched on
+    and off [s], and its state in the end."""
 
     times: np.ndarray
     setpoints: np.ndarray
@@ -48,6 +51,8 @@ class Run:
     state: State
     faults: Fault
     refused: int
+    stop: int
+    switched: list[tuple[float, bool]]
 
     def answers(self) -> dict[int, Status]:
         found = [p.message for p in self.said if isinstance(p.message, Acknowledgement)]
@@ -66,7 +71,7 @@ def ordered(*orders: bytes | float | str) -> str:
             lines.append(f"rx {order.hex()}\nrun 1000")
         else:
             lines.append(order if isinstance(order, str) else f"run {round(order * 1e6)}")
-    return "\n".join(lines) + "\nrun 1000\n"
+    return "\n".join([*lines, "run 1000", ""])
 
 
 def heard(stdout: str) -> Run:
@@ -77,7 +82,8 @@ def heard(stdout: str) -> Run:
     sent = b"".join(bytes.fromhex(line[1]) for line in output if line[0] == "tx")
     reader, packets = Reader().fed(sent)
     assert reader == Reader()
-    state, faults, refused = map(int, [line for line in output if line[0] == "state"][-1][1:])
+    last = [line for line in output if line[0] == "state"][-1]
+    state, faults, refused, stop = map(int, last[1:])
     return Run(
         np.array([int(line[1]) * 1e-6 for line in ticks]),
         np.array([line[2:] for line in ticks], dtype=float).reshape(-1, 3, 4),
@@ -86,6 +92,8 @@ def heard(stdout: str) -> Run:
         State(state),
         Fault(faults),
         refused,
+        stop,
+        [(int(line[1]) * 1e-6, line[2] == "1") for line in output if line[0] == "drive"],
     )
 
 
@@ -93,21 +101,20 @@ def say(sequence: int, message: Message) -> bytes:
     return frame(pack(Packet(sequence, message)))
 
 
-def wave(size: float, phase: float = 0.0, moving: bool = False) -> tuple[Knot, ...]:
-    """A closed table of 24 pieces, peak travel near `size` [m]: from rest, or moving throughout."""
+def wave(size: float, phase: float = 0.0) -> tuple[Knot, ...]:
+    """A closed table of 24 pieces from rest, peak travel near `size` [m]."""
     t = np.linspace(0, PERIOD_S, 25)
     w = 2 * np.pi / PERIOD_S
     lift = np.array([0.0, 0.5, 1.0, 1.5]) + phase
     angle = w * t[:, None] + lift
     q, v, a = np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
-    if not moving:
-        s, ds, dds = (1 - np.cos(w * t)) / 2, w * np.sin(w * t) / 2, w**2 * np.cos(w * t) / 2
-        s, ds, dds = s[:, None] ** 2, 2 * s[:, None] * ds[:, None], (
-            2 * ds[:, None] ** 2 + 2 * s[:, None] * dds[:, None]
-        )  # fmt: skip
-        q, v, a = s * q, ds * q + s * v, dds * q + 2 * ds * v + s * a
-        for end in (0, -1):
-            q[end] = v[end] = 0
+    s, ds, dds = (1 - np.cos(w * t)) / 2, w * np.sin(w * t) / 2, w**2 * np.cos(w * t) / 2
+    s, ds, dds = s[:, None] ** 2, 2 * s[:, None] * ds[:, None], (
+        2 * ds[:, None] ** 2 + 2 * s[:, None] * dds[:, None]
+    )  # fmt: skip
+    q, v, a = s * q, ds * q + s * v, dds * q + 2 * ds * v + s * a
+    for end in (0, -1):
+        q[end] = v[end] = 0
     ticks = np.round(t * 1e8).astype(int)
     rows = zip(ticks, size * q, size * v, size * a, strict=True)
     return tuple(
@@ -115,27 +122,28 @@ def wave(size: float, phase: float = 0.0, moving: bool = False) -> tuple[Knot, .
     )
 
 
-def upload(table: int, knots: tuple[Knot, ...], first: int, repeats: int = 0) -> bytes:
-    """All of a table's messages, numbered from `first`; the last one is Commit."""
+def uploaded(table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50) -> list[bytes]:
+    """All frames of a table, numbered from `first`; the last one is Commit."""
     messages: list[Message] = [Begin(table, len(knots), table_crc(knots))]
     messages += [Knots(table, i, knots[i : i + 4]) for i in range(0, len(knots), 4)]
     messages.append(Commit(table, repeats))
-    return b"".join(say(first + i, m) for i, m in enumerate(messages))
+    return [say(first + i, message) for i, message in enumerate(messages)]
 
 
-HELLO, HOME = say(99, Hello(1, 77)), say(100, Home())
-READY = [
-    HELLO,
-    HOME,
-    say(101, Enable()),
-    0.2,
-    say(1, Heartbeat(1)),
-    0.2,
-    say(1, Heartbeat(1)),
-    0.15,
-]
+def upload(table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50) -> bytes:
+    """The bytes of them."""
+    return b"".join(uploaded(table, knots, first, repeats))
+
+
+HELLO, ENABLE = say(99, Hello(VERSION, 77)), say(101, Enable(BOOT))
+HOMEWARD = [0.2, say(1, Heartbeat(1)), 0.2, say(1, Heartbeat(1)), 0.15]
+"""While the plate goes home."""
+
+READY = [HELLO, ENABLE, *HOMEWARD]
 GENTLE = wave(0.001)
 COMMIT = 110 + 1 + 7  # sequence number of an upload's Commit, when its first is 110
+UPLOAD_S = 0.02
+"""Longer than the device takes to read such an upload and to look at it."""
 
 
 def alive(seconds: float) -> list[bytes | float]:
@@ -153,33 +161,72 @@ def changed(at: int, **values) -> tuple[Knot, ...]:
     return tuple(knots)
 
 
-def twin(orders: str, *arguments: str) -> str:
-    """Do what firmware/host/host.c does, with the device in Python; returns what it prints."""
-    limits = DeviceLimits.of_rig(load_rig())
-    changes = zip(("heat_s", "lasting", "force"), map(float, arguments), strict=False)
-    limits = replace(limits, **dict(changes))
-    device, data, fault, lines = Device.started(limits, 0xCAFE), b"", Fault.NONE, []
-    for order in orders.splitlines():
+class Twin:
+    """What firmware/host/host.c is, with the device in Python; collects what it prints."""
+
+    def __init__(self, *arguments: str) -> None:
+        names = ("heat_s", "lasting", "force", "following_m")
+        changes = dict(zip(names, map(float, arguments), strict=False))
+        self.device = Device.started(replace(DeviceLimits.of_rig(load_rig()), **changes), BOOT)
+        self.lines: list[str] = []
+        self._data, self._fault, self._late_us = b"", Fault.NONE, 0
+        self._place = np.zeros((2, 4), np.float32)
+        self._jammed, self._search, self._searched = False, 1, 0
+        self._shown = False
+
+    def obey(self, order: str) -> None:
         kind, _, value = order.partition(" ")
         if kind == "rx":
-            data = bytes.fromhex(value)
+            self._data += bytes.fromhex(value)
+        elif kind == "late":
+            self._late_us += int(value)
         elif kind == "fault":
-            fault = Fault(int(value))
+            self._fault = Fault(int(value))
+        elif kind == "search":
+            self._search = int(value)
+        elif kind == "jam":
+            self._jammed = value != "0"
+        elif kind == "load":
+            self.device = replace(self.device, load=float(np.float32(value)))
+        elif kind == "reset":
+            old = self.device
+            now_us = old.now_us + self._late_us
+            self.device = replace(Device.started(old.limits, old.boot + 1, now_us), load=old.load)
+            self._data, self._late_us = b"", 0
         elif kind == "run":
-            end = device.now_us + int(value)
-            while device.now_us < end:
-                device, said, at = device.ticked(device.now_us + 1000, data, fault)
-                data = b""
-                told = [f"tx {frame.hex()}00" for frame in said.split(b"\0")[:-1]]
-                moved = [] if at is None else [f"at {device.now_us} " + shown(at)]
-                # Answers come before the setpoint, telemetry after it.
-                late = [t for t in told if t[5:7] == "84"]
-                lines += [t for t in told if t not in late] + moved + late
-            motion = device.motion
-            lines.append(
-                f"state {motion.state:d} {motion.faults:d} {device.reader.refused % 2**16}"
-            )
-    return "\n".join(lines) + "\n"
+            end = self.device.now_us + self._late_us + int(value)
+            while self.device.now_us < end:
+                self._tick()
+            motion, refused = self.device.motion, self.device.reader.refused % 2**16
+            self.lines.append(f"state {motion.state:d} {motion.faults:d} {refused} {motion.stops}")
+
+    def _tick(self) -> None:
+        now_us, before = self.device.now_us + self._late_us + 1000, self.device.motion
+        self._searched = self._searched + 1 if before.searches else 1
+        found = self._searched >= self._search
+        device, said, at = self.device.ticked(now_us, self._place, self._data, self._fault, found)
+        if device.motion.enabled_us == now_us:
+            self._searched = 1
+        self._data, self._late_us = b"", 0
+        told = [f"tx {frame.hex()}00" for frame in said.split(b"\0")[:-1]]
+        moved = [] if at is None else [f"at {now_us} " + shown(at)]
+        # Answers come before the setpoint, telemetry after it.
+        late = [t for t in told if t[5:7] == "84"]
+        self.lines += [t for t in told if t not in late] + moved + late
+        on = device.motion.state is not State.OFF
+        if on != self._shown:
+            self.lines.append(f"drive {now_us} {on:d}")
+        if at is not None and not self._jammed:
+            self._place = at[::2]
+        self.device, self._shown = device, on
+
+
+def twin(orders: str, *arguments: str) -> str:
+    """Do what firmware/host/host.c does, with the device in Python; returns what it prints."""
+    desk = Twin(*arguments)
+    for order in orders.splitlines():
+        desk.obey(order)
+    return "\n".join([*desk.lines, ""])
 
 
 def shown(at: np.ndarray) -> str:

@@ -100,11 +100,12 @@ static void receive(const char *hex)
 
 static void tick(Controller *controller)
 {
-    bool before = on;
+    static bool shown;
     now_us += TICK_US;
     controller_tick(controller);
-    if (on != before)
+    if (on != shown)
         printf("drive %llu %d\n", (unsigned long long)now_us, on);
+    shown = on;
 }
 
 /* Of config/rig.yaml: load is what plate_sim's device computes from plate and motors. */

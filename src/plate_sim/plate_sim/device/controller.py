@@ -37,18 +37,62 @@ from plate_core.serial_protocol import (
 from plate_core.serial_protocol.messages import MOTORS, VERSION
 
 from .changed import changed
-from .limits import DeviceLimits
-from .motion import BRAKE_S, REST, Motion
+from .limits import BRAKE_ROOM, SLACK, DeviceLimits
+from .motion import BRAKE_TICKS, REST, Motion
+from .piece import PIECE_WORK
 from .stream import MAX_KNOTS, Stream
-from .table import Draft, Table
+from .table import REST_M, REST_SPEED, Draft
 
 WINDOW = 8
 """Messages of knots that may be on their way."""
 
 WATCHDOG_US = 250_000
 TELEMETRY_US = 10_000
-JUMP_M, JUMP_SPEED = np.float32(2e-6), np.float32(2e-3)
-"""How far a table may begin from where the plate is [m], [m/s]: rounding."""
+HOLD_MS = 10_000
+"""Longest time that a table is played again."""
+
+TICKS_PER_MS = 100_000
+"""Of TICK_S."""
+
+TICK_BYTES, TICK_PACKETS, TICK_WORK = 128, 4, 24
+"""What a tick does at most: bytes read, packets obeyed, and work of looking at tables (piece.py)."""
+
+MOST_TICK_US = 2_000
+"""A tick that comes later moves the plate on by this much."""
+
+MOST_HEAT_US = 1_000_000
+"""Between two ticks."""
+
+ASTRAY_TICKS = 3
+"""With a following error, on end, that are a fault."""
+
+
+@dataclass(frozen=True)
+class Adding:
+    """A message whose knots are being added to a stream: no more bytes are read before its end.
+
+    Attributes
+    ----------
+    sequence : int
+    message : Knots
+    left : int or None
+        Halvings left of the piece before the next knot, if it was begun, ...
+    keeps : bool
+        ... and whether it keeps the limits.
+    """
+
+    sequence: int
+    message: Knots
+    left: int | None = None
+    keeps: bool = True
+
+
+@dataclass(frozen=True)
+class Committing:
+    """A Commit that is answered when its table has been looked at."""
+
+    sequence: int
+    repeats: int
 
 
 @dataclass(frozen=True)
@@ -60,53 +104,77 @@ class Device:
     limits : DeviceLimits
     boot : int
         Another number after each reset.
+    motion : Motion
+    backlog : bytes
+        That came and were not read yet.
     session : int or None
         Of the host that is obeyed.
     answered, answer
         Newest command that is done in order, and its answer.
+    last_stop : tuple of int, or None
+        Sequence and kind of the Stop of this session that was answered last.
     now_us, heard_us, told_us : int
         Time now, of the host's last frame, and of the last telemetry [us].
-    motion : Motion
     draft : Draft, Stream or None
         The second buffer.
-    heat : (4,)
-        Mean square of each motor's force, of late [N2].
+    adding : Adding or None
+    committing : Committing or None
+    heat, heat_rest : (4,)
+        Mean square of each motor's force, of late, and what rounding has left out of it [N2].
     measured : (2, 4)
         Position and acceleration of the motors.
+    follows : bool
+        Whether they were told where to be in the tick before.
+    astray : int
+        Ticks on end with a following error that is a fault.
+    following_m : float32
+        Largest following error since the last telemetry [m].
     board : Fault
         Of the board, now.
+    load : float
+        Longest tick since the last telemetry, over its period, as the board tells; 0: unknown.
     sent : int
         Messages so far.
     """
 
     limits: DeviceLimits
     boot: int
+    motion: Motion
     reader: Reader = field(default_factory=Reader)
+    backlog: bytes = b""
     session: int | None = None
     answered: int = 0
     answer: Status = Status.DONE
+    last_stop: tuple[int, int] | None = None
     now_us: int = 0
     heard_us: int = 0
     told_us: int = 0
-    motion: Motion = field(default_factory=Motion)
     draft: Draft | Stream | None = None
-    heat: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS))
+    adding: Adding | None = None
+    committing: Committing | None = None
+    heat: np.ndarray = field(default_factory=lambda: REST[0])
+    heat_rest: np.ndarray = field(default_factory=lambda: REST[0])
     measured: np.ndarray = field(default_factory=lambda: REST[:2])
+    follows: bool = False
+    astray: int = 0
+    following_m: np.float32 = field(default_factory=np.float32)
     board: Fault = Fault.NONE
+    load: float = 0.0
     sent: int = 0
 
     @classmethod
     def started(cls, limits: DeviceLimits, boot: int, now_us: int = 0) -> Device:
         """Return a device that has just been switched on."""
-        return cls(limits, boot, now_us=now_us, heard_us=now_us, told_us=now_us)
+        motion = Motion(stops=boot % 2**16)
+        return cls(limits, boot, motion, now_us=now_us, heard_us=now_us, told_us=now_us)
 
     def ticked(
         self,
         now_us: int,
+        measured: np.ndarray,
         data: bytes = b"",
         faults: Fault = Fault.NONE,
         home_found: bool = True,
-        measured: np.ndarray | None = None,
     ) -> tuple[Device, bytes, np.ndarray | None]:
         """Return the device at a later time, what it says, and what it commands.
 
@@ -114,54 +182,122 @@ class Device:
         ----------
         now_us : int
             Its clock [us].
+        measured : (2, 4)
+            Position [m] and acceleration [m/s2] of the motors, float32.
         data : bytes
             What has come.
         faults : Fault
             Of the board, now: SUPPLY, HARDWARE.
         home_found : bool
-            Whether the search for home has ended.
-        measured : (2, 4), optional
-            Position [m] and acceleration [m/s2]; if missing, as commanded last.
+            Whether the search for home ends, if there is one.
 
         Returns
         -------
         Device, bytes, and the setpoint (3, 4), or None while current is off.
         """
-        dt = (now_us - self.now_us) * 1e-6
-        device, said = changed(self, now_us=now_us, board=faults), b""
-        if measured is not None:
-            device = changed(device, measured=measured)
-        if data:
-            reader, packets = self.reader.fed(data)
-            device = changed(device, reader=reader)
-            for packet in packets:
-                device, answer = device._obeyed(packet)
-                said += answer
+        passed = now_us - self.now_us
+        dt_us = min(passed, MOST_TICK_US)
+        device, said, work = changed(self, now_us=now_us)._measured(measured), b"", TICK_WORK
+        if faults != self.board:
+            device = device._watched(faults)
+        if data or self.backlog or self.adding is not None:
+            device, said, work = changed(device, backlog=self.backlog + data)._listened(work)
+        if isinstance(device.draft, Draft):
+            device, told = device._looked(device.draft, work)
+            said += told
         motion = device.motion
-        if faults:
-            motion = motion.off(faults)
         if motion.state is not State.OFF and now_us - device.heard_us > WATCHDOG_US:
             motion = motion.braked(Fault.HOST_SILENT)
-        motion, at = motion.stepped(dt, home_found)
-        if at is not None and not np.all(np.abs(at) <= self.limits.commanded):
-            motion, at = motion.off(Fault.LIMIT), None
-        heat = device._warmed(dt, at)
-        if motion.state is not State.OFF and not np.all(heat <= self.limits.bearable):
+        motion, at = motion.stepped(now_us, dt_us, home_found, measured[0])
+        if at is not None:
+            if _sane(device.limits, at, motion.commanded, dt_us):
+                motion = changed(motion, commanded=at)
+            else:
+                motion, at = motion.off(Fault.LIMIT), None
+        heat, rest = device._warmed(min(passed, MOST_HEAT_US), at)
+        if motion.state is not State.OFF and not (heat <= self.limits.bearable).all():
             motion = motion.braked(Fault.HEAT)
         draft = device.draft if motion.playing is device.motion.playing else None  # taken over
-        device = changed(device, motion=motion, heat=heat, draft=draft)
-        if at is not None and measured is None:
-            device = changed(device, measured=at[::2])
+        device = changed(
+            device, motion=motion, heat=heat, heat_rest=rest, draft=draft, follows=at is not None
+        )
         if now_us - device.told_us >= TELEMETRY_US:
             device, told = changed(device, told_us=now_us)._say(device._telemetry())
-            said += told
+            device, said = changed(device, following_m=np.float32(0)), said + told
         return device, said, at
 
-    def _warmed(self, dt: float, at: np.ndarray | None) -> np.ndarray:
-        """Return the heat after `dt` [s] of a setpoint, or of none."""
-        share = min(dt / float(np.float32(self.limits.heat_s)), 1.0)
-        force = np.zeros(MOTORS) if at is None else self.limits.forces(at[2])
-        return np.asarray(self.heat + share * (force * force - self.heat))
+    def _measured(self, measured: np.ndarray) -> Device:
+        """Compare where the motors are with where they were told to be in the tick before."""
+        if not self.follows:
+            return changed(self, measured=measured, astray=0)
+        error = np.abs(measured[0] - self.motion.commanded[0])
+        limit = self.limits.following_m
+        astray = limit > 0 and not (error <= np.float32(limit)).all()
+        device = changed(
+            self, measured=measured, following_m=np.fmax(self.following_m, np.fmax.reduce(error)),
+            astray=self.astray + 1 if astray else 0,
+        )  # fmt: skip
+        if device.astray < ASTRAY_TICKS:
+            return device
+        motion = device.motion.off(Fault.FOLLOWING)
+        return changed(device, motion=motion, astray=0)
+
+    def _watched(self, faults: Fault) -> Device:
+        """Each fault of the board that appears anew is a stop, also while the motors are off."""
+        motion, appeared = self.motion, faults & ~self.board
+        if appeared:
+            motion = motion.stopped(True, appeared)
+        return changed(self, motion=motion, board=faults)
+
+    def _listened(self, work: int) -> tuple[Device, bytes, int]:
+        """Read and obey what has come, as far as a tick goes; returns the work that is left."""
+        device, said = self, b""
+        if device.adding is not None:
+            device, said, work = device._added(device.adding, work)
+        data, left, packets = device.backlog, TICK_BYTES, TICK_PACKETS
+        while data and left and packets and device.adding is None:
+            size = data.find(b"\0", 0, left) + 1 or min(left, len(data))
+            reader, came = device.reader.fed(data[:size])
+            data, left, packets = data[size:], left - size, packets - len(came)
+            device = changed(device, reader=reader)
+            for packet in came:
+                device, answer, work = device._obeyed(packet, work)
+                said += answer
+        return changed(device, backlog=data), said, work
+
+    def _looked(self, draft: Draft, work: int) -> tuple[Device, bytes]:
+        """Look at the table that is being filled; answer Commit when all has been looked at."""
+        device = self
+        if not draft.looked_at:
+            draft = draft.looked(self.limits, work)
+            device = changed(self, draft=draft)
+        if self.committing is None:
+            return device, b""
+        if self.motion.state not in (State.READY, State.PLAYING):
+            return device._answered(self.committing, Status.WRONG_STATE)
+        if not draft.looked_at:
+            return device, b""
+        repeats = self.committing.repeats
+        motion = changed(self.motion, waiting=draft.made, next_repeats=repeats)
+        return changed(device, motion=motion)._answered(self.committing, draft.status)
+
+    def _answered(self, commit: Committing, status: Status) -> tuple[Device, bytes]:
+        """Answer a Commit that waits for it."""
+        answer = status if self.answered == commit.sequence else self.answer
+        device = changed(self, committing=None, answer=answer)
+        return device._say(Acknowledgement(commit.sequence, status))
+
+    def _warmed(self, dt_us: int, at: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return heat and its rest after a setpoint, or none.
+
+        What is added in a tick is little beside the sum, so the rounding error is carried on
+        (Kahan 1965).
+        """
+        share = np.float32(dt_us) * np.float32(1e-6) / np.float32(self.limits.heat_s)
+        force = REST[0] if at is None else self.limits.forces(at[2])
+        more = min(share, np.float32(1)) * (force * force - self.heat) + self.heat_rest
+        heat = self.heat + more
+        return heat, more - (heat - self.heat)
 
     # What it says
 
@@ -174,50 +310,54 @@ class Device:
         return Capabilities(
             VERSION, session, self.boot, MOTORS, MAX_KNOTS, WINDOW, WATCHDOG_US // 1000,
             limits.stroke_m, limits.speed, limits.accel, limits.force, limits.lasting,
+            limits.following_m, HOLD_MS,
         )  # fmt: skip
 
     def _telemetry(self) -> Telemetry:
         motion = self.motion
         moving = motion.state is State.PLAYING or (
-            motion.state is State.BRAKING and motion.homeward is None
+            motion.state is State.BRAKING and motion.homeward_us is None
         )
         position, accel = (tuple(row) for row in self.measured.tolist())
         return Telemetry(
             self.now_us,
             motion.state,
             motion.faults,
+            motion.stops,
             motion.playing.table if moving and motion.playing is not None else 0,
             motion.waiting.table if motion.waiting is not None else 0,
             self.reader.refused % 2**16,
             position,
             accel,
             float(np.max(self.heat) / self.limits.bearable),
+            float(self.following_m),
+            self.load,
         )
 
     # What it is told
 
-    def _obeyed(self, data: bytes) -> tuple[Device, bytes]:
+    def _obeyed(self, data: bytes, work: int) -> tuple[Device, bytes, int]:
         try:
             packet = parse(data)
         except FrameError:
-            return self, b""
+            return self, b"", work
         message, number = packet.message, packet.sequence
         if isinstance(message, Capabilities | Acknowledgement | Pulse | Telemetry):
-            return self, b""
+            return self, b"", work
         device = changed(self, heard_us=self.now_us)
+        if isinstance(message, Knots) and self.session is not None:
+            return device._filled(number, message, work)
         if isinstance(message, Hello):
-            return device._greeted(number, message)
-        if isinstance(message, Stop):
-            device, status = device._stopped(number, bool(message.now))
-        elif device.session is None:
-            status = Status.NO_SESSION
+            device, said = device._greeted(number, message)
+        elif isinstance(message, Stop):
+            device, said = device._stopped(number, message.now)
+        elif isinstance(message, Knots) or self.session is None:
+            device, said = device._say(Acknowledgement(number, Status.NO_SESSION))
         elif isinstance(message, Heartbeat):
-            return device._say(Pulse(message.host_ns, device.now_us))
-        elif isinstance(message, Knots):
-            device, status = device._filled(message)
+            device, said = device._say(Pulse(message.host_ns, device.now_us))
         else:
-            device, status = device._ordered(number, message)
-        return device._say(Acknowledgement(number, status))
+            device, said = device._ordered(number, message)
+        return device, said, work
 
     def _greeted(self, number: int, hello: Hello) -> tuple[Device, bytes]:
         if hello.version != VERSION:
@@ -226,56 +366,68 @@ class Device:
         if hello.session != self.session:
             motion = self.motion
             if motion.state is not State.OFF:
-                motion = motion.braked(Fault.STOPPED)
+                motion = motion.stopped(False, Fault.STOPPED)
             device = changed(
-                self, motion=changed(motion, waiting=None), draft=None, session=hello.session,
-                answered=number, answer=Status.DONE,
+                self, motion=changed(motion, waiting=None), draft=None, committing=None,
+                session=hello.session, answered=number, answer=Status.DONE, last_stop=None,
             )  # fmt: skip
         return device._say(device._capabilities(hello.session))
 
-    def _stopped(self, number: int, now: bool) -> tuple[Device, Status]:
+    def _stopped(self, number: int, now: int) -> tuple[Device, bytes]:
+        """Always done; a repetition of the last one is a stop only where it still ends anything."""
         motion = self.motion
-        if now:
-            motion = motion.off(Fault.STOPPED)
-        elif motion.state is not State.OFF:
-            motion = motion.braked(Fault.STOPPED)
-        device = changed(self, motion=motion)
+        still = (State.OFF,) if now else (State.OFF, State.BRAKING)
+        if self.last_stop != (number, now) or motion.state not in still:
+            motion = motion.stopped(bool(now), Fault.STOPPED)
+        motion = changed(motion, faults=motion.faults | Fault.STOPPED)
+        device = changed(self, motion=motion, last_stop=(number, now))
         if newer(number, self.answered):
             device = changed(device, answered=number, answer=Status.DONE)
-        return device, Status.DONE
+        return device._say(Acknowledgement(number, Status.DONE))
 
     def _ordered(
         self, number: int, message: Enable | Home | Begin | Commit
-    ) -> tuple[Device, Status]:
+    ) -> tuple[Device, bytes]:
         """Done in order, and once."""
+        device, said = self, b""
+        if self.committing is not None and number == self.committing.sequence:
+            return self, b""  # it will be answered
         if number == self.answered:
-            return self, self.answer
+            return self._say(Acknowledgement(number, self.answer))
         if not newer(number, self.answered):
-            return self, Status.OLD
+            return self._say(Acknowledgement(number, Status.OLD))
+        if self.committing is not None:
+            device, said = self._answered(self.committing, Status.OLD)
         if isinstance(message, Enable):
-            device, status = self._enabled()
+            device, status = device._enabled(message.stop)
         elif isinstance(message, Home):
-            device, status = self._home()
+            device, status = device._home()
         elif isinstance(message, Begin):
-            device, status = self._begun(message)
+            device, status = device._begun(message)
         else:
-            device, status = self._committed(message)
-        return changed(device, answered=number, answer=status), status
+            device, status = device._committed(number, message)
+        device = changed(device, answered=number, answer=status)
+        if device.committing is not None:
+            return device, said
+        device, told = device._say(Acknowledgement(number, status))
+        return device, said + told
 
-    def _enabled(self) -> tuple[Device, Status]:
+    def _enabled(self, stop: int) -> tuple[Device, Status]:
         motion = self.motion
-        if motion.state in (State.READY, State.PLAYING):
-            return self, Status.DONE
-        if motion.state is not State.OFF or self.board or motion.faults & Fault.NO_HOME:
+        if stop != motion.stops:
+            return self, Status.WRONG_STOP
+        if motion.state is State.BRAKING or self.board:
             return self, Status.WRONG_STATE
-        start = np.stack([self.measured[0], REST[1], REST[2]])
-        motion = changed(motion, faults=Fault.NONE, start=start).going_home(State.HOMING)
+        if motion.state is State.OFF:
+            motion = motion.enabled(self.now_us)
         return changed(self, motion=motion), Status.DONE
 
     def _home(self) -> tuple[Device, Status]:
-        if self.motion.state is not State.OFF:
+        motion = self.motion
+        if motion.state is not State.OFF:
             return self, Status.WRONG_STATE
-        return changed(self, motion=changed(self.motion, state=State.HOMING)), Status.DONE
+        motion = changed(motion, faults=motion.faults | Fault.NO_HOME)
+        return changed(self, motion=motion), Status.DONE
 
     def _begun(self, begin: Begin) -> tuple[Device, Status]:
         device = changed(self, motion=changed(self.motion, waiting=None), draft=None)
@@ -287,38 +439,76 @@ class Device:
             return device, Status.TOO_LONG
         return changed(device, draft=Draft(begin.table, begin.knots, begin.crc)), Status.DONE
 
-    def _filled(self, message: Knots) -> tuple[Device, Status]:
+    def _stream(self, table: int) -> Stream | None:
+        """The stream with a number, while knots may be added to it."""
+        playing = self.motion.playing if self.motion.state is State.PLAYING else None
+        for stream in (playing, self.draft):
+            if isinstance(stream, Stream) and stream.table == table:
+                return stream
+        return None
+
+    def _filled(self, number: int, message: Knots, work: int) -> tuple[Device, bytes, int]:
+        """Knots for the table that is open, or for a stream."""
         draft, end = self.draft, message.first + len(message.knots)
-        playing, id = self.motion.playing, message.table
-        if self.motion.state is not State.PLAYING or not isinstance(playing, Stream):
-            playing = None
-        if playing is not None and playing.table == id:
-            return self._streamed(playing, message)
-        if isinstance(draft, Stream) and draft.table == id:
-            added, _, status = draft.added(message.first, message.knots, 0.0, self.limits)
-            waits = self.motion.waiting is not None
-            motion = changed(self.motion, waiting=added) if waits else self.motion
-            return changed(self, draft=added, motion=motion), status
-        if (
-            draft is None
-            or isinstance(draft, Stream)
-            or draft.table != message.table
-            or end > draft.count
-        ):
-            return self, Status.WRONG_TABLE
-        if self.motion.waiting is not None:
-            return self, Status.DONE  # a repetition: the table has been looked at
-        return changed(self, draft=draft.filled(message.first, message.knots)), Status.DONE
+        if self._stream(message.table) is not None:
+            return self._added(Adding(number, message), work)
+        device, status = self, Status.WRONG_TABLE
+        if isinstance(draft, Draft) and draft.table == message.table and end <= draft.count:
+            draft = draft.filled(message.first, message.knots)
+            device, status = changed(self, draft=draft), Status.DONE
+        device, said = device._say(Acknowledgement(number, status))
+        return device, said, work
 
-    def _streamed(self, stream: Stream, message: Knots) -> tuple[Device, Status]:
-        """Add knots to the stream that plays."""
+    def _added(self, adding: Adding, work: int) -> tuple[Device, bytes, int]:
+        """Add a message's knots to its stream, or as many as there is work for."""
+        device, message, status = self, adding.message, Status.DONE
+        while status is Status.DONE:
+            stream, motion = device._stream(message.table), device.motion
+            if stream is None:
+                status = Status.WRONG_TABLE
+                break
+            plays, known = stream is motion.playing, stream.known(message.first)
+            time = motion.time if plays else 0
+            if plays and stream.rests and time + BRAKE_TICKS // 2 > stream.period_ticks:
+                status = Status.WRONG_STATE  # at its end: too late, since a brake must fit
+            elif known is None:
+                status = Status.INCOMPLETE
+            elif known >= len(message.knots):
+                break
+            elif work <= 0:
+                return changed(device, adding=adding), b"", work
+            else:
+                knot = message.knots[known]
+                status = stream.refusal(knot, time)
+                if status is Status.DONE and len(stream.ticks):
+                    left = adding.left
+                    if left is None:
+                        look = stream.look(knot, self.limits)
+                        left, work = look.halvings, work - PIECE_WORK
+                        adding = changed(adding, keeps=look.keeps)
+                    done = min(left, max(work, 0))
+                    work -= done
+                    if left > done:
+                        adding = changed(adding, left=left - done)
+                        return changed(device, adding=adding), b"", work
+                    status = Status.DONE if adding.keeps else Status.LIMIT
+                    adding = changed(adding, left=None)
+                if status is Status.DONE:
+                    device = device._extended(stream, *stream.added(knot, time))
+        device, said = changed(device, adding=None)._say(Acknowledgement(adding.sequence, status))
+        return device, said, work
+
+    def _extended(self, stream: Stream, longer: Stream, time: int) -> Device:
+        """A stream has become longer: the one that plays, or that in the second buffer."""
         motion = self.motion
-        if stream.rests and motion.time + BRAKE_S / 2 > stream.period:
-            return self, Status.WRONG_STATE  # at its end: too late to go on, since a brake must fit
-        added, time, status = stream.added(message.first, message.knots, motion.time, self.limits)
-        return changed(self, motion=changed(motion, playing=added, time=time)), status
+        if stream is motion.playing:
+            return changed(self, motion=changed(motion, playing=longer, time=time))
+        if motion.waiting is not None:
+            motion = changed(motion, waiting=longer)
+        return changed(self, draft=longer, motion=motion)
 
-    def _committed(self, commit: Commit) -> tuple[Device, Status]:
+    def _committed(self, number: int, commit: Commit) -> tuple[Device, Status]:
+        """Whether the second buffer may be taken over; that of a table remains to be looked at."""
         motion, draft = self.motion, self.draft
         if motion.state not in (State.READY, State.PLAYING):
             return self, Status.WRONG_STATE
@@ -327,19 +517,32 @@ class Device:
         endless = isinstance(draft, Stream)
         if motion.state is State.PLAYING and (endless or isinstance(motion.playing, Stream)):
             return self, Status.WRONG_STATE  # a stream has no end to begin at
-        table: Table | None
-        if isinstance(draft, Draft):
-            status, table = draft.checked(self.limits)
-        else:  # it must always be able to brake
-            whole = len(draft.ticks) >= 2 and draft.period >= BRAKE_S
-            status, table = (Status.DONE, draft) if whole else (Status.INCOMPLETE, None)
-        if table is None:
-            return self, status
-        position, speed = motion.start[0], REST[1]
-        if motion.state is State.PLAYING and motion.playing is not None:
-            position, speed = motion.playing.position[-1], motion.playing.velocity[-1]
-        jump = np.abs(table.position[0] - position), np.abs(table.velocity[0] - speed)
-        if not (np.all(jump[0] <= JUMP_M) and np.all(jump[1] <= JUMP_SPEED)):
-            return self, Status.JUMP
-        motion = changed(motion, waiting=table, next_repeats=commit.repeats)
-        return changed(self, motion=motion), Status.DONE
+        if commit.repeats == 0 or (endless and commit.repeats != 1):
+            return self, Status.REPEATS
+        if isinstance(draft, Stream):
+            if len(draft.ticks) < 2 or draft.period_ticks < BRAKE_TICKS:
+                return self, Status.INCOMPLETE  # it must always be able to brake
+            if not draft.begins_home:
+                return self, Status.JUMP
+            motion = changed(motion, waiting=draft, next_repeats=commit.repeats)
+            return changed(self, motion=motion), Status.DONE
+        if len(draft.knots) < draft.count:
+            return self, Status.INCOMPLETE
+        held = commit.repeats * draft.period_ticks
+        if commit.repeats > 1 and held > HOLD_MS * TICKS_PER_MS:
+            return self, Status.REPEATS
+        return changed(self, committing=Committing(number, commit.repeats)), Status.DONE
+
+
+def _sane(limits: DeviceLimits, at: np.ndarray, before: np.ndarray, dt_us: int) -> bool:
+    """Tell whether a setpoint may be commanded, also after the one before.
+
+    A brake adds at most 1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration; where one
+    table follows another both may be as far from rest at home as a table may.
+    """
+    dt = np.float32(dt_us) * np.float32(1e-6)
+    speed, accel = np.float32(limits.speed) * SLACK, np.float32(limits.accel) * BRAKE_ROOM
+    steps = np.array([[speed * dt + REST_M], [accel * dt + 2 * REST_SPEED]], np.float32)
+    return bool(
+        (np.abs(at) <= limits.commanded).all() and (np.abs(at[:2] - before[:2]) <= steps).all()
+    )

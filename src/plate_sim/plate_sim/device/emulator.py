@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from plate_core import PlateError
-from plate_core.serial_protocol import Fault, State
+from plate_core.serial_protocol import Fault
 
 from .controller import Device
 from .hung import HungPlate
@@ -20,7 +20,10 @@ from .played import Recorder, Stretch
 TICK_US = 1_000
 
 HOMING_S = 0.3
-"""What the search for home takes [s]."""
+"""What the search for home takes [s], unless another time is told."""
+
+BUFFER_BYTES = 2048
+"""What the board holds of bytes that the device has not read (firmware/hal.h); more are lost."""
 
 BOOT_S = 0.2
 """From a reset until the device answers [s]."""
@@ -69,6 +72,8 @@ class Emulator:
         Called with time [s] and setpoint (3, 4), or None, of every tick.
     hung : HungPlate, optional
         The plate on its flexures, if it does not do as commanded.
+    homing_s : float
+        What the search for home takes [s].
     """
 
     def __init__(
@@ -78,6 +83,7 @@ class Emulator:
         accidents: Accidents | None = None,
         commanded: Callable[[float, np.ndarray | None], None] | None = None,
         hung: HungPlate | None = None,
+        homing_s: float = HOMING_S,
     ) -> None:
         accidents = accidents or Accidents()
         chance = np.random.default_rng(seed).spawn(3)
@@ -91,7 +97,8 @@ class Emulator:
         self._measured = REST[:2]
         self._recorder = Recorder()
         self._away_until = self._silent_until = self._dark_until = 0.0
-        self._homing = 0.0
+        self._homing_us = round(homing_s * 1e6)
+        self._jammed = False
 
     @property
     def now(self) -> float:
@@ -125,6 +132,10 @@ class Emulator:
         """Take the motors' supply away for a moment."""
         self._dark_until = self.now + BROWN_OUT_S
 
+    def jam(self, jammed: bool = True) -> None:
+        """Hold the plate where it is, whatever is commanded; or let it go again."""
+        self._jammed = jammed
+
     def tick(self) -> list[Stretch]:
         """Let a tick pass; returns what the motors have done up to an image."""
         self._befall()
@@ -136,19 +147,18 @@ class Emulator:
             self.device, at, said = replace(device, now_us=now_us, heard_us=now_us), None, b""
         else:
             faults = Fault.SUPPLY if now < self._dark_until else Fault.NONE
-            searching = device.motion.state is State.HOMING and device.motion.homeward is None
-            self._homing = self._homing + TICK_US * 1e-6 if searching else 0.0
-            idle = searching or device.motion.state is State.OFF
-            measured = self._measured if idle or self._hung is not None else None
-            found = self._homing >= HOMING_S
-            self.device, said, at = device.ticked(now_us, came, faults, found, measured)
+            came = came[: BUFFER_BYTES - len(device.backlog)]
+            motion = device.motion
+            found = motion.searches and now_us - motion.enabled_us >= self._homing_us
+            self.device, said, at = device.ticked(now_us, self._measured, came, faults, found)
         if self.connected:
             self.to_host.sent(said, now)
         if self._commanded is not None:
             self._commanded(now, at)
         stretches = self._recorder.followed(now, self.device.motion, at)
         moved = self.plate[::2] if self._hung is None else self._hung.moved(self.plate)
-        self._measured = moved.astype(np.float32)
+        if not self._jammed:
+            self._measured = moved.astype(np.float32)
         return stretches
 
     def _befall(self) -> None:

@@ -31,6 +31,8 @@ class DeviceLimits:
         Time constant of the winding's heat [s].
     load : (4, 4)
         Forces that the motors need for accelerations of all of them [kg].
+    following_m : float
+        Following error that is a fault [m]; 0: not watched.
     """
 
     stroke_m: float
@@ -40,6 +42,7 @@ class DeviceLimits:
     lasting: float
     heat_s: float
     load: np.ndarray
+    following_m: float = 0.0
 
     @classmethod
     def of_rig(cls, rig: Rig) -> DeviceLimits:
@@ -61,7 +64,7 @@ class DeviceLimits:
         limits = rig.limits
         return cls(
             limits.stroke_m, limits.speed, limits.accel, limits.force, limits.continuous_force,
-            limits.thermal_time_s, load,
+            limits.thermal_time_s, load, limits.following_error_m,
         )  # fmt: skip
 
     @cached_property
@@ -72,19 +75,24 @@ class DeviceLimits:
         return np.array([[np.float32(b) * r] for b, r in zip(bounds, room, strict=True)])
 
     @cached_property
-    def bearable(self) -> float:
-        """Mean square of force that a motor bears for ever [N2]."""
-        return float(np.float32(self.lasting)) ** 2
+    def bounds(self) -> tuple[np.float32, ...]:
+        """Most that a table may have of position, speed, acceleration and force."""
+        bounds = (self.stroke_m, self.speed, self.accel, self.force)
+        return tuple(np.float32(bound) * SLACK for bound in bounds)
 
     @cached_property
-    def columns(self) -> np.ndarray:
-        """Columns of `load`, one after the other, of single precision's values."""
-        return np.asarray(self.load.astype(np.float32).astype(float).T)
+    def bearable(self) -> np.float32:
+        """Mean square of force that a motor bears for ever [N2]."""
+        return np.float32(self.lasting) * np.float32(self.lasting)
+
+    @cached_property
+    def loads(self) -> np.ndarray:
+        """`load` in single precision."""
+        return self.load.astype(np.float32)
 
     def forces(self, acceleration: np.ndarray) -> np.ndarray:
-        """Return the motors' forces (..., 4) [N] for their accelerations (..., 4) [m/s2]."""
-        wide = acceleration.astype(float)
-        force = self.columns[0] * wide[..., :1]
-        for i in range(1, wide.shape[-1]):
-            force = force + self.columns[i] * wide[..., i : i + 1]
-        return np.asarray(force)
+        """Return the motors' forces (..., 4) [N] for their accelerations (..., 4) [m/s2], float32.
+
+        Each is summed from the first motor to the last, as the firmware does.
+        """
+        return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]

@@ -10,14 +10,22 @@ from plate_core.serial_protocol import Fault, State
 from plate_core.serial_protocol.messages import MOTORS
 
 from .changed import changed
+from .piece import TICK_S
 from .stream import Stream
 from .table import Table
 
-BRAKE_S = 0.2
-"""Longest brake [s]: short, but gentle against the plate's 10 g."""
+BRAKE_TICKS = 20_000_000
+"""Longest brake [TICK_S]: 0.2 s, short, but gentle against the plate's 10 g."""
 
+HOMEWARD_US = 500_000
 HOMEWARD_S = 0.5
 """Of the way home [s]: for a stroke 0.04 m/s, 0.25 m/s2."""
+
+SEARCH_US = 5_000_000
+"""Longest search for home [us]."""
+
+TICKS_PER_US = 100
+"""Of TICK_S."""
 
 REST = np.zeros((3, MOTORS), np.float32)
 REST.setflags(write=False)
@@ -31,141 +39,194 @@ class Motion:
     ----------
     state : State
     faults : Fault
+    stops : int
+        Number of the present stop, or of the last one, modulo 65536.
     playing : Table or None
         The one that plays, or did last.
     repeats, played : int
-        How often it is to be played (0: until another one comes), and has been.
+        How often it is to be played, and has been.
     waiting : Table or None
         The one that is taken over at the next boundary, ...
     next_repeats : int
         ... and its repeats.
-    time : float
-        Into the table [s].
-    brake, brake_s : float
-        Since the brake began, and its length [s].
-    homeward : float or None
-        Since the way home began [s]; None if it has not.
-    start : (3, 4)
-        Setpoint that was commanded last, or from which the way home begins.
+    time : int
+        Into the table [TICK_S].
+    brake, brake_length : int
+        Since the brake began, and its length [TICK_S].
+    enabled_us : int
+        When current was switched on last [us].
+    homeward_us : int or None
+        Since the way home began [us]; None if it has not.
+    start : (4,)
+        Where the way home begins [m].
+    commanded : (3, 4)
+        Last setpoint; of rest, where the motors were when they were enabled.
     """
 
     state: State = State.OFF
     faults: Fault = Fault.NO_HOME
+    stops: int = 0
     playing: Table | None = None
     repeats: int = 0
     played: int = 0
     waiting: Table | None = None
     next_repeats: int = 0
-    time: float = 0.0
-    brake: float = 0.0
-    brake_s: float = 0.0
-    homeward: float | None = None
-    start: np.ndarray = field(default_factory=lambda: REST)
+    time: int = 0
+    brake: int = 0
+    brake_length: int = 0
+    enabled_us: int = 0
+    homeward_us: int | None = None
+    start: np.ndarray = field(default_factory=lambda: REST[0])
+    commanded: np.ndarray = field(default_factory=lambda: REST)
+
+    @property
+    def searches(self) -> bool:
+        """Whether home is being looked for."""
+        return self.state is State.HOMING and Fault.NO_HOME in self.faults
 
     def off(self, faults: Fault) -> Motion:
-        """Return the motion with current off, for the reasons given."""
-        faults = self.faults | faults
-        return changed(self, state=State.OFF, faults=faults, waiting=None, homeward=None)
+        """Return the motion with current off, for the reasons given: a stop, if it flowed."""
+        stopped = faults and self.state is not State.OFF
+        return changed(
+            self, state=State.OFF, faults=self.faults | faults, waiting=None, homeward_us=None,
+            stops=(self.stops + 1) % 2**16 if stopped else self.stops,
+        )  # fmt: skip
 
     def braked(self, faults: Fault) -> Motion:
-        """Slow down along the table and go home; off at once where nothing plays."""
-        motion = changed(self, faults=self.faults | faults, waiting=None)
-        if motion.state is State.PLAYING and motion.playing is not None:
-            endless = isinstance(motion.playing, Stream)
-            length = BRAKE_S if endless else min(motion.playing.period, BRAKE_S)
-            return changed(motion, state=State.BRAKING, brake=0.0, brake_s=length)
-        return motion if motion.state is State.BRAKING else motion.off(faults)
+        """Slow down along the table and go home; off at once where nothing plays.
 
-    def going_home(self, state: State) -> Motion:
-        """From `start`, at rest, to home; HOMING ends in READY, BRAKING in OFF."""
-        return changed(self, state=state, homeward=0.0)
+        A stop, unless the plate brakes for these reasons already.
+        """
+        stops = (self.stops + 1) % 2**16
+        if self.state is State.PLAYING and self.playing is not None:
+            length = BRAKE_TICKS
+            if not isinstance(self.playing, Stream):
+                length = min(self.playing.period_ticks, BRAKE_TICKS)
+            return changed(
+                self, state=State.BRAKING, faults=self.faults | faults, waiting=None, stops=stops,
+                brake=0, brake_length=length,
+            )  # fmt: skip
+        if self.state is not State.BRAKING:
+            return self.off(faults)
+        if faults & ~self.faults:
+            return changed(self, faults=self.faults | faults, stops=stops)
+        return self
 
-    def stepped(self, dt: float, home_found: bool) -> tuple[Motion, np.ndarray | None]:
-        """Let `dt` [s] pass; returns the setpoint (3, 4) too, if there is one to command."""
-        motion = self
+    def stopped(self, now: bool, faults: Fault) -> Motion:
+        """Brake, or current off at once; counted also where no current flows."""
+        motion = self.off(faults) if now else self.braked(faults)
+        if motion.stops == self.stops:
+            motion = changed(motion, stops=(self.stops + 1) % 2**16)
+        return motion
+
+    def enabled(self, now_us: int) -> Motion:
+        """Current on: find home if it is not known, then go there."""
+        kept = self.faults & Fault.NO_HOME
+        return changed(self, state=State.HOMING, faults=kept, enabled_us=now_us)
+
+    def stepped(
+        self, now_us: int, dt_us: int, home_found: bool, measured: np.ndarray
+    ) -> tuple[Motion, np.ndarray | None]:
+        """Let `dt_us` pass; returns the setpoint (3, 4) too, if there is one to command."""
+        motion, dt = self, dt_us * TICKS_PER_US
         if motion.state is State.READY and motion.waiting is not None:
-            motion = changed(motion._taken_over(), state=State.PLAYING, time=-dt)  # it begins now
-        if motion.homeward is not None:
-            return motion._homeward(motion.homeward + dt)
-        if motion.state in (State.PLAYING, State.BRAKING):
+            motion, dt = changed(motion._taken_over(), state=State.PLAYING), 0  # it begins now
+        if motion.searches:
+            return motion._searched(now_us, home_found), None
+        if motion.state is State.HOMING and motion.homeward_us is None:
+            rest = np.stack([measured, REST[1], REST[2]])
+            motion = changed(motion, commanded=rest, start=measured, homeward_us=0)
+        braking = motion.state is State.BRAKING
+        if braking and motion.homeward_us is None and motion.brake == motion.brake_length:
+            motion = changed(motion, start=motion.commanded[0], homeward_us=0)
+        if motion.homeward_us is not None:
+            return motion._homeward(min(motion.homeward_us + dt_us, HOMEWARD_US))
+        if braking or motion.state is State.PLAYING:
             return motion._played(dt)
         if motion.state is State.READY:
-            return motion, np.stack([motion.start[0], REST[1], REST[2]])
-        if motion.state is State.HOMING and home_found:
-            motion = motion.off(Fault.NONE)
-            motion = changed(motion, faults=motion.faults & ~Fault.NO_HOME)
+            return motion, np.stack([motion.commanded[0], REST[1], REST[2]])
         return motion, None
+
+    def _searched(self, now_us: int, found: bool) -> Motion:
+        """Find home; the way there begins in the tick after, from what is then measured."""
+        if found:
+            return changed(self, faults=self.faults & ~Fault.NO_HOME)
+        late = now_us - self.enabled_us >= SEARCH_US
+        return self.off(Fault.HARDWARE) if late else self
 
     def _taken_over(self) -> Motion:
         return changed(
-            self, playing=self.waiting, repeats=self.next_repeats, waiting=None, played=0
+            self, playing=self.waiting, repeats=self.next_repeats, waiting=None, played=0, time=0
         )
 
-    def _played(self, dt: float) -> tuple[Motion, np.ndarray | None]:
+    def _played(self, dt: int) -> tuple[Motion, np.ndarray | None]:
         """Along the table, slower and slower when braking."""
         dry = self.state is State.PLAYING and self._runs_dry(dt)
         motion = self.braked(Fault.HOST_SILENT) if dry else self
-        rate, slowing, step, brake = 1.0, 0.0, dt, motion.brake
+        rate, slowing, step = None, np.float32(0), dt
         if motion.state is State.BRAKING:
-            begin = brake / motion.brake_s
-            u = min(begin + dt / motion.brake_s, 1.0)
-            brake = u * motion.brake_s
-            rate = 1 - u * u * (3 - 2 * u)
-            slowing = 6 * u * (u - 1) / motion.brake_s
-            step = motion.brake_s * (_brake_path(u) - _brake_path(begin))
-        motion = changed(motion, time=motion.time + step, brake=brake)._wrapped()
+            end, length = min(motion.brake + dt, motion.brake_length), np.float32(
+                motion.brake_length
+            )  # fmt: skip
+            u = np.array([end], np.float32) / length
+            before = np.array([motion.brake], np.float32) / length
+            # Simpson's rule is exact for a cubic.
+            mean = (_rate(before) + 4 * _rate((before + u) / 2) + _rate(u)) / 6
+            step = int((np.float32(end - motion.brake) * mean + np.float32(0.5))[0])
+            rate, slowing = _rate(u), 6 * u * (u - 1) / (length * TICK_S)
+            motion = changed(motion, brake=end)
+        motion = motion._passed(step)
         assert motion.playing is not None  # PLAYING and BRAKING always have one
-        along = np.float32(0 if motion.state is State.READY else rate)
-        position, speed, accel = motion.playing.at(motion.time)
-        accel = accel * (along * along)
-        accel += np.float32(slowing) * speed
-        at = np.stack([position, speed * along, accel])
-        motion = changed(motion, start=at)
-        if motion.state is State.BRAKING and motion.brake >= motion.brake_s:
-            motion = motion.going_home(State.BRAKING)
+        at = motion.playing.at(motion.time)
+        if motion.state is State.READY:
+            rate = np.zeros(1, np.float32)
+        if rate is not None:
+            position, speed, accel = at
+            at = np.stack([position, speed * rate, accel * (rate * rate) + slowing * speed])
         return motion, at
 
-    def _runs_dry(self, dt: float) -> bool:
+    def _runs_dry(self, dt: int) -> bool:
         """Whether a stream's last knots are needed for a brake."""
         stream = self.playing
         if not isinstance(stream, Stream) or stream.rests:
             return False
-        return self.time + dt + BRAKE_S / 2 > stream.period
+        return self.time + dt + BRAKE_TICKS // 2 > stream.period_ticks
 
-    def _wrapped(self) -> Motion:
-        """Take over, begin again or end where the table's time is beyond its end."""
-        motion = self
-        if isinstance(motion.playing, Stream):  # it ends at rest
-            if motion.time < motion.playing.period:
-                return motion
-            state = State.READY if motion.state is State.PLAYING else motion.state
-            return changed(motion, time=motion.playing.period, state=state)
-        while motion.playing is not None and motion.time >= motion.playing.period:
-            time, played = motion.time - motion.playing.period, motion.played + 1
-            motion = changed(motion, time=time, played=played)
-            if motion.waiting is not None:
-                motion = motion._taken_over()
-            elif motion.state is State.PLAYING and 0 < motion.repeats <= played:
-                # All tables begin and end at rest, since the first one does.
-                return changed(motion, state=State.READY, time=0.0)
+    def _passed(self, step: int) -> Motion:
+        """Let the table's time pass: take over, begin again or end beyond its end.
+
+        A period is longer than any tick, so that this happens once at most.
+        """
+        assert self.playing is not None
+        time = self.time + step
+        period = self.playing.period_ticks
+        if time < period:
+            return changed(self, time=time)
+        rests = State.READY if self.state is State.PLAYING else self.state
+        if isinstance(self.playing, Stream):  # it ends at rest
+            return changed(self, time=period, state=rests)
+        motion = changed(self, time=time - period, played=self.played + 1)
+        if motion.waiting is not None:
+            return changed(motion._taken_over(), time=time - period)
+        if motion.state is State.PLAYING and motion.played >= motion.repeats:
+            return changed(motion, state=rests, time=0)  # rest is at its beginning, too
         return motion
 
-    def _homeward(self, homeward: float) -> tuple[Motion, np.ndarray | None]:
+    def _homeward(self, homeward_us: int) -> tuple[Motion, np.ndarray | None]:
         """From where the plate stands to home, from rest to rest."""
-        u = np.array([homeward / HOMEWARD_S if homeward < HOMEWARD_S else 1.0], np.float32)
+        u = np.array([homeward_us], np.float32) / np.float32(HOMEWARD_US)
         left = 1 - u * u * u * (10 - u * (15 - 6 * u))
         slope = -30 * u * u * (1 - u) * (1 - u) / np.float32(HOMEWARD_S)
         bend = -60 * u * (1 - u) * (1 - 2 * u) / np.float32(HOMEWARD_S * HOMEWARD_S)
-        at = np.stack([left * self.start[0], slope * self.start[0], bend * self.start[0]])
-        if u[0] < 1:
-            return changed(self, homeward=homeward), at
-        home = np.stack([REST[0], self.start[1], self.start[2]])
-        motion = changed(self, homeward=None, start=home)
+        at = np.stack([left * self.start, slope * self.start, bend * self.start])
+        if homeward_us < HOMEWARD_US:
+            return changed(self, homeward_us=homeward_us), at
+        motion = changed(self, homeward_us=None)
         if motion.state is State.BRAKING:
             return motion.off(Fault.NONE), None
         return changed(motion, state=State.READY), at
 
 
-def _brake_path(u: float) -> float:
-    """Integral of the brake's rate 1 - 3 u^2 + 2 u^3."""
-    return u - u * u * u * (1 - u / 2)
+def _rate(u: np.ndarray) -> np.ndarray:
+    """Rate of the table's time while braking."""
+    return np.asarray(1 - u * u * (3 - 2 * u))

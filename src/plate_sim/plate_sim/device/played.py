@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core.serial_protocol import State
-from plate_core.serial_protocol.messages import MOTORS
+from plate_core.serial_protocol.messages import MOTORS, TICK_S
 
 from .motion import Motion
 from .stream import Stream
@@ -84,7 +84,7 @@ class Recorder:
             table = None  # it has no cycles
         play = (id(table), motion.played) if table is not None else None
         if table is not None and play != self._play:
-            done = self._cut(now - motion.time, table)
+            done = self._cut(now - motion.time * TICK_S, table)
             self._whole = table
         elif table is None:
             self._whole = None

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core.serial_protocol import Knot, Status
-from plate_core.serial_protocol.messages import MOTORS, TICK_S
+from plate_core.serial_protocol.messages import MOTORS
 
 from .limits import DeviceLimits
-from .table import STATES, Table
+from .piece import Look, looks, rows
+from .table import REST_M, REST_SPEED, Table
 
 MAX_KNOTS = 512
 """What a table or a stream can hold."""
@@ -45,61 +46,54 @@ class Stream(Table):
         """Whether the last knot is at rest."""
         return not (np.any(self.velocity[-1]) or np.any(self.acceleration[-1]))
 
-    def added(
-        self, first: int, knots: tuple[Knot, ...], time: float, limits: DeviceLimits
-    ) -> tuple[Stream, float, Status]:
-        """Return the stream with knots from number `first` on, and its time.
+    @property
+    def begins_home(self) -> bool:
+        """Whether the first knot is at rest at home."""
+        q, v = np.abs(self.position[0]), np.abs(self.velocity[0])
+        return bool((q <= REST_M).all() and (v <= REST_SPEED).all())
 
-        Parameters
-        ----------
-        time : float
-            Into the stream [s]; what was played before may make room.
-        """
+    def known(self, first: int) -> int | None:
+        """Return how many of a message's knots, from number `first` on, are there already; None if
+        there is a gap before them."""
         known = (self.following - first) % 2**16
-        if known >= 2**15:
-            return self, time, Status.INCOMPLETE
-        stream, status = self, Status.DONE
-        for knot in knots[known:]:
-            stream, time, status = stream._one_more(knot, time, limits)
-            if status is not Status.DONE:
-                break
-        return stream, time, status
+        return known if known < 2**15 else None
 
-    def _one_more(
-        self, knot: Knot, time: float, limits: DeviceLimits
-    ) -> tuple[Stream, float, Status]:
+    def room(self, time: int) -> int:
+        """Return how many knots have been played at a time [TICK_S], if the buffer is full."""
+        return self.piece_at(time) if len(self.ticks) == MAX_KNOTS else 0
+
+    def refusal(self, knot: Knot, time: int) -> Status:
+        """Return why a knot cannot be added, its piece not looked at, or DONE."""
+        if not len(self.ticks):
+            return Status.DONE
+        if not 0 < (knot.ticks - self.told) % 2**32 <= LONGEST_PIECE:
+            return Status.WRONG_TIMES
+        full = len(self.ticks) - self.room(time) == MAX_KNOTS
+        return Status.TOO_LONG if full else Status.DONE
+
+    def look(self, knot: Knot, limits: DeviceLimits) -> Look:
+        """Look at the piece up to a knot that may follow."""
+        ticks = np.array([0, (knot.ticks - self.told) % 2**32])
+        last = (self.position[-1], self.velocity[-1], self.acceleration[-1])
+        states = [np.stack([x, y[0]]) for x, y in zip(last, rows([knot]), strict=True)]
+        return looks(ticks, (states[0], states[1], states[2]), limits)[0]
+
+    def added(self, knot: Knot, time: int) -> tuple[Stream, int]:
+        """Return the stream with one more knot, and its time [TICK_S]: what was played makes room
+        where it must, and counts no longer."""
         ticks = 0
-        state = [np.array([getattr(knot, name)], np.float32) for name in STATES]
         if len(self.ticks):
-            step = (knot.ticks - self.told) % 2**32
-            if not 0 < step <= LONGEST_PIECE:
-                return self, time, Status.WRONG_TIMES
-            ticks = int(self.ticks[-1]) + step
-            piece = Table(self.table, np.array([self.ticks[-1], ticks]), *self._with(state, -1))
-            if not piece.keeps(limits):
-                return self, time, Status.LIMIT
-        gone, begin = 0, 0
-        if len(self.ticks) == MAX_KNOTS:
-            gone = self.piece_at(time)
-            if gone == 0:
-                return self, time, Status.TOO_LONG
-            begin = int(self.ticks[gone])
-            time -= begin * TICK_S
-        stream = Stream(
-            self.table,
-            np.append(self.ticks[gone:], ticks) - begin,
-            *self._with(state, gone),
-            following=(self.following + 1) % 2**16,
-            told=knot.ticks,
-        )
-        return stream, time, Status.DONE
-
-    def _with(
-        self, state: list[np.ndarray], begin: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States of the knots from `begin` on, and one more."""
+            ticks = int(self.ticks[-1]) + (knot.ticks - self.told) % 2**32
+        gone = self.room(time)
+        begin = int(self.ticks[gone]) if gone else 0
         q, v, a = (
-            np.concatenate([getattr(self, n)[begin:], s])
-            for n, s in zip(STATES, state, strict=True)
+            np.concatenate([old[gone:], new])
+            for old, new in zip(
+                (self.position, self.velocity, self.acceleration), rows([knot]), strict=True
+            )
         )
-        return q, v, a
+        stream = Stream(
+            self.table, np.append(self.ticks[gone:], ticks) - begin, q, v, a,
+            following=(self.following + 1) % 2**16, told=knot.ticks,
+        )  # fmt: skip
+        return stream, time - begin

@@ -5,6 +5,7 @@ All in the order and the single precision of firmware/table.c, so that both play
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,21 +15,21 @@ import numpy as np
 from plate_core.serial_protocol import Knot, Status, table_crc
 from plate_core.serial_protocol.messages import MOTORS, TICK_S
 
-from .limits import SLACK, DeviceLimits
+from . import piece
+from .changed import changed
+from .limits import DeviceLimits
+from .piece import PIECE_WORK, Look, lengths, looks, rows
 
-HALVINGS = 12
-"""Of a piece until its hull tells whether a limit is kept: it closes in by 4 each time."""
+REST_M, REST_SPEED = np.float32(2e-6), np.float32(2e-3)
+"""How far from rest at home a table may begin and end [m], [m/s]: rounding, and no jolt."""
 
-CLOSES_M, CLOSES_SPEED = np.float32(2e-6), np.float32(2e-3)
-"""How far a table's end may be from its start [m], [m/s]: rounding, and no jolt."""
-
-PRODUCTS = np.array([[20, 10, 4, 1], [10, 12, 9, 4], [4, 9, 12, 10], [1, 4, 10, 20]]) / 140
-"""Integrals over [0, 1] of the products of cubic Bernstein polynomials (Farouki 2012, 4.2)."""
+SHORTEST_TICKS = 1_000_000
+"""Shortest table [TICK_S]: 10 ms, several ticks."""
 
 
 @dataclass(frozen=True)
 class Draft:
-    """The second buffer: a table that is being filled.
+    """The second buffer: a table that is being filled, and looked at piece by piece.
 
     Attributes
     ----------
@@ -36,37 +37,108 @@ class Draft:
         As in Begin.
     knots : mapping of int to Knot
         Those that have come.
+    number : int
+        Knots that have been looked at, each with the piece before it.
+    status : Status
+        DONE so far, or why the table must not play.
+    ahead : tuple of Look
+        Pieces before the knots from `number` on, as far as they were computed.
+    left : int or None
+        Halvings left of the first of them, if it was begun.
+    heat : (4,)
+        Integral of force squared so far [N2 s], float32.
+    made : Table or None
+        All of it, once it may play.
     """
 
     table: int
     count: int
     crc: int
     knots: Mapping[int, Knot] = field(default_factory=dict)
+    number: int = 0
+    status: Status = Status.DONE
+    ahead: tuple[Look, ...] = ()
+    left: int | None = None
+    heat: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS, np.float32))
+    made: Table | None = None
+
+    @property
+    def period_ticks(self) -> int:
+        """Time of the last knot, which must be there [TICK_S]."""
+        return self.knots[self.count - 1].ticks
+
+    @property
+    def looked_at(self) -> bool:
+        """Whether all has been looked at, or enough to refuse it: then `status` is the answer."""
+        return self.status is not Status.DONE or self.number == self.count
 
     def filled(self, first: int, knots: tuple[Knot, ...]) -> Draft:
-        """Return the draft with more knots."""
+        """Return the draft with more knots; one that is there stays as it came first."""
         more = {first + i: knot for i, knot in enumerate(knots)}
-        return Draft(self.table, self.count, self.crc, {**self.knots, **more})
+        return changed(self, knots={**more, **self.knots})
 
-    def checked(self, limits: DeviceLimits) -> tuple[Status, Table | None]:
-        """Return the table, if it may play, or why not."""
-        if len(self.knots) < self.count:
-            return Status.INCOMPLETE, None
+    def looked(self, limits: DeviceLimits, work: int) -> Draft:
+        """Return the draft after as much looking as there is work for."""
+        draft = self
+        while work > 0 and draft.number in draft.knots and not draft.looked_at:
+            if draft.left is None:
+                status = draft._order()
+                if status is not Status.DONE:
+                    return changed(draft, status=status)
+                if draft.number > 0 and not draft.ahead:
+                    draft = changed(draft, ahead=tuple(draft._looks(limits)))
+                work -= PIECE_WORK
+            if draft.number == 0:
+                draft = changed(draft, number=1)
+                continue
+            look = draft.ahead[0]
+            left = look.halvings if draft.left is None else draft.left
+            done = min(left, max(work, 0))
+            work -= done
+            if left > done:
+                return changed(draft, left=left - done)
+            draft = changed(
+                draft, left=None, ahead=draft.ahead[1:], number=draft.number + 1,
+                heat=draft.heat + look.heat, status=Status.DONE if look.keeps else Status.LIMIT,
+            )  # fmt: skip
+            if look.keeps and draft.number == draft.count:
+                draft = draft._whole(limits)
+        return draft
+
+    def _order(self) -> Status:
+        """Whether the next knot follows upon the one before, and is home where it has to be."""
+        knot, last = self.knots[self.number], self.number == self.count - 1
+        if knot.ticks <= self.knots[self.number - 1].ticks if self.number else knot.ticks != 0:
+            return Status.WRONG_TIMES
+        if last and knot.ticks < SHORTEST_TICKS:
+            return Status.WRONG_TIMES
+        return Status.JUMP if (last or not self.number) and not is_home(knot) else Status.DONE
+
+    def _looks(self, limits: DeviceLimits) -> list[Look]:
+        """Look at all pieces from the next one on of which both ends are there, in order."""
+        knots = [self.knots[self.number - 1], self.knots[self.number]]
+        while (after := self.knots.get(self.number + len(knots) - 1)) is not None:
+            if after.ticks <= knots[-1].ticks:
+                break
+            knots.append(after)
+        return looks(np.array([knot.ticks for knot in knots]), rows(knots), limits)
+
+    def _whole(self, limits: DeviceLimits) -> Draft:
+        """What only the whole table tells."""
         knots = [self.knots[k] for k in range(self.count)]
         if table_crc(knots) != self.crc:
-            return Status.INCOMPLETE, None
-        table = Table(
-            self.table,
-            np.array([knot.ticks for knot in knots]),
-            *(np.array([getattr(knot, name) for knot in knots], np.float32) for name in STATES),
-        )
-        if table.ticks[0] != 0 or np.any(np.diff(table.ticks) <= 0):
-            return Status.WRONG_TIMES, None
-        status = table.status(limits)
-        return (status, table) if status is Status.DONE else (status, None)
+            return changed(self, status=Status.INCOMPLETE)
+        bearable = limits.bearable * (np.float32(self.period_ticks) * piece.TICK_S)
+        if not (self.heat <= bearable).all():
+            return changed(self, status=Status.LIMIT)
+        table = Table(self.table, np.array([knot.ticks for knot in knots]), *rows(knots))
+        return changed(self, made=table)
 
 
-STATES = ("position", "velocity", "acceleration")
+def is_home(knot: Knot) -> bool:
+    """Tell whether a knot is at rest at home."""
+    q, v = np.abs(np.array([knot.position, knot.velocity], np.float32))
+    return bool((q <= REST_M).all() and (v <= REST_SPEED).all())
 
 
 @dataclass(frozen=True)
@@ -94,20 +166,27 @@ class Table:
         """Times of the knots (k + 1,) [s]."""
         return self.ticks * TICK_S
 
+    @cached_property
+    def knot_ticks(self) -> list[int]:
+        """Times of the knots [TICK_S]."""
+        return [int(ticks) for ticks in self.ticks]
+
+    @property
+    def period_ticks(self) -> int:
+        """Its length [TICK_S]."""
+        return self.knot_ticks[-1]
+
     @property
     def period(self) -> float:
         """Its length [s]."""
         return float(self.times[-1])
 
     @cached_property
-    def lengths(self) -> np.ndarray:
-        """Lengths of the pieces (k, 1), float32 [s]."""
-        return (np.diff(self.ticks) * TICK_S).astype(np.float32)[:, None]
-
-    @cached_property
     def pieces(self) -> np.ndarray:
-        """Coefficients (k, 6, 4) of a piece's quintic by powers of s = t/h [m]."""
-        h, a, b = self.lengths, slice(None, -1), slice(1, None)
+        """Coefficients (6, k, 3, 4) of a piece's quintic, highest power of s = t/h first [m], and of
+        its first two derivatives by s."""
+        h = lengths(self.ticks)[:, None]
+        a, b = slice(None, -1), slice(1, None)
         half = np.float32(0.5)
         c0, c1 = self.position[a], h * self.velocity[a]
         c2 = half * h * h * self.acceleration[a]
@@ -118,92 +197,30 @@ class Table:
         c3 = 10 * dp - 4 * dv + half * da
         c4 = -15 * dp + 7 * dv - da
         c5 = 6 * dp - 3 * dv + half * da
-        return np.stack([c0, c1, c2, c3, c4, c5], axis=1)
-
-    def piece_at(self, time: float) -> int:
-        """Return the number of the piece that is played at a time [s]."""
-        return int(np.clip(np.searchsorted(self.times, time, "right") - 1, 0, len(self.times) - 2))
-
-    def at(self, time: float) -> np.ndarray:
-        """Return position, speed and acceleration (3, 4) at a time [s] within the period."""
-        k = self.piece_at(time)
-        h = self.lengths[k]
-        s = np.array([time - self.times[k]], np.float32) / h
-        c0, c1, c2, c3, c4, c5 = self.pieces[k]
-        return np.stack(
-            [
-                c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))),
-                (c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h,
-                (2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / (h * h),
-            ]
-        )
+        no = np.zeros_like(c0)
+        rows = [
+            [c5, c4, c3, c2, c1, c0],
+            [no, 5 * c5, 4 * c4, 3 * c3, 2 * c2, c1],
+            [no, no, 20 * c5, 12 * c4, 6 * c3, 2 * c2],
+        ]
+        return np.array(rows).transpose(1, 2, 0, 3)
 
     @cached_property
-    def hulls(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bezier points of position, speed, acceleration: (6, k, 4), (5, k, 4), (4, k, 4)."""
-        h, a, b = self.lengths, slice(None, -1), slice(1, None)
-        va, vb = h * self.velocity[a] / 5, h * self.velocity[b] / 5
-        aa, ab = h * h * self.acceleration[a] / 20, h * h * self.acceleration[b] / 20
-        pa, pb = self.position[a], self.position[b]
-        step = pb - pa
-        position = [pa, pa + va, pa + 2 * va + aa, pb - 2 * vb + ab, pb - vb, pb]
-        speed = [
-            self.velocity[a],
-            5 * (va + aa) / h,
-            5 * (step - 2 * (va + vb) + (ab - aa)) / h,
-            5 * (vb - ab) / h,
-            self.velocity[b],
-        ]
-        accel = [
-            self.acceleration[a],
-            20 * (step - 2 * vb + ab - 3 * va - 2 * aa) / (h * h),
-            20 * (3 * vb - 2 * ab + 2 * va + aa - step) / (h * h),
-            self.acceleration[b],
-        ]
-        return np.array(position), np.array(speed), np.array(accel)
+    def scales(self) -> np.ndarray:
+        """Powers (k, 3, 1) of the pieces' lengths: 1, h, h^2."""
+        h = lengths(self.ticks)
+        return np.stack([np.ones_like(h), h, h * h], axis=1)[:, :, None]
 
-    def keeps(self, limits: DeviceLimits) -> bool:
-        """Tell whether motion and force keep their limits, on the spline itself, not on samples."""
-        with np.errstate(all="ignore"):  # wild tables overflow, and are refused for it
-            bounds = (limits.stroke_m, limits.speed, limits.accel, limits.force)
-            curves = (*self.hulls, self._forces(limits))
-            return not any(
-                exceeds(points, np.float32(bound) * SLACK)
-                for points, bound in zip(curves, bounds, strict=True)
-            )
+    def piece_at(self, into: int) -> int:
+        """Return the number of the piece that is played at a time [TICK_S]."""
+        return min(max(bisect_right(self.knot_ticks, into) - 1, 0), len(self.knot_ticks) - 2)
 
-    def _forces(self, limits: DeviceLimits) -> np.ndarray:
-        """Bezier points (4, k, 4) of the motors' forces [N]."""
-        return limits.forces(self.hulls[2]).astype(np.float32)
-
-    def status(self, limits: DeviceLimits) -> Status:
-        """Return DONE, LIMIT or JUMP."""
-        if not self.keeps(limits):
-            return Status.LIMIT
-        wide = self._forces(limits).astype(float)
-        squares = np.einsum("ij,ikm,jkm->km", PRODUCTS, wide, wide)
-        heat = np.sum(squares * np.diff(self.ticks)[:, None] * TICK_S, axis=0)
-        off = np.abs(self.position[0] - self.position[-1])
-        kick = np.abs(self.velocity[0] - self.velocity[-1])
-        bearable = limits.bearable * self.period
-        for m in range(MOTORS):
-            if not heat[m] <= bearable:
-                return Status.LIMIT
-            if not (off[m] <= CLOSES_M and kick[m] <= CLOSES_SPEED):
-                return Status.JUMP
-        return Status.DONE
-
-
-def exceeds(points: np.ndarray, limit: np.float32, halvings: int = HALVINGS) -> bool:
-    """Tell whether any of the Bezier curves (n, ...) passes a limit anywhere."""
-    inside = np.all(np.abs(points) <= limit, axis=0)  # false for what is not finite, too
-    rest = points[:, ~inside]
-    if not rest.size:
-        return False
-    if halvings == 0 or not np.all(np.abs(rest[[0, -1]]) <= limit):
-        return True
-    left, right = np.empty_like(rest), np.empty_like(rest)
-    for k in range(len(rest)):  # de Casteljau's halving
-        left[k], right[-1 - k] = rest[0], rest[-1]
-        rest = np.float32(0.5) * (rest[:-1] + rest[1:])
-    return exceeds(left, limit, halvings - 1) or exceeds(right, limit, halvings - 1)
+    def at(self, into: int) -> np.ndarray:
+        """Return position, speed and acceleration (3, 4) at a time [TICK_S] within the period."""
+        k, ticks = self.piece_at(into), self.knot_ticks
+        s = np.float32(into - ticks[k]) / np.float32(ticks[k + 1] - ticks[k])
+        all_pieces = self.pieces
+        value = all_pieces[0, k]
+        for power in range(1, 6):
+            value = all_pieces[power, k] + s * value
+        return np.asarray(value / self.scales[k] + np.float32(0))  # no negative zero
