@@ -1,42 +1,55 @@
 """Limits of acceleration, force and heat on both devices, which are alike to the last bit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from desk import (
+    BOOT,
+    ENABLE,
     HELLO,
-    HOME,
+    HOMEWARD,
     READY,
     alive,
     heard,
     ordered,
-    run,
     running,
     say,
+    spline,
     twin,
     upload,
+    uploaded,
     wave,
 )  # fmt: skip
 
+from plate_core import load_rig
 from plate_core.serial_protocol import (
+    Begin,
+    Commit,
     Enable,
     Fault,
     Heartbeat,
     Hello,
     Home,
     Knot,
+    Knots,
     State,
     Status,
     Stop,
     Telemetry,
 )  # fmt: skip
+from plate_sim.device import DeviceLimits
+from plate_sim.device.piece import looks, rows
 
 LIFT, TURN = (0.0, 0.0, 1.0, 1.0), (1.0, -1.0, 0.0, 0.0)
 """Two motors push 2 kg: 1 N for each m/s2. Or they turn it: 0.15 N, and 0.3 N for the others."""
 
 
-def swing(size: float, period: float, share: tuple[float, ...]) -> tuple[Knot, ...]:
+def swing(
+    size: float, period: float, share: tuple[float, ...], pieces: int = 40
+) -> tuple[Knot, ...]:
     """size (1 - cos)/w^2 [m]: accelerations up to `size` [m/s2], times a share for each motor."""
-    t = np.linspace(0, period, 41)
+    t = np.linspace(0, period, pieces + 1)
     w = 2 * np.pi / period
     states = np.stack([(1 - np.cos(w * t)) / w**2, np.sin(w * t) / w, np.cos(w * t)], axis=1)
     states[[0, -1], :2] = 0
@@ -67,27 +80,19 @@ def test_acceleration_and_heat_are_looked_at(device, knots, status):
 
 def test_peak_force_is_looked_at(device):
     # Motors 3 and 4: 0.15 * 2 * 40 - or + (0.8 + 0.2) * 40 N, 52 N at most
-    orders = ordered(*READY, upload(1, swing(40, 0.02, (1.0, -1.0, 1.0, 1.0)), 110))
+    orders = ordered(*READY, upload(1, swing(40, 0.02, (1.0, -1.0, 1.0, 1.0)), 110), 0.1)
     for limit, status in (("52.5", Status.DONE), ("51.5", Status.LIMIT)):
         assert heard(device(orders, "60", "60", limit)).answers()[110 + 1 + 11] is status
 
 
 def test_heat_builds_up_and_brakes(device):
-    orders = ordered(*READY, upload(1, swing(84.0, 0.045, LIFT), 110), *alive(0.6))
+    orders = ordered(*READY, upload(1, swing(84.0, 0.045, LIFT), 110), *alive(0.8))
     assert heard(device(orders, "60", "60")).faults is Fault.NONE  # a minute to warm up
     done = heard(device(orders, "0.02", "60"))  # quicker than the table
     assert (done.state, done.faults) == (State.OFF, Fault.HEAT)
     heats = [p.message.heat for p in done.said if isinstance(p.message, Telemetry)]
     assert max(heats) > 0.8
     assert heats[-1] < 0.1
-
-
-def test_home_is_found_before_anything_moves(device):
-    done = run(device, HELLO, say(100, Enable()), 0.1)
-    assert done.answers()[100] is Status.WRONG_STATE
-    assert (done.state, done.faults) == (State.OFF, Fault.NO_HOME)
-    done = run(device, HELLO, HOME, 0.01)
-    assert (done.state, done.faults) == (State.OFF, Fault.NONE)
 
 
 def spoilt(rng: np.random.Generator, whole: bytes) -> bytes:
@@ -101,43 +106,167 @@ def spoilt(rng: np.random.Generator, whole: bytes) -> bytes:
     return bytes(data)
 
 
+def wrong_table(rng: np.random.Generator) -> bytes:
+    """One with a knot in the wrong place, or at a wrong time; numbers 150 to 158."""
+    knots, at = list(wave(0.003)), int(rng.choice([0, 3, 24]))
+    name, value = [("position", (1e-4,) * 4), ("ticks", 17)][int(rng.integers(2))]
+    knots[at] = replace(knots[at], **{name: value})
+    return upload(4, tuple(knots), 150)
+
+
 def drawn_orders(rng: np.random.Generator) -> list[bytes | float | str]:
-    """A run of any commands, in more or less any order, with tables near the limits."""
+    """A run of any commands, in more or less any order, with tables and streams near the limits."""
     orders: list[bytes | float | str] = [] if rng.random() < 0.1 else [*READY]
-    number, beat = 200, say(1, Heartbeat(7))
-    simple = [Enable(), Enable(), Home(), Stop(0), Stop(1), Hello(1, 77), Hello(1, 78), Hello(9, 1)]
+    if rng.random() < 0.3:
+        orders += [wrong_table(rng), 0.03, say(159, Commit(5, 1))]
+    number, beat, stops = 200, say(1, Heartbeat(7)), 0
+    kinds = ("limits", "simple", "fault", "silence", "late", "jam", "enable", "stream", "reset")
+    shares = (0.38, 0.17, 0.05, 0.05, 0.08, 0.04, 0.13, 0.07, 0.03)
     for _ in range(int(rng.integers(5, 25))):
-        kind, number = rng.random(), number + int(rng.integers(1, 30))
-        if kind < 0.45:
+        kind, number = str(rng.choice(kinds, p=shares)), number + int(rng.integers(1, 30))
+        if kind == "limits":
             phase = float(rng.uniform(0, 7)) if rng.random() < 0.3 else 0.0
-            knots = wave(float(rng.uniform(0, 0.0115)), phase, bool(rng.random() < 0.3))
-            whole = upload(int(rng.integers(1, 4)), knots, number, int(rng.integers(0, 4)))
+            knots = near_limits(rng, wave(float(rng.uniform(0, 0.0115)), phase))
+            frames = uploaded(int(rng.integers(1, 4)), knots, number, int(rng.integers(0, 4)))
+            if rng.random() < 0.2:
+                rng.shuffle(frames[1:-1])
+            whole = b"".join(frames)
             orders.append(whole if rng.random() < 0.8 else spoilt(rng, whole))
-        elif kind < 0.65:
-            message = simple[int(rng.integers(len(simple)))]
+            number += len(frames)
+        elif kind == "simple":
+            some = [Home(), Stop(0), Stop(1), Hello(2, 77), Hello(2, 78), Hello(9, 1)]
+            message = some[int(rng.integers(len(some)))]
             orders.append(say(number - int(rng.integers(0, 40)), message))
-        elif kind < 0.7:
-            orders.append(f"fault {int(rng.choice([0, 0, 8, 16]))}")
-        elif kind < 0.75:
+        elif kind == "enable":  # sooner or later it names the present stop
+            frames = [say(number + k, Enable(BOOT + stops + k)) for k in range(4)]
+            orders += [b"".join(frames), *(HOMEWARD if rng.random() < 0.5 else [])]
+            number, stops = number + 4, stops + int(rng.integers(0, 2))
+        elif kind == "stream":
+            knots = wave(float(rng.uniform(0, 0.0115)))
+            frames = [say(number, Begin(9, 0, 0))]
+            for k in range(0, 96, 4):
+                part = [replace(knots[i % 24], ticks=knots[i % 24].ticks + i // 24 * 10**7)
+                        for i in range(k, k + 4)]  # fmt: skip
+                frames.append(say(k, Knots(9, k, tuple(part))))
+            orders += [b"".join([*frames, say(number + 1, Commit(9, 1))]), 0.05]
+            number += 2
+        elif kind == "fault":
+            orders.append(f"fault {int(rng.choice([0, 0, 8, 16, 24]))}")
+        elif kind == "jam":
+            orders.append(f"jam {int(rng.integers(2))}")
+        elif kind == "late":
+            orders.append(f"late {int(rng.choice([300, 1000, 7000, 30_000, 2_000_000]))}")
+        elif kind == "reset":
+            orders += ["reset", f"search {int(rng.integers(1, 400))}", HELLO]
+            stops += 1
+        else:
             orders.append(0.3)  # long enough for the watchdog
         orders += [beat, float(rng.integers(1, 160)) * 1e-3]
     return orders
+
+
+def near_limits(rng: np.random.Generator, knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
+    """A table with hulls that pass a limit: with pieces left out, and a speed or an acceleration
+    somewhere that makes the spline swing between its knots."""
+    kept = [k for k in range(len(knots)) if k in (0, 24) or rng.random() < 0.7]
+    table = [knots[k] for k in kept]
+    if rng.random() < 0.5:
+        at, motor = int(rng.integers(1, len(table) - 1)), int(rng.integers(4))
+        name, size = [("velocity", 1.0), ("acceleration", 100.0), ("position", 0.01)][
+            int(rng.integers(3))
+        ]
+        row = list(getattr(table[at], name))
+        row[motor] = float(np.float32(size * rng.uniform(0.8, 1.05)))
+        table[at] = replace(table[at], **{name: tuple(row)})
+    return tuple(table)
 
 
 def test_twin_is_the_firmware_bit_by_bit(program):
     firmware, rng = running(program), np.random.default_rng(11)
     states: set[State] = set()
     statuses: set[Status] = set()
+    faults = Fault.NONE
     count = 0
-    for trial in range(40):
+    for trial in range(60):
         orders = ordered(*drawn_orders(rng))
         heat = ["0.05", "20"] if trial % 5 == 0 else []
         printed = firmware(orders, *heat)
         assert twin(orders, *heat) == printed
         done = heard(printed)
-        states |= {p.message.state for p in done.said if isinstance(p.message, Telemetry)}
+        told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+        states |= {m.state for m in told}
+        for m in told:
+            faults |= m.faults
         statuses |= set(done.answers().values())
         count += len(done.times)
     assert states == set(State)
-    assert statuses >= set(Status) - {Status.TOO_LONG, Status.WRONG_TIMES}
+    assert faults == ~Fault.LIMIT  # no setpoint was ever outside
+    assert statuses >= set(Status) - {Status.TOO_LONG}
     assert count > 10_000  # setpoints, all bits alike
+
+
+def test_looking_takes_as_long_on_both(program):
+    """Tables of which pieces need many halvings, with the commit right behind: the tick of its
+    answer, too, is the same."""
+    firmware, rng = running(program), np.random.default_rng(5)
+    limits = DeviceLimits.of_rig(load_rig())
+    seen: dict[Status, set[int]] = {Status.DONE: set(), Status.LIMIT: set()}
+    for trial in range(30):
+        knots = swing(100.0, 0.04, tuple(rng.choice([-1.0, 1.0], 4)), 9 + 2 * (trial % 5))
+        t = np.linspace(0, 0.04, 20_001)
+        size = 100.2 * (1 - 10 ** rng.uniform(-7, -4)) / np.max(np.abs(spline(knots)(t, nu=2)))
+        if trial % 3 == 0:
+            size *= 1.0001
+        knots = tuple(
+            Knot(k.ticks, *(tuple(np.float32(size * np.array(x)).tolist()) for x in states))
+            for k in knots
+            for states in [(k.position, k.velocity, k.acceleration)]
+        )
+        found = looks(np.array([k.ticks for k in knots]), rows(list(knots)), limits)
+        frames = uploaded(1, knots, 110, 2)
+        text = ordered(*READY, b"".join(frames), 0.1)
+        printed = firmware(text)
+        assert twin(text) == printed
+        status = heard(printed).answers()[110 + len(frames) - 1]
+        seen[status].add(max(look.halvings for look in found))
+    assert max(seen[Status.DONE]) > 24  # more than a tick's work
+    assert min(seen[Status.LIMIT]) < 64
+
+
+def test_a_piece_that_is_hard_to_tell_is_refused(program):
+    """Of all motors, and so close to the limit that 64 halvings do not tell."""
+    firmware = running(program)
+    wide = replace(DeviceLimits.of_rig(load_rig()), force=100.0)
+    knots = swing(100.2, 0.05, (1.0, 1.0, 1.0, 1.0), 3)
+    t = np.linspace(0, 0.05, 20_001)
+    size = float(np.float32(100.2)) / np.max(np.abs(spline(knots)(t, nu=2))) * (1 - 1e-7)
+    knots = tuple(
+        Knot(k.ticks, *(tuple(np.float32(size * np.array(x)).tolist()) for x in states))
+        for k in knots
+        for states in [(k.position, k.velocity, k.acceleration)]
+    )
+    found = looks(np.array([k.ticks for k in knots]), rows(list(knots)), wide)
+    assert max(look.halvings for look in found) == 65
+    text = ordered(*READY, upload(1, knots, 110, 2), 0.1)
+    printed = firmware(text, "60", "100", "100")
+    assert twin(text, "60", "100", "100") == printed
+    assert heard(printed).answers()[112] is Status.LIMIT
+
+
+def test_heat_is_followed_to_a_part_in_ten_thousand(device):
+    """A minute's time constant, a thousand ticks a second, single precision: by theory the heat of
+    a force of constant mean square S is S (1 - exp(-t/T))."""
+    knots = swing(84.0, 0.045, LIFT)
+    orders = [HELLO, ENABLE, *HOMEWARD, upload(1, knots, 110, 200), *alive(8.0)]
+    done = heard(device(ordered(*orders), "60", "60"))
+    told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    playing = [m for m in told if m.table]
+    force = done.setpoints[:, 2, 2:].max(axis=1)  # 1 N for each m/s2
+    begin = done.times[np.flatnonzero(force)[0]] - 1e-3
+    mean_square = 84.0**2 / 2
+    for m in playing[100::100]:
+        cycles = (m.device_us * 1e-6 - begin) / 0.045
+        t = 0.045 * np.round(cycles)
+        expected = mean_square / 60.0**2 * (1 - np.exp(-t / 60.0))
+        if abs(cycles - np.round(cycles)) < 0.02:
+            assert m.heat == pytest.approx(expected, rel=2e-3)

@@ -57,7 +57,7 @@ def streamed(knots: tuple[Knot, ...], late: int = 0) -> list[bytes | float]:
     for i, part in enumerate(parts[: late or None]):
         orders += [say(200 + i, Knots(1, 4 * i, part)), say(1, Heartbeat(3))]  # 1 ms each
         if i + 1 == AHEAD:
-            orders.append(say(111, Commit(1, 0)))
+            orders.append(say(111, Commit(1, 1)))
         if i + 1 > AHEAD:
             due = round(1e3 * (i + 1 - AHEAD) * 4 * PERIOD_S / 24)
             orders.append((due - passed - 2) * 1e-3)
@@ -126,7 +126,7 @@ def test_wrong_setpoints_are_refused_and_the_plate_brakes(device, at, values, st
 
 def test_a_stream_begins_where_the_plate_is_with_room_to_brake(device):
     knots = endless(8)
-    short = [say(110, Begin(1, 0, 0)), say(200, Knots(1, 0, knots[:4])), say(111, Commit(1, 0))]
+    short = [say(110, Begin(1, 0, 0)), say(200, Knots(1, 0, knots[:4])), say(111, Commit(1, 1))]
     assert run(device, *READY, *short).answers()[111] is Status.INCOMPLETE
     off = tuple(replace(k, position=tuple(x + 1e-5 for x in k.position)) for k in knots)
     assert run(device, *READY, *streamed(off)).answers()[111] is Status.JUMP
@@ -136,7 +136,7 @@ def test_repeated_and_missing_messages(device):
     knots = endless(8)
     parts = [say(200 + i, Knots(1, 4 * i, knots[4 * i : 4 * i + 4])) for i in range(30)]
     orders = [say(110, Begin(1, 0, 0)), parts[0], parts[0], parts[2], parts[1], parts[2]]
-    done = run(device, *READY, *orders, *parts[3:20], say(111, Commit(1, 0)), 0.05)
+    done = run(device, *READY, *orders, *parts[3:20], say(111, Commit(1, 1)), 0.05)
     said = [p.message for p in done.said if p.message.__class__.__name__ == "Acknowledgement"]
     about = [m.status for m in said if m.sequence == 202]
     assert about == [Status.INCOMPLETE, Status.DONE]

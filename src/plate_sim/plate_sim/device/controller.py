@@ -55,7 +55,7 @@ TICKS_PER_MS = 100_000
 """Of TICK_S."""
 
 TICK_BYTES, TICK_PACKETS, TICK_WORK = 128, 4, 24
-"""What a tick does at most: bytes read, packets obeyed, and work of looking at tables (piece.py)."""
+"""What a tick does at most: bytes read, packets obeyed, work of looking at tables."""
 
 MOST_TICK_US = 2_000
 """A tick that comes later moves the plate on by this much."""

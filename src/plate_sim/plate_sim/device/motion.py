@@ -163,23 +163,22 @@ class Motion:
         """Along the table, slower and slower when braking."""
         dry = self.state is State.PLAYING and self._runs_dry(dt)
         motion = self.braked(Fault.HOST_SILENT) if dry else self
-        rate, slowing, step = None, np.float32(0), dt
+        rate: np.ndarray | None = None
+        slowing, step = REST[0, :1], dt
         if motion.state is State.BRAKING:
-            end, length = min(motion.brake + dt, motion.brake_length), np.float32(
-                motion.brake_length
-            )  # fmt: skip
-            u = np.array([end], np.float32) / length
-            before = np.array([motion.brake], np.float32) / length
+            end, length = min(motion.brake + dt, motion.brake_length), motion.brake_length
+            u = np.array([end], np.float32) / np.float32(length)
+            before = np.array([motion.brake], np.float32) / np.float32(length)
             # Simpson's rule is exact for a cubic.
             mean = (_rate(before) + 4 * _rate((before + u) / 2) + _rate(u)) / 6
             step = int((np.float32(end - motion.brake) * mean + np.float32(0.5))[0])
-            rate, slowing = _rate(u), 6 * u * (u - 1) / (length * TICK_S)
+            rate, slowing = _rate(u), 6 * u * (u - 1) / np.array([np.float32(length) * TICK_S])
             motion = changed(motion, brake=end)
         motion = motion._passed(step)
         assert motion.playing is not None  # PLAYING and BRAKING always have one
         at = motion.playing.at(motion.time)
         if motion.state is State.READY:
-            rate = np.zeros(1, np.float32)
+            rate = REST[0, :1]
         if rate is not None:
             position, speed, accel = at
             at = np.stack([position, speed * rate, accel * (rate * rate) + slowing * speed])

@@ -12,7 +12,7 @@ import numpy as np
 
 from plate_core.serial_protocol import Knot
 
-from .limits import SLACK, DeviceLimits
+from .limits import DeviceLimits
 
 TICK_S = np.float32(1e-8)
 """Unit of a knot's time [s]."""

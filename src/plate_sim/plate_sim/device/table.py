@@ -183,8 +183,8 @@ class Table:
 
     @cached_property
     def pieces(self) -> np.ndarray:
-        """Coefficients (6, k, 3, 4) of a piece's quintic, highest power of s = t/h first [m], and of
-        its first two derivatives by s."""
+        """Coefficients (6, k, 3, 4) of the pieces' quintics and their first two derivatives by
+        s = t/h [m], highest power first."""
         h = lengths(self.ticks)[:, None]
         a, b = slice(None, -1), slice(1, None)
         half = np.float32(0.5)
