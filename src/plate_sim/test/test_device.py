@@ -17,11 +17,11 @@ from plate_core.serial_protocol import (
     Fault,
     Heartbeat,
     Hello,
-    Home,
     Knot,
     Knots,
     Message,
     Packet,
+    Pulse,
     Reader,
     State,
     Telemetry,
@@ -30,6 +30,7 @@ from plate_core.serial_protocol import (
     parse,
     table_crc,
 )  # fmt: skip
+from plate_core.serial_protocol.messages import VERSION
 from plate_sim.device import Accidents, DeviceLimits, Emulator, Line, Trouble
 from plate_sim.device.terminal import Terminal
 from plate_sim.plate_motion import PlateMotion
@@ -120,11 +121,13 @@ class Host:
             self.said += [parse(p).message for p in packets]
 
     def begin(self) -> None:
-        self.say(Hello(1, 9))
-        self.say(Home())
-        self.wait(0.4)
-        self.say(Enable())
-        self.wait(0.6)
+        self.say(Hello(VERSION, 9))
+        self.wait(0.01)
+        self.enable()
+        self.wait(0.9)
+
+    def enable(self) -> None:
+        self.say(Enable(self.emulator.device.motion.stops))
 
     def upload(self, cycle: PlateCycle, table: int) -> None:
         motors = motor_state(RIG, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
@@ -134,7 +137,7 @@ class Host:
         self.say(Begin(table, len(knots), table_crc(knots)))
         for first in range(0, len(knots), 4):
             self.say(Knots(table, first, tuple(knots[first : first + 4])))
-        self.say(Commit(table, 0))
+        self.say(Commit(table, 50))
 
     @property
     def state(self) -> State:
@@ -219,10 +222,51 @@ def test_brown_out_stops_until_somebody_enables():
     assert (host.state, host.faults) == (State.OFF, Fault.SUPPLY)
     host.wait(0.4)
     assert host.state is State.OFF
-    host.say(Enable())
+    host.enable()
     host.wait(0.6)
     assert (host.state, host.faults) == (State.READY, Fault.NONE)
     assert any(isinstance(m, Telemetry) and m.faults & Fault.SUPPLY for m in host.said)
+
+
+def test_a_plate_that_jams_is_a_fault():
+    host = Host()
+    host.begin()
+    host.upload(shaking(0.003), 1)
+    host.wait(0.25)
+    host.emulator.jam()
+    host.wait(0.1)
+    assert (host.state, host.faults) == (State.OFF, Fault.FOLLOWING)
+    errors = [m.following_m for m in host.said if isinstance(m, Telemetry)]
+    assert max(errors) > LIMITS.following_m
+    host.emulator.jam(False)
+    host.wait(0.1)
+    host.enable()
+    host.wait(0.6)
+    assert (host.state, host.faults) == (State.READY, Fault.NONE)
+
+
+def test_the_search_for_home_takes_its_time():
+    for seconds in (0.0, 1.0):
+        emulator = Emulator(LIMITS, homing_s=seconds)
+        host = Host()
+        host.emulator = emulator
+        host.say(Hello(VERSION, 9))
+        host.wait(0.01)
+        host.enable()
+        host.wait(seconds + 0.45)
+        assert host.state is State.HOMING
+        host.wait(0.1)
+        assert host.state is State.READY
+
+
+def test_the_board_holds_what_the_device_has_not_read():
+    host = Host()
+    host.begin()
+    for _ in range(300):
+        host.say(Heartbeat(7))  # 4 kB at once, of which it holds 2
+    host.wait(0.2)
+    said = [m for m in host.said if isinstance(m, Pulse) and m.host_ns == 7]
+    assert 100 < len(said) < 200
 
 
 def test_motion_of_motors_is_checked():
