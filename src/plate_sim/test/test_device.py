@@ -137,6 +137,7 @@ class Host:
         self.say(Begin(table, len(knots), table_crc(knots)))
         for first in range(0, len(knots), 4):
             self.say(Knots(table, first, tuple(knots[first : first + 4])))
+            self.wait(0.003)  # as long as the line would take
         self.say(Commit(table, 50))
 
     @property
