@@ -186,6 +186,8 @@ class Twin:
             self._search = int(value)
         elif kind == "jam":
             self._jammed = value != "0"
+        elif kind == "place":
+            self._place = np.stack([np.full(4, value, np.float32), self._place[1]])
         elif kind == "load":
             self.device = replace(self.device, load=float(np.float32(value)))
         elif kind == "reset":

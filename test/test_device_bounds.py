@@ -24,6 +24,7 @@ from desk import (
     wave,
 )  # fmt: skip
 
+from plate_core import load_rig
 from plate_core.serial_protocol import (
     Acknowledgement,
     Begin,
@@ -42,6 +43,8 @@ from plate_core.serial_protocol import (
     frame,
     table_crc,
 )  # fmt: skip
+from plate_sim.device import DeviceLimits
+from plate_sim.device.controller import sane
 
 ACCEL = 100.0
 SLACK = 1.002
@@ -248,6 +251,36 @@ def test_following_is_not_watched_where_the_rig_gives_no_limit(device):
     assert (done.state, done.faults) == (State.PLAYING, Fault.NONE)
     told = max(p.message.following_m for p in done.said if isinstance(p.message, Telemetry))
     assert told > 0.005
+
+
+@pytest.mark.parametrize("place", [0.01, -0.0099, 1e-9])
+def test_from_wherever_the_plate_is_it_goes_home(device, place):
+    done = run(device, HELLO, f"place {place}", say(101, Enable(BOOT)), *HOMEWARD)
+    assert (done.state, done.faults) == (State.READY, Fault.NONE)
+    assert_bounded(done)
+    q, v = done.setpoints[:, 0], done.setpoints[:, 1]
+    assert np.max(np.abs(q[0] - place)) < abs(place) * 1e-4 + 1e-12
+    assert np.max(np.abs(v)) == pytest.approx(abs(place) / 0.5 * 15 / 8, rel=1e-3)
+    assert not done.setpoints[-1].any()
+
+
+@pytest.mark.parametrize("place", ["0.0101", "-1.0", "nan", "inf"])
+def test_a_plate_that_is_where_it_cannot_be_is_not_moved(device, place):
+    # What is not finite cannot be told in telemetry: it is not read here.
+    lines = device(ordered(HELLO, f"place {place}", say(101, Enable(BOOT)), *HOMEWARD)).splitlines()
+    assert not [line for line in lines if line.startswith("at ")]
+    state, faults, _, stop = map(int, lines[-1].split()[1:])
+    assert (State(state), Fault(faults), stop) == (State.OFF, Fault.LIMIT, BOOT + 1)
+
+
+@pytest.mark.parametrize(("row", "most"), [(0, 1.0 * SLACK * 1e-3 + STEP_M), (1, 0.11 + 4e-3)])
+def test_a_setpoint_too_far_from_the_last_is_not_commanded(row, most):
+    """No message leads to one; so the check itself is tested, of the twin."""
+    limits, before = DeviceLimits.of_rig(load_rig()), np.zeros((3, 4), np.float32)
+    for share, allowed in ((0.999, True), (1.001, False), (-1.001, False), (np.nan, False)):
+        at = before.copy()
+        at[row, 2] = share * most
+        assert sane(limits, at, before, 1000) is allowed
 
 
 def test_a_tick_reads_and_obeys_no_more_than_it_may(device):

@@ -15,10 +15,12 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros.convert import cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
-from plate_core.ros.qos import DATA  # noqa: E402
+from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_sim.device import node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402
@@ -39,9 +41,9 @@ def nudge(period: float = 0.2) -> PlateCycle:
     return PlateCycle.from_knots(period * t, pose, twist, accel)
 
 
-def test_a_cycle_goes_round_and_a_pulled_plug_is_survived(tmp_path):
+def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     link = tmp_path / "port"
-    words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=1000"]
+    words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=45"]
     arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/device_node"]
     rclpy.init(args=arguments, domain_id=DOMAIN)
     executor, own = SingleThreadedExecutor(), SingleThreadedExecutor()
@@ -54,7 +56,10 @@ def test_a_cycle_goes_round_and_a_pulled_plug_is_survived(tmp_path):
     states: list[JointState] = []
     peer.create_subscription(JointTrajectory, "motor_motion", motions.append, 50)
     peer.create_subscription(JointState, "motor_states", states.append, DATA)
+    said: list[str] = [""]
+    peer.create_subscription(String, "driver_state", lambda m: said.append(m.data), LATCHED)
     cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
+    enabler = peer.create_client(SetBool, "enable")
     for each in (driver, peer):
         executor.add_node(each)
 
@@ -66,12 +71,23 @@ def test_a_cycle_goes_round_and_a_pulled_plug_is_survived(tmp_path):
                 return True
         return False
 
+    def enable() -> bool:
+        """As a person does."""
+        future = enabler.call_async(SetBool.Request(data=True))
+        return until(future.done) and future.result().success and until(ready)
+
+    def ready() -> bool:
+        return said[-1].startswith("ready")
+
     def whole(msg: JointTrajectory) -> bool:
         return len(msg.points) == 33 and any(msg.points[16].positions)
 
     try:
         assert until(lambda: cycles.get_subscription_count() and len(motions) > 2)
         assert not any(any(point.positions) for point in motions[-1].points)
+        assert until(enabler.service_is_ready)
+        assert not ready()
+        assert enable()
         cycle = nudge()
         cycles.publish(cycle_to_msg(cycle, to_time(1_000)))
         assert until(lambda: sum(map(whole, motions)) > 3)
@@ -87,14 +103,19 @@ def test_a_cycle_goes_round_and_a_pulled_plug_is_survived(tmp_path):
         # On a busy machine the device's clock stands still, which it tells.
         assert np.sum(gaps) <= 1e6 * device._lost_ms + 2 * len(gaps)
         assert until(lambda: any(any(s.position) for s in states))
-        # Pulled out, the device brakes; back again, the plate goes on.
+        # Pulled out, the device brakes; back again, the plate rests until somebody enables.
         device.set_parameters([Parameter("disconnect_s", value=0.5)])
         device._emulator.disconnect()
         assert until(lambda: not link.exists())
         assert until(lambda: device._emulator.device.motion.state is State.OFF)
+        assert until(lambda: device._emulator.connected and not ready())
+        heard = device._emulator.device.heard_us
+        assert until(lambda: device._emulator.device.heard_us > heard + 1_000_000)
+        assert device._emulator.device.motion.state is State.OFF
+        assert enable()
         motions.clear()
+        cycles.publish(cycle_to_msg(cycle, to_time(2_000)))
         assert until(lambda: sum(map(whole, motions)) > 2)
-        assert device._emulator.connected
     finally:
         driver.destroy_node()
         executor.shutdown()

@@ -6,6 +6,7 @@
      fault N    the board has faults N
      search N   a search for home takes N ticks, 1 at first
      jam N      the motors stand still, whatever is commanded: 1, or 0 again not
+     place X    somebody moves the motors to X [m]
      load X     the longest tick, as a share of its period
      reset      the board starts anew
 
@@ -143,6 +144,9 @@ int main(int argc, char **argv)
             search = atoi(line + 7);
         } else if (!strncmp(line, "jam ", 4)) {
             jammed = atoi(line + 4) != 0;
+        } else if (!strncmp(line, "place ", 6)) {
+            for (int m = 0; m < MOTORS; m++)
+                position[m] = strtof(line + 6, NULL);
         } else if (!strncmp(line, "load ", 5)) {
             load = strtof(line + 5, NULL);
         } else if (!strcmp(line, "reset")) {

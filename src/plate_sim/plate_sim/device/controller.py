@@ -210,7 +210,7 @@ class Device:
             motion = motion.braked(Fault.HOST_SILENT)
         motion, at = motion.stepped(now_us, dt_us, home_found, measured[0])
         if at is not None:
-            if _sane(device.limits, at, motion.commanded, dt_us):
+            if sane(device.limits, at, motion.commanded, dt_us):
                 motion = changed(motion, commanded=at)
             else:
                 motion, at = motion.off(Fault.LIMIT), None
@@ -534,7 +534,7 @@ class Device:
         return changed(self, committing=Committing(number, commit.repeats)), Status.DONE
 
 
-def _sane(limits: DeviceLimits, at: np.ndarray, before: np.ndarray, dt_us: int) -> bool:
+def sane(limits: DeviceLimits, at: np.ndarray, before: np.ndarray, dt_us: int) -> bool:
     """Tell whether a setpoint may be commanded, also after the one before.
 
     A brake adds at most 1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration; where one
