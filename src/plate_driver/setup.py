@@ -20,5 +20,11 @@ setup(
     maintainer_email="plate@example.org",
     description="Applies the rig's limits to plate motions and sends them to the motors.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"driver = {NAME}.node:main"]},
+    entry_points={
+        "console_scripts": [f"driver = {NAME}.node:main"],
+        f"{NAME}.transports": [
+            f"sim = {NAME}.transport:make_sim",
+            f"serial = {NAME}.serial_transport:make_serial",
+        ],
+    },
 )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.kinematics import plate_state
-from plate_core.serial_protocol import Telemetry
 
 from .learning import (
     Response,
@@ -20,6 +23,7 @@ from .learning import (
     plate_amplitudes,
     pose_harmonics,
 )
+from .transport import Measured
 
 PERIOD_S = 1.033
 """Of the motions [s]: harmonics are then 1 Hz apart, finer than a resonance is wide; and samples
@@ -41,6 +45,12 @@ FOLLOWED = 0.2
 """Least share of the slow motion that the plate must do: else the motors are off, or miswired."""
 
 AXES = ("x", "y", "theta")
+
+FILE_ERRORS = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile, zlib.error,
+    PlateError,
+)  # fmt: skip
+"""What reading a damaged file may raise."""
 
 
 @dataclass(frozen=True)
@@ -150,9 +160,9 @@ class Run:
         """Return the run whose cycle was sent as `played`."""
         return replace(self, played=played)
 
-    def noted(self, told: Telemetry) -> Run:
+    def noted(self, told: Measured) -> Run:
         """Return the run with a sample; it begins anew where another table does, or none plays."""
-        sample = told.device_us * 1e-6, told.position, told.acceleration
+        sample = told.device_s, told.position, told.acceleration
         if told.table == 0 or told.table != self.table:
             return replace(self, table=told.table, samples=())
         return replace(self, samples=(*self.samples, sample))
@@ -211,19 +221,26 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
 
 
 def save_response(path: str | Path, response: Response) -> None:
-    """Write a response to a file (numpy's .npz).
+    """Write a response to a file (numpy's .npz), whole or not at all.
 
     Raises
     ------
     PlateError
         If that cannot be written.
     """
+    path = Path(path)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with Path(path).open("wb") as file:
+        with draft.open("wb") as file:
             np.savez(
                 file, frequency=response.frequency, matrix=response.matrix, lever=response.lever
             )
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
         raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
 
 
@@ -238,5 +255,5 @@ def saved_response(path: str | Path) -> Response:
     try:
         with np.load(path, allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except FILE_ERRORS as error:
         raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None

@@ -11,7 +11,6 @@ from plate_core.serial_protocol import (
     Capabilities,
     Commit,
     Enable,
-    Fault,
     Heartbeat,
     Hello,
     Home,
@@ -26,28 +25,36 @@ from plate_core.serial_protocol import (
     Telemetry,
     table_crc,
 )
-from plate_core.serial_protocol.messages import KNOTS_PER_MESSAGE, MOTORS, VERSION
+from plate_core.serial_protocol.messages import MOTORS, VERSION
 
-RETRY_S = (0.03,) * 12 + (0.06,) * 6 + (0.12,) * 6
-"""How long to wait for an answer beyond the round trip, try by try [s]. With one byte in a hundred
-damaged 46 % of the messages with one knot are answered: one in 2.6 million then fails all tries."""
+from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 
-HEARTBEAT_S = 0.05
-"""Time between heartbeats [s]: four may be lost before the device's watchdog bites."""
+SILENCE_S = 1.0
+"""So long, and a round trip, without a message, and the device is gone [s]: the link is begun anew.
+The device itself brakes after a quarter of that. A link that is begun anew costs a stop, so a line
+that loses nearly everything must not seem silent: where 5 % of the bytes are lost one message in
+seven comes whole, of some two hundred in this time."""
 
-SILENCE_S = 0.25
-"""Telemetry comes every 10 ms: after so long without a message the device is gone [s]."""
+GREETING_S, GREETING_TRIES, LATER_GREETING_S = 5.0, 10, 0.1
+"""Time after which a Hello that is not answered is given up; how often it is sent at first, each
+`ANSWER_S`, and the time between those after that [s]."""
 
-ROUSE_S = 0.5
-"""Least time between two requests to find home, or to enable the motors [s]."""
+GIVE_UP_S = 5.0
+"""Time, and twenty round trips, after which a command that is not answered is given up [s]. Knots
+are not, as long as the device is heard: they only come late."""
+
+QUEUE_S = 0.008
+"""What may wait on the line when more is sent [s]: the next look is 5 ms later, and a stop must not
+wait for long behind what was sent before."""
+
+KNOTS_ANSWER_S = 0.01
+"""What a device may take to answer knots, beside the round trip [s]."""
 
 PULSE_AGE_S = 5.0
 """How long the pulse with the shortest round trip is kept [s]: 50 ppm of drift make 0.25 ms."""
 
-HARMLESS = Fault.HOST_SILENT | Fault.STOPPED | Fault.NO_HOME
-"""Faults after which the motors may be enabled again without a look at the rig: a device that was
-reset finds home and goes on; one whose supply, drive, limit or heat failed waits for a person."""
-
+MOVABLE = (State.READY, State.PLAYING)
+"""States in which the device takes a table."""
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
 """Answers to setpoints of a stream that come before others, or find no room."""
@@ -86,12 +93,23 @@ class DeviceClock:
 
 @dataclass(frozen=True)
 class Pending:
-    """A command that is not answered yet: when it was sent last [s], and how often."""
+    """A command that is not answered yet: when it was sent first and last, and when what was sent
+    last has left the line [s]; and how often."""
 
     sequence: int
     message: Message
-    sent_at: float = 0.0
+    first_at: float = 0.0
+    sent_at: float = float("-inf")
     tries: int = 0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of the last Stop, Enable or Home: None as long as it is not answered."""
+
+    sequence: int
+    message: Message
+    status: Status | None = None
 
 
 @dataclass(frozen=True)
@@ -104,89 +122,112 @@ class Link:
         Number of this session; another one for each link.
     heard_at : float
         When the last message came, or the link was made [s].
+    line : LineModel
+        How fast it is, and how good.
     queue : tuple of Pending
         Commands in order.
     next_table : tuple of Message
         The newest table, while another one is still on its way.
     device : Capabilities or None
         None until it has answered.
+    told : Telemetry or None
+        The last one.
     telemetry : Telemetry or None
-        The last one; None until one has come, and again after each table.
+        The same, but None after each command that changes what it says, until the next one.
+    answer : Answer or None
+        What became of the last Stop, Enable or Home.
+    flight : tuple of (float, int)
+        Knots on their way to the device: when they have come [s], and their bytes.
     failed : str
         Why the link is of no use any more; empty while it is.
     refusal : str
         What the device refused since the last `forgiven`.
     retries : int
         Messages repeated so far.
-    roused, roused_at
-        The last request to find home or enable, and when it was made [s].
-    inspected : bool
-        Someone has looked at the rig: the next Enable may clear any fault.
     """
 
     session: int
     heard_at: float
+    line: LineModel = field(default_factory=LineModel)
     queue: tuple[Pending, ...] = ()
     next_table: tuple[Message, ...] = ()
     sequence: int = 0
     device: Capabilities | None = None
+    told: Telemetry | None = None
     telemetry: Telemetry | None = None
     clock: DeviceClock = field(default_factory=DeviceClock)
     heartbeat_at: float = float("-inf")
-    roused: Message | None = None
-    roused_at: float = float("-inf")
-    inspected: bool = False
+    answer: Answer | None = None
+    flight: tuple[tuple[float, int], ...] = ()
     failed: str = ""
     refusal: str = ""
     retries: int = 0
 
     @classmethod
-    def begun(cls, session: int, now: float) -> Link:
-        """Return a link that is about to say hello."""
-        return cls(session, now)._asked(Hello(VERSION, session))
+    def begun(cls, session: int, now: float, baud: float = float("inf")) -> Link:
+        """Return a link that is about to say hello, over a line of so many bits a second."""
+        return cls(session, now, LineModel(baud))._asked(Hello(VERSION, session))
 
     @property
     def busy(self) -> bool:
         """Whether a command is still to be sent, or not answered yet."""
         return bool(self.queue or self.next_table)
 
+    @property
+    def movable(self) -> bool:
+        """Whether the device takes tables."""
+        return self.told is not None and self.told.state in MOVABLE
+
     # What the host wants
 
-    def uploading(self, table: int, knots: Sequence[Knot]) -> Link:
-        """Return the link that sends a table, to be played until another one comes.
+    def uploading(self, table: int, knots: Sequence[Knot], repeats: int) -> Link:
+        """Return the link that sends a table, to be played so often unless another one comes.
 
         An upload that is under way is finished first, or a quick planner would never see one
         through; of those that wait, the newest counts.
         """
         begin = Begin(table, len(knots), table_crc(knots))
-        return replace(self, next_table=(begin, *_parts(table, 0, knots), Commit(table, 0)))
+        parts = _parts(table, 0, knots, self.line.knots_per_message)
+        return replace(self, next_table=(begin, *parts, Commit(table, repeats)))
 
     def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
         """Return the link that opens a stream with its first setpoints."""
-        return replace(
-            self, next_table=(Begin(table, 0, 0), *_parts(table, 0, knots), Commit(table, 0))
-        )
+        parts = _parts(table, 0, knots, self.line.knots_per_message)
+        return replace(self, next_table=(Begin(table, 0, 0), *parts, Commit(table, 1)))
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
         """Return the link that adds setpoints, from number `first` on, to the stream that plays."""
-        return self._asked(*_parts(table, first, knots))
+        return self._asked(*_parts(table, first, knots, self.line.knots_per_message))
 
     def stopping(self, now: bool = False) -> Link:
-        """Return the link that wants the plate to brake, or to lose its current `now`."""
-        cleared = replace(self, queue=(), next_table=(), inspected=False)
-        return cleared._asked(Stop(int(now)))
+        """Return the link that wants the plate to brake, or to lose its current `now`.
+
+        Whatever else was to be said is forgotten, an Enable above all. A stop that is on its way
+        already is sent again at once; a stronger one is not replaced by a weaker.
+        """
+        greeting = tuple(p for p in self.queue if isinstance(p.message, Hello))
+        stops = [p for p in self.queue if isinstance(p.message, Stop)]
+        bare = replace(self, queue=greeting, next_table=())
+        if stops and isinstance(stops[0].message, Stop) and stops[0].message.now >= int(now):
+            return replace(bare, queue=(replace(stops[0], sent_at=float("-inf")), *greeting))
+        link = bare._ordered(Stop(int(now)))
+        return replace(link, queue=(link.queue[-1], *link.queue[:-1]))
+
+    def enabling(self, stop: int) -> Link:
+        """Return the link that asks, once, for current after the stop with a number."""
+        return self._ordered(Enable(stop))
 
     def homing(self) -> Link:
-        """Return the link that wants the device, which must be off, to find home again."""
-        return self._asked(Home())
-
-    def enabling(self) -> Link:
-        """Return the link that may enable the motors once, whatever the device stopped for."""
-        return replace(self, inspected=True)
+        """Return the link that has the device, which must be off, forget where home is."""
+        return self._ordered(Home())
 
     def forgiven(self) -> Link:
         """Return the link without its refusal, which was told."""
         return replace(self, refusal="")
+
+    def _ordered(self, message: Message) -> Link:
+        link = self._asked(message)
+        return replace(link, answer=Answer(link.queue[-1].sequence, message))
 
     def _asked(self, *messages: Message) -> Link:
         numbers = [(self.sequence + i) % 2**16 for i in range(len(messages) + 1)]
@@ -199,14 +240,23 @@ class Link:
         """Return the link after a message that came at `now` [s]."""
         link, message = replace(self, heard_at=now), packet.message
         if isinstance(message, Telemetry):
-            return replace(link, telemetry=message)
+            return link._reported(message)
         if isinstance(message, Pulse):
-            return replace(link, clock=link.clock.heard(message, now))
+            clock, line = link.clock.heard(message, now), link.line.heard(message, now)
+            return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
             return link._greeted(message)
         if isinstance(message, Acknowledgement):
             return link._answered(message)
         return link
+
+    def _reported(self, told: Telemetry) -> Link:
+        link = replace(self, told=told, telemetry=told)
+        if told.state in MOVABLE:
+            return link
+        # A device that has stopped takes no table, and must not find one when it is enabled.
+        queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
+        return replace(link, queue=queue, next_table=())
 
     def _greeted(self, device: Capabilities) -> Link:
         if device.version != VERSION or device.motors != MOTORS:
@@ -228,18 +278,23 @@ class Link:
         about = [p for p in self.queue if p.sequence == answer.sequence and p.tries]
         if not about:
             return self
-        if isinstance(about[0].message, Knots) and answer.status in LATER:
+        message = about[0].message
+        if isinstance(message, Knots) and answer.status in LATER:
             return self._missed(about[0])
         queue = tuple(p for p in self.queue if p.sequence != answer.sequence)
+        link = replace(self, queue=queue)
+        if self.answer is not None and self.answer.sequence == answer.sequence:
+            link = replace(link, answer=replace(self.answer, status=answer.status))
         if answer.status is Status.DONE:
             # State and waiting table are known by the next telemetry: the last is from before.
-            changed = isinstance(about[0].message, Commit | Home | Enable)
-            telemetry = None if changed else self.telemetry
-            return replace(self, queue=queue, telemetry=telemetry)
-        name = type(about[0].message).__name__
+            changed = isinstance(message, Commit | Home | Enable | Stop)
+            return replace(link, telemetry=None if changed else self.telemetry)
+        if isinstance(message, Stop | Enable | Home):
+            return link
+        name = type(message).__name__
         reason = f"device refuses {name}: {answer.status.name.lower().replace('_', ' ')}"
         queue = tuple(p for p in queue if not isinstance(p.message, Knots | Commit))
-        return replace(self, queue=queue, refusal=reason)
+        return replace(link, queue=queue, refusal=reason)
 
     def _missed(self, early: Pending) -> Link:
         """Return the link that sends setpoints again, up to those that came before their turn.
@@ -258,53 +313,79 @@ class Link:
     # What is to be sent
 
     def due(self, now: float) -> tuple[Link, list[Packet]]:
-        """Return the link after sending, and the packets to send at `now` [s]."""
+        """Return the link after sending, and the packets to send at `now` [s], a stop first."""
         if self.failed:
             return self, []
-        if now - self.heard_at > SILENCE_S and self.device is not None:
-            return replace(self, failed=f"device has been silent for {SILENCE_S:g} s"), []
+        silence = SILENCE_S + self.line.round_s
+        if now - self.heard_at > silence and self.device is not None:
+            return replace(self, failed=f"device has been silent for {silence:.2g} s"), []
         link = self._fed(now)._split(now)
+        link = replace(link, flight=tuple(item for item in link.flight if item[0] > now))
         packets: list[Packet] = []
+        for pending in link._stops(now):
+            link = link._sent(pending, now, packets)
+        link = link._beaten(now, packets)
         for pending in link._sendable(now):
-            if pending.tries == len(RETRY_S):
+            if pending.tries and now - pending.first_at > link._longest(pending.message):
                 name = type(pending.message).__name__
                 return replace(link, failed=f"device does not answer {name}"), []
-            packets.append(Packet(pending.sequence, pending.message))
-            sent = replace(pending, sent_at=now, tries=pending.tries + 1)
-            queue = tuple(sent if p is pending else p for p in link.queue)
-            link = replace(link, queue=queue, retries=link.retries + (pending.tries > 0))
-        if link.device is not None and now - link.heartbeat_at >= HEARTBEAT_S:
-            packets.append(Packet(link.sequence, Heartbeat(round(now * 1e9))))
-            link = replace(link, heartbeat_at=now)
+            if not link._room(pending.message, now):
+                break
+            link = link._sent(pending, now, packets)
         return link, packets
 
+    def _longest(self, message: Message) -> float:
+        """Longest time to try a command [s]."""
+        if isinstance(message, Hello):
+            return GREETING_S
+        if isinstance(message, Knots):
+            return float("inf")
+        return GIVE_UP_S + 20 * self.line.round_s
+
+    def _beaten(self, now: float, packets: list[Packet]) -> Link:
+        """Return the link after a heartbeat, if one is due."""
+        if self.device is None or now - self.heartbeat_at < self.line.heartbeat_s - 1e-9:
+            return self
+        beat = Heartbeat(round(now * 1e9))
+        packets.append(Packet(self.sequence, beat))
+        line = self.line.sent(frame_bytes(beat), now).beaten(beat.host_ns, now)
+        return replace(self, line=line, heartbeat_at=now)
+
+    def _sent(self, pending: Pending, now: float, packets: list[Packet]) -> Link:
+        """Return the link after sending a command, as often at once as the line needs."""
+        size = frame_bytes(pending.message)
+        copies = self.line.copies(size)
+        packets += [Packet(pending.sequence, pending.message)] * copies
+        line = self.line.sent(copies * size, now)
+        first_at = pending.first_at if pending.tries else now
+        sent = replace(
+            pending, first_at=first_at, sent_at=max(now, line.free_at), tries=pending.tries + 1
+        )
+        queue = tuple(sent if p.sequence == pending.sequence else p for p in self.queue)
+        flight = self.flight
+        if isinstance(pending.message, Knots):
+            flight = (*flight, (line.free_at + line.round_s / 2, copies * size))
+        retries = self.retries + (copies if pending.tries else copies - 1)
+        return replace(self, queue=queue, line=line, flight=flight, retries=retries)
+
     def _fed(self, now: float) -> Link:
-        """Return the link with the next table, or what must come before it, in an empty queue."""
+        """Return the link with the next table in an empty queue."""
         if self.queue or not self.next_table or self.device is None or self.telemetry is None:
             return self
         if self.telemetry.waiting:
             return self  # Begin would throw it away
-        if self.telemetry.state in (State.READY, State.PLAYING):
-            return replace(self, next_table=())._asked(*self.next_table)
-        return self._roused(self.telemetry, now)
-
-    def _roused(self, telemetry: Telemetry, now: float) -> Link:
-        """Return the link that has a device that is off find home, or enable its motors."""
-        if telemetry.state is not State.OFF:
-            return self
-        if telemetry.faults & ~HARMLESS and not self.inspected:
-            return self
-        wanted = Home() if telemetry.faults & Fault.NO_HOME else Enable()
-        if wanted == self.roused and now - self.roused_at < ROUSE_S:
-            return self
-        inspected = self.inspected and not isinstance(wanted, Enable)
-        link = replace(self, roused=wanted, roused_at=now, inspected=inspected)
-        return link._asked(wanted)
+        return replace(self, next_table=())._asked(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:
         """Tell whether the answer to a command may still come."""
-        trip = self.clock.trip_s if self.clock.trip_s < SILENCE_S else 0.0
-        return pending.tries > 0 and now - pending.sent_at < RETRY_S[pending.tries - 1] + trip
+        if not pending.tries:
+            return False
+        wait = self.line.retry_s
+        if isinstance(pending.message, Hello):
+            wait = ANSWER_S if pending.tries < GREETING_TRIES else LATER_GREETING_S
+        elif isinstance(pending.message, Knots):
+            wait = self.line.round_s + KNOTS_ANSWER_S
+        return now - pending.sent_at < wait
 
     def _split(self, now: float) -> Link:
         """Return the link with knots that are not answered in messages of one knot each.
@@ -329,19 +410,30 @@ class Link:
                 sequence = (sequence + 1) % 2**16
         return replace(self, queue=tuple(queue), sequence=sequence)
 
+    def _stops(self, now: float) -> list[Pending]:
+        """The stop to send now: before all else, whatever is on the line."""
+        stops = [p for p in self.queue if isinstance(p.message, Stop)]
+        return [p for p in stops if not self._in_flight(p, now)]
+
     def _sendable(self, now: float) -> list[Pending]:
-        """Commands to send now: one, or as many knots as the device can hold."""
-        if self.device is None or not self.queue or not isinstance(self.queue[0].message, Knots):
-            return [p for p in self.queue[:1] if not self._in_flight(p, now)]
-        knots = [p for p in self.queue if isinstance(p.message, Knots)]
-        due = [p for p in knots if not self._in_flight(p, now)]
-        room = self.device.window - (len(knots) - len(due))
-        return due[: max(0, room)]
+        """Commands to send now: one, or as many knots as there are in a row."""
+        queue = [p for p in self.queue if not isinstance(p.message, Stop)]
+        if self.device is None or not queue or not isinstance(queue[0].message, Knots):
+            return [p for p in queue[:1] if not self._in_flight(p, now)]
+        return [p for p in queue if isinstance(p.message, Knots) and not self._in_flight(p, now)]
+
+    def _room(self, message: Message, now: float) -> bool:
+        """Tell whether the line, and for knots the device, has room for a message."""
+        if self.line.free_at - now >= QUEUE_S:
+            return False
+        if not isinstance(message, Knots) or self.device is None or not self.flight:
+            return True
+        size = frame_bytes(message)
+        most = self.device.window * FULL_BYTES
+        return sum(n for _, n in self.flight) + self.line.copies(size) * size <= most
 
 
-def _parts(table: int, first: int, knots: Sequence[Knot]) -> list[Message]:
-    """Knots from number `first` on, in messages."""
-    starts = range(0, len(knots), KNOTS_PER_MESSAGE)
-    return [
-        Knots(table, (first + k) % 2**16, tuple(knots[k : k + KNOTS_PER_MESSAGE])) for k in starts
-    ]
+def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:
+    """Knots from number `first` on, `count` to a message."""
+    starts = range(0, len(knots), count)
+    return [Knots(table, (first + k) % 2**16, tuple(knots[k : k + count])) for k in starts]

@@ -60,6 +60,11 @@ class MotorTable:
         return cls.of(rig, PlateCycle.rest(period), stamp_ns)
 
 
+def plays(cycles: int, hold_s: float, period: float) -> int:
+    """Return how often a table is played, wanted `cycles` times, where `hold_s` [s] is the most."""
+    return max(1, int(min(cycles, hold_s / period + 1e-9)))
+
+
 def prepare(
     rig: Rig,
     cycle: PlateCycle,

@@ -2,46 +2,87 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PlateError, load_rig
+from plate_core import CycleError, PlateError, load_rig
 from plate_core.kinematics import motor_state
 from plate_core.ros.convert import msg_to_cycle, nanoseconds, to_time, trajectory_to_msg
 from plate_core.ros.lifecycle import SafeLifecycleNode, logged
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
+from plate_core.ros.unlocked import UnlockedSubscription
 
 from .calibration import Calibration, Run, save_response, saved_response
-from .guard import Guard, Mode
-from .motor_table import MotorTable
-from .serial_transport import Measured, SerialTransport, open_port
-from .transport import SimTransport, Transport, check_transport
+from .guard import Guard
+from .keeper import Keeper, Latch, urgent
+from .motor_table import MAX_KNOTS, MotorTable
+from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
+from .state import (
+    CALIBRATING,
+    CUT,
+    DISABLED,
+    EMERGENCY,
+    READY,
+    UNANSWERED,
+    driver_state,
+    health,
+)
+from .transport import (
+    Condition,
+    Measured,
+    Order,
+    Transport,
+    TransportContext,
+    check_transport,
+    make_transport,
+)
+
+CYCLE_PERIOD_S = 0.002
+"""Time between looks for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
 
 WATCH_PERIOD_S = 0.02
-POLL_PERIOD_S = 0.005
-"""Time between looks at the serial port [s]: an upload takes some four of them."""
+STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
+"""Time between looks whether driver_state has changed, and after which it is said again [s]."""
 
 REPORT_PERIOD_S = 1.0
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
 
+IDLE_S = 1.0
+"""So long after the motors are ready, without any cycle, the driver says that none comes [s]."""
+
+REST_S = 3.0
+"""Longest wait for motors that brake, go home and lose their current [s]."""
+
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
 
 FAREWELL_S = 0.5
-"""How long to wait until the last rest table has arrived [s]."""
+"""How long to wait until the last table has arrived [s]."""
+
+THREADS = 4
+"""For stops, while somebody waits for an enable."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +90,15 @@ class Options:
     """Parameters of the driver."""
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
-    transport: str = parameter("sim", "What moves the plate: sim or serial.")
+    transport: str = parameter("sim", "What moves the plate: sim, serial, or one more installed.")
     port: str = parameter("", "Serial port of the motor controller, if transport is serial.")
+    baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
+    longest_upload_s: float = parameter(
+        0.5, "Longest time that a cycle of 64 pieces may take on the line [s].", 0.01, 60.0
+    )
     streams: bool = parameter(False, "Whether to stream setpoints, not to send whole cycles ahead.")
     hold_cycles: int = parameter(
-        5, "Periods that the plate goes on without a new cycle before it rests.", 1, 1000, live=True
+        5, "Periods that the plate goes on without a new cycle before it rests.", 1, 20
     )
     repeats: int = parameter(
         1, "Times that a cycle which does not start at rest is played.", 1, 100, live=True
@@ -66,29 +111,55 @@ class Options:
 
 
 class DriverNode(SafeLifecycleNode):
-    """Lifecycle node `driver`: subscribes plate_cycle, publishes motor_setpoints, motor_states and
-    diagnostics while active, and brings the plate to rest before it stops being active. Serves
-    emergency_stop, enable, home and calibrate; driver_state says whether the motors obey.
+    """Lifecycle node `driver`: subscribes plate_cycle, publishes motor_setpoints and motor_states
+    while active, and diagnostics always; serves calibrate.
 
-    With serial transport motor_states are measured: position [m], and in `effort`, since JointState
-    has no field for it, acceleration [m/s2]; stamped by the device's clock."""
+    What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
+    in every lifecycle state: emergency_stop, cut_power, enable, home and driver_state. Nothing but
+    `enable` gives the motors current.
+
+    Measured motor_states have position [m], and in `effort`, since JointState has no field for it,
+    acceleration [m/s2]."""
 
     def __init__(self) -> None:
         super().__init__("driver")
         self._guard = Guard(load_rig())
-        self._state = ""
-        self._run: Run | None = None
-        self._transport: Transport = SimTransport(self._publish)
         self._options = declare(self, Options)
         check_transport(self._options.transport, self._options.port)
-        self._measured: Measured | None = None
         self._follow = follow(self, self._options, self._set_options)
+        self._latch = Latch()
+        self._keeper: Keeper | None = None
+        self._making = threading.Lock()
+        self._run: Run | None = None
+        self._measured: Measured | None = None
+        self._retries, self._ready_since = 0, 0.0
+        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        # Ticks also while simulated time stands.
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(REPORT_PERIOD_S, self._report, clock=self._steady)
+        with urgent():  # for the participant's own threads too
+            self._safety = Safety(self)
         if self._options.autostart:
-            self.start()
+            try:
+                self.start()
+            except PlateError:
+                self.destroy_node()
+                raise
+
+    def destroy_node(self) -> None:
+        """Stop the motors, whatever state this is in."""
+        try:
+            if self.active and self.context.ok():
+                self.trigger_deactivate()
+        finally:  # the line must be released all the same
+            self._close()
+            if hasattr(self, "_safety"):
+                self._safety.close()
+            super().destroy_node()
 
     def _set_options(self, options: Options) -> None:
         self._options = options
-        self._guard = replace(self._guard, hold_cycles=options.hold_cycles, repeats=options.repeats)
+        self._guard = replace(self._guard, repeats=options.repeats)
 
     # Transitions
 
@@ -100,81 +171,151 @@ class DriverNode(SafeLifecycleNode):
         if options.calibration_file and Path(options.calibration_file).exists():
             learned = saved_response(options.calibration_file).command
         self._guard = Guard(rig, options.hold_cycles, options.repeats, learned)
-        self._transport = self._make_transport()
-        self._transport.open()
         self._setpoints = self.create_lifecycle_publisher(JointTrajectory, "motor_setpoints", DATA)
         self._states = self.create_lifecycle_publisher(JointState, "motor_states", DATA)
-        self._diagnostics = self.create_lifecycle_publisher(DiagnosticArray, "diagnostics", DATA)
-        self._driver_state = self.create_publisher(String, "driver_state", LATCHED)
-        self.keep(
-            self.destroy_lifecycle_publisher, self._setpoints, self._states, self._diagnostics
-        )
-        self.keep(self.destroy_publisher, self._driver_state)
-        cycles = self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
-        self.keep(self.destroy_subscription, cycles)
-        self.keep(
-            self.destroy_service,
-            self.create_service(Trigger, "emergency_stop", self._on_stop),
-            self.create_service(SetBool, "enable", self._on_enable),
-            self.create_service(Trigger, "home", self._on_home),
-            self.create_service(Trigger, "calibrate", self._on_calibrate),
-        )
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # ticks also while simulated time stands
-        timers = [(WATCH_PERIOD_S, self._watch), (REPORT_PERIOD_S, self._report)]
-        if isinstance(self._transport, SerialTransport):
-            timers.append((POLL_PERIOD_S, self._poll))
-        if self._options.state_rate > 0:
-            timers.append((1 / self._options.state_rate, self._publish_state))
+        self.keep(self.destroy_lifecycle_publisher, self._setpoints, self._states)
+        self._open()
+        most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
+        self._cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
+        self.keep(UnlockedSubscription.destroy, self._cycles)
+        service = self.create_service(Trigger, "calibrate", self._on_calibrate)
+        self.keep(self.destroy_service, service)
+        timers = [(CYCLE_PERIOD_S, self._take), (WATCH_PERIOD_S, self._watch)]
+        if options.state_rate > 0:
+            timers.append((1 / options.state_rate, self._publish_state))
         for t, tick in timers:
-            self.keep(self.destroy_timer, self.create_timer(t, tick, clock=steady))
+            self.keep(self.destroy_timer, self.create_timer(t, tick, clock=self._steady))
         return super().on_configure(state)
 
     def begin(self) -> None:
-        """Say that the motors obey."""
-        self._tell_state()
+        """Let cycles through once the motors are ready. Where there are none they are: nobody has
+        to enable them, unless they were stopped."""
+        self._ready_since = self._now()
+        keeper = self._keeper
+        if keeper is not None and not keeper.motors:
+            (keeper.stop if self._latch.reason else keeper.enable)()
+        self._safety.say()
 
     def rest(self) -> None:
-        """Bring the plate to rest."""
-        self._turn(Mode.STOPPED if self._guard.mode is Mode.STOPPED else Mode.READY)
-        self._tell_state()
+        """Have the motors stop, and wait until they are off."""
+        keeper = self._keeper
+        if keeper is None:
+            return
+        self._latch.close(DISABLED if keeper.motors else "")
+        self._halted()
+        if not keeper.stop().wait():
+            self.get_logger().error(UNANSWERED)
+        else:
+            end = self._now() + REST_S
+            while keeper.report.condition not in (Condition.OFF, Condition.GONE):
+                if self._now() > end:
+                    self.get_logger().error(f"the plate still moves after {REST_S:g} s")
+                    break
+                time.sleep(0.01)
         if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
             self.get_logger().debug("not everyone has confirmed the last motor table")
+        self._safety.say()
 
     def release(self) -> None:
         """Let go of the transport."""
-        self._transport.close()
-        self._measured, self._run, self._state = None, None, ""
+        self._close()
+        self._measured, self._run = None, None
+        self._safety.say()
+
+    # The transport
+
+    def _make_transport(self) -> Transport:
+        context = TransportContext(
+            self._rig, self._publish, time.monotonic, asdict(self._options), time.time_ns() % 2**32
+        )
+        return make_transport(self._options.transport, context)
+
+    def _open(self) -> None:
+        """Open the transport, and have it looked after."""
+        with self._making:
+            transport = self._make_transport()
+            transport.open()
+            keeper = Keeper(transport, self._latch, self._on_defect)
+            keeper.start()
+            self._keeper = keeper
+
+    def _close(self) -> None:
+        """Stop and release the transport, if one is open."""
+        with getattr(self, "_making", contextlib.nullcontext()):
+            keeper, self._keeper = getattr(self, "_keeper", None), None
+            if keeper is not None:
+                keeper.close()
+
+    def _on_defect(self, error: Exception) -> None:
+        self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=QUIET_S)
+
+    def stop_motors(self, cut: bool) -> Order:
+        """Stop, in any state: where no transport is open one is opened for it."""
+        with contextlib.ExitStack() as stack:
+            keeper = self._keeper
+            if keeper is None:
+                stack.enter_context(self._making)
+                keeper = self._keeper
+            if keeper is not None:
+                order = keeper.stop(cut)
+                order.wait()
+                return order
+            try:
+                self._rig = load_rig(self._options.rig_file)
+                transport = self._make_transport()
+                transport.open()
+            except PlateError as error:
+                return Order().settle(str(error))
+            keeper = Keeper(transport, self._latch, self._on_defect)
+            keeper.start()
+            order = keeper.stop(cut)
+            order.wait()
+            keeper.close()
+            return order
+
+    @property
+    def keeper(self) -> Keeper | None:
+        """The open transport."""
+        return self._keeper
+
+    @property
+    def latch(self) -> Latch:
+        """Why no cycle is let through."""
+        return self._latch
+
+    def told(self) -> str:
+        """Return what driver_state is to say."""
+        keeper = self._keeper
+        report = None if keeper is None else keeper.report
+        run = self._run
+        lifecycle = "active" if self.active else ("unconfigured" if keeper is None else "inactive")
+        return driver_state(lifecycle, self._latch.reason, report, run is not None)
 
     # Work
 
-    def _make_transport(self) -> Transport:
-        if self._options.transport == "sim":
-            return SimTransport(self._publish)
-        port, seed = self._options.port, time.time_ns() % 2**32
-        return SerialTransport(lambda: open_port(port), time.monotonic, seed, self._options.streams)
-
-    def _poll(self) -> None:
-        """Serve the serial link, and tell what is wrong with it."""
-        if not isinstance(self._transport, SerialTransport):
-            return
-        for measured in self._transport.poll():
-            self._measured = measured
-            if self._run is not None:
-                self._run = self._run.noted(measured.telemetry)
-        for trouble in self._transport.troubles():
-            self._guard = self._guard.troubled(trouble)
-            self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
-
     def _now(self) -> float:
-        return self.get_clock().now().nanoseconds * 1e-9
+        return time.monotonic()
 
-    def _on_cycle(self, msg: JointTrajectory) -> None:
-        if not self.active:
+    def _take(self) -> None:
+        """Look whether a cycle has come."""
+        while (taken := self._cycles.take()) is not None:
+            self.take_cycle(*taken)
+
+    def take_cycle(self, data: bytes, size: int) -> None:
+        """Send on a cycle that came as `size` bytes, the first of which are `data`."""
+        keeper = self._keeper
+        if not self.active or keeper is None:
             return
-        stamp_ns = nanoseconds(msg.header.stamp)
+        number = self._latch.number
         try:
-            guard, fit = self._guard.accepted(msg_to_cycle(msg), stamp_ns, self._now())
-            self._send(guard)
+            state = self.told()
+            if state != READY:
+                raise CycleError(f"the driver is {state}")
+            check_length(data, size, min(MAX_KNOTS, keeper.max_knots))
+            msg = deserialize_message(data, JointTrajectory)
+            stamp_ns = nanoseconds(msg.header.stamp)
+            guard, fit = self._guarded(keeper).accepted(msg_to_cycle(msg), stamp_ns, self._now())
+            self._send(keeper, guard, number)
         except PlateError as error:
             self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
@@ -182,11 +323,15 @@ class DriverNode(SafeLifecycleNode):
         if fit.factor < WORTH_A_WARNING:
             self.get_logger().warning(fit.told, throttle_duration_sec=QUIET_S)
 
-    def _send(self, guard: Guard) -> None:
+    def _guarded(self, keeper: Keeper) -> Guard:
+        """The guard, with what the device is now known to hold."""
+        return self._guard.holding(keeper.hold_s)
+
+    def _send(self, keeper: Keeper, guard: Guard, number: int) -> None:
         """Send the table of a guard, and take the guard for ours."""
         assert guard.table is not None
-        self._transport.send(guard.table)
-        if isinstance(self._transport, SerialTransport):
+        keeper.send(guard.table, guard.plays, number)
+        if keeper.motors:
             self._publish(guard.table)
         self._guard = guard
 
@@ -197,152 +342,286 @@ class DriverNode(SafeLifecycleNode):
             trajectory_to_msg(joints, table.cycle.times, table.q, table.qd, table.qdd, stamp)
         )
 
-    def _turn(self, mode: Mode) -> None:
-        """Bring the plate to rest, and let through from now on what a mode lets through."""
+    def _halted(self) -> None:
+        """Take note that the plate rests, and that an experiment is over."""
         self._run = None
-        self._guard, table = self._guard.turned(mode, self._now())
-        if table is not None:
-            self._send(self._guard)
+        self._guard = self._guard.resting(self._now())
 
     def _watch(self) -> None:
+        """Take note of what the motors do, and what goes wrong."""
+        keeper = self._keeper
+        if keeper is None:
+            return
+        for measured in keeper.measured():
+            self._measured = measured
+            if self._run is not None:
+                self._run = self._run.noted(measured)
+        for trouble in keeper.troubles():
+            self._guard = self._guard.troubled(trouble)
+            self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
         if not self.active:
             return
-        now = self._now()
-        before = self._guard.watchdog.patience
-        guard, table = self._guard.watched(now)
-        if table is None:
-            self._guard = guard
-        else:
+        state, now = self.told(), self._now()
+        if state not in (READY, CALIBRATING):
+            self._ready_since = now
+            if self._run is not None:
+                self._calibrated(f"failed: {state}", now)
+            if self._guard.table is not None:
+                self._halted()
+            return
+        if self._run is not None:
+            self._calibrate(keeper, now)
+            return
+        hold_s = self._guard.watchdog.hold_s
+        self._guard, over = self._guard.watched(now)
+        if over:
             self.get_logger().warning(
-                f"no plate_cycle for {before:.3g} s: the plate is brought to rest",
+                f"no plate_cycle for {hold_s:.3g} s: the plate rests",
                 throttle_duration_sec=QUIET_S,
             )
-            self._send(guard)
-        self._calibrate(now)
-        self._tell_state()
 
-    def _tell_state(self) -> None:
-        """Publish whether the motors obey, when that changes."""
-        state = self._guard.mode.value if self.active else "inactive"
-        if self.active and not self._transport.connected:
-            state = "error: the device is silent"
-        if state != self._state:
-            self._state = state
-            self._driver_state.publish(String(data=state))
-
-    # Services
-
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._turn(Mode.STOPPED)
-        self._transport.stop()
-        self._tell_state()
-        self.get_logger().error("emergency stop: the plate brakes; call enable to go on")
-        response.success, response.message = True, Mode.STOPPED.value
-        return response
-
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._turn(Mode.READY if request.data else Mode.DISABLED)
-        if request.data:
-            self._transport.enable()
-        else:
-            self._transport.stop()
-        self._tell_state()
-        response.success, response.message = self.active, self._guard.mode.value
-        return response
-
-    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self.active and self._guard.mode is Mode.DISABLED
-        response.message = "the plate goes home"
-        if not response.success:
-            response.message = f"the driver is {self._state}, allowed: disabled; call enable, false"
-        else:
-            self._transport.home()
-        return response
+    # Calibration
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = False
+        keeper, state = self._keeper, self.told()
         if not self._options.calibration_file:
             response.message = "calibration_file is '', allowed: the name of a file"
-        elif not isinstance(self._transport, SerialTransport) or self._options.streams:
+        elif keeper is None or not keeper.calibrates:
             response.message = "transport is sim or streams, allowed: serial with cycles"
-        elif self._state != Mode.READY.value:
-            response.message = f"the driver is {self._state}, allowed: ready"
+        elif state != READY:
+            response.message = f"the driver is {state}, allowed: ready"
         else:
-            self._turn(Mode.CALIBRATING)
-            self._experiment(Run(Calibration.begun(self._rig)), self._now())
-            response.success, response.message = True, "see driver_state and diagnostics"
+            try:
+                self._experiment(keeper, Run(Calibration.begun(self._rig)), self._now())
+                response.success, response.message = True, "see driver_state and diagnostics"
+            except PlateError as error:
+                self._run, response.message = None, str(error)
         return response
 
-    def _experiment(self, run: Run, now: float) -> None:
+    def _experiment(self, keeper: Keeper, run: Run, now: float) -> None:
         """Begin the next experiment of a calibration."""
-        guard, played = self._guard.experimenting(run.cycle, now)
-        self._run = run = run.playing(played)
-        self._send(guard)
+        number = self._latch.number
+        before = self._guarded(keeper)
+        guard, played = before.experimenting(run.cycle, now)
+        self._run = run.playing(played)
+        self._send(keeper, guard, number)
+        self._guard = guard.after_experiment(before)
         self.get_logger().info(f"calibration: {run.calibration.progress}")
 
-    def _calibrate(self, now: float) -> None:
+    def _calibrate(self, keeper: Keeper, now: float) -> None:
         """Go on with the calibration when an experiment is over."""
-        if self._run is None or not self._run.over:
-            return
+        run = self._run
+        assert run is not None
         try:
-            calibration = self._run.heard()
+            if not run.over:
+                if self._guard.watchdog.tripped(now - self._guard.watchdog.hold_s):
+                    raise PlateError("the motors have not played the experiment to its end")
+                return
+            calibration = run.heard()
             if calibration.cycle is not None:
-                self._experiment(Run(calibration), now)
+                self._experiment(keeper, Run(calibration), now)
                 return
             save_response(self._options.calibration_file, calibration.response)
             text = f"done: {self._options.calibration_file}, used from the next configure on"
         except PlateError as error:
-            self._guard = self._guard.troubled("calibration failed")
             text = f"failed: {error}"
-        self.get_logger().info(f"calibration {text}")
-        self._turn(Mode.READY)
+        self._calibrated(text, now)
+
+    def _calibrated(self, text: str, now: float) -> None:
+        """End a calibration."""
+        if text.startswith("failed"):
+            self._guard = self._guard.troubled(f"calibration {text}")
+            self.get_logger().error(f"calibration {text}")
+        else:
+            self.get_logger().info(f"calibration {text}")
+        self._halted()
+
+    # What it tells
 
     def _publish_state(self) -> None:
         """Publish what was measured, or else what the motors were told to do now."""
-        if isinstance(self._transport, SerialTransport):
-            self._publish_measured()
+        keeper = self._keeper
+        if not self.active or keeper is None:
             return
-        if not self.active or self._guard.table is None:
-            return
-        now = self.get_clock().now()
-        cycle = self._guard.table.cycle
-        t = max(0.0, now.nanoseconds * 1e-9 - self._guard.sent_at) % cycle.period
-        q, qd, _ = motor_state(self._rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
         msg = JointState(name=[motor.name for motor in self._rig.motors])
-        msg.header.stamp = now.to_msg()
-        msg.position, msg.velocity = q[0].tolist(), qd[0].tolist()
+        now = self.get_clock().now()
+        if keeper.motors:
+            measured, self._measured = self._measured, None
+            if measured is None:
+                return
+            age_ns = max(0, round(1e9 * (time.monotonic() - measured.time)))
+            # A simulated clock may stand at zero.
+            msg.header.stamp = to_time(max(0, now.nanoseconds - age_ns))
+            msg.position = list(measured.position)
+            msg.effort = list(measured.acceleration)
+        else:
+            msg.header.stamp = now.to_msg()
+            msg.position, msg.velocity = self._commanded()
         self._states.publish(msg)
 
-    def _publish_measured(self) -> None:
-        measured, self._measured = self._measured, None
-        if not self.active or measured is None:
-            return
-        msg = JointState(name=[motor.name for motor in self._rig.motors])
-        age = Duration(seconds=max(0.0, time.monotonic() - measured.time))
-        msg.header.stamp = (self.get_clock().now() - age).to_msg()
-        msg.position = list(measured.telemetry.position)
-        msg.effort = list(measured.telemetry.acceleration)
-        self._states.publish(msg)
+    def _commanded(self) -> tuple[list[float], list[float]]:
+        """Travel [m] and speed [m/s] that the motors are told to have now."""
+        table = self._guard.table
+        if table is None:
+            return [0.0] * len(self._rig.motors), [0.0] * len(self._rig.motors)
+        t = max(0.0, self._now() - self._guard.sent_at) % table.cycle.period
+        cycle = table.cycle
+        q, qd, _ = motor_state(self._rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
+        return q[0].tolist(), qd[0].tolist()
 
     def _report(self) -> None:
-        if not self.active:
-            return
-        guard = self._guard
-        record, self._guard = guard.record, replace(guard, record=guard.record.reported())
+        """Publish diagnostics, in every state."""
+        now, state, guard, keeper = self._now(), self.told(), self._guard, self._keeper
+        record, self._guard = guard.record, guard.reported()
+        values = guard.values(REPORT_PERIOD_S, now) | {"state": state}
+        run = self._run
+        if run is not None:
+            values["calibration"] = run.calibration.progress
+        if keeper is not None:
+            values |= dict(keeper.report.values) | keeper.values()
+        retries = int(values.get("retries", "0"))
+        again, self._retries = max(0, retries - self._retries), retries
+        level, message = health(state, record, again, self._quiet_s(now))
         status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="plate")
-        status.level = DiagnosticStatus.WARN if record.troubles else DiagnosticStatus.OK
-        if self._state not in (Mode.READY.value, Mode.CALIBRATING.value):
-            status.level = DiagnosticStatus.ERROR
-        values = guard.values(REPORT_PERIOD_S, self._now()) | {"state": self._state}
-        if self._run is not None:
-            values["calibration"] = self._run.calibration.progress
-        if isinstance(self._transport, SerialTransport):
-            values |= self._transport.values()
-        status.message = ", ".join(record.troubles) or "all cycles as asked"
+        status.level, status.message = bytes([level]), message
         status.values = [KeyValue(key=k, value=v) for k, v in values.items()]
         msg = DiagnosticArray(status=[status])
         msg.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(msg)
+
+    def _quiet_s(self, now: float) -> float | None:
+        """Time for which no cycle has come [s], if the plate rests because of that."""
+        if self._guard.watchdog.fed_at is not None:
+            return None
+        quiet = now - max(self._guard.sent_at, self._ready_since)
+        return quiet if quiet > max(IDLE_S, self._guard.watchdog.hold_s) else None
+
+
+class Safety:
+    """Stops, enable, home and driver_state, apart from all that cycles do: a participant of its own
+    receives nothing else, threads of its own answer, and the clock is the steady one.
+
+    Parameters
+    ----------
+    driver : DriverNode
+    """
+
+    def __init__(self, driver: DriverNode) -> None:
+        self._driver, self._latch = driver, driver.latch
+        self._context = rclpy.Context()
+        rclpy.init(
+            args=[], context=self._context, domain_id=driver.context.get_domain_id(),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )  # fmt: skip
+        self.node = node = Node(
+            f"{driver.get_name()}_safety", context=self._context,
+            namespace=driver.get_namespace(), use_global_arguments=False,
+            start_parameter_services=False,
+        )  # fmt: skip
+        stops, waits = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        for kind, name, call, group in (
+            (Trigger, "emergency_stop", self._on_emergency_stop, stops),
+            (Trigger, "cut_power", self._on_cut_power, stops),
+            (SetBool, "enable", self._on_enable, waits),
+            (Trigger, "home", self._on_home, waits),
+        ):
+            full = driver.resolve_service_name(name)
+            node.create_service(kind, full, call, callback_group=group)
+        topic = driver.resolve_topic_name("driver_state")
+        self._states = node.create_publisher(String, topic, LATCHED)
+        self._state, self._said_at = "", float("-inf")
+        self._saying = threading.Lock()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        own = MutuallyExclusiveCallbackGroup()
+        node.create_timer(STATE_PERIOD_S, self.say, clock=steady, callback_group=own)
+        self._executor = MultiThreadedExecutor(THREADS, context=self._context)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name="safety", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def say(self) -> None:
+        """Publish driver_state if it has changed, or was not said for a while."""
+        with self._saying:
+            state, now = self._driver.told(), time.monotonic()
+            if state == self._state and now - self._said_at < LIFE_PERIOD_S:
+                return
+            self._state, self._said_at = state, now
+            self._states.publish(String(data=state))
+
+    def close(self) -> None:
+        """Say the last state, and end."""
+        self.say()
+        self._states.wait_for_all_acked(Duration(seconds=FAREWELL_S))
+        self._executor.shutdown(timeout_sec=FAREWELL_S)
+        self._thread.join(FAREWELL_S)
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def _on_emergency_stop(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        return self._stopped(response, EMERGENCY, False)
+
+    def _on_cut_power(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._stopped(response, CUT, True)
+
+    def _stopped(self, response: Any, reason: str, cut: bool) -> Any:
+        self._latch.close(reason, over=("", DISABLED) if not cut else ())
+        order = self._driver.stop_motors(cut)
+        response.success = order.done
+        response.message = reason if order.done else UNANSWERED
+        self.say()
+        if order.done:
+            self.node.get_logger().warning(reason)
+        else:
+            self.node.get_logger().error(f"{reason}: {UNANSWERED}")
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            self._latch.close(DISABLED)
+            order = self._driver.stop_motors(False)
+            response.success = order.done
+            response.message = self._latch.reason if order.done else UNANSWERED
+            self.say()
+            return response
+        keeper, number = self._driver.keeper, self._latch.number
+        if keeper is None or not self._driver.active:
+            response.success = False
+            response.message = f"the driver is {self._driver.told()}, allowed: active"
+            return response
+        order = keeper.enable()
+        self.say()
+        order.wait()
+        if not order.settled:
+            order.settle(f"the motors are not ready after {order.longest_s:.2g} s")
+        failure = order.failure
+        if not failure and not self._latch.open(number):
+            failure = "another stop has come since; call enable again"
+        keeper.look()
+        self.say()
+        response.success, response.message = not failure, failure or self._driver.told()
+        return response
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        keeper = self._driver.keeper
+        response.success = False
+        if keeper is None or keeper.report.condition is not Condition.OFF:
+            response.message = (
+                f"the driver is {self._driver.told()}, allowed: motors off; call enable, false"
+            )
+            return response
+        order = keeper.home()
+        response.success = order.wait()
+        response.message = "the next enable finds home"
+        if not response.success:
+            response.message = order.failure or UNANSWERED
+        return response
 
 
 def main() -> None:

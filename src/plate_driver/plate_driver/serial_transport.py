@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,29 +12,65 @@ import serial
 from plate_core import CycleError, PlateError
 from plate_core.errors import FrameError
 from plate_core.serial_protocol import (
+    Enable,
     Fault,
+    Home,
     Packet,
     Reader,
     State,
+    Status,
+    Stop,
     Telemetry,
     frame,
     pack,
     parse,
 )
 
-from .link import HARMLESS, Link
-from .motor_table import MotorTable
+from .line import upload_s
+from .link import Link
+from .motor_table import MAX_KNOTS, MotorTable, plays
+from .transport import Condition, Measured, Order, Report, TransportContext
 from .unrolled import Unrolled, finer, knots
 
 BAUD = 921_600
+
+PIECES = 64
+"""Of the table by which a line is judged."""
+
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 """Waits between attempts to begin anew [s]; the last one from then on."""
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
 
+JOINED_S = 0.15
+"""Least lead with which a stream that is about to end goes on [s]; else a new one is begun."""
+
+QUIET_S = 0.5
+"""So long, and a round trip, without a word, and the device does not answer [s]."""
+
+STOP_ANSWER_S, HOME_ANSWER_S, READY_S = 0.5, 1.0, 8.0
+"""Longest waits, besides four round trips: for the answers to a stop and to a home, and until the
+motors are ready: 5 s for the search of home, 0.5 s for the way there [s]."""
+
 READ_BYTES = 65_536
 """Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
+
+UNANSWERED = "the device does not answer"
+
+CONDITIONS = {
+    State.OFF: Condition.OFF,
+    State.HOMING: Condition.ENABLING,
+    State.READY: Condition.READY,
+    State.PLAYING: Condition.READY,
+    State.BRAKING: Condition.BRAKING,
+}
+
+REFUSED = {
+    Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
+    Status.WRONG_STATE: "wrong state: it brakes, or a fault of the board is still there",
+}
+"""Why a device does not enable, or find home."""
 
 
 class Port(Protocol):
@@ -59,8 +94,8 @@ class _Serial(serial.Serial):
             return 0
 
 
-def open_port(name: str) -> Port:
-    """Open a serial port.
+def open_port(name: str, baud: int = BAUD) -> Port:
+    """Open a serial port, for nobody else.
 
     Raises
     ------
@@ -68,22 +103,39 @@ def open_port(name: str) -> Port:
         If it is not there or cannot be used.
     """
     try:
-        port: Port = _Serial(name, BAUD, timeout=0, exclusive=True)
+        port: Port = _Serial(name, baud, timeout=0, exclusive=True)
     except (OSError, ValueError) as error:  # SerialException is an OSError
-        raise PlateError(f"port is {name!r}, allowed: a serial port that opens ({error})") from None
+        raise PlateError(
+            f"port is {name!r}, allowed: a serial port that opens at {baud} baud ({error})"
+        ) from None
     return port
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Telemetry and when it was measured, on the host's clock [s]."""
+def check_line(baud: int, longest_upload_s: float) -> None:
+    """Refuse a line on which a cycle takes too long."""
+    seconds = upload_s(PIECES, baud)
+    if seconds > longest_upload_s:
+        raise PlateError(
+            f"baud is {baud}: a cycle of {PIECES} pieces takes {seconds:.2f} s, "
+            f"allowed: at most longest_upload_s = {longest_upload_s:g} s"
+        )
 
-    telemetry: Telemetry
-    time: float
+
+def make_serial(context: TransportContext) -> SerialTransport:
+    """Return the transport to a motor controller on a serial port."""
+    values = context.parameters
+    port, baud = str(values["port"]), int(values["baud"])
+    check_line(baud, float(values["longest_upload_s"]))
+    return SerialTransport(
+        lambda: open_port(port, baud), context.clock, context.seed, bool(values["streams"]), baud
+    )
 
 
 class SerialTransport:
     """To a motor controller that speaks docs/protocol.md.
+
+    It never enables by itself: not when the link has failed and is begun anew, not when the device
+    was reset or has not heard it for a while.
 
     Parameters
     ----------
@@ -95,7 +147,11 @@ class SerialTransport:
         Where session numbers begin: another one for each run.
     streams : bool
         Whether setpoints are streamed, not sent ahead cycle by cycle.
+    baud : float
+        Of the line [bit/s].
     """
+
+    motors = True
 
     def __init__(
         self,
@@ -103,50 +159,76 @@ class SerialTransport:
         clock: Callable[[], float],
         seed: int,
         streams: bool = False,
+        baud: float = BAUD,
     ) -> None:
-        self._streams = streams
+        self._streams, self._baud = streams, baud
         self._row: Unrolled | None = None
         self._row_began: float | None = None  # on the device's clock [s]
+        self._next: tuple[MotorTable, int] | None = None  # begins the next stream
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
-        self._link = Link.begun(self._session, 0.0)
-        self._newest: MotorTable | None = None
+        self._link = Link.begun(self._session, clock(), baud)
+        self._stops: list[Order] = []
+        self._wish: Order | None = None  # an enable or a home
+        self._cut = False
         self._table = 0
         self._failures = 0
         self._reopen_at = 0.0
+        self._gone = UNANSWERED
         self._troubles: list[str] = []
+        self._stop_told = -1
+        self._followed_m = self._load = 0.0
         self.refused = 0
         self.retries = 0
 
     @property
-    def connected(self) -> bool:
-        """Whether the device has answered, and not fallen silent since."""
-        return self._port is not None and self._link.device is not None
+    def calibrates(self) -> bool:
+        """Whether whole cycles are played."""
+        return not self._streams
+
+    @property
+    def max_knots(self) -> int:
+        """Most knots that the device takes."""
+        device = self._link.device
+        return MAX_KNOTS if device is None or self._streams else min(device.max_knots, MAX_KNOTS)
+
+    @property
+    def hold_s(self) -> float:
+        """Longest time for which the device plays a table again [s]."""
+        device = self._link.device
+        return float("inf") if device is None else device.hold_ms * 1e-3
 
     def open(self) -> None:
         """Open the port and say hello; a PlateError says what is missing."""
         self._connect(self._make_port())
+        self.poll()
 
-    def send(self, table: MotorTable) -> None:
+    def send(self, table: MotorTable, repeats: int) -> None:
         """Upload a table: the device takes it at its next cycle boundary.
 
         Raises
         ------
         CycleError
-            If the device cannot hold so many knots.
+            If the device is not ready, or cannot hold so many knots.
         """
-        device = self._link.device
-        if device is not None and len(table.q) > device.max_knots:
+        report = self.report()
+        if report.condition is not Condition.READY:
+            reason = f" ({report.reason})" if report.reason else ""
+            raise CycleError(f"the device is {report.condition.value}{reason}, allowed: ready")
+        if len(table.q) > self.max_knots and not self._streams:
             raise CycleError(
-                f"plate_cycle: {len(table.q)} knots, allowed by the device: {device.max_knots}"
+                f"plate_cycle: {len(table.q)} knots, allowed by the device: {self.max_knots}"
             )
-        self._newest = table
-        if self._row is not None:
-            self._row = self._row.followed_by(finer(table))
+        repeats = plays(repeats, self.hold_s, table.cycle.period)
+        if not self._streams:
+            self._table = self._table % 65_535 + 1
+            self._link = self._link.uploading(self._table, knots(table), repeats)
+        elif self._row is not None and not self._row.ended:
+            self._row = self._row.followed_by(finer(table), repeats)
         else:
-            self._upload()
+            self._next = table, repeats
         self.poll()
 
     def poll(self) -> list[Measured]:
@@ -165,7 +247,8 @@ class SerialTransport:
                 telemetry = self._heard(data, now)
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
-                    measured.append(Measured(telemetry, min(when, now)))
+                    measured.append(_measured(telemetry, min(when, now)))
+            self._settle()
             self._stream(now)
             link, due = self._link.due(now)
             self.retries += link.retries - self._link.retries
@@ -180,14 +263,20 @@ class SerialTransport:
         elif self._link.refusal:
             self._tell(self._link.refusal)
             self._link = self._link.forgiven()
-            self._row = None  # the device would miss what follows: it brakes, and is begun anew
+            self._row = None  # the device would miss what follows, and brakes
         return measured
 
-    def _write(self, port: Port, due: list[Packet]) -> None:
-        # A zero first ends whatever noise has left on the line.
-        data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
-        if port.write(data) != len(data):
-            self._tell("serial line is full: what is lost is repeated")
+    def report(self) -> Report:
+        """Say what the device says that the motors do."""
+        told, now = self._link.told, self._clock()
+        if self._port is None or self._link.device is None or told is None:
+            return Report(Condition.GONE, self._gone)
+        if now - self._link.heard_at > QUIET_S + self._link.line.round_s:
+            return Report(Condition.GONE, UNANSWERED)
+        # Where home is not known the next enable finds it: that is no reason to look at the rig.
+        faults = told.faults & ~Fault.NO_HOME
+        reason = named(faults) if told.state in (State.OFF, State.BRAKING) else ""
+        return Report(CONDITIONS[told.state], reason)
 
     @property
     def busy(self) -> bool:
@@ -201,30 +290,113 @@ class SerialTransport:
 
     def values(self) -> dict[str, str]:
         """Return what is to be reported since the last call, name to value."""
-        lead, self.least_lead_s = self.least_lead_s, float("inf")
-        told = {"retries": str(self.retries), "frames_refused": str(self.refused)}
-        return told | ({"least_lead_ms": f"{1e3 * lead:.1f}"} if np.isfinite(lead) else {})
+        link, lead, self.least_lead_s = self._link, self.least_lead_s, float("inf")
+        values = {
+            "retries": str(self.retries),
+            "frames_refused": str(self.refused),
+            "heartbeats_answered": f"{link.line.answered:.2f}",
+        }
+        if link.line.trip_s is not None:
+            values["round_trip_ms"] = f"{1e3 * link.line.trip_s:.1f}"
+        if link.told is not None:
+            values |= {
+                "device_state": link.told.state.name.lower(),
+                "faults": named(link.told.faults) or "none",
+                "stop": str(link.told.stop),
+                "following_error_mm": f"{1e3 * self._followed_m:.3f}",
+                "device_heat": f"{link.told.heat:.4f}",
+                "device_load": f"{self._load:.3f}",
+            }
+            self._followed_m, self._load = link.told.following_m, link.told.load
+        if np.isfinite(lead):
+            values["least_lead_ms"] = f"{1e3 * lead:.1f}"
+        return values
 
-    def stop(self, now: bool = False) -> None:
-        """Have the device brake, or take the current away at once; the last table is forgotten."""
-        self._newest = self._row = None
-        self._link = self._link.stopping(now)
+    # What a person asks for
+
+    def stop(self, cut: bool = False) -> Order:
+        """Have the device brake, or take the current away at once; all else is forgotten."""
+        self._row = self._next = None
+        self._grant("another stop has come since; call enable again")
+        order = self._ordered(STOP_ANSWER_S)
+        self._cut = cut or (self._cut and bool(self._stops))
+        self._stops.append(order)
+        self._link = self._link.stopping(self._cut)
         self.poll()
+        return order
 
-    def home(self) -> None:
-        """Have the device find home; it refuses unless its motors are off."""
-        self._link = self._link.homing()
+    def enable(self) -> Order:
+        """Ask for current, once, after the stop that the device tells now."""
+        told = self._link.told
+        order = self._ordered(READY_S)
+        if self.report().condition is Condition.GONE or told is None:
+            return order.settle(UNANSWERED)
+        if self._stops or self._link.telemetry is None:  # nobody knows which stop it would clear
+            return order.settle("the last stop is not told by the device yet; call enable again")
+        if self._wish is not None:
+            return order.settle("another enable or home is not answered yet")
+        self._wish, self._link = order, self._link.enabling(told.stop)
+        self.poll()
+        return order
 
-    def enable(self) -> None:
-        """Let the next table enable the motors, whatever the device stopped for: once."""
-        self._link = self._link.enabling()
+    def home(self) -> Order:
+        """Have the device forget where home is; it refuses unless its motors are off."""
+        order = self._ordered(HOME_ANSWER_S)
+        if self.report().condition is Condition.GONE:
+            return order.settle(UNANSWERED)
+        if self._stops or self._wish is not None:
+            return order.settle("a stop, an enable or a home is not answered yet")
+        self._wish, self._link = order, self._link.homing()
+        self.poll()
+        return order
 
     def close(self) -> None:
-        """Have the device brake, and release the port."""
-        if self._port is not None:
+        """Have the device brake unless its motors are off, and release the port."""
+        told = self._link.told
+        off = told is not None and told.state is State.OFF
+        if self._port is not None and not self._stops and not off:
             self.stop()
-        self._newest = self._row = None
+        self._row = self._next = None
         self._release()
+
+    def _ordered(self, longest_s: float) -> Order:
+        return Order(longest_s + 4 * self._link.line.round_s)
+
+    def _settle(self) -> None:
+        """Tell those who wait what has become of their order."""
+        answer = self._link.answer
+        if answer is None or answer.status is None:
+            return
+        failure = "" if answer.status is Status.DONE else _refused(answer.status)
+        if isinstance(answer.message, Stop):
+            for order in self._stops:
+                order.settle(failure)
+            self._stops, self._cut = [], False
+        elif self._wish is None:
+            return
+        elif failure or isinstance(answer.message, Home):
+            self._grant(failure)
+        elif isinstance(answer.message, Enable) and self._link.telemetry is not None:
+            state = self._link.telemetry.state
+            if state in (State.READY, State.PLAYING):
+                self._grant()
+            elif state is not State.HOMING:
+                reason = named(self._link.telemetry.faults)
+                self._grant(f"it has stopped again: {reason}")
+
+    def _grant(self, failure: str = "") -> None:
+        """Say what has become of the enable or home that somebody waits for."""
+        wish, self._wish = self._wish, None
+        if wish is not None:
+            wish.settle(failure)
+
+    # The line
+
+    def _write(self, port: Port, due: list[Packet]) -> None:
+        # A zero first ends whatever noise has left on the line.
+        data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
+        if port.write(data) != len(data):
+            self._tell("serial line is full: what is lost is repeated")
 
     def _tell(self, trouble: str) -> None:
         if trouble not in self._troubles:
@@ -239,43 +411,47 @@ class SerialTransport:
         before = self._link.device
         self._link = self._link.heard(packet, now)
         if before is None and self._link.device is not None:
-            self._failures = 0
+            self._failures, self._gone = 0, UNANSWERED
         message = packet.message
         if not isinstance(message, Telemetry):
             return None
-        if message.faults & ~HARMLESS:
-            self._tell(f"device has stopped: {message.faults!r}")
-        if message.state is State.OFF and message.faults & Fault.HOST_SILENT and not self.busy:
-            self._upload()  # it did not hear us for a while, and has braked
+        self._followed_m = max(self._followed_m, message.following_m)
+        self._load = max(self._load, message.load)
+        if message.faults & ~(Fault.STOPPED | Fault.NO_HOME) and message.stop != self._stop_told:
+            self._stop_told = message.stop
+            self._tell(f"device has stopped: {named(message.faults)}")
+        if message.state not in (State.READY, State.PLAYING):
+            self._row = self._next = None
         # Until a pulse has come nobody knows when it was.
         return message if np.isfinite(self._link.clock.trip_s) else None
 
-    def _upload(self) -> None:
-        if self._newest is None:
-            return
-        self._table = self._table % 65_535 + 1
-        if not self._streams:
-            self._link = self._link.uploading(self._table, knots(self._newest))
-            return
-        self._row, first = Unrolled.of(finer(self._newest)).until(LEAD_S)
-        self._row_began = None
-        self._link = self._link.streaming(self._table, first)
-
     def _lead(self, now: float) -> float:
-        """How far the stream is ahead of the device [s]; infinite if none plays."""
-        if self._row is None or self._row_began is None:
+        """How far the stream is ahead of the device [s]; infinite if none plays, or it ends."""
+        if self._row is None or self._row_began is None or self._row.ended:
             return float("inf")
         return self._row.time - (now - self._link.clock.offset_s - self._row_began)
 
     def _stream(self, now: float) -> None:
-        """Add to the stream what keeps it `LEAD_S` ahead of the device."""
+        """Add to the stream what keeps it `LEAD_S` ahead of the device, or begin the next one."""
         row, told = self._row, self._link.telemetry
-        if row is None or told is None or told.table != self._table:
+        if told is None:
             return
-        if not np.isfinite(self._link.clock.trip_s):
-            return  # nobody knows what the time is there
+        if row is not None and row.ended and told.state is State.READY and not self.busy:
+            row = self._row = None
+        if row is None:
+            if self._next is not None and told.state is State.READY:
+                (table, repeats), self._next = self._next, None
+                self._table = self._table % 65_535 + 1
+                self._row, first = Unrolled.of(finer(table), repeats).until(LEAD_S)
+                self._row_began = None
+                self._link = self._link.streaming(self._table, first)
+            return
+        if told.table != self._table or not np.isfinite(self._link.clock.trip_s):
+            return  # it does not play yet, or nobody knows what the time is there
         if self._row_began is None:
             self._row_began = told.device_us * 1e-6
+        if row.ended:
+            return
         self._row, more = row.until(row.time - self._lead(now) + LEAD_S)
         if more:
             self._link = self._link.adding(self._table, row.told, more)
@@ -283,8 +459,9 @@ class SerialTransport:
     def _connect(self, port: Port) -> None:
         self._port, self._reader = port, Reader()
         self._session = (self._session + 1) % 2**32
-        self._link = Link.begun(self._session, self._clock())
-        self._upload()
+        self._link = Link.begun(self._session, self._clock(), self._baud)
+        if self._stops:  # they are still wanted
+            self._link = self._link.stopping(self._cut)
 
     def _reopen(self, now: float) -> None:
         if now < self._reopen_at:
@@ -296,6 +473,9 @@ class SerialTransport:
 
     def _fail(self, reason: str, now: float) -> None:
         self._tell(reason)
+        self._gone = reason
+        self._row = self._next = None
+        self._grant(reason)
         self._release()
         self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
         self._failures += 1
@@ -307,3 +487,16 @@ class SerialTransport:
                 port.close()
             except OSError as error:
                 self._tell(f"serial port: {error}")
+
+
+def named(faults: Fault) -> str:
+    """Return faults in words."""
+    return ", ".join(fault.name.lower().replace("_", " ") for fault in faults if fault.name)
+
+
+def _refused(status: Status) -> str:
+    return REFUSED.get(status, f"the device answers: {status.name.lower().replace('_', ' ')}")
+
+
+def _measured(told: Telemetry, time: float) -> Measured:
+    return Measured(time, told.device_us * 1e-6, told.table, told.position, told.acceleration)

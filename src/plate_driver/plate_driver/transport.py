@@ -1,78 +1,320 @@
-"""Where motor tables go: one interface, so that the node does not know what moves the plate."""
+"""Where motor tables go: one interface, so that the node does not know what moves the plate.
+
+Another package adds a transport without touching this one. It writes a class with the methods of
+`Transport`, and a function that makes one of a `TransportContext`; its setup.py names the function:
+
+    entry_points={"plate_driver.transports": ["ethercat = my_package.plate:make"]}
+
+The driver then takes `transport:=ethercat`. `make` raises a PlateError if a parameter does not fit,
+in one line that names the parameter, its value and what is allowed; `open` if something is missing.
+
+All methods return at once. The driver calls them from several threads, but one at a time; `poll`
+every few milliseconds. Times are of `TransportContext.clock`, so that a test can be the clock.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Protocol
 
-from plate_core import PlateError
+from plate_core import PlateError, Rig
 
-from .motor_table import MotorTable
+from .motor_table import MAX_KNOTS, MotorTable
 
-
-class Transport(Protocol):
-    """The way to the motors."""
-
-    @property
-    def connected(self) -> bool:
-        """Whether the motors are there."""
-
-    def open(self) -> None:
-        """Make it ready to send; a PlateError says what is missing."""
-
-    def send(self, table: MotorTable) -> None:
-        """Hand over a table: the motors take it at their next cycle boundary."""
-
-    def stop(self) -> None:
-        """Have the motors brake now, if they can, and stay off."""
-
-    def enable(self) -> None:
-        """Let the next table move them again."""
-
-    def home(self) -> None:
-        """Have them find home."""
-
-    def close(self) -> None:
-        """Release it. Sending nothing more: the rest table was sent before."""
+GROUP = "plate_driver.transports"
+"""Entry points of this group are transports."""
 
 
-class SimTransport:
-    """To the simulator, which listens to the published setpoints.
+class Condition(Enum):
+    """What the motors are doing."""
+
+    GONE = "gone"  # nobody knows: what drives them does not answer
+    OFF = "off"  # without current
+    ENABLING = "enabling"  # on their way home
+    READY = "ready"  # held at home, or playing: a table is welcome
+    BRAKING = "braking"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a transport knows of the motors: what they report, not what they were told.
+
+    Attributes
+    ----------
+    condition : Condition
+    reason : str
+        Why they are off, brake or do not answer; empty where there is none.
+    values : mapping of str to str
+        Whatever is worth a line in the diagnostics.
+    """
+
+    condition: Condition
+    reason: str = ""
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What sensors say of the motors.
+
+    Attributes
+    ----------
+    time : float
+        When it was measured, on the context's clock [s].
+    device_s : float
+        The same on the device's clock [s]: without the jitter of the host's idea of it.
+    table : int
+        Number of the table that plays; 0: none.
+    position, acceleration : tuple of 4 float
+        [m], [m/s2].
+    """
+
+    time: float
+    device_s: float
+    table: int
+    position: tuple[float, ...]
+    acceleration: tuple[float, ...]
+
+
+class Order:
+    """A stop, an enable or a home that was asked for, and what becomes of it.
 
     Parameters
     ----------
+    longest_s : float
+        Time within which there is an answer, if one comes at all [s].
+    """
+
+    def __init__(self, longest_s: float = 0.0) -> None:
+        self.longest_s = longest_s
+        self.failure = ""
+        self._settled = threading.Event()
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is done, or has failed."""
+        return self._settled.is_set()
+
+    @property
+    def done(self) -> bool:
+        """Whether the motors' controller has said that it is done."""
+        return self.settled and not self.failure
+
+    def settle(self, failure: str = "") -> Order:
+        """Say that it is done, or why not; only the first word counts."""
+        if not self.settled:
+            self.failure = failure
+            self._settled.set()
+        return self
+
+    def wait(self) -> bool:
+        """Wait until it is settled, at most `longest_s`; returns whether it is done."""
+        self._settled.wait(self.longest_s)
+        return self.done
+
+
+class Transport(Protocol):
+    """The way to the motors.
+
+    Attributes
+    ----------
+    motors : bool
+        Whether there are motors that need an enable. If not, the setpoints that the driver
+        publishes are all there is: `send` publishes them, and nobody has to enable anything.
+    calibrates : bool
+        Whether what it measures is good for a calibration.
+    max_knots : int
+        Most knots of a table.
+    hold_s : float
+        Longest time for which a table is played again [s].
+    """
+
+    motors: bool
+    calibrates: bool
+
+    @property
+    def max_knots(self) -> int: ...
+
+    @property
+    def hold_s(self) -> float: ...
+
+    def open(self) -> None:
+        """Make it ready to be asked; a PlateError says what is missing. Nothing moves by this."""
+
+    def poll(self) -> list[Measured]:
+        """Do what is due; returns what was measured since the last call."""
+
+    def report(self) -> Report:
+        """Say what the motors do."""
+
+    def send(self, table: MotorTable, repeats: int) -> None:
+        """Hand over a table, which begins and ends at rest at home.
+
+        The motors take the newest at their next cycle boundary, play it `repeats` times unless
+        another one comes, and rest by themselves then.
+
+        Raises
+        ------
+        CycleError
+            If they take none now, or not this one: why.
+        """
+
+    def stop(self, cut: bool = False) -> Order:
+        """Have them brake along their path, go home and lose their current, or lose it at once.
+
+        Done when their controller has said so. Whatever was sent or asked before is forgotten.
+        """
+
+    def enable(self) -> Order:
+        """Give them current once: a person has asked for it. Done when they are ready.
+
+        A stop that comes later, and one that this was not given for, must win. Nothing else gives
+        them current: not `open`, `send`, or a controller that comes back.
+        """
+
+    def home(self) -> Order:
+        """Have them find home anew at the next enable; only while they are off."""
+
+    def troubles(self) -> list[str]:
+        """Return what went wrong since the last call, each in a line."""
+
+    def values(self) -> dict[str, str]:
+        """Return what is to be reported since the last call, name to value."""
+
+    def close(self) -> None:
+        """Have them stop, and release everything."""
+
+
+@dataclass(frozen=True)
+class TransportContext:
+    """What a transport is made of.
+
+    Attributes
+    ----------
+    rig : Rig
+    publish : callable
+        Publishes a table on motor_setpoints.
+    clock : callable
+        Time that never runs back [s].
+    parameters : mapping of str to value
+        Of the driver: `port`, `baud`, and all others.
+    seed : int
+        Another number in each process.
+    """
+
+    rig: Rig
+    publish: Callable[[MotorTable], None]
+    clock: Callable[[], float]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+
+class SimTransport:
+    """To the simulator, which listens to the published setpoints, and repeats them as often as its
+    own parameter says. There are no motors: it is ready until it is stopped.
+
+    Parameters
+    ----------
+    rig : Rig
     publish : callable
         Publishes a table; the node gives it, so that no ROS is needed here.
     """
 
-    def __init__(self, publish: Callable[[MotorTable], None]) -> None:
-        self._publish = publish
+    motors = False
+    calibrates = False
+    max_knots = MAX_KNOTS
+    hold_s = float("inf")
 
-    connected = True
+    def __init__(self, rig: Rig, publish: Callable[[MotorTable], None]) -> None:
+        self._rig, self._publish = rig, publish
+        self._last: MotorTable | None = None
+        self._stopped = False
 
     def open(self) -> None:
         """Nothing to open."""
 
-    def send(self, table: MotorTable) -> None:
+    def poll(self) -> list[Measured]:
+        """Nothing to measure."""
+        return []
+
+    def report(self) -> Report:
+        """Say whether it was stopped."""
+        return Report(Condition.OFF if self._stopped else Condition.READY)
+
+    def send(self, table: MotorTable, repeats: int) -> None:
         """Publish the table."""
+        self._last = table
         self._publish(table)
 
-    def stop(self) -> None:
-        """Nothing: it takes the rest table at the end of its cycle."""
+    def stop(self, cut: bool = False) -> Order:
+        """Publish rest, if anything was sent: the simulator takes it at the end of its cycle."""
+        last, self._last, self._stopped = self._last, None, True
+        if last is not None:
+            self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))
+        return Order().settle()
 
-    def enable(self) -> None:
-        """Nothing: it is never off."""
+    def enable(self) -> Order:
+        """Go on."""
+        self._stopped = False
+        return Order().settle()
 
-    def home(self) -> None:
+    def home(self) -> Order:
         """Nothing: it never loses home."""
+        return Order().settle()
+
+    def troubles(self) -> list[str]:
+        """Nothing goes wrong."""
+        return []
+
+    def values(self) -> dict[str, str]:
+        """Nothing to report."""
+        return {}
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Publish rest."""
+        self.stop()
+
+
+def make_sim(context: TransportContext) -> SimTransport:
+    """Return the transport to the simulator."""
+    return SimTransport(context.rig, context.publish)
+
+
+def installed() -> dict[str, EntryPoint]:
+    """Return the transports that are installed, by name."""
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def make_transport(name: str, context: TransportContext) -> Transport:
+    """Return the transport with a name.
+
+    Raises
+    ------
+    PlateError
+        If it is not installed, cannot be loaded, or refuses a parameter.
+    """
+    known = installed()
+    if name not in known:
+        raise PlateError(f"transport is {name!r}, allowed: {', '.join(sorted(known))}")
+    try:
+        make = known[name].load()
+    except (ImportError, AttributeError) as error:
+        raise PlateError(
+            f"transport is {name!r}, allowed: one whose entry point {known[name].value} loads "
+            f"({error})"
+        ) from None
+    made: Transport = make(context)
+    return made
 
 
 def check_transport(name: str, port: str) -> None:
-    """Refuse a transport that does not exist, or lacks its port."""
-    if name not in ("sim", "serial"):
-        raise PlateError(f"transport is {name!r}, allowed: sim, serial")
+    """Refuse a transport that is not installed, or lacks its port."""
+    known = installed()
+    if name not in known:
+        raise PlateError(f"transport is {name!r}, allowed: {', '.join(sorted(known))}")
     if name == "serial" and not port:
         raise PlateError("port is '', allowed with transport serial: the name of a serial port")

@@ -18,6 +18,10 @@ LONGEST_S = 0.04
 TICKS = 2**32
 """Times on the wire count modulo this many ticks."""
 
+REST_TICKS = 1_000_000
+"""From a cycle's end, at home without speed, to rest without acceleration [TICK_S]: 10 ms. The
+quintic between them needs no more acceleration than there was."""
+
 
 @dataclass(frozen=True)
 class Unrolled:
@@ -27,41 +31,53 @@ class Unrolled:
     ----------
     cycle, newest : tuple of Knot
         The cycle that is told now, and the one to follow: from 0 to its period, both ends given.
+    left : int
+        Times that the newest is yet to be told: then the row ends at rest.
     told : int
         Setpoints so far.
     at : int
         Next knot of the cycle.
     begin : int
         When the cycle began, since the row's start [TICK_S].
+    ended : bool
+        Whether rest at the end was told.
     """
 
     cycle: tuple[Knot, ...]
     newest: tuple[Knot, ...]
+    left: int
     told: int = 0
     at: int = 0
     begin: int = 0
+    ended: bool = False
 
     @classmethod
-    def of(cls, cycle: tuple[Knot, ...]) -> Unrolled:
-        """Return the row that repeats a cycle."""
-        return cls(cycle, cycle)
+    def of(cls, cycle: tuple[Knot, ...], repeats: int) -> Unrolled:
+        """Return the row that tells a cycle so many times."""
+        return cls(cycle, cycle, repeats - 1)
 
     @property
     def time(self) -> float:
         """Time of the last setpoint told [s]."""
-        return (self.begin + self.cycle[max(0, self.at - 1)].ticks) * TICK_S
+        rest = REST_TICKS if self.ended else 0
+        return (self.begin + self.cycle[max(0, self.at - 1)].ticks + rest) * TICK_S
 
-    def followed_by(self, cycle: tuple[Knot, ...]) -> Unrolled:
-        """Return the row that goes on with another cycle."""
-        return replace(self, newest=cycle)
+    def followed_by(self, cycle: tuple[Knot, ...], repeats: int) -> Unrolled:
+        """Return the row that goes on with another cycle; one that has ended does not."""
+        return replace(self, newest=cycle, left=repeats)
 
     def until(self, time: float) -> tuple[Unrolled, tuple[Knot, ...]]:
         """Return the row told up to a time [s] or a little more, and what is new of it."""
         row, knots = self, []
-        while row.time < time:
+        while row.time < time and not row.ended:
             if row.at == len(row.cycle):  # its end was told: the next one's start is the same
                 begin = row.begin + row.cycle[-1].ticks
-                row = replace(row, cycle=row.newest, at=1, begin=begin)
+                if not row.left:
+                    ticks = (begin + REST_TICKS) % TICKS
+                    knots.append(Knot(ticks, (0.0,) * 4, (0.0,) * 4, (0.0,) * 4))
+                    row = replace(row, told=row.told + 1, ended=True)
+                    continue
+                row = replace(row, cycle=row.newest, at=1, begin=begin, left=row.left - 1)
             knot = row.cycle[row.at]
             knots.append(replace(knot, ticks=(row.begin + knot.ticks) % TICKS))
             row = replace(row, at=row.at + 1, told=row.told + 1)

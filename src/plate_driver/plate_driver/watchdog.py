@@ -1,4 +1,4 @@
-"""Watchdog: plate cycles that stop coming must bring the plate to rest."""
+"""Watchdog: tells when plate cycles have ceased to come. The motors rest by themselves then."""
 
 from __future__ import annotations
 
@@ -12,28 +12,22 @@ class Watchdog:
     Attributes
     ----------
     fed_at : float or None
-        When the last table was sent [s]; None while there is nothing to bring to rest.
-    patience : float
-        How long the plate may go on without a new one [s].
+        When the last table was sent, on a clock that never runs back [s]; None: the plate rests.
+    hold_s : float
+        How long the plate goes on without a new one [s].
     """
 
     fed_at: float | None = None
-    patience: float = 0.0
+    hold_s: float = 0.0
 
-    def fed(self, now: float, period: float, hold_cycles: int) -> Watchdog:
-        """Return the watchdog after a table of `period` [s] was sent at time `now` [s]."""
-        return Watchdog(now, hold_cycles * period)
+    def fed(self, now: float, hold_s: float) -> Watchdog:
+        """Return the watchdog after a table was sent at `now` [s] that is played for `hold_s`."""
+        return Watchdog(now, hold_s)
 
     def rested(self) -> Watchdog:
-        """Return the watchdog after the rest table was sent."""
-        return Watchdog()
-
-    def synchronised(self, now: float) -> Watchdog:
-        """Return the watchdog for a clock that was set: started, or put back, since the feeding."""
-        if self.fed_at is not None and (self.fed_at == 0 or now < self.fed_at):
-            return replace(self, fed_at=now)
-        return self
+        """Return the watchdog of a plate at rest."""
+        return replace(self, fed_at=None)
 
     def tripped(self, now: float) -> bool:
-        """Tell whether the plate must be brought to rest."""
-        return self.fed_at is not None and now - self.fed_at > self.patience
+        """Tell whether what was sent last is over."""
+        return self.fed_at is not None and now - self.fed_at > self.hold_s

@@ -13,7 +13,7 @@ from scipy.interpolate import BPoly
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.kinematics import motor_state
 from plate_core.limits import corner_accel
-from plate_driver.guard import Guard, Mode
+from plate_driver.guard import Guard
 from plate_driver.learning import Response
 
 RIG = load_rig()
@@ -22,7 +22,7 @@ EXCESS = 1e-5
 """What rounding may add to a limit [share]."""
 
 SIZES = st.sampled_from([0.0, 1e-9, 1e-4, 1e-3, 0.01, 1.0, 1e4, 1e60, 1e200, np.nan, np.inf])
-TIMES = st.sampled_from([0.0, 1e-4, 0.02, 0.2, 3.0, -1.0, 1e6])
+TIMES = st.sampled_from([0.0, 1e-4, 0.02, 0.2, 3.0, 1e6])
 STAMPS = st.one_of(st.integers(-(2**31), 2**62), st.integers(0, 10**10))
 
 
@@ -81,6 +81,8 @@ class Anything(RuleBasedStateMachine):
 
     def take(self, guard: Guard) -> None:
         self.guard = guard
+        if guard.table is None:  # the motors rest by themselves
+            self.load = np.zeros(4)
         if guard.table is None or guard.table is self.applied:
             return
         self.applied = guard.table
@@ -113,13 +115,12 @@ class Anything(RuleBasedStateMachine):
         t = np.arange(64) / 64
         pose = np.outer(np.sin(2 * np.pi * t * strong) * np.sin(np.pi * t) ** 4, [1, 1, 3.0])
         guard, stamp = self.guard, (self.guard.last_ns or 0) + 1
-        if guard.mode is Mode.READY:
-            self.take(guard.accepted(PlateCycle.from_samples(0.2, pose), stamp, self.now)[0])
+        self.take(guard.accepted(PlateCycle.from_samples(0.2, pose), stamp, self.now)[0])
 
     @rule(wait=TIMES)
     def time_goes_by(self, wait):
-        """The watchdog looks every 20 ms of it; clocks may jump."""
-        if wait > 0:
+        """The watchdog looks every 20 ms of it; the clock never runs back."""
+        if wait >= 0:
             steps = min(100, max(1, round(wait / 0.02)))
             for _ in range(steps):
                 self.now += wait / steps if wait < 10 else 0.02
@@ -127,18 +128,11 @@ class Anything(RuleBasedStateMachine):
                 decay = np.exp(-span / LIMITS.thermal_time_s)
                 self.heat = self.load + (self.heat - self.load) * decay
                 self.take(self.guard.watched(self.now)[0])
-        else:
-            self.now += wait
-            self.take(self.guard.watched(self.now)[0])
-
-    @rule(mode=st.sampled_from(list(Mode)))
-    def a_service_is_called(self, mode):
-        self.take(self.guard.turned(mode, self.now)[0])
-        assert self.guard.table is None or not np.any(self.guard.table.q)
 
     @rule()
-    def the_motors_are_enabled(self):
-        self.take(self.guard.turned(Mode.READY, self.now)[0])
+    def the_plate_is_stopped(self):
+        self.take(self.guard.resting(self.now))
+        assert self.guard.watchdog.fed_at is None
 
     @precondition(lambda self: self.guard.table is None)
     @rule(gain=st.floats(0.05, 20), seed=st.integers(0, 100))
@@ -151,7 +145,6 @@ class Anything(RuleBasedStateMachine):
     @invariant()
     def motors_stay_cool(self):
         assert np.all(self.heat <= 1 + 1e-3)
-        assert self.guard.mode is Mode.READY or self.guard.watchdog.fed_at is None
 
 
 Anything.TestCase.settings = settings(
@@ -176,11 +169,32 @@ def test_what_is_refused_changes_nothing():
     guard, _ = Guard(RIG).accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9, 0.0)
     with pytest.raises(CycleError, match="is older than the last"):
         guard.accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 10**9 - 1, 0.1)
-    stopped, rest = guard.turned(Mode.STOPPED, 0.1)
-    assert rest is not None
-    assert not np.any(rest.q)
-    with pytest.raises(CycleError, match="stopped by emergency stop, call enable"):
-        stopped.accepted(wild_cycle(1, 12, 1e-4, 0.2, 1), 2 * 10**9, 0.2)
+
+
+def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
+    cycle = wild_cycle(1, 12, 1e-4, 0.2, 1)
+    guard, _ = Guard(RIG, hold_cycles=5).accepted(cycle, 1, 10.0)
+    assert guard.plays == 5
+    assert guard.watched(10.9999) == (guard, False)
+    rested, over = guard.watched(11.0001)
+    assert over
+    assert rested.table is None
+    assert rested.watched(20.0) == (rested, False)  # told once
+    # Motors that hold for less than that are not taken to go on.
+    guard, _ = Guard(RIG, hold_cycles=5).holding(0.5).accepted(cycle, 1, 10.0)
+    assert guard.plays == 2
+    assert guard.watched(10.4001)[1]
+
+
+def test_an_experiment_lasts_less_than_motors_hold_and_leaves_no_trace():
+    from plate_driver.calibration import Calibration
+
+    before = Guard(RIG).holding(10.0)
+    calibration = Calibration.begun(RIG)
+    guard, _ = before.experimenting(calibration.cycle, 0.0)
+    assert guard.plays * guard.table.cycle.period <= 10.0
+    assert (guard.plays - 1) * guard.table.cycle.period >= calibration.duration - 1e-9
+    assert guard.after_experiment(before).hold_cycles == before.hold_cycles
 
 
 def test_hot_motors_get_less():

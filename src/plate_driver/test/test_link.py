@@ -1,6 +1,7 @@
-"""The host's link: order, window, retries, giving up, the device's clock. The rest: test/."""
+"""The host's link: order, window, retries, pace, giving up, the device's clock. The rest: test/."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 
@@ -13,6 +14,7 @@ from plate_core.serial_protocol import (
     Fault,
     Heartbeat,
     Hello,
+    Home,
     Knot,
     Knots,
     Message,
@@ -23,28 +25,39 @@ from plate_core.serial_protocol import (
     Stop,
     Telemetry,
 )  # fmt: skip
-from plate_driver.link import RETRY_S, SILENCE_S, DeviceClock, Link
+from plate_driver.line import ANSWER_S, frame_bytes
+from plate_driver.link import (
+    GREETING_S,
+    GREETING_TRIES,
+    LATER_GREETING_S,
+    QUEUE_S,
+    SILENCE_S,
+    DeviceClock,
+    Link,
+)  # fmt: skip
 
 REST = (0.0,) * 4
 KNOTS = [Knot(i, REST, REST, REST) for i in range(49)]
 
 
-def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0) -> Packet:
-    return Packet(0, Telemetry(0, state, faults, 0, waiting, 0, REST, REST, 0.0))
+def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0, stop: int = 77) -> Packet:
+    return Packet(0, Telemetry(0, state, faults, stop, 0, waiting, 0, REST, REST, 0.0, 0.0, 0.0))
 
 
 def capabilities(**changes) -> Packet:
     values = {
-        "version": 1, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
-        "watchdog_ms": 250, "stroke_m": 0.01, "speed": 1.0,
-        "accel": 100.0, "force": 200.0, "lasting": 60.0,
+        "version": 2, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
+        "watchdog_ms": 250, "stroke_m": 0.01, "speed": 1.0, "accel": 100.0, "force": 200.0,
+        "lasting": 60.0, "following_m": 0.003, "hold_ms": 10_000,
     }  # fmt: skip
     return Packet(0, Capabilities(**(values | changes)))
 
 
-def met(state: State = State.READY) -> Link:
-    link, _ = Link.begun(5, 0.0).due(0.0)
-    return link.heard(capabilities(), 0.0).heard(told(state), 0.0)
+def met(state: State = State.READY, baud: float = float("inf")) -> Link:
+    """A link of a line without delay, that has had its first pulse."""
+    link, _ = Link.begun(5, 0.0, baud).due(0.0)
+    link = link.heard(capabilities(), 0.0).heard(told(state), 0.0)
+    return link.heard(Packet(0, Pulse(0, 0)), 0.0)
 
 
 def said(packets: list[Packet]) -> list[Message]:
@@ -53,38 +66,43 @@ def said(packets: list[Packet]) -> list[Message]:
 
 def done(link: Link, packets: list[Packet], now: float, status=Status.DONE) -> Link:
     for p in packets:
-        link = link.heard(Packet(0, Acknowledgement(p.sequence, status)), now)
+        if not isinstance(p.message, Heartbeat):
+            link = link.heard(Packet(0, Acknowledgement(p.sequence, status)), now)
     return link
 
 
-def test_hello_is_repeated_with_growing_waits_and_given_up():
+def test_hello_is_repeated_and_given_up():
     link, now, sent = Link.begun(5, 0.0), 0.0, []
-    while not link.failed and now < 3:
+    while not link.failed and now < 2 * GREETING_S:
         link, packets = link.due(now)
         sent += [(now, p) for p in packets]
         now += 0.001
-    assert {p for _, p in sent} == {Packet(0, Hello(1, 5))}
+    assert {p for _, p in sent} == {Packet(0, Hello(2, 5))}
     waits = [b - a for (a, _), (b, _) in itertools.pairwise(sent)]
-    assert waits == pytest.approx(RETRY_S[:-1], abs=2e-3)
+    assert waits[: GREETING_TRIES - 1] == pytest.approx([ANSWER_S] * (GREETING_TRIES - 1), abs=2e-3)
+    assert waits[GREETING_TRIES:] == pytest.approx(
+        [LATER_GREETING_S] * len(waits[GREETING_TRIES:]), abs=2e-3
+    )
     assert link.failed == "device does not answer Hello"
+    assert now == pytest.approx(GREETING_S, abs=0.2)
     assert link.due(now)[1] == []
 
 
 def test_order_of_an_upload():
-    link, first = met().uploading(3, KNOTS).due(0.01)
+    link, first = met().uploading(3, KNOTS, 5).due(0.01)
     assert [type(m) for m in said(first)] == [Begin]
     link, packets = link.due(0.015)
     assert said(packets) == []  # not before it is answered
     link = done(link, first, 0.02)
     link, some = link.due(0.02)
     assert len(said(some)) == 8  # the device's window
-    link, rest = done(link, some, 0.025).due(0.025)
-    knots = [m for m in said(some + rest) if isinstance(m, Knots)]
-    assert [k for m in knots for k in m.knots] == KNOTS
-    link, last = done(link, rest, 0.03).due(0.03)
-    assert said(last) == [Commit(3, 0)]
+    link, rest = link.due(0.025)
+    knots = some + rest
+    assert [k for m in said(knots) for k in m.knots] == KNOTS
+    link, last = done(link, knots, 0.03).due(0.03)
+    assert said(last) == [Commit(3, 5)]
     # The next one is held back while this one waits for the boundary.
-    link = done(link, last, 0.035).uploading(4, KNOTS)
+    link = done(link, last, 0.035).uploading(4, KNOTS, 5)
     assert said(link.due(0.035)[1]) == []
     link = link.heard(told(State.PLAYING, waiting=3), 0.04)
     assert said(link.due(0.04)[1]) == []
@@ -92,14 +110,81 @@ def test_order_of_an_upload():
     assert [m.table for m in said(packets)] == [4]
 
 
+def test_no_more_is_on_its_way_than_the_device_can_hold():
+    """With a round trip of 0.2 s it takes 0.1 s until the first of them is there."""
+    slow = met().heard(Packet(0, Pulse(0, 0)), 0.2)
+    slow = replace(slow, line=replace(slow.line, trip_s=0.2, deviation_s=0.0, beats=()))
+    link, first = slow.uploading(3, KNOTS, 5).due(0.2)
+    link, some = done(link, first, 0.4).due(0.4)
+    assert len(said(some)) == 8  # the window
+    link, none = link.due(0.49)
+    assert said(none) == []
+    link, rest = link.due(0.51)
+    assert len(said(rest)) == 5
+    assert link.retries == 0
+
+
+def test_what_is_sent_keeps_pace_with_the_line():
+    """Never more on the line than some milliseconds, and a frame; all of it goes out in time."""
+    baud = 115_200.0
+    link, first = met(baud=baud).uploading(3, KNOTS, 5).due(0.0)
+    link = done(link, first, 0.01)
+    now, sent, free_at = 0.01, 0, 0.0
+    while any(isinstance(p.message, Knots) for p in link.queue) and now < 2:
+        link, packets = link.due(now)
+        for p in packets:
+            free_at = max(now, free_at) + 10 * frame_bytes(p.message) / baud
+            sent += frame_bytes(p.message)
+        assert free_at - now <= QUEUE_S + 10 * (225 + 17) / baud
+        link = done(link, packets, now)
+        for p in packets:
+            if isinstance(p.message, Heartbeat):
+                link = link.heard(Packet(0, Pulse(p.message.host_ns, 0)), now)
+        now += 0.005
+    assert link.retries == 0
+    assert now - 0.01 == pytest.approx(10 * sent / baud, rel=0.15)
+
+
+def test_on_a_slow_line_what_waits_its_turn_is_not_repeated():
+    link = met(baud=9600.0).uploading(3, KNOTS[:2], 5)
+    link, first = replace(link, heartbeat_at=1.0).due(0.02)  # after Hello
+    assert said(first) == [Begin(3, 2, 3201564194)]
+    link, some = done(link, first, 0.1).due(0.1)
+    assert said(some) == [Knots(3, 0, (KNOTS[0],))]  # one to a message: it takes 68 ms
+    for now in (0.11, 0.13, 0.15):
+        link, more = link.due(now)
+        assert said(more) == []
+    link, more = link.due(0.165)
+    assert said(more) == [Knots(3, 1, (KNOTS[1],))]
+    assert link.retries == 0
+
+
 def test_lost_knots_are_sent_one_by_one():
-    link, first = met().uploading(3, KNOTS[:8]).due(0.01)
+    link, first = met().uploading(3, KNOTS[:8], 5).due(0.01)
     link, some = done(link, first, 0.01).due(0.01)
     assert len(said(some)) == 2
-    link = done(link, some[1:2], 0.02)  # the second one arrived
+    link = done(link, said_packets(some)[1:], 0.02)  # the second one arrived
     link, again = link.due(0.05)
     assert said(again) == [Knots(3, i, (KNOTS[i],)) for i in range(4)]
     assert link.retries == 4
+
+
+def said_packets(packets: list[Packet]) -> list[Packet]:
+    return [p for p in packets if not isinstance(p.message, Heartbeat)]
+
+
+def test_on_a_line_that_loses_much_all_is_sent_more_often():
+    link = met()
+    bad = replace(link, line=replace(link.line, answered=0.26))  # 3 % of the bytes
+    packets = bad.uploading(3, KNOTS, 5).due(0.01)[1]
+    assert len(said(packets)) >= 2
+    assert len({p.sequence for p in said_packets(packets)}) == 1  # the same command, done once
+    begun = done(bad.uploading(3, KNOTS, 5).due(0.01)[0], packets[:1], 0.02)
+    knots = said(begun.due(0.02)[1])
+    assert all(len(m.knots) == 1 for m in knots)
+    assert len(bad.stopping().due(0.01)[1]) >= 2
+    beats = [n for n in range(100) if (r := bad.due(0.001 * n))[1] and (bad := r[0])]
+    assert len(beats) == pytest.approx(10, abs=1)  # each 10 ms, not 25
 
 
 @pytest.mark.parametrize(
@@ -107,30 +192,70 @@ def test_lost_knots_are_sent_one_by_one():
     [(Status.LIMIT, "device refuses Begin: limit"), (Status.OLD, "device refuses Begin: old")],
 )
 def test_refused_tables_are_dropped_and_told(status, refusal):
-    link, first = met().uploading(3, KNOTS).due(0.01)
+    link, first = met().uploading(3, KNOTS, 5).due(0.01)
     link = done(link, first, 0.02, status)
     assert link.refusal == refusal
     assert link.queue == ()
     assert not link.failed
 
 
-def test_motors_are_enabled_unless_hardware_failed():
-    link, packets = met(State.OFF).uploading(3, KNOTS).due(0.01)
-    assert said(packets) == [Enable()]
-    link = met().heard(told(State.OFF, Fault.HOST_SILENT | Fault.SUPPLY), 0.0)
-    assert said(link.uploading(3, KNOTS).due(0.01)[1]) == []
+@pytest.mark.parametrize("state", [State.OFF, State.HOMING, State.BRAKING])
+def test_a_device_that_is_not_ready_gets_no_table_and_no_enable(state):
+    link = met(state).uploading(3, KNOTS, 5)
+    for now in (0.01, 1.0, 2.0):
+        link = link.heard(told(state, Fault.HOST_SILENT | Fault.NO_HOME), now)
+        link, packets = link.due(now)
+        assert said(packets) == []
+    assert not link.busy
+    # Nor does a table go on to a device that has stopped while it was on its way.
+    link, first = met().uploading(3, KNOTS, 5).due(0.01)
+    link = done(link, first, 0.02).heard(told(state), 0.02)
+    assert said(link.due(0.02)[1]) == []
+
+
+def test_an_enable_is_asked_for_once_and_forgotten_by_a_stop():
+    link, packets = met(State.OFF).enabling(77).due(0.01)
+    assert said(packets) == [Enable(77)]
+    answered = done(link, packets, 0.02, Status.WRONG_STOP)
+    assert answered.answer.status is Status.WRONG_STOP
+    answered = answered.heard(told(State.OFF, stop=78), 0.03)
+    assert said(answered.due(1.0)[1]) == []
+    # Not answered it is repeated with its number, until there is a stop.
+    assert said(link.due(0.1)[1]) == [Enable(77)]
+    stopped, packets = link.stopping().due(0.02)
+    assert said(packets) == [Stop(0)]
+    assert said(done(stopped, packets, 0.03).due(0.5)[1]) == []
 
 
 def test_stop_overtakes_everything():
-    link, _ = met().uploading(3, KNOTS).due(0.01)
-    link, packets = link.uploading(4, KNOTS).stopping().due(0.011)
+    link, _ = met(baud=9600.0).uploading(3, KNOTS, 5).due(0.01)
+    link, packets = link.uploading(4, KNOTS, 5).stopping().due(0.011)
     assert said(packets) == [Stop(0)]
+    # Even a greeting, which goes on after it.
+    link, packets = Link.begun(5, 0.0).stopping(True).due(0.0)
+    assert said(packets) == [Stop(1), Hello(2, 5)]
+
+
+def test_a_stop_asked_for_twice_is_one_and_the_stronger_one_stays():
+    link, first = met(State.PLAYING).stopping().due(0.01)
+    link, again = link.stopping().due(0.011)
+    assert said_packets(again)[0] == said_packets(first)[0]  # at once, and no new stop
+    link, cut = link.stopping(True).due(0.012)
+    assert said(cut) == [Stop(1)]
+    link, still = link.stopping(False).due(0.013)
+    assert said(still) == [Stop(1)]
+
+
+def test_home_is_a_command():
+    link, packets = met(State.OFF).homing().due(0.01)
+    assert said(packets) == [Home()]
+    assert done(link, packets, 0.02).answer.status is Status.DONE
 
 
 @pytest.mark.parametrize(
     ("packet", "failed"),
     [
-        (capabilities(version=2), "device speaks version 2 for 4 motors, allowed: version 1 for 4"),
+        (capabilities(version=3), "device speaks version 3 for 4 motors, allowed: version 2 for 4"),
         (capabilities(boot=2), "device was reset"),
         (Packet(0, Acknowledgement(9, Status.NO_SESSION)), "device was reset"),
         (capabilities(session=4), ""),
@@ -141,10 +266,13 @@ def test_what_ends_a_link(packet, failed):
     assert met().heard(packet, 0.01).failed == failed
 
 
-def test_silence_ends_a_link():
+def test_silence_ends_a_link_later_where_the_way_is_long():
     link = met()
     assert not link.due(SILENCE_S - 1e-3)[0].failed
-    assert link.due(SILENCE_S + 1e-3)[0].failed == "device has been silent for 0.25 s"
+    assert link.due(SILENCE_S + 1e-3)[0].failed == "device has been silent for 1 s"
+    far = replace(link, line=replace(link.line, trip_s=0.2, deviation_s=0.05))
+    assert not far.due(SILENCE_S + 0.399)[0].failed
+    assert far.due(SILENCE_S + 0.401)[0].failed
 
 
 def test_clock_is_right_to_half_the_round_trip():

@@ -1,23 +1,103 @@
-"""Transports: where tables go, and which exist."""
+"""Transports: where tables go, which exist, and one from outside."""
+
+import sys
 
 import pytest
 
 from plate_core import PlateError, load_rig
+from plate_driver.keeper import Keeper, Latch
 from plate_driver.motor_table import MotorTable
-from plate_driver.transport import SimTransport, Transport, check_transport
+from plate_driver.transport import (
+    Condition,
+    SimTransport,
+    Transport,
+    TransportContext,
+    check_transport,
+    installed,
+    make_transport,
+)  # fmt: skip
+
+RIG = load_rig()
+TABLE = MotorTable.rest(RIG, 0.05, 1)
+FOREIGN = """
+from plate_core import PlateError
+from plate_driver.transport import Condition, Order, Report
 
 
-def test_sim_publishes():
+class Drives:
+    motors, calibrates, max_knots, hold_s = True, False, 100, 2.0
+
+    def __init__(self, context):
+        self.context, self.condition, self.log = context, Condition.OFF, []
+
+    def open(self):
+        self.log.append("open")
+
+    def poll(self):
+        return []
+
+    def report(self):
+        return Report(self.condition, values={"bus": "up"})
+
+    def send(self, table, repeats):
+        self.log.append(repeats)
+
+    def stop(self, cut=False):
+        self.condition = Condition.OFF
+        self.log.append("cut" if cut else "stop")
+        return Order().settle()
+
+    def enable(self):
+        self.condition = Condition.READY
+        return Order().settle()
+
+    def home(self):
+        return Order().settle("no home here")
+
+    def troubles(self):
+        return []
+
+    def values(self):
+        return {}
+
+    def close(self):
+        self.log.append("close")
+
+
+def make(context):
+    if not context.parameters["port"]:
+        raise PlateError("port is '', allowed with transport drives: a bus")
+    return Drives(context)
+"""
+
+
+def context(sent=None, **parameters) -> TransportContext:
+    values = {"port": "", "baud": 921_600, "longest_upload_s": 0.5, "streams": False}
+    return TransportContext(RIG, (sent if sent is not None else []).append, lambda: 0.0,
+                            values | parameters)  # fmt: skip
+
+
+def test_sim_publishes_and_rests_when_stopped():
     sent: list[MotorTable] = []
-    transport: Transport = SimTransport(sent.append)
-    table = MotorTable.rest(load_rig(), 0.05, 1)
+    transport: Transport = make_transport("sim", context(sent))
+    assert isinstance(transport, SimTransport)
     transport.open()
-    transport.send(table)
-    transport.close()
-    assert sent == [table]
+    assert transport.report().condition is Condition.READY
+    moving = MotorTable(7, TABLE.cycle, TABLE.q + 1e-3, TABLE.qd, TABLE.qdd)
+    transport.send(moving, 5)
+    assert transport.stop().done
+    assert transport.report().condition is Condition.OFF
+    assert sent[0] is moving
+    assert not sent[1].q.any()
+    assert (sent[1].stamp_ns, sent[1].cycle.period) == (7, 0.05)
+    assert transport.stop(cut=True).done
+    assert len(sent) == 2
+    assert transport.enable().done
+    assert transport.report().condition is Condition.READY
 
 
 def test_what_exists_is_allowed():
+    assert {"sim", "serial"} <= set(installed())
     check_transport("sim", "")
     check_transport("serial", "/dev/ttyUSB0")
 
@@ -26,9 +106,61 @@ def test_what_exists_is_allowed():
 def test_others_are_not(name):
     with pytest.raises(PlateError) as caught:
         check_transport(name, "")
-    assert str(caught.value) == f"transport is {name!r}, allowed: sim, serial"
+    assert str(caught.value) == f"transport is {name!r}, allowed: serial, sim"
+    with pytest.raises(PlateError, match="allowed: serial, sim"):
+        make_transport(name, context())
 
 
 def test_serial_needs_a_port():
     with pytest.raises(PlateError, match="port is '', allowed with transport serial: the name"):
         check_transport("serial", "")
+
+
+def test_a_line_too_slow_is_refused_with_the_numbers():
+    with pytest.raises(PlateError) as caught:
+        make_transport("serial", context(port="/dev/plate", baud=38_400))
+    assert str(caught.value) == (
+        "baud is 38400: a cycle of 64 pieces takes 1.35 s, "
+        "allowed: at most longest_upload_s = 0.5 s"
+    )
+    make_transport("serial", context(port="/dev/plate", baud=115_200))
+    make_transport("serial", context(port="/dev/plate", baud=38_400, longest_upload_s=1.4))
+
+
+@pytest.fixture(name="outside")
+def _outside(tmp_path, monkeypatch):
+    """A package that somebody else has installed."""
+    (tmp_path / "foreign_drives.py").write_text(FOREIGN, encoding="utf-8")
+    info = tmp_path / "foreign_drives-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: foreign-drives\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(
+        "[plate_driver.transports]\n"
+        "drives = foreign_drives:make\nbroken = foreign_drives:nothing\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("foreign_drives", None)
+
+
+def test_a_transport_from_outside_is_found_and_driven(outside):
+    check_transport("drives", "")
+    with pytest.raises(PlateError, match="allowed: broken, drives, serial, sim"):
+        check_transport("can", "")
+    with pytest.raises(PlateError, match="allowed with transport drives: a bus"):
+        make_transport("drives", context())
+    with pytest.raises(PlateError, match=r"entry point foreign_drives:nothing loads \(module"):
+        make_transport("broken", context())
+    transport = make_transport("drives", context(port="bus0"))
+    latch = Latch()
+    transport.open()
+    keeper = Keeper(transport, latch, lambda error: pytest.fail(repr(error)))
+    keeper.look()
+    assert keeper.report.condition is Condition.OFF
+    assert keeper.enable().done
+    keeper.send(TABLE, 3, latch.number)
+    assert keeper.stop(cut=True).done
+    assert keeper.home().failure == "no home here"
+    keeper.close()
+    assert transport.log == ["open", 3, "cut", "stop", "close"]

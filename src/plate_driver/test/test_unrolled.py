@@ -38,10 +38,10 @@ def test_a_fine_table_stays_as_it_is():
 
 def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
     first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
-    row, told = Unrolled.of(first).until(0.3)
+    row, told = Unrolled.of(first, 9).until(0.3)
     assert told[0] == first[0]
     assert abs(row.time - 0.3) <= 0.025
-    row = row.followed_by(second)
+    row = row.followed_by(second, 9)
     row, more = row.until(0.7)
     both = [*told, *more]
     assert row.told == len(both)
@@ -52,8 +52,34 @@ def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
 
 
 def test_times_wrap():
-    row = Unrolled.of(knots(cycle(0.2, 9, 2)))
+    row = Unrolled.of(knots(cycle(0.2, 9, 2)), 1000)
     row, told = row.until(50.0)
     ticks = np.array([k.ticks for k in told])
     assert np.all(np.diff(ticks) % TICKS == 2_500_000)
     assert ticks.max() < TICKS
+
+
+def test_a_row_ends_at_rest_when_its_cycles_have_been_told():
+    cycle_knots = knots(cycle(0.2, 9, 2))
+    row, told = Unrolled.of(cycle_knots, 3).until(50.0)
+    assert row.ended
+    assert len(told) == 3 * 8 + 1 + 1
+    assert told[-2].ticks == 60_000_000
+    last = told[-1]
+    assert not any((*last.position, *last.velocity, *last.acceleration))
+    assert 0 < last.ticks - told[-2].ticks <= 5_000_000  # no piece may be longer
+    assert abs(row.time - last.ticks * 1e-8) < 1e-12
+    assert row.until(60.0) == (row, ())
+    # The way to rest: no acceleration beyond what there was, hardly any way.
+    ends = [[k.position[0], k.velocity[0], 100.0 if k is told[-2] else 0.0] for k in told[-2:]]
+    way = BPoly.from_derivatives([0.0, (last.ticks - told[-2].ticks) * 1e-8], ends)
+    t = np.linspace(0, way.x[-1], 200)
+    assert np.max(np.abs(way(t, 2))) <= 100.0 * (1 + 1e-9)
+    assert np.max(np.abs(way(t))) < 2e-4
+
+
+def test_a_newer_cycle_begins_the_count_anew():
+    first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
+    row, _ = Unrolled.of(first, 2).until(0.3)
+    row, _ = row.followed_by(second, 3).until(50.0)
+    assert abs(row.time - (0.4 + 0.6 + 0.01)) < 1e-9

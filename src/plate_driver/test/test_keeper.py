@@ -1,0 +1,160 @@
+"""The latch, and a transport in its thread: what was made before a stop is not sent after it."""
+
+import threading
+
+import pytest
+
+from plate_core import CycleError, load_rig
+from plate_driver.keeper import Keeper, Latch
+from plate_driver.motor_table import MotorTable
+from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
+from plate_driver.state import CUT, DISABLED, EMERGENCY, Level, Record, driver_state, health
+from plate_driver.transport import Condition, Order, Report, SimTransport
+
+RIG = load_rig()
+TABLE = MotorTable.rest(RIG, 0.1, 1)
+
+
+def kept() -> tuple[Keeper, Latch, list[MotorTable]]:
+    sent: list[MotorTable] = []
+    latch = Latch()
+    keeper = Keeper(SimTransport(RIG, sent.append), latch, lambda error: pytest.fail(repr(error)))
+    return keeper, latch, sent
+
+
+def test_a_table_made_before_a_stop_is_not_sent_after_it():
+    keeper, latch, sent = kept()
+    keeper.send(TABLE, 1, latch.number)
+    number = latch.number
+    latch.close(EMERGENCY)
+    with pytest.raises(CycleError, match="was stopped meanwhile"):
+        keeper.send(TABLE, 1, latch.number)
+    assert latch.open(latch.number)
+    with pytest.raises(CycleError, match="was stopped meanwhile"):
+        keeper.send(TABLE, 1, number)  # of before
+    keeper.send(TABLE, 1, latch.number)
+    assert len(sent) == 2
+
+
+def test_an_enable_opens_only_the_stop_it_was_given_for():
+    _, latch, _ = kept()
+    latch.close(EMERGENCY)
+    number = latch.number
+    latch.close(EMERGENCY)
+    assert not latch.open(number)
+    assert latch.reason == EMERGENCY
+    assert latch.open(latch.number)
+    assert latch.reason == ""
+
+
+def test_a_weaker_reason_does_not_replace_a_stronger_one():
+    _, latch, _ = kept()
+    latch.close(DISABLED)
+    latch.close(EMERGENCY, over=("", DISABLED))
+    latch.close(DISABLED)
+    assert latch.reason == EMERGENCY
+    latch.close(CUT, over=())
+    latch.close(EMERGENCY, over=("", DISABLED))
+    assert latch.reason == CUT
+    assert latch.number == 5
+
+
+def test_a_stop_does_not_wait_for_whoever_waits_for_an_enable():
+    """The enable of a transport that never becomes ready is waited for without a lock."""
+    keeper, _, _ = kept()
+    never = Order(longest_s=60.0)
+    keeper._transport.enable = lambda: never
+    waiting = threading.Thread(target=lambda: keeper.enable().wait(), daemon=True)
+    waiting.start()
+    assert keeper.stop().done
+    assert waiting.is_alive()
+    never.settle("stopped")
+    waiting.join(10)
+    assert not waiting.is_alive()
+
+
+def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
+    told: list[Exception] = []
+    again = threading.Event()
+    keeper = Keeper(SimTransport(RIG, lambda table: None), Latch(), told.append)
+
+    def poll():
+        if len(told) >= 2:
+            again.set()
+            return []
+        raise RuntimeError("a defect")
+
+    keeper._transport.poll = poll
+    keeper.start()
+    assert again.wait(10)
+    keeper.close()
+    assert [str(error) for error in told] == ["a defect"] * 2
+
+
+@pytest.mark.parametrize(
+    ("lifecycle", "latch", "condition", "reason", "calibrating", "told"),
+    [
+        ("unconfigured", "", None, "", False, "unconfigured"),
+        ("unconfigured", EMERGENCY, None, "", False,
+         "unconfigured: emergency stop; look at the rig, then call enable"),
+        ("inactive", DISABLED, Condition.OFF, "", False, "inactive"),
+        ("active", "", Condition.GONE, "", False, "error: the device does not answer"),
+        ("active", EMERGENCY, Condition.GONE, "port is gone", False, "error: port is gone"),
+        ("active", "", Condition.OFF, "", False, DISABLED),
+        ("active", DISABLED, Condition.OFF, "stopped", False, DISABLED),
+        ("active", DISABLED, Condition.OFF, "supply", False,
+         "stopped: supply; look at the rig, then call enable"),
+        ("active", EMERGENCY, Condition.OFF, "supply", False, EMERGENCY),
+        ("active", "", Condition.OFF, "following", False,
+         "stopped: following; look at the rig, then call enable"),
+        ("active", "", Condition.OFF, "stopped", False,
+         "stopped: before this driver began; look at the rig, then call enable"),
+        ("active", "", Condition.ENABLING, "", False, "enabling: the plate goes home"),
+        ("active", EMERGENCY, Condition.BRAKING, "stopped", False,
+         "braking: emergency stop; look at the rig, then call enable"),
+        ("active", "", Condition.BRAKING, "heat", False, "braking: heat"),
+        ("active", "", Condition.READY, "", False, "ready"),
+        ("active", "", Condition.READY, "", True, "calibrating"),
+        ("active", EMERGENCY, Condition.READY, "", False,
+         "braking: the device has not acknowledged the stop"),
+    ],
+)  # fmt: skip
+def test_driver_state_is_what_the_motors_report(
+    lifecycle, latch, condition, reason, calibrating, told
+):
+    report = None if condition is None else Report(condition, reason)
+    assert driver_state(lifecycle, latch, report, calibrating) == told
+
+
+@pytest.mark.parametrize(
+    ("state", "troubles", "retries", "quiet_s", "level", "message"),
+    [
+        ("ready", (), 0, None, Level.OK, "all cycles as asked"),
+        ("calibrating", (), 50, None, Level.OK, "all cycles as asked"),
+        ("ready", ("a cycle was refused",), 0, None, Level.WARN, "a cycle was refused"),
+        ("ready", (), 51, None, Level.WARN, "51 messages were repeated: the line is bad"),
+        ("ready", (), 0, 1.2, Level.STALE, "no plate_cycle for 1.2 s, the plate rests"),
+        (DISABLED, (), 0, 5.0, Level.WARN, DISABLED),
+        ("inactive", (), 0, None, Level.WARN, "inactive"),
+        ("error: x", (), 0, 5.0, Level.ERROR, "error: x"),
+        (EMERGENCY, (), 0, None, Level.ERROR, EMERGENCY),
+    ],
+)
+def test_levels(state, troubles, retries, quiet_s, level, message):
+    assert health(state, Record(troubles=troubles), retries, quiet_s) == (level, message)
+
+
+def test_long_messages_are_refused_by_their_beginning():
+    names = b"".join(
+        len(n).to_bytes(4, "little") + n + b"\0" * (-len(n) % 4) for n in (b"x\0", b"y\0")
+    )
+    head = b"\0\1\0\0" + bytes(8) + (2).to_bytes(4, "little") + b"a\0" + bytes(2)
+    head += (2).to_bytes(4, "little") + names
+    check_length(head + (50).to_bytes(4, "little"), 5000, 50)
+    with pytest.raises(CycleError, match="51 points, allowed: at most 50"):
+        check_length(head + (51).to_bytes(4, "little"), 5000, 50)
+    most = HEAD_BYTES + 50 * POINT_BYTES
+    with pytest.raises(CycleError, match=f"{most + 1} bytes, allowed: at most {most}"):
+        check_length(head + (50).to_bytes(4, "little"), most + 1, 50)
+    for data in (b"", b"\0\1\0\0", b"\xff" * 40, head, b"\0\1\0\0" + b"\xff" * 100):
+        check_length(data, len(data), 50)  # what is no cycle is found out by whoever unpacks it
