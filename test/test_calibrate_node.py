@@ -15,11 +15,12 @@ from plate_core import PlateCycle, load_rig
 from plate_core.kinematics import motor_state
 
 rclpy = pytest.importorskip("rclpy")
+from rclpy.serialization import serialize_message  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros.convert import cycle_to_msg, to_time  # noqa: E402
-from plate_driver.guard import Mode  # noqa: E402
+from plate_driver.keeper import Keeper  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.serial_transport import SerialTransport  # noqa: E402
 from plate_sim.device import Accidents, DeviceLimits, Emulator, HungPlate, Trouble  # noqa: E402
@@ -75,6 +76,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
     hung, line = load_rig(rig_file), Accidents(Trouble(baud=921_600.0))
     emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, hung=HungPlate(hung, TICK_S))
     monkeypatch.setattr(DriverNode, "_now", lambda self: emulator.now)
+    monkeypatch.setattr(Keeper, "start", lambda self: None)  # we look after it, in its time
     monkeypatch.setattr(
         DriverNode,
         "_make_transport",
@@ -82,7 +84,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
             lambda: port_of(emulator), lambda: emulator.now, next(sessions)
         ),
     )
-    words = ["transport:=serial", "port:=simulated", "hold_cycles:=1000"]
+    words = ["transport:=serial", "port:=simulated", "hold_cycles:=20"]
     words += [f"calibration_file:={learned}", f"rig_file:={rig_file}"]
     arguments = ["--ros-args", "-r", "__ns:=/calibrate_node"]
     rclpy.init(args=arguments + [w for p in words for w in ("-p", p)], domain_id=DOMAIN)
@@ -97,31 +99,60 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
             emulator.tick()
             measured.append(emulator.device.measured[1])
             if tick % 5 == 0:
-                driver._poll()
+                driver._keeper.look()
             if tick % 20 == 0:
                 driver._watch()
         return np.array(measured)
 
+    def enable() -> None:
+        """As a person does; the service would wait in real time."""
+        run(0.3)
+        number, order = driver.latch.number, driver._keeper.enable()
+        for _ in range(20):
+            run(0.0 if order.settled else 0.2)
+        assert order.done, order.failure
+        assert driver.latch.open(number)
+        run(0.1)
+        assert driver.told() == "ready"
+
     def shaken(stamp_ns: int) -> np.ndarray:
         """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
-        run(0.1)
-        driver._on_cycle(cycle_to_msg(cycle, to_time(stamp_ns)))
+        data = serialize_message(cycle_to_msg(cycle, to_time(stamp_ns)))
+        driver.take_cycle(data, len(data))
         run(2.5)
         return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(wanted**2, axis=0))
 
-    try:
-        assert np.min(shaken(1_000)) > 2.8  # at the resonance of 3 %
+    def calibrated() -> None:
         assert driver._on_calibrate(Trigger.Request(), Trigger.Response()).success
-        assert driver._guard.mode is Mode.CALIBRATING
+        assert driver.told() == "calibrating"
+
+    try:
+        enable()
+        assert np.min(shaken(1_000)) > 2.8  # at the resonance of 3 %
+        run(1.0)
+        calibrated()
         run(3.0)
-        emulator.reset()  # the experiment is begun anew
+        emulator.reset()  # it fails, which is told; nothing begins again by itself
+        run(3.0)
+        assert not learned.exists()
+        assert driver._run is None
+        assert driver.told().startswith(("disabled", "stopped"))
+        enable()
+        calibrated()
         for _ in range(40):
-            if driver._guard.mode is Mode.CALIBRATING:
+            if driver._run is not None:
                 run(1.0)
-        assert driver._guard.mode is Mode.READY
+        assert driver.told() == "ready"
         assert learned.exists()
+        assert [path.name for path in learned.parent.iterdir() if "plate.npz" in path.name] == [
+            "plate.npz"
+        ]
         for change in ("deactivate", "cleanup", "configure", "activate"):
+            if change == "deactivate":
+                driver._keeper.stop()
+                run(1.5)
             getattr(driver, f"trigger_{change}")()
+        enable()
         np.testing.assert_allclose(shaken(2_000), 1, atol=0.02)
     finally:
         driver.destroy_node()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plate_core import PlateCycle, load_rig
+from plate_core import PlateCycle, PlateError, load_rig
 from plate_driver.calibration import Calibration, save_response, saved_response
 from plate_driver.learning import Response, harmonics
 from plate_driver.motor_table import prepare
@@ -95,3 +95,41 @@ def test_a_response_is_kept_in_a_file(learned, tmp_path):
     again = saved_response(path)
     np.testing.assert_array_equal(again.matrix, learned[0].matrix)
     np.testing.assert_array_equal(again.frequency, learned[0].frequency)
+
+
+def test_a_full_disk_leaves_the_old_file_whole(learned, tmp_path, monkeypatch):
+    path = tmp_path / "response.npz"
+    save_response(path, learned[0])
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(before[:1000])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(PlateError, match=r"response\.npz: cannot be written .*No space left"):
+        save_response(path, learned[0])
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.001, 0.01, 0.5, 0.99])
+def test_a_damaged_file_is_refused_in_one_line(learned, tmp_path, kept):
+    path = tmp_path / "response.npz"
+    save_response(path, learned[0])
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data))])
+    with pytest.raises(PlateError, match=r"response\.npz: is no calibration") as caught:
+        saved_response(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    path = tmp_path / "response.npz"
+    for content in ({"frequency": np.arange(3)}, {"frequency": 1.0, "matrix": 2.0, "lever": 3.0}):
+        np.savez(path, **content)
+        with pytest.raises(PlateError, match="is no calibration"):
+            saved_response(path)
+    path.write_bytes(b"hello")
+    with pytest.raises(PlateError, match="is no calibration"):
+        saved_response(path)

@@ -52,6 +52,7 @@ def test_the_task_goes_on(bench, tmp_path, trouble, event):
     assert ending.verdict.stroke > 0.2
     assert ending.resting
     assert bool(ending.troubles) == bool(event)
+    assert ending.enables == 1 + bool(event)  # after an accident it went on after an enable
     assert (ending.retries > 50) == bool(trouble.corrupted)
 
 
@@ -97,7 +98,7 @@ def test_the_judge_sees_a_jump(bench):
     assert not verdict(still, moved).kept
 
 
-def test_a_host_that_was_held_up_has_its_table_played_again(bench):
+def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(bench):
     """It is not silent for so long that the link fails: the device alone has noticed."""
     _, serial_loop = bench
     from serial_line import shaking
@@ -109,8 +110,8 @@ def test_a_host_that_was_held_up_has_its_table_played_again(bench):
     emulator = Emulator(DeviceLimits.of_rig(load_rig()))
     host = [0.0]  # its clock stands still while it is held up
     transport = SerialTransport(lambda: serial_loop.Port(emulator), lambda: host[0], 1)
+    operator = serial_loop.Operator(transport)
     transport.open()
-    transport.send(shaking(48, 5e-4))
 
     def run(seconds: float, polls: bool = True) -> None:
         for tick in range(round(seconds * 1e3)):
@@ -120,11 +121,20 @@ def test_a_host_that_was_held_up_has_its_table_played_again(bench):
                 if tick % 5 == 0:
                     transport.poll()
 
+    run(0.2)
+    operator.look(host[0])
     run(1.5)
+    transport.send(shaking(48, 5e-4), 50)
+    run(0.5)
     assert emulator.device.motion.state is State.PLAYING
     run(1.5, polls=False)
     assert emulator.device.motion.state is State.OFF
     assert Fault.HOST_SILENT in emulator.device.motion.faults
-    run(2.0)
-    assert transport.troubles() == []
-    assert emulator.device.motion.state is State.PLAYING
+    run(3.0)
+    assert transport.troubles() == ["device has stopped: host silent"]
+    assert emulator.device.motion.state is State.OFF
+    for _ in range(3):  # a look, and one when it has lasted
+        operator.look(host[0])
+        run(1.0)
+    assert operator.enables == 2
+    assert emulator.device.motion.state is State.READY

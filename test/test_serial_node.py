@@ -1,7 +1,14 @@
-"""The driver node on a pseudo-terminal, with the C firmware at its other end, in real time."""
+"""The driver as a process on a pseudo-terminal, with the C firmware at its other end, in real time.
 
+The judge is the line: what the driver has written on it; and the current, which is the firmware's.
+"""
+
+import contextlib
 import os
+import signal
 import subprocess
+import sys
+import threading
 import time
 import tty
 
@@ -9,21 +16,30 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.serial_protocol import State
+from plate_core.serial_protocol import Commit, Enable, Hello, Reader, State, Stop, parse
 
 rclpy = pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros.convert import cycle_to_msg, nanoseconds, to_time  # noqa: E402
-from plate_core.ros.qos import DATA  # noqa: E402
-from plate_driver.node import DriverNode  # noqa: E402
+from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_driver.state import CUT, DISABLED, EMERGENCY, UNANSWERED  # noqa: E402
 
 RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3
+MOST_TICKS = 50
+"""On a machine that is too busy the board's clock stands still from there on."""
+
 DOMAIN = 1 + (37 * os.getpid() + 5) % 99
+NAMESPACE = f"/serial_node_{os.getpid()}"
+DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
+LIFECYCLE = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 
 
 def shaking(amplitude: float) -> PlateCycle:
@@ -37,7 +53,7 @@ def shaking(amplitude: float) -> PlateCycle:
 
 
 class Board:
-    """The firmware behind a pseudo-terminal; `serve` lets it catch up with the clock."""
+    """The firmware behind a pseudo-terminal, in a thread of its own."""
 
     def __init__(self, program) -> None:
         self.master, slave = os.openpty()
@@ -47,32 +63,53 @@ class Board:
         self.process = subprocess.Popen(
             [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        self.begin, self.ticks = time.monotonic(), 0
-        self.states: list[State] = []
-        self.travel = 0.0
+        self.begin, self.ticks, self.lost = time.monotonic(), 0, 0
+        self.state, self.current, self.travel, self.setpoints = State.OFF, False, 0.0, 0
+        self.heard: list[object] = []
+        self._reader, self.dead = Reader(), False
+        self.ended = threading.Event()
+        self.thread = threading.Thread(target=self.run)
+        self.thread.start()
+
+    def run(self) -> None:
+        while not self.ended.wait(0.001):
+            self.serve()
 
     def serve(self) -> None:
-        due = round((time.monotonic() - self.begin) / TICK_S) - self.ticks
+        due = round((time.monotonic() - self.begin) / TICK_S) - self.ticks - self.lost
+        self.lost += max(0, due - MOST_TICKS)
+        due = min(due, MOST_TICKS)
         if due <= 0:
             return
-        try:
-            order = f"rx {os.read(self.master, 100_000).hex()}\n"
-        except BlockingIOError:
-            order = ""
+        order = ""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self.master, 100_000)
+            self._reader, packets = self._reader.fed(data)
+            self.heard += [parse(packet).message for packet in packets]
+            order = "" if self.dead else f"rx {data.hex()}\n"
         self.process.stdin.write(f"{order}run {due * 1000}\n")
         self.process.stdin.flush()
         self.ticks += due
         for line in iter(self.process.stdout.readline, ""):
             kind, *words = line.split()
-            if kind == "tx":
-                os.write(self.master, bytes.fromhex(words[0]))
+            if kind == "tx" and not self.dead:
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self.master, bytes.fromhex(words[0]))
             elif kind == "at":
+                self.setpoints += 1
                 self.travel = max(self.travel, *(abs(float(w)) for w in words[1:5]))
+            elif kind == "drive":
+                self.current = bool(int(words[1]))
             elif kind == "state":
-                self.states.append(State(int(words[0])))
+                self.state = State(int(words[0]))
                 return
 
+    def count(self, kind) -> int:
+        return sum(isinstance(message, kind) for message in self.heard)
+
     def close(self) -> None:
+        self.ended.set()
+        self.thread.join(20)
         self.process.stdin.close()
         self.process.stdout.read()
         self.process.stdout.close()
@@ -81,56 +118,298 @@ class Board:
         os.close(self.slave)
 
 
-@pytest.fixture(name="board")
-def _board(program):
-    board = Board(program)
-    yield board
-    board.close()
+class Desk:
+    """A driver process at a board, and a node that speaks to it."""
 
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN)
+        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.told: list[str] = []
+        self.states: list[JointState] = []
+        self.setpoints: list[JointTrajectory] = []
+        self.reports: list[DiagnosticStatus] = []
+        listen = self.node.create_subscription
+        listen(String, "driver_state", self.on_state, LATCHED)
+        listen(JointState, "motor_states", self.states.append, DATA)
+        listen(JointTrajectory, "motor_setpoints", self.setpoints.append, DATA)
+        listen(DiagnosticArray, "diagnostics", lambda m: self.reports.append(m.status[0]), DATA)
+        self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        client = self.node.create_client
+        self.clients = {
+            name: client(Trigger, name) for name in ("emergency_stop", "cut_power", "home")
+        }
+        self.enabler = client(SetBool, "enable")
+        from lifecycle_msgs.srv import ChangeState
 
-@pytest.mark.parametrize("streams", ["false", "true"])
-def test_cycles_reach_the_board_and_telemetry_the_graph(board, streams):
-    words = [f"streams:={streams}"]
-    words += ["transport:=serial", f"port:={board.port}", "state_rate:=50.0", "hold_cycles:=1000"]
-    arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/serial_node"]
-    rclpy.init(args=arguments, domain_id=DOMAIN)
-    executor = SingleThreadedExecutor()
-    driver, peer = DriverNode(), rclpy.create_node("peer")
-    states: list[JointState] = []
-    setpoints: list[JointTrajectory] = []
-    peer.create_subscription(JointState, "motor_states", states.append, DATA)
-    peer.create_subscription(JointTrajectory, "motor_setpoints", setpoints.append, DATA)
-    cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
-    for node in (driver, peer):
-        executor.add_node(node)
+        self.changer = client(ChangeState, "driver/change_state")
+        self.stamp = 0
 
-    def until(condition, seconds: float = 10.0) -> bool:
+    def on_state(self, msg: String) -> None:
+        if self.told[-1:] != [msg.data]:
+            self.told.append(msg.data)
+
+    def start(self, *parameters: str) -> subprocess.Popen:
+        words = ["transport:=serial", f"port:={self.board.port}", "state_rate:=50.0"]
+        arguments = [w for p in [*words, *parameters] for w in ("-p", p)]
+        self.process = subprocess.Popen(
+            [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"},
+            text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )  # fmt: skip
+        return self.process
+
+    def until(self, condition, seconds: float = 30.0) -> bool:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            board.serve()
-            executor.spin_once(timeout_sec=0.001)
+            self.executor.spin_once(timeout_sec=0.01)
             if condition():
                 return True
         return False
 
-    try:
-        assert until(lambda: cycles.get_subscription_count() and len(states) > 2)
-        assert states[-1].name == [motor.name for motor in RIG.motors]
-        assert not any(states[-1].position)
-        cycles.publish(cycle_to_msg(shaking(0.001), to_time(1_000)))
-        assert until(lambda: any(any(s.position) for s in states)), board.states[-1:]
-        assert nanoseconds(setpoints[-1].header.stamp) == 1_000
-        assert until(lambda: any(np.max(np.abs(s.effort)) > 1.0 for s in states))  # m/s2
-        assert until(lambda: board.travel > 5e-4)
-        stamps = [nanoseconds(s.header.stamp) for s in states]
-        assert stamps == sorted(stamps)
-        assert abs(stamps[-1] * 1e-9 - time.time()) < 5
-        assert board.states[-1] is State.PLAYING
-        assert board.travel < 2e-3
-        # The end of the driver is the end of the motion.
-        driver.destroy_node()
-        assert until(lambda: board.states[-1] is State.OFF)
-    finally:
-        executor.shutdown()
-        peer.destroy_node()
-        rclpy.shutdown()
+    def tells(self, text: str, seconds: float = 30.0) -> None:
+        assert self.until(lambda: self.told and self.told[-1] == text, seconds), self.told
+
+    def call(self, client, request):
+        assert client.wait_for_service(timeout_sec=20.0)
+        future = client.call_async(request)
+        assert self.until(future.done), "no answer"
+        return future.result()
+
+    def stop(self, name: str = "emergency_stop"):
+        return self.call(self.clients[name], Trigger.Request())
+
+    def enable(self, value: bool = True):
+        return self.call(self.enabler, SetBool.Request(data=value))
+
+    def change(self, name: str) -> None:
+        request = type(self.changer.srv_type.Request())()
+        request.transition.id = LIFECYCLE[name]
+        assert self.call(self.changer, request).success
+
+    def send(self) -> None:
+        self.stamp += 1_000_000
+        self.cycles.publish(cycle_to_msg(shaking(0.001), to_time(self.stamp)))
+
+    def moving(self) -> None:
+        """Enable, and send cycles until the plate plays them."""
+        answer = self.enable()
+        while "is not told by the device yet" in answer.message:  # we are quicker than a person
+            answer = self.enable()
+        assert answer.success, answer.message
+        self.tells("ready")
+        assert self.until(lambda: self.cycles.get_subscription_count() > 0)
+        self.play()
+
+    def play(self) -> None:
+        def played() -> bool:
+            self.send()
+            self.until(lambda: False, 0.1)
+            return self.board.state is State.PLAYING
+
+        assert self.until(played), self.told
+
+    def wait(self, seconds: float) -> None:
+        self.until(lambda: False, seconds)
+
+    def end(self, number: int = signal.SIGTERM) -> str:
+        self.process.send_signal(number)
+        output, _ = self.process.communicate(timeout=30)
+        return output
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(name="desk")
+def _desk(program):
+    board = Board(program)
+    desk = Desk(board)
+    yield desk
+    desk.close()
+    board.close()
+
+
+def test_cycles_reach_the_board_and_telemetry_the_graph(desk):
+    board = desk.board
+    desk.start()
+    desk.tells(DISABLED)
+    assert desk.until(lambda: len(desk.states) > 2)
+    assert desk.states[-1].name == [motor.name for motor in RIG.motors]
+    assert (board.count(Enable), board.setpoints, board.current) == (0, 0, False)
+    desk.send()  # nothing moves unasked
+    desk.wait(1.0)
+    assert (board.count(Enable), board.count(Commit), board.setpoints) == (0, 0, 0)
+    desk.moving()
+    assert desk.until(lambda: any(any(s.position) for s in desk.states))
+    assert desk.until(lambda: any(np.max(np.abs(s.effort)) > 1.0 for s in desk.states))  # m/s2
+    stamps = [nanoseconds(s.header.stamp) for s in desk.states]
+    assert stamps == sorted(stamps)
+    assert abs(stamps[-1] * 1e-9 - time.time()) < 5
+    assert 5e-4 < board.travel < 2e-3
+    assert nanoseconds(desk.setpoints[-1].header.stamp) <= desk.stamp
+    # Without cycles the plate rests by itself, with current; that is told, and no fault.
+    assert desk.until(lambda: board.state is State.READY)
+    assert desk.until(lambda: desk.reports[-1].level == DiagnosticStatus.STALE)
+    assert desk.reports[-1].message.startswith("no plate_cycle for ")
+    values = {v.key: v.value for v in desk.reports[-1].values}
+    assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
+            "round_trip_ms", "device_heat"} <= set(values)  # fmt: skip
+    assert desk.told[-1] == "ready"
+    # And goes on with the next one, which needs no enable.
+    desk.play()
+    assert board.count(Enable) == 1
+    assert "Traceback" not in desk.end()
+    assert board.count(Stop) >= 1
+    assert desk.until(lambda: board.state is State.OFF)
+    assert not board.current
+
+
+def test_streams_reach_the_board_too(desk):
+    desk.start("streams:=true")
+    desk.tells(DISABLED)
+    desk.moving()
+    desk.end()
+    assert desk.until(lambda: desk.board.state is State.OFF)
+
+
+def again(desk: Desk) -> None:
+    assert desk.stop().success
+    assert desk.stop("cut_power").success
+
+
+def lifecycle(desk: Desk) -> None:
+    for change in ("deactivate", "activate"):
+        desk.change(change)
+
+
+def anew(desk: Desk) -> None:
+    for change in ("deactivate", "cleanup", "configure", "activate"):
+        desk.change(change)
+
+
+def ended(number: int):
+    def end(desk: Desk) -> None:
+        desk.end(number)
+        desk.told.clear()
+        desk.start()
+
+    end.__name__ = signal.Signals(number).name
+    return end
+
+
+def homed(desk: Desk) -> None:
+    assert desk.call(desk.clients["home"], Trigger.Request()).success
+
+
+WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
+        ended(signal.SIGKILL), homed]  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
+def test_no_way_undoes_a_stop(desk, way):
+    board = desk.board
+    desk.start()
+    desk.tells(DISABLED)
+    desk.moving()
+    answer = desk.stop()
+    assert (answer.success, answer.message) == (True, EMERGENCY)
+    desk.tells(EMERGENCY)
+    assert not board.current
+    enables, setpoints = board.count(Enable), board.setpoints
+    way(desk)
+    for _ in range(10):
+        desk.send()
+        desk.wait(0.2)
+    assert board.count(Enable) == enables
+    assert (board.current, board.setpoints) == (False, setpoints)
+    assert desk.told[-1].startswith(("stopped", "disabled")), desk.told
+    desk.moving()  # a person enables: once on the line, whatever repetitions
+    assert board.current
+
+
+@pytest.mark.parametrize("way", [lifecycle, ended(signal.SIGTERM), ended(signal.SIGKILL)],
+                         ids=lambda way: way.__name__)  # fmt: skip
+def test_an_end_in_mid_motion_stops_the_plate_for_good(desk, way):
+    board = desk.board
+    desk.start()
+    desk.tells(DISABLED)
+    desk.moving()
+    enables = board.count(Enable)
+    way(desk)
+    assert desk.until(lambda: not board.current)
+    for _ in range(10):
+        desk.send()
+        desk.wait(0.2)
+    assert (board.count(Enable), board.current) == (enables, False)
+    assert desk.told[-1].startswith(("stopped", "disabled")), desk.told
+    if way.__name__ != "SIGKILL":
+        assert board.count(Stop) >= 1  # it said so, and did not leave it to the device
+
+
+def test_kinds_of_stop_and_a_device_that_does_not_answer(desk):
+    board = desk.board
+    desk.start()
+    desk.tells(DISABLED)
+    desk.moving()
+    answer = desk.stop("cut_power")
+    assert (answer.success, answer.message) == (True, CUT)
+    assert not board.current
+    assert Stop(1) in board.heard
+    desk.tells(CUT)
+    desk.moving()
+    assert desk.enable(False).success
+    desk.tells(DISABLED)
+    desk.moving()
+    # Its cable is cut: nobody acknowledges, and the answer says so.
+    board.dead = True
+    answer = desk.stop()
+    assert (answer.success, answer.message) == (False, UNANSWERED)
+    assert desk.until(lambda: desk.told[-1].startswith("error: "))
+    assert desk.until(lambda: desk.reports[-1].level == DiagnosticStatus.ERROR)
+    assert not desk.enable().success
+    assert desk.until(lambda: not board.current)  # the device's own watchdog
+    board.dead = False
+    desk.tells(EMERGENCY)
+    desk.wait(1.0)
+    assert not board.current
+
+
+def test_a_stop_in_every_lifecycle_state_reaches_the_device(desk):
+    board = desk.board
+    desk.start("autostart:=false")
+    desk.tells("unconfigured")
+    assert desk.stop().success
+    assert board.count(Stop) >= 1
+    desk.change("configure")
+    stops = board.count(Stop)
+    assert desk.stop().success
+    assert board.count(Stop) > stops
+    desk.change("activate")
+    desk.tells(EMERGENCY)
+    desk.moving()
+
+
+def test_the_port_is_for_one_driver(desk):
+    desk.start()
+    desk.tells(DISABLED)
+    desk.moving()
+    hellos = desk.board.count(Hello)
+    words = ["transport:=serial", f"port:={desk.board.port}"]
+    second = subprocess.run(
+        [*DRIVER, "--ros-args", "-r", "__ns:=/second", *(w for p in words for w in ("-p", p))],
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}, capture_output=True, text=True, timeout=30,
+    )  # fmt: skip
+    assert second.returncode == 2
+    assert f"error: port is '{desk.board.port}', allowed: a serial port" in second.stderr
+    assert desk.board.count(Hello) == hellos
+    desk.play()

@@ -9,9 +9,11 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.serial_protocol import Fault, State
+from plate_core.serial_protocol import Commit, Enable, Hello, Reader, State, Stop, parse
+from plate_core.serial_protocol.messages import Message
 from plate_driver.motor_table import MotorTable, prepare
-from plate_driver.serial_transport import Measured, SerialTransport
+from plate_driver.serial_transport import SerialTransport
+from plate_driver.transport import Condition, Measured, Order
 
 RIG = load_rig()
 PERIOD = 0.1
@@ -44,6 +46,9 @@ class Desk:
     to_host: list[tuple[float, bytes]] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
     setpoints: list[list[float]] = field(default_factory=list)
+    wire: list[tuple[float, bytes]] = field(default_factory=list)  # all that the host has written
+    current: bool = False
+    stop: int = 0  # number of the last stop, as the device counts
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(4)
@@ -91,10 +96,23 @@ class Desk:
                 self.to_host.append((self.now + self.delay, data))
             elif kind == "at":
                 self.setpoints.append([self.now, *map(float, words[1:])])
+            elif kind == "drive":
+                self.current = bool(int(words[1]))
             elif kind == "state":
                 self.states.append(State(int(words[0])))
+                self.stop = int(words[3])
                 return
         pytest.fail("the firmware has ended")
+
+    def order(self, line: str) -> None:
+        """Tell the board something that comes from no line."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+
+    def said(self, since: float = 0.0) -> list[Message]:
+        """What the host has put on the line, before anything could spoil it."""
+        data = b"".join(data for at, data in self.wire if at >= since)
+        return [parse(packet).message for packet in Reader().fed(data)[1]]
 
     # The port
 
@@ -106,11 +124,12 @@ class Desk:
         return arrived
 
     def write(self, data: bytes) -> int:
+        self.wire.append((self.now, data))
         self.to_device.append((self.now + self.delay, self.spoilt(data)))
         return len(data)
 
     def close(self) -> None:
-        self.to_host, self.to_device = [], []
+        self.to_host = []  # what was written is on its way, although the port is closed
 
     def opened(self) -> "Desk":
         if self.cut:
@@ -120,9 +139,9 @@ class Desk:
     # What was played
 
     def check_limits(self) -> None:
-        rows = np.array(self.setpoints)
-        assert np.max(np.abs(rows[:, 1:5])) <= RIG.limits.stroke_m
-        assert np.max(np.abs(rows[:, 5:9])) <= RIG.limits.speed
+        rows = np.array(self.setpoints).reshape(-1, 13)
+        assert np.max(np.abs(rows[:, 1:5]), initial=0.0) <= RIG.limits.stroke_m
+        assert np.max(np.abs(rows[:, 5:9]), initial=0.0) <= RIG.limits.speed
 
     def check_smooth(self) -> None:
         """No jump of position or speed from tick to tick, current on or not."""
@@ -141,8 +160,11 @@ def _desk(program):
     desk.end()
 
 
-def link(desk: Desk) -> SerialTransport:
-    transport = SerialTransport(desk.opened, lambda: desk.now, seed=7)
+REPEATS = 5
+
+
+def link(desk: Desk, streams: bool = False, seed: int = 7) -> SerialTransport:
+    transport = SerialTransport(desk.opened, lambda: desk.now, seed, streams)
     transport.open()
     return transport
 
@@ -157,13 +179,41 @@ def pass_time(desk: Desk, transport: SerialTransport, seconds: float) -> list[Me
     return measured
 
 
-def test_tables_arrive_and_are_played(desk):
-    transport = link(desk)
+def settled(desk: Desk, transport: SerialTransport, order: Order) -> Order:
+    """Let time pass until an order is settled, or its time is over."""
+    end = desk.now + order.longest_s
+    while not order.settled and desk.now < end:
+        pass_time(desk, transport, 0.005)
+    return order
+
+
+def enabled(desk: Desk, seed: int = 7) -> SerialTransport:
+    """A transport whose motors a person has enabled."""
+    transport = link(desk, seed=seed)
+    while transport.report().condition is Condition.GONE and desk.now < 10:
+        pass_time(desk, transport, 0.1)
+    order = settled(desk, transport, transport.enable())
+    assert order.done, order.failure
+    return transport
+
+
+def play(desk: Desk, transport: SerialTransport, seconds: float, size: float = 0.002) -> set[int]:
+    """Send a table in every period; returns the numbers of those that were played."""
+    tables: set[int] = set()
+    for n in range(round(seconds / PERIOD)):
+        if transport.report().condition is Condition.READY:
+            transport.send(shaking(size if n % 2 else size / 2), REPEATS)
+        tables |= {m.table for m in pass_time(desk, transport, PERIOD)}
+    return tables - {0}
+
+
+def test_tables_arrive_and_are_played_as_often_as_asked(desk):
+    transport = enabled(desk)
     first, second = shaking(0.0005), shaking(0.0008, turns=3)
-    transport.send(first)
+    transport.send(first, 20)
     pass_time(desk, transport, 1.0)
     assert desk.states[-1] is State.PLAYING
-    transport.send(second)
+    transport.send(second, 8)
     measured = pass_time(desk, transport, 0.5)
     assert transport.troubles() == []
     assert (transport.retries, transport.refused) == (0, 0)
@@ -180,111 +230,329 @@ def test_tables_arrive_and_are_played(desk):
     # Telemetry is on the host's clock to a tick or so: the line has no delay here.
     assert 45 <= len(measured) <= 55
     for sample in measured:
-        row = rows[np.argmin(np.abs(rows[:, 0] - sample.telemetry.device_us * 1e-6))]
-        np.testing.assert_allclose(sample.telemetry.position, row[1:5], rtol=1e-6, atol=1e-12)
-        assert abs(sample.time - sample.telemetry.device_us * 1e-6) < 3e-3
+        # Measured when the tick began: where the tick before has led the motors.
+        row = rows[np.argmin(np.abs(rows[:, 0] - (sample.device_s - TICK_S)))]
+        np.testing.assert_allclose(sample.position, row[1:5], rtol=1e-6, atol=1e-12)
+        assert abs(sample.time - sample.device_s) < 3e-3
+    # Eight times, then it rests by itself, with current; the host has said nothing for that.
+    pass_time(desk, transport, 1.0)
+    assert desk.states[-1] is State.READY
+    moving = [row[0] for row in desk.setpoints if row[0] > began and any(row[1:5])]
+    plays = (moving[-1] - began) / PERIOD
+    commits = [m for m in desk.said() if isinstance(m, Commit)]
+    assert [m.repeats for m in commits] == [20, 8]
+    assert abs(plays - round(plays)) < 0.02
+    transport.send(first, 3)
+    before = desk.now
+    pass_time(desk, transport, 1.0)
+    moving = [row[0] for row in desk.setpoints if row[0] > before and any(row[1:5])]
+    assert moving[-1] - moving[0] == pytest.approx(3 * PERIOD, abs=0.01)
     transport.close()
     pass_time(desk, transport, 0.02)
 
 
+def test_a_table_is_not_played_longer_than_the_device_allows(desk):
+    transport = enabled(desk)
+    transport.send(shaking(0.0005), 1000)
+    pass_time(desk, transport, 0.3)
+    assert [m.repeats for m in desk.said() if isinstance(m, Commit)] == [100]  # 10 s
+    assert transport.troubles() == []
+    assert desk.states[-1] is State.PLAYING
+
+
 def test_upload_takes_a_fraction_of_a_cycle(desk):
-    transport = link(desk)
-    transport.send(shaking(0.0005))
+    transport = enabled(desk)
+    transport.send(shaking(0.0005), 50)
     pass_time(desk, transport, 1.0)
-    transport.send(shaking(0.0008))
-    ticks = 0
-    while transport.poll()[-1:] == [] or ticks < 1:
+    transport.send(shaking(0.0008), 50)
+    # 13 messages of knots, 3 kB: 32 ms of a line of 921,600 baud.
+    for _ in range(60):
         desk.tick()
-        ticks += 1
-    # 13 knot messages by a window of 8, looked after every tick: a handful of turns.
-    for _ in range(20):
-        desk.tick()
-        measured = transport.poll()
-        if measured and measured[-1].telemetry.waiting == 2:
+        transport.poll()
+        if not transport.busy:
             return
-    pytest.fail("the second table was not in the second buffer after 20 ms")
+    pytest.fail("the second table was not in the second buffer after 60 ms")
 
 
 @pytest.mark.parametrize(
-    ("damage", "loss", "delay"),
-    [(0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.02), (0.003, 0.003, 0.02)],
+    ("damage", "loss", "delay", "least"),
+    [
+        (0.01, 0.0, 0.0, 5),
+        (0.0, 0.01, 0.0, 5),
+        (0.0, 0.0, 0.02, 10),
+        (0.003, 0.003, 0.02, 5),
+        (0.0, 0.03, 0.0, 2),
+        (0.0, 0.0, 0.1, 3),
+    ],
 )
-def test_bad_lines(desk, damage, loss, delay):
+def test_bad_lines(desk, damage, loss, delay, least):
     desk.damage, desk.loss, desk.delay = damage, loss, delay
-    transport = link(desk)
-    transport.send(shaking(0.002))
-    tables: set[int] = set()
-    for n in range(40):
-        tables |= {m.telemetry.table for m in pass_time(desk, transport, 0.1)}
-        transport.send(shaking(0.002 if n % 2 else 0.001))
+    transport = enabled(desk)
+    tables = play(desk, transport, 4.0)
     desk.check_limits()
     desk.check_smooth()
-    assert len(tables - {0}) >= 3, transport.troubles()
+    assert len(tables) >= least, (tables, transport.troubles())
+    assert transport.troubles() == []
+    assert desk.current
+    assert [type(m) for m in desk.said()].count(Hello) < 20
     if damage or loss:
         assert transport.retries > 0
         assert transport.refused > 0
+    # And a stop comes through.
+    order = settled(desk, transport, transport.stop())
+    assert order.done
+    pass_time(desk, transport, 1.2)
+    assert not desk.current
 
 
-def test_disconnection(desk):
+def test_nothing_is_sent_to_motors_that_are_off(desk):
     transport = link(desk)
-    transport.send(shaking(0.002))
+    pass_time(desk, transport, 0.5)
+    with pytest.raises(CycleError, match="the device is off, allowed: ready"):
+        transport.send(shaking(0.002), REPEATS)
     pass_time(desk, transport, 1.0)
-    assert desk.states[-1] is State.PLAYING
+    kinds = {type(m).__name__ for m in desk.said()}
+    assert kinds == {"Hello", "Heartbeat"}
+    assert not desk.current
+    assert desk.setpoints == []
+
+
+# Each way to undo a stop. The judge is the line, and the current.
+
+
+def quiet_since(desk: Desk, since: float) -> None:
+    """No Enable on the line since then, and no current now."""
+    assert not [m for m in desk.said(since) if isinstance(m, Enable)]
+    assert not desk.current
+    assert desk.states[-1] is State.OFF
+    desk.check_limits()
+
+
+def goes_on(desk: Desk, transport: SerialTransport) -> None:
+    """A person enables, once: one Enable with the present stop, then tables play."""
+    since, stop = desk.now, desk.stop
+    order = settled(desk, transport, transport.enable())
+    assert order.done, order.failure
+    assert {m for m in desk.said(since) if isinstance(m, Enable)} == {Enable(stop)}
+    assert play(desk, transport, 0.5)
+
+
+def again(desk: Desk, transport: SerialTransport) -> None:
+    transport.stop()
+    pass_time(desk, transport, 0.3)
+    transport.stop(cut=True)
+
+
+def reset(desk: Desk, transport: SerialTransport) -> None:
+    desk.reset()
+    desk.current = False  # a new process
+
+
+def cable(desk: Desk, transport: SerialTransport) -> None:
     desk.cut = True
     pass_time(desk, transport, 2.0)
-    # The device brakes 0.25 s after it heard the last word, within a cycle, and is off at home.
-    braking = [i for i, s in enumerate(desk.states) if s is State.BRAKING]
-    assert 1.2 <= braking[0] * TICK_S <= 1.26
+    desk.cut = False
+
+
+def supply(desk: Desk, transport: SerialTransport) -> None:
+    desk.order("fault 8")
+    pass_time(desk, transport, 0.1)
+    desk.order("fault 0")
+
+
+def tables(desk: Desk, transport: SerialTransport) -> None:
+    for _ in range(5):
+        with pytest.raises(CycleError, match="allowed: ready"):
+            transport.send(shaking(0.002), REPEATS)
+        pass_time(desk, transport, 0.1)
+
+
+def homing(desk: Desk, transport: SerialTransport) -> None:
+    assert settled(desk, transport, transport.home()).done
+
+
+WAYS = [again, reset, cable, supply, tables, homing]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_stop_latches_whatever_comes(desk, way, cut):
+    transport = enabled(desk)
+    play(desk, transport, 1.0)
+    assert desk.states[-1] is State.PLAYING
+    since = desk.now
+    order = settled(desk, transport, transport.stop(cut))
+    assert order.done
+    assert desk.current != cut  # it brakes first, or not
+    pass_time(desk, transport, 1.2)
+    quiet_since(desk, since)
+    way(desk, transport)
+    pass_time(desk, transport, 2.0)
+    quiet_since(desk, since)
+    goes_on(desk, transport)
+
+
+@pytest.mark.parametrize("way", [reset, cable, supply])
+def test_what_takes_the_current_away_does_not_bring_it_back(desk, way):
+    transport = enabled(desk)
+    play(desk, transport, 1.0)
+    assert desk.states[-1] is State.PLAYING
+    since = desk.now
+    way(desk, transport)
+    pass_time(desk, transport, 3.0)
+    quiet_since(desk, since)
+    assert transport.report().condition is Condition.OFF
+    assert transport.troubles()
+    goes_on(desk, transport)
+
+
+def test_a_cable_that_is_pulled_lets_the_plate_brake(desk):
+    transport = enabled(desk)
+    play(desk, transport, 1.0)
+    assert desk.states[-1] is State.PLAYING
+    desk.cut = True
+    pulled = len(desk.states)
+    for _ in range(20):
+        transport.poll()
+        pass_time(desk, transport, 0.1)
+    # It brakes 0.25 s after it heard the last word, or rests since its table is over before that.
+    later = desk.states[pulled:]
+    assert State.BRAKING in later
+    assert 0.2 <= later.index(State.BRAKING) * TICK_S <= 0.28
     assert desk.states[-1] is State.OFF
     assert any("port is" in t for t in transport.troubles())
-    desk.cut = False
-    pass_time(desk, transport, 2.0)
-    assert desk.states[-1] is State.PLAYING
+    assert transport.report().condition is Condition.GONE
     desk.check_limits()
     desk.check_smooth()
 
 
-def test_reset(desk):
+def test_a_session_of_another_host_stops_the_plate(desk):
+    first = enabled(desk)
+    play(desk, first, 1.0)
+    since = desk.now
+    second = link(desk, seed=1000)  # as after kill -9: nobody has said good-bye
+    pass_time(desk, second, 1.5)
+    quiet_since(desk, since)
+    assert second.report().reason == "stopped"
+    goes_on(desk, second)
+
+
+def test_an_enable_is_dropped_by_a_stop(desk):
     transport = link(desk)
-    transport.send(shaking(0.002))
+    pass_time(desk, transport, 0.5)
+    desk.loss = 1.0  # it never arrives
+    wish = transport.enable()
+    pass_time(desk, transport, 0.1)
+    stop = transport.stop()
+    assert (wish.settled, wish.failure[:26]) == (True, "another stop has come sinc")
+    desk.loss = 0.0
+    since = desk.now
+    assert settled(desk, transport, stop).done
     pass_time(desk, transport, 1.0)
-    desk.reset()
+    quiet_since(desk, since)
+    goes_on(desk, transport)
+
+
+def test_an_enable_that_does_not_arrive_is_not_kept_for_later(desk):
+    transport = link(desk)
+    pass_time(desk, transport, 0.5)
+    desk.loss = 1.0
+    wish = transport.enable()
+    pass_time(desk, transport, 3.0)  # the link fails
+    assert wish.settled
+    assert not wish.done
+    desk.loss = 0.0
+    since = desk.now
+    pass_time(desk, transport, 3.0)
+    quiet_since(desk, since)
+    goes_on(desk, transport)
+
+
+def test_an_enable_does_not_clear_a_fault_that_came_later(desk):
+    """It was given for one stop; a dip of the supply since then is another one."""
+    transport = enabled(desk)
+    settled(desk, transport, transport.stop(cut=True))
+    pass_time(desk, transport, 0.5)
+    desk.delay = 0.05
+    wish = transport.enable()  # is on the line while the supply dips
+    desk.order("fault 8")
+    desk.tick()
+    desk.order("fault 0")
+    settled(desk, transport, wish)
+    assert wish.failure.startswith("wrong stop"), wish.failure
+    pass_time(desk, transport, 1.0)
+    assert not desk.current
+    assert "supply" in transport.report().reason
+    desk.delay = 0.0
+    pass_time(desk, transport, 0.5)
+    goes_on(desk, transport)
+
+
+def test_while_the_board_reports_a_fault_an_enable_is_refused(desk):
+    transport = link(desk)
+    pass_time(desk, transport, 0.5)
+    desk.order("fault 8")
+    pass_time(desk, transport, 0.2)
+    wish = settled(desk, transport, transport.enable())
+    assert wish.failure.startswith("wrong state"), wish.failure
+    assert not desk.current
+
+
+def test_a_stop_nobody_answers_is_not_told_as_done_and_comes_through_later(desk):
+    transport = enabled(desk)
+    play(desk, transport, 1.0)
+    desk.loss = 1.0
+    order = settled(desk, transport, transport.stop(cut=True))
+    assert not order.settled
+    desk.loss = 0.0
+    pass_time(desk, transport, 2.0)
+    assert order.done
+    assert Stop(1) in desk.said()
+    assert not desk.current
+
+
+def test_a_stop_goes_before_all_that_waits(desk):
+    transport = enabled(desk)
+    transport.send(shaking(0.002), 50)
+    pass_time(desk, transport, 0.5)
+    transport.send(shaking(0.001), 50)
+    desk.tick()
+    transport.poll()
+    assert transport.busy
+    desk.tick()
+    since = desk.now
+    transport.stop()
+    assert isinstance(desk.said(since)[0], Stop)
     pass_time(desk, transport, 1.5)
-    assert "device was reset" in transport.troubles()
-    assert desk.states[-1] is State.PLAYING
-    desk.check_limits()
+    assert not [m for m in desk.said(since) if isinstance(m, Commit)]
 
 
 def test_close_stops_the_plate(desk):
-    transport = link(desk)
-    transport.send(shaking(0.002))
-    pass_time(desk, transport, 1.0)
-    written = desk.to_device
+    transport = enabled(desk)
+    play(desk, transport, 1.0)
+    since = len(desk.states)
     transport.close()
-    desk.to_device = written  # what was written is on its way, although the port is closed
-    for _ in range(700):
+    for _ in range(900):
         desk.tick()
     assert desk.states[-1] is State.OFF
     # At once, not by the watchdog.
-    assert State.BRAKING in desk.states[1000:1010]
+    assert State.BRAKING in desk.states[since : since + 10]
 
 
-def test_hardware_fault_is_told_and_nothing_starts_again(desk):
-    transport = link(desk)
-    transport.send(shaking(0.002))
-    pass_time(desk, transport, 1.0)
-    desk.process.stdin.write("fault 8\n")
-    pass_time(desk, transport, 0.1)
-    desk.process.stdin.write("fault 0\n")
-    transport.send(shaking(0.002))
-    pass_time(desk, transport, 1.0)
-    assert desk.states[-1] is State.OFF
-    assert any(repr(Fault.SUPPLY) in t for t in transport.troubles())
+def test_a_jam_is_told(desk):
+    transport = enabled(desk)
+    transport.send(shaking(0.008), 50)
+    pass_time(desk, transport, 0.5)
+    desk.order("jam 1")
+    pass_time(desk, transport, 0.5)
+    assert not desk.current
+    assert transport.report().reason == "following"
+    assert transport.troubles() == ["device has stopped: following"]
+    assert float(transport.values()["following_error_mm"]) > 3
 
 
 def test_long_tables_are_refused(desk):
-    transport = link(desk)
-    pass_time(desk, transport, 0.1)
+    transport = enabled(desk)
     cycle = PlateCycle.from_samples(1.0, np.zeros((600, 3)))
     with pytest.raises(CycleError, match="601 knots, allowed by the device: 512"):
-        transport.send(prepare(RIG, cycle, 1)[0])
+        transport.send(prepare(RIG, cycle, 1)[0], 1)

@@ -10,6 +10,7 @@ from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.motor_table import MotorTable
 from plate_driver.serial_transport import LEAD_S, SerialTransport
+from plate_driver.transport import Condition
 from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
 
 RIG = load_rig()
@@ -44,6 +45,17 @@ class Bench:
             lambda: opened(self.emulator), lambda: self.emulator.now, 1, streams=True
         )
         self.transport.open()
+        self.enable()
+
+    def enable(self) -> None:
+        """A person enables."""
+        end = self.emulator.now + 5.0
+        while self.transport.report().condition is not Condition.OFF and self.emulator.now < end:
+            self.run(0.1)
+        order = self.transport.enable()
+        while not order.settled and self.emulator.now < end:
+            self.run(0.1)
+        assert order.done, order.failure
 
     def see(self, now: float, at: np.ndarray | None) -> None:
         self.watch.see(now, at)
@@ -77,11 +89,11 @@ def _made(monkeypatch):
 )
 def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
     bench = made(trouble)
-    bench.transport.send(swing(0.004))
+    bench.transport.send(swing(0.004), 50)
     bench.run(2.5)
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.004, rel=0.01)
-    bench.transport.send(swing(0.002))
+    bench.transport.send(swing(0.002), 50)
     bench.run(1.0)
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.002, rel=0.01)
     assert bench.state is State.PLAYING
@@ -96,11 +108,15 @@ def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
 
 def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
     bench = made(Trouble())
-    bench.transport.send(swing(0.008))
+    bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.run(0.4, polls=False)
     assert bench.state in (State.BRAKING, State.OFF)
     bench.run(3.0)
+    assert bench.state is State.OFF  # until a person has looked
+    bench.enable()
+    bench.transport.send(swing(0.008), 50)
+    bench.run(2.0)
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
     assert bench.transport.least_lead_s < 0.1
@@ -109,11 +125,36 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
 
 def test_a_line_that_is_away_is_survived(made):
     bench = made(Trouble())
-    bench.transport.send(swing(0.008))
+    bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.emulator.disconnect()
     bench.run(5.0)
+    assert bench.state is State.OFF
+    bench.enable()
+    bench.transport.send(swing(0.008), 50)
+    bench.run(2.0)
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
     assert bench.transport.troubles()
+    assert bench.watch.verdict().kept
+
+
+def test_a_stream_ends_at_rest_when_no_more_cycles_come(made):
+    """The host has nothing more to say: no fault, and the next cycle needs no enable."""
+    bench = made(Trouble(baud=921_600.0))
+    bench.transport.send(swing(0.004), 3)
+    bench.run(0.6)
+    assert bench.state is State.PLAYING
+    bench.run(1.0)
+    assert bench.state is State.READY
+    assert bench.transport.troubles() == []
+    moved = np.array(bench.travel)
+    plays = np.sum((moved[1:] > 0.002) & (moved[:-1] <= 0.002))
+    assert plays == 3
+    bench.transport.send(swing(0.002), 2)
+    bench.run(0.3)
+    assert bench.state is State.PLAYING
+    bench.run(1.0)
+    assert bench.state is State.READY
+    assert np.nanmax(bench.travel[-1200:]) == pytest.approx(0.002, rel=0.01)
     assert bench.watch.verdict().kept
