@@ -36,6 +36,8 @@ MEASUREMENTS = {
     "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
     "stability": "Stability maps: where methods fail, and where theory says so",
     "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
+    "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
+    "stop_latency": "From the emergency_stop call to the wire, under floods of messages",
     "latency": "Image to motors in the real graph, beside one that only forwards",
     "closed_loop": "Whole tasks in the closed loop",
 }

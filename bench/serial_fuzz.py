@@ -67,23 +67,26 @@ def table(size: float) -> list[Knot]:
     return [Knot(int(ticks[k]), (q[k],) * 4, (v[k],) * 4, (a[k],) * 4) for k in range(len(ticks))]
 
 
-def orders(number: int) -> list[bytes]:
+def orders(number: int, stop: int = 0) -> list[bytes]:
     """What a host says, from Hello to Commit, as frames."""
     knots = table(0.003)
-    said: list[Message] = [Hello(1, number), Home(), Enable(), Heartbeat(number)]
+    said: list[Message] = [Hello(2, number), Home(), Enable(stop), Heartbeat(number)]
     said += [Begin(1, len(knots), table_crc(knots))]
     said += [Knots(1, i, tuple(knots[i : i + 4])) for i in range(0, len(knots), 4)]
-    said += [Commit(1, 0), Stop(0), Stop(1)]
+    said += [Commit(1, 5), Stop(0), Stop(1)]
     return [frame(pack(Packet(i, message))) for i, message in enumerate(said)]
 
 
 def reports() -> list[bytes]:
     """What a device says, as frames."""
     said: list[Message] = [
-        Capabilities(1, 5, 1, 4, 512, 8, 250, 0.01, 1.0, 100.0, 200.0, 100.0),
+        Capabilities(2, 5, 1, 4, 512, 8, 250, 0.01, 1.0, 100.0, 200.0, 100.0, 0.003, 10_000),
         Pulse(1, 2),
         *(Acknowledgement(number, status) for number in range(3) for status in Status),
-        *(Telemetry(9, state, Fault.NONE, 1, 2, 0, ZERO, ZERO, 0.5) for state in State),
+        *(
+            Telemetry(9, state, Fault.NONE, 7, 1, 2, 0, ZERO, ZERO, 0.5, 1e-4, 0.1)
+            for state in State
+        ),
     ]
     return [frame(pack(Packet(i, message))) for i, message in enumerate(said)]
 
@@ -110,7 +113,7 @@ def spoilt(rng: np.random.Generator, frames: list[bytes], count: int) -> Iterato
 def fuzz_host(count: int, seed: int = 0) -> dict[str, object]:
     """Give frames to the host's reader, parser and link."""
     rng, reader, known = np.random.default_rng(seed), Reader(), reports()
-    link = Link.begun(5, 0.0).uploading(1, table(0.001))
+    link = Link.begun(5, 0.0).uploading(1, table(0.001), 5)
     refused, understood, early = 0, 0, 0
     for done in range(0, count, CHUNK):
         stream = b"".join(spoilt(rng, known, CHUNK))
@@ -124,7 +127,7 @@ def fuzz_host(count: int, seed: int = 0) -> dict[str, object]:
             understood += 1
             link, _ = link.heard(packet, done * 1e-3).due(done * 1e-3)
         if link.failed:
-            link = Link.begun(5, done * 1e-3).uploading(1, table(0.001))
+            link = Link.begun(5, done * 1e-3).uploading(1, table(0.001), 5)
         if done <= count // 10:
             early = memory("self")
     return {
@@ -156,7 +159,7 @@ class Desk:
             [str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
             env=os.environ | QUARANTINE,
         )  # fmt: skip
-        self.setpoints, self.outside = 0, 0
+        self.setpoints, self.outside, self.stop = 0, 0, 0
 
     def give(self, data: bytes, run_us: int) -> bool:
         """Give it bytes, and time; returns whether it is still there."""
@@ -167,6 +170,7 @@ class Desk:
         for line in self._process.stdout:
             kind, _, rest = line.partition(" ")
             if kind == "state":
+                self.stop = int(rest.split()[3])
                 return True
             if kind == "at":
                 values = np.abs(np.array(rest.split()[1:13], float)).reshape(3, 4)
@@ -196,13 +200,20 @@ def fuzz_device(count: int, seed: int = 0) -> dict[str, object] | None:
         desk, rng = Desk(program), np.random.default_rng(seed)
         done, early, growth, there = 0, 0, 0, True
         while done < count and there:
-            known = orders(done)
-            hello, home, enable, beat, *rest = known
-            # It plays again; then comes what may.
+            hello, home, _, beat, *_ = orders(done)
+            # It is enabled and plays again; then comes what may.
             for data, run_us in (
-                (hello, 200_000), (beat, 200_000), (beat, 200_000), (beat, 100_000), (home, 5_000),
-                (enable, 200_000), (beat, 200_000), (beat, 150_000), (b"".join(rest[:-2]), 30_000),
+                (hello, 200_000), (beat, 200_000), (beat, 200_000), (beat, 200_000), (home, 5_000),
             ):  # fmt: skip
+                there = there and desk.give(data, run_us)
+            known = orders(done, desk.stop)
+            _, _, enable, _, *rest = known
+            for data, run_us in (
+                (enable, 200_000),
+                (beat, 200_000),
+                (beat, 200_000),
+                (b"".join(rest[:-2]), 30_000),
+            ):
                 there = there and desk.give(data, run_us)
             frames = list(spoilt(rng, known, CHUNK))
             for i in range(0, CHUNK, PART):

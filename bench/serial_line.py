@@ -16,6 +16,7 @@ from serial_loop import Port
 from plate_core import PlateCycle, load_rig
 from plate_driver.motor_table import MotorTable, prepare
 from plate_driver.serial_transport import SerialTransport, open_port
+from plate_driver.transport import Condition
 from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
 from plate_sim.device.emulator import TICK_US
 from plate_sim.device.terminal import Terminal
@@ -27,6 +28,9 @@ ANSWER_S = 0.05
 """From a cycle's image to the driver [s]."""
 
 PERIOD_S = 0.2
+REPEATS = 50
+"""Times that a table is played if no other one comes: as long as a device allows."""
+
 BEGIN_S = 10.0
 """Longest wait for the first table to be played [s]."""
 
@@ -63,10 +67,13 @@ def upload_s(knots: int, poll_s: float = POLL_S, baud: float = 921_600.0) -> flo
                     break
         return emulator.now - began
 
-    transport.send(shaking(knots, 0.0005))
+    wait(lambda: transport.report().condition is Condition.OFF)
+    transport.enable()
+    wait(lambda: transport.report().condition is Condition.READY)
+    transport.send(shaking(knots, 0.0005), REPEATS)
     wait(lambda: emulator.device.motion.playing is not None)
     wait(lambda: not transport.busy and emulator.device.motion.waiting is None)
-    transport.send(shaking(knots, 0.0006))
+    transport.send(shaking(knots, 0.0006), REPEATS)
     return wait(lambda: not transport.busy)
 
 
@@ -125,19 +132,25 @@ def _drive(link: str, seconds: float, knots: int) -> tuple[list[float], int]:
     transport = SerialTransport(lambda: open_port(link), time.monotonic, seed=1)
     tables = [shaking(knots, a) for a in (0.0005, 0.0006)]
     transport.open()
-    transport.send(tables[0])
+    for ask, condition in ((lambda: None, Condition.OFF), (transport.enable, Condition.READY)):
+        ask()
+        end = time.monotonic() + BEGIN_S
+        while transport.report().condition is not condition and time.monotonic() < end:
+            transport.poll()
+            time.sleep(POLL_S)
+    transport.send(tables[0], REPEATS)
     uploads: list[float] = []
     misses, playing = 0, 0
     due = sent = float("inf")
     began = time.monotonic()
     while time.monotonic() - began < seconds + BEGIN_S * (not uploads):
         for measured in transport.poll():
-            table = measured.telemetry.table
+            table = measured.table
             if table and table != playing:  # a cycle with a new table has begun
                 playing, due = table, measured.time + ANSWER_S
         now = time.monotonic()
         if now >= due:
-            transport.send(tables[len(uploads) % 2])
+            transport.send(tables[len(uploads) % 2], REPEATS)
             due, sent = float("inf"), now
         elif sent < now and not transport.busy:
             uploads.append(now - sent)

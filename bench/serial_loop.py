@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
 from loop import HOLD_CYCLES, IDLE_PERIOD, Setup
 from serial_watch import Verdict, Watch
 
-from plate_core import PlateCycle, PlateError, Rig, load_rig
+from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.scenario import load_scenario
 from plate_core.serial_protocol import State
-from plate_driver.motor_table import MotorTable, prepare
+from plate_driver.motor_table import prepare
 from plate_driver.serial_transport import SerialTransport
-from plate_driver.watchdog import Watchdog
+from plate_driver.transport import Condition, Order
 from plate_planner import Planner
 from plate_planner.progress import Progress
 from plate_sim.device import Accidents, DeviceLimits, Emulator, Stretch
@@ -37,6 +36,9 @@ POLL_TICKS = 5
 
 SHORTEST_S = 0.02
 """Stretches that are shorter have no image of their own [s]."""
+
+LOOK_S = 1.0
+"""What the operator takes to look at the rig and to enable again, after a stop was told [s]."""
 
 CALM_S = 3.0
 """Longest time that a plate without a new cycle takes to come to rest [s]."""
@@ -94,6 +96,8 @@ class Ending:
         Of the driver.
     late, images : int
         Cycles that were played again since the next one was late, and images.
+    enables : int
+        Times that the operator has enabled.
     """
 
     phase: str
@@ -107,6 +111,35 @@ class Ending:
     late: int
     images: int
     troubles: dict[str, int] = field(default_factory=dict)
+    enables: int = 0
+
+
+@dataclass
+class Operator:
+    """A person at the rig: enables at the start, and after each stop once he has looked at the rig,
+    at what was told. Nothing else brings the current back.
+
+    Attributes
+    ----------
+    enables : int
+        Times that he has enabled so far.
+    """
+
+    transport: SerialTransport
+    enables: int = 0
+    _order: Order | None = None
+    _since: float | None = None
+
+    def look(self, now: float) -> None:
+        """Look at what is told at a time [s]."""
+        if self.transport.report().condition is not Condition.OFF:
+            self._since = None
+            return
+        waiting = self._order is not None and not self._order.settled
+        self._since = now if self._since is None else self._since
+        if not waiting and now - self._since >= (LOOK_S if self.enables else 0.0):
+            self._order, self._since = self.transport.enable(), now
+            self.enables += 1
 
 
 class Loop:
@@ -130,7 +163,7 @@ class Loop:
         self._answers: list[tuple[float, PlateCycle]] = []
         self._sent: list[PlateCycle] = []
         self._looked_at = float("-inf")
-        self._watchdog = Watchdog()
+        self.operator = Operator(self.transport)
         self._troubles: dict[str, int] = {}
         self._ticks, self._late, self._images, self._table = 0, 0, 0, 0
         self._newest = ""  # trouble
@@ -152,17 +185,13 @@ class Loop:
         return Ending(
             progress.phase, text, time_s, self._simulation.state.dropped, self.watch.verdict(),
             self._resting, self.transport.retries, self.transport.refused, self._late, self._images,
-            self._troubles,
+            self._troubles, self.operator.enables,
         )  # fmt: skip
 
     @property
     def _resting(self) -> bool:
-        """Whether the driver wants rest, and the motors are off, or held."""
-        motion = self.emulator.device.motion
-        still = motion.playing is not None and not np.any(motion.playing.position)
-        return self._watchdog.fed_at is None and (
-            motion.state in (State.OFF, State.READY) or (motion.state is State.PLAYING and still)
-        )
+        """Whether the motors are off, or held at home."""
+        return self.emulator.device.motion.state in (State.OFF, State.READY)
 
     def _tick(self) -> list[Stretch]:
         """Let a millisecond pass for all."""
@@ -172,11 +201,9 @@ class Loop:
         self._ticks += 1
         while self._answers and self._answers[0][0] <= now:
             self._send(self._answers.pop(0)[1], now)
-        if self._watchdog.tripped(now):
-            self._watchdog = self._watchdog.rested()
-            self.transport.send(MotorTable.rest(self._rig, IDLE_PERIOD, 0))
         if self._ticks % POLL_TICKS == 0:
             self.transport.poll()
+            self.operator.look(now)
             for trouble in self.transport.troubles():
                 self._troubles[trouble] = self._troubles.get(trouble, 0) + 1
                 self._newest = trouble
@@ -184,9 +211,11 @@ class Loop:
 
     def _send(self, cycle: PlateCycle, now: float) -> None:
         table, _ = prepare(self._rig, cycle, round(now * 1e9))
-        self.transport.send(table)
+        try:
+            self.transport.send(table, HOLD_CYCLES)
+        except CycleError:  # the device is not ready: its reason is told by driver_state
+            return
         self._sent = [*self._sent[-1:], table.cycle]
-        self._watchdog = self._watchdog.fed(now, table.cycle.period, HOLD_CYCLES)
 
     def _followed(self, stretch: Stretch) -> Progress | None:
         """Move the parts, look, plan and solve; returns the planner's progress, if it looked."""

@@ -60,6 +60,7 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
         "told": told, "kept": verdict.kept, "resting": ending.resting, "time_s": ending.time_s,
         "retries": ending.retries, "used": 100 * verdict.worst, "jump_um": 1e6 * verdict.jump,
         "travel": 100 * verdict.travel, "late": ending.late, "images": ending.images,
+        "enables": ending.enables,
     }  # fmt: skip
 
 

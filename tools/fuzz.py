@@ -148,6 +148,20 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
     setattr(msg, name, np.array(items) if fixed else items)
 
 
+def topics_of(node: Any) -> list[tuple[str, type, Any]]:
+    """Topics of a node that anyone may write to: name, type, and what takes a message."""
+    topics = [(s.topic_name, s.msg_type, s.callback) for s in node.subscriptions]
+    if hasattr(node, "take_cycle"):  # the driver's, which takes bytes
+
+        def take(msg: Any) -> None:
+            data = serialize_message(msg)
+            node.take_cycle(data, len(data))
+
+        topics.append((node._cycles.topic_name, node._cycles.kind, take))
+    own = ("clock", "parameter_events")
+    return [item for item in topics if item[0].rsplit("/", 1)[-1] not in own]
+
+
 def message(kind: type, pool: list[dict[type, bytes]], rng: np.random.Generator) -> Any:
     """Return a malformed message as it comes off the wire."""
     right = pool[int(rng.integers(len(pool)))].get(kind)
@@ -201,22 +215,21 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
     try:
         judge = Judge(node, verdict)
-        topics = [s for s in node.subscriptions if s.topic_name.rsplit("/", 1)[-1] != "clock"]
-        topics = [s for s in topics if "parameter_events" not in s.topic_name]
+        topics = topics_of(node)
         rig = load_rig()
         pool = [templates(rig, rng) for _ in range(POOL)]
         began, base = time.monotonic(), 0.0
         for k in range(count):
             if k == int(WARM * count):
                 base = memory_mb()
-            topic = topics[k % len(topics)]
-            msg = message(topic.msg_type, pool, rng)
+            topic, taken, give = topics[k % len(topics)]
+            msg = message(taken, pool, rng)
             sent = time.thread_time()
             try:
-                topic.callback(msg)
+                give(msg)
             except Exception as error:  # whatever it is, it would have ended the node
                 verdict.crashes += 1
-                verdict.first = verdict.first or f"{topic.topic_name}: {error!r}"
+                verdict.first = verdict.first or f"{topic}: {error!r}"
             if k > WARM * count:  # by then everything is compiled
                 verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
             if k % TICK == 0:
