@@ -253,7 +253,7 @@ def saved_response(path: str | Path) -> Response:
         If it is none.
     """
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:
         raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None
