@@ -12,6 +12,12 @@ from .yaml_fields import Fields, read_yaml
 
 Value = str | int | float | bool
 
+JUDGING = ("simulator", "detector", "planner", "solver")
+"""Nodes with the parameter input_timeout_s."""
+
+UNTIMED_S = 30.0
+"""Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
+
 
 class GraphError(PlateError):
     """The list of nodes is wrong, or a node does not do its part."""
@@ -95,7 +101,8 @@ class RunOptions:
     rig_file : str
         To all nodes; empty: the default rig.
     autostart : bool
-        False: the driver waits until it is configured and activated from outside.
+        False: the driver waits until it is configured and activated from outside. In lockstep the
+        task then begins with it, so that a seed gives the same run every time.
     """
 
     scenario: str = "sort_10"
@@ -126,7 +133,10 @@ class RunOptions:
                 "lockstep": self.lockstep,
                 "rate": self.rate,
             },
-            "planner": {"scenario": self.scenario},
+            "planner": {
+                "scenario": self.scenario,
+                "autostart": self.lockstep and not self.autostart,
+            },
             "solver": {"method": self.method, "seed": self.seed},
             "driver": {"transport": self.transport, "autostart": self.autostart},
         }
@@ -140,6 +150,9 @@ class RunOptions:
             values |= added.get(node.name, {})
         if self.rig_file:
             values["rig_file"] = self.rig_file
-        if (self.lockstep or self.rate != 1) and node.on_hardware:
-            values["use_sim_time"] = True
+        if self.lockstep or self.rate != 1:
+            if node.on_hardware:
+                values["use_sim_time"] = True
+            if node.name in JUDGING:
+                values["input_timeout_s"] = UNTIMED_S
         return values

@@ -1,13 +1,18 @@
 """The planner node: `parts` in, `part_forces` out, and a task that is started and stopped.
 
-It listens to `plate_cycle` too: what the plate does carries the parts from image to image.
+It listens to `plate_cycle` too: what the plate does carries the parts from image to image. And it
+sees to it that a task ends, with the reason, when what it needs is gone: parts, the solver's
+answers, the driver, or what another node of the loop says in its `diagnostics` that it misses.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
@@ -16,14 +21,17 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import msg_to_cycle, msg_to_parts, parts_to_msg, seconds
+from plate_core.ros.convert import msg_to_cycle, msg_to_parts, nanoseconds, parts_to_msg, seconds
+from plate_core.ros.diagnostics import Diagnostics
 from plate_core.ros.main import run_node
 from plate_core.ros.markers import forces_to_msg
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED, NEWEST
 from plate_core.scenario import load_scenario
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
 
 from .assembling import AssembleOptions
+from .inputs import Inputs
 from .pd import FollowOptions
 from .planner import NOTHING, Planner, PlannerOptions
 from .progress import Progress
@@ -31,26 +39,14 @@ from .sorting import SortOptions
 from .task import Phase
 from .watch import warm_up
 
-DIAGNOSTICS_PERIOD_S = 0.5
-"""Time between diagnostics while nothing changes [s]: quick enough to watch, slow enough to log."""
-
-DRIVER_PATIENCE_S = 5.0
-"""A task whose motors do not obey for longer is ended [s]."""
+WATCH_PERIOD_S = 0.1
+"""Time between looks whether a running task can go on [s]."""
 
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
 
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
-
-LEVELS = {
-    Phase.IDLE.value: DiagnosticStatus.OK,
-    Phase.RUNNING.value: DiagnosticStatus.OK,
-    Phase.DONE.value: DiagnosticStatus.OK,
-    Phase.STUCK.value: DiagnosticStatus.ERROR,
-    Phase.LOST.value: DiagnosticStatus.ERROR,
-    Phase.ABORTED.value: DiagnosticStatus.WARN,
-}
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,15 @@ class PlannerParameters:
     scenario: str = parameter(
         "sort_10", "Name of a scenario of config/scenarios, or path of a .yaml file"
     )
-    autostart: bool = parameter(False, "Start the task without waiting for the service `start`")
+    autostart: bool = parameter(
+        False, "Start the task once, as soon as the driver is ready, without the service `start`"
+    )
+    input_timeout_s: float = parameter(
+        INPUT_TIMEOUT_S,
+        "A running task ends when parts, plate_cycle or driver_state fail for longer [s, wall]",
+        0.1,
+        3600.0,
+    )
     default_period: float = parameter(
         PlannerOptions.default_period, "Cycle length until two images tell it [s]", 0.005, 1.0
     )
@@ -124,7 +128,8 @@ class PlannerParameters:
 
 
 class PlannerNode(Node):
-    """Subscribes `parts`; publishes `part_forces`, `task_state` and `diagnostics`."""
+    """Subscribes `parts`, `plate_cycle`, `driver_state`; publishes `part_forces`, `task_state` and
+    `diagnostics`; serves `start` and `stop`."""
 
     def __init__(self) -> None:
         super().__init__("planner")
@@ -132,105 +137,179 @@ class PlannerNode(Node):
         self._rig = rig = load_rig(values.rig_file)
         self._planner = Planner(rig, load_scenario(values.scenario), values.options())
         self._state = self._planner.initial()
+        self._progress: Progress | None = None
+        self._wait_s = max(values.wait_s, values.input_timeout_s)
+        self._autostart = values.autostart
+        self._began = 0.0  # when the task was started, by the steady clock
+        self._stopped = False  # by a person, which is no failure
+        self._refused = ""
         warm_up()
         self._reported = ""
-        self._fault, self._fault_at = "", 0.0
-        self._diagnosed_at = 0.0
         follow(self, values, self._retune)
 
         self._forces = self.create_publisher(MultiDOFJointState, "part_forces", DATA)
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._task_state = self.create_publisher(String, "task_state", LATCHED)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        self._inputs = Inputs.none_yet(time.monotonic(), values.input_timeout_s)
+        self._diagnostics = Diagnostics(
+            self, self._find, self._values, self._planner.scenario.name, self._begin_report
+        )
         self.create_subscription(MultiDOFJointState, "parts", self._on_parts, NEWEST)
         self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.create_subscription(String, "driver_state", self._on_driver, LATCHED)
+        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.create_service(Trigger, "start", self._on_start)
         self.create_service(Trigger, "stop", self._on_stop)
+        # Simulated time may stand still, and images may not come: the steady clock goes on.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD_S, self._watch, clock=steady)
 
-        if values.autostart:
-            self._state = self._planner.start(self._state)
         self._report()
         self.get_logger().info(f"scenario {values.scenario}: {self._planner.scenario.description}")
 
+    # Inputs
+
     def _on_parts(self, msg: MultiDOFJointState) -> None:
-        self._watch_driver()
+        now = self._wake()
+        stamp = msg.header.stamp
+        self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
+        self._start_by_itself(now)
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
             # Still answered, so that the loop goes on; the plate rests meanwhile.
-            self.get_logger().warning(str(error), throttle_duration_sec=WARN_PERIOD_S)
-            self._forces.publish(parts_to_msg(NOTHING, msg.header.stamp))
+            self._warn(str(error))
+            self._ask(parts_to_msg(NOTHING, stamp))
             return
-        self._state, asked, progress = self._planner.plan(
-            self._state, parts, seconds(msg.header.stamp)
-        )
-        self._forces.publish(parts_to_msg(asked, msg.header.stamp))
+        self._state, asked, self._progress = self._planner.plan(self._state, parts, seconds(stamp))
+        if self._stood_still():
+            asked = NOTHING  # these parts are long gone from where they were
+        self._ask(parts_to_msg(asked, stamp))
         if self._markers.get_subscription_count():
-            self._markers.publish(forces_to_msg(self._rig, asked, msg.header.stamp))
-        changed = self._report()
-        self._diagnose(progress, msg, changed)
+            self._markers.publish(forces_to_msg(self._rig, asked, stamp))
+        self._report()
+
+    def _ask(self, msg: MultiDOFJointState) -> None:
+        self._forces.publish(msg)
+        self._inputs = self._inputs.asked(time.monotonic())
 
     def _on_cycle(self, msg: JointTrajectory) -> None:
+        self._wake()
+        self._inputs = self._inputs.heard_cycle()
         stamp = seconds(msg.header.stamp)
         try:
             cycle = msg_to_cycle(msg)
         except PlateError as error:
-            self.get_logger().warning(str(error), throttle_duration_sec=WARN_PERIOD_S)
+            self._warn(str(error))
             return
         now = 1e-9 * self.get_clock().now().nanoseconds
         arrival = now if abs(now - stamp) < SAME_CLOCK_S else stamp
         self._state = self._planner.hear(self._state, cycle, arrival)
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        name = self._planner.scenario.name
-        if self._state.task.phase is Phase.RUNNING:
-            response.success, response.message = False, f"{name} is running; call stop first"
-            return response
-        self._state = self._planner.start(self._state)
-        self._report()
-        response.success = True
-        response.message = (
-            f"{name} starts as soon as all {self._planner.scenario.count} parts are seen"
-        )
-        return response
-
     def _on_driver(self, msg: String) -> None:
-        """Hear whether the motors obey. A line that fails may come back, a stop is meant."""
-        self._fault = msg.data if msg.data.startswith("error") else ""
-        self._fault_at = self.get_clock().now().nanoseconds * 1e-9
-        if msg.data.startswith(("stopped", "disabled")):
-            self._abort(msg.data)
+        now = self._wake()
+        self._inputs = self._inputs.heard_driver(now, msg.data)
+        self._start_by_itself(now)
+        self._judge(now)
 
-    def _watch_driver(self) -> None:
-        """End a task whose motors have not obeyed for long."""
-        since = self.get_clock().now().nanoseconds * 1e-9 - self._fault_at
-        if self._fault and since > DRIVER_PATIENCE_S:
-            self._abort(self._fault)
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        now = self._wake()
+        for status in msg.status:
+            level = int.from_bytes(status.level, "little")
+            if level <= Level.STALE:
+                name = status.name.rsplit("/", 1)[-1]
+                self._inputs = self._inputs.heard_node(now, name, Level(level), status.message)
+
+    # Whether the task can go on
+
+    def _watch(self) -> None:
+        now = self._wake()
+        self._start_by_itself(now)
+        self._judge(now)
+
+    def _wake(self) -> float:
+        """Return the time, and end the task if this process has stood still."""
+        self._stood_still()
+        return self._inputs.ran
+
+    def _stood_still(self) -> bool:
+        now = time.monotonic()
+        why = self._inputs.stood_still(now, self._state.period)
+        self._inputs = replace(self._inputs, ran=now)
+        if why:
+            self._abort(why)
+        return bool(why)
+
+    def _judge(self, now: float) -> None:
+        """End a running task that cannot go on."""
+        task = self._state.task
+        if task.phase is not Phase.RUNNING:
+            return
+        why = self._inputs.problem(now, self._began, self._state.period, self.count_publishers)
+        if not why and task.began is None and now - self._began > self._wait_s + WATCH_PERIOD_S:
+            # Where stamps stand still, the planner's own wait for all parts never ends.
+            why = f"not all parts seen within {self._wait_s:g} s of start"
+        if why:
+            self._abort(why)
 
     def _abort(self, why: str) -> None:
         if self._state.task.phase is Phase.RUNNING:
-            self._state = self._planner.stop(self._state, f"driver: {why}")
+            self._state = self._planner.stop(self._state, why)
             self._report()
 
+    # Services
+
+    def _start_by_itself(self, now: float) -> None:
+        """Start the task, if that was asked for by a parameter; only once."""
+        if self._autostart and not self._not_ready(now):
+            self._start(now)
+
+    def _not_ready(self, now: float) -> str:
+        """Say why no task can be started; empty if one can."""
+        return self._inputs.driver_problem(now) or self._inputs.parts_problem(
+            now, self.count_publishers
+        )
+
+    def _start(self, now: float) -> None:
+        self._autostart, self._stopped, self._began = False, False, now
+        self._state = self._planner.start(self._state)
+        self._report()
+
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        now, scenario = self._wake(), self._planner.scenario
+        response.success = False
+        if self._state.task.phase is Phase.RUNNING:
+            response.message = f"{scenario.name} is running; call stop first"
+            return response
+        problem = self._not_ready(now)
+        if problem:
+            response.message = f"{scenario.name} is not started: {problem}"
+            return response
+        self._start(now)
+        response.success = True
+        response.message = f"{scenario.name} starts as soon as all {scenario.count} parts are seen"
+        return response
+
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._wake()
         was = self._state.task.text
+        self._autostart, self._stopped = False, True
         self._state = self._planner.stop(self._state)
         self._report()
-        response.success, response.message = (
-            True,
-            f"{self._planner.scenario.name} stopped, was {was}",
-        )
+        response.success = True
+        response.message = f"{self._planner.scenario.name} stopped, was {was}"
         return response
 
     def _retune(self, values: PlannerParameters) -> None:
         self._planner = replace(self._planner, options=values.options())
 
-    def _report(self) -> bool:
-        """Publish the task's state if it has changed, and tell whether it has."""
+    # What is told
+
+    def _report(self) -> None:
+        """Publish the task's state if it has changed."""
         text = self._state.task.text
         if text == self._reported:
-            return False
+            return
         self._reported = text
         self._task_state.publish(String(data=text))
         line = f"task {self._planner.scenario.name}: {text}"
@@ -239,24 +318,37 @@ class PlannerNode(Node):
             self.get_logger().error(line)
         else:
             self.get_logger().info(line)
-        return True
+        self._diagnostics.publish()
 
-    def _diagnose(self, progress: Progress, msg: MultiDOFJointState, changed: bool) -> None:
-        now = seconds(msg.header.stamp)
-        if not changed and 0 <= now - self._diagnosed_at < DIAGNOSTICS_PERIOD_S:
-            return
-        self._diagnosed_at = now
-        array = DiagnosticArray()
-        array.header.stamp = msg.header.stamp
-        status = DiagnosticStatus(
-            level=LEVELS[progress.phase],
-            name=f"{self.get_name()}: task",
-            message=progress.text,
-            hardware_id=self._planner.scenario.name,
-            values=[KeyValue(key=k, value=v) for k, v in progress.values().items()],
-        )
-        array.status = [status]
-        self._diagnostics.publish(array)
+    def _find(self, now: float) -> Finding:
+        """Judge the task, and what it needs; see `plate_core.status`."""
+        task = self._state.task
+        findings = self._inputs.findings(now, self.count_publishers)
+        if self._refused:
+            findings.append(Finding(Level.WARN, self._refused))
+        found = worst(findings, "")
+        message = f"{task.text}; {found.message}" if found.message else task.text
+        level = found.level
+        if task.phase.is_failure:
+            failure = Level.WARN if self._stopped else Level.ERROR
+            level = max(level, failure, key=lambda each: each.rank)
+        return Finding(level, message)
+
+    def _values(self) -> Mapping[str, str]:
+        progress = {} if self._progress is None else self._progress.values()
+        return {
+            **progress,
+            "task_state": self._state.task.text,
+            "driver_state": self._inputs.driver_state,
+            "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
+        }
+
+    def _begin_report(self) -> None:
+        self._refused = ""
+
+    def _warn(self, text: str) -> None:
+        self._refused = text
+        self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
 
 
 def main() -> None:

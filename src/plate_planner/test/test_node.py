@@ -1,20 +1,28 @@
 """The node over real topics and services, in one process."""
 
+import time
+
 import numpy as np
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import PartSet, PlateError, load_rig  # noqa: E402
-from plate_core.ros.convert import msg_to_parts, parts_to_msg, to_time  # noqa: E402
+from plate_core import PartSet, PlateCycle, PlateError, load_rig  # noqa: E402
+from plate_core.ros.convert import (  # noqa: E402
+    cycle_to_msg,
+    msg_to_parts,
+    parts_to_msg,
+    to_time,
+)
 from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
 from plate_planner.node import PlannerNode  # noqa: E402
 
@@ -24,9 +32,10 @@ SORTED = APART * [4.5, 1.0]
 
 
 class Graph:
-    """The planner and a probe that speaks to it."""
+    """The planner and a probe that speaks to it: also as the driver, whose state is said again and
+    again while `driver` is not empty, and as the solver, while `answering`."""
 
-    def __init__(self, **parameters):
+    def __init__(self, driver="ready", **parameters):
         args = ["--ros-args", "-r", "__ns:=/planner_test"]
         for name, value in ({"scenario": "sort_4"} | parameters).items():
             args += ["-p", f"{name}:={value}"]
@@ -41,15 +50,49 @@ class Graph:
         self.executor.add_node(self.planner)
         self.executor.add_node(self.probe)
         self.forces, self.states, self.diagnostics = [], [], []
+        self.driver, self.answering = driver, True
         self.parts = self.probe.create_publisher(MultiDOFJointState, "parts", DATA)
         listen = self.probe.create_subscription
-        listen(MultiDOFJointState, "part_forces", self.forces.append, DATA)
+        self.drivers = self.probe.create_publisher(String, "driver_state", LATCHED)
+        self.cycles = self.probe.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        self.others = self.probe.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        self.probe.create_timer(0.2, self.say)
+        listen(MultiDOFJointState, "part_forces", self.on_forces, DATA)
         listen(String, "task_state", lambda msg: self.states.append(msg.data), LATCHED)
-        listen(DiagnosticArray, "diagnostics", self.diagnostics.append, DATA)
+        listen(DiagnosticArray, "diagnostics", self.on_diagnostics, DATA)
         self.clients = {name: self.probe.create_client(Trigger, name) for name in ("start", "stop")}
         # The latched state arrives on its own, which shows that the two have found each other.
         self.until(lambda: self.states and self.parts.get_subscription_count())
         self.until(lambda: self.planner.count_subscribers("part_forces"))
+        self.until(lambda: not driver or self.planner._inputs.driver_state)
+
+    def say(self):
+        if self.driver:
+            self.drivers.publish(String(data=self.driver))
+
+    def on_forces(self, msg):
+        self.forces.append(msg)
+        if self.answering:
+            self.cycles.publish(cycle_to_msg(PlateCycle.rest(0.1), msg.header.stamp))
+
+    def on_diagnostics(self, msg):
+        if msg.status[0].name.endswith("planner"):
+            self.diagnostics.append(msg)
+
+    def report(self):
+        """The next diagnostics: level and message."""
+        count = len(self.diagnostics)
+        self.until(lambda: len(self.diagnostics) > count)
+        status = self.diagnostics[-1].status[0]
+        return status.level, status.message
+
+    def begin(self, stamp_s=0.0):
+        """Start, and show all parts until the task has begun."""
+        self.image(stamp_s, APART)
+        answer = self.call("start")
+        assert answer.success, answer.message
+        for k in (1, 2):
+            self.image(stamp_s + 0.1 * k, APART)
 
     def until(self, true):
         for _ in range(2000):
@@ -113,7 +156,9 @@ def test_a_task_from_start_to_done(graph):
     assert asked.ids == ()
     graph.until(lambda: graph.states[-1] == "done")
     assert graph.states == ["idle", "running", "done"]
-    graph.until(lambda: graph.diagnostics and graph.diagnostics[-1].status[0].message == "done")
+    graph.until(
+        lambda: graph.diagnostics and graph.diagnostics[-1].status[0].message.startswith("done")
+    )
     status = graph.diagnostics[-1].status[0]
     values = {item.key: item.value for item in status.values}
     assert status.hardware_id == "sort_4"
@@ -124,8 +169,8 @@ def test_a_task_from_start_to_done(graph):
 
 def test_stop_says_what_was_stopped(graph):
     graph = graph(autostart=True)
-    graph.until(lambda: graph.states[-1] == "running")
     assert graph.image(0.0, APART).ids == ()
+    graph.until(lambda: graph.states[-1] == "running")
     assert graph.image(0.1, APART).ids == IDS
     answer = graph.call("stop")
     assert (answer.success, answer.message) == (True, "sort_4 stopped, was running")
@@ -136,8 +181,161 @@ def test_stop_says_what_was_stopped(graph):
     graph.until(lambda: graph.states[-1] == "idle")
 
 
+def test_a_start_is_refused_with_the_reason(graph):
+    graph = graph(driver="")
+    assert graph.call("start").message == (
+        "sort_4 is not started: no driver_state yet: does the driver run?"
+    )
+    for state in ("stopped: emergency stop; look at the rig, then call enable", "disabled"):
+        graph.driver = state
+        graph.until(lambda state=state: graph.planner._inputs.driver_state == state)
+        answer = graph.call("start")
+        assert (answer.success, answer.message) == (
+            False,
+            f"sort_4 is not started: driver: {state}",
+        )
+    graph.driver = "ready"
+    graph.until(lambda: graph.planner._inputs.driver_state == "ready")
+    assert graph.call("start").message == (
+        "sort_4 is not started: no parts yet: does the detector run, does the camera?"
+    )
+    graph.image(0.0, APART)
+    assert graph.call("start").success
+    assert graph.states == ["idle", "running"]
+
+
+def test_it_starts_by_itself_once_and_only_when_the_driver_is_ready(graph):
+    graph = graph(driver="inactive", autostart=True)
+    graph.image(0.0, APART)
+    graph.until(lambda: graph.diagnostics)
+    assert graph.states == ["idle"]
+    graph.driver = "ready"
+    graph.until(lambda: graph.states[-1] == "running")
+    graph.driver = "stopped"
+    graph.until(lambda: graph.states[-1] == "aborted: driver: stopped")
+    graph.driver = "ready"
+    graph.until(lambda: graph.planner._inputs.driver_state == "ready")
+    graph.image(0.1, APART)
+    graph.report()
+    assert graph.states[-1] == "aborted: driver: stopped"
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        "stopped: emergency stop; look at the rig, then call enable",
+        "disabled",
+        "braking",
+        "inactive",
+    ],
+)
+def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, state):
+    graph = graph()
+    graph.begin()
+    graph.driver = state
+    aborted = f"aborted after 0.1 s: driver: {state}"
+    graph.until(lambda: graph.states[-1] == aborted)
+    assert graph.report() == (
+        DiagnosticStatus.ERROR,
+        f"{aborted}; driver: {state}",
+    )
+    assert graph.image(0.5, APART).ids == ()
+
+
+def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
+    graph = graph(input_timeout_s=30.0)  # no images come here
+    graph.begin()
+    graph.driver = "error: the device does not answer"
+    graph.until(lambda: graph.planner._inputs.error_since is not None)
+    graph.driver = "ready"
+    graph.until(lambda: graph.planner._inputs.error_since is None)
+    assert graph.states[-1] == "running"
+    graph.driver = "error: the device does not answer"
+    graph.until(lambda: graph.states[-1].endswith(": driver: error: the device does not answer"))
+
+
+def stale(name, message):
+    status = DiagnosticStatus(level=DiagnosticStatus.STALE, name=f"/a/{name}", message=message)
+    return DiagnosticArray(status=[status])
+
+
+class Silenced(Graph):
+    """A graph with a running task, fed with images except where the test takes something away."""
+
+    def feed(self, until, what=lambda: None):
+        for k in range(3, 200):
+            what()
+            if until():
+                return
+            self.image(0.1 * k, APART)
+            end = time.monotonic() + 0.05
+            while time.monotonic() < end:
+                self.executor.spin_once(timeout_sec=0.01)
+        raise AssertionError(f"it did not end: {self.states}")
+
+
+@pytest.fixture
+def silenced():
+    graph = Silenced(input_timeout_s=0.5)
+    graph.begin()
+    yield graph
+    graph.close()
+
+
+def test_without_parts_the_task_ends_without_any_image(silenced):
+    silenced.until(lambda: silenced.states[-1] != "running")
+    assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for 0.")
+    assert silenced.states[-1].endswith("does the detector run, does the camera?")
+    assert silenced.report()[0] == DiagnosticStatus.ERROR
+    # A stop acknowledges it; then diagnostics only tell what is missing.
+    silenced.call("stop")
+    silenced.until(lambda: silenced.states[-1] == "idle")
+    silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.STALE)
+
+
+def test_the_same_image_again_and_again_is_no_news(silenced):
+    def again():
+        silenced.parts.publish(parts_to_msg(PartSet.make(IDS, APART), to_time(200_000_000)))
+        silenced.executor.spin_once(timeout_sec=0.01)
+        return silenced.states[-1] != "running"
+
+    silenced.until(again)
+    assert ": no parts for " in silenced.states[-1]
+
+
+def test_a_solver_that_does_not_answer_ends_the_task(silenced):
+    silenced.answering = False
+    silenced.feed(lambda: silenced.states[-1] != "running")
+    assert ": no plate_cycle for 0." in silenced.states[-1]
+    assert silenced.states[-1].endswith("does the solver run?")
+
+
+def test_a_driver_that_falls_silent_ends_the_task(silenced):
+    silenced.driver = ""
+    silenced.feed(lambda: silenced.states[-1] != "running")
+    assert ": no driver_state for 0." in silenced.states[-1]
+
+
+def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):
+    silenced.feed(
+        lambda: silenced.states[-1] != "running",
+        lambda: [
+            silenced.others.publish(stale("camera_driver", "no coffee")),
+            silenced.others.publish(stale("simulator", "no motor table for 1.5 s")),
+        ],
+    )
+    assert silenced.states[-1].endswith(": simulator: no motor table for 1.5 s")
+
+
+def test_a_planner_that_stood_still_does_not_go_on(silenced):
+    time.sleep(1.0)
+    why = "aborted after 0.1 s: the planner itself stood still for"
+    silenced.until(lambda: silenced.states[-1].startswith(why))
+
+
 def test_a_failure_tells_its_reason(graph):
     graph = graph(autostart=True, patience_s=0.1)
+    graph.answering = False  # else the planner carries the part on
     for t in (0.9, 1.0):
         graph.image(t, APART)
     for t in (1.1, 1.2, 1.3):
@@ -149,10 +347,9 @@ def test_forces_are_drawn_for_those_who_look(graph):
     graph, drawn = graph(), []
     graph.probe.create_subscription(MarkerArray, "markers", drawn.append, DATA)
     graph.until(lambda: graph.planner._markers.get_subscription_count())
-    graph.call("start")
-    graph.image(1.0, APART)
-    asked = graph.image(1.1, APART)
-    graph.until(lambda: len(drawn) >= 2)
+    graph.begin(1.0)
+    asked = graph.image(1.3, APART)
+    graph.until(lambda: len(drawn) >= 4)
     unit = load_rig().force_unit
     assert np.abs(asked.force).max() > 0.01 * unit
     for marker, place, force in zip(drawn[-1].markers, asked.position, asked.force, strict=True):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMsg
@@ -26,10 +26,12 @@ from plate_core.ros.convert import (
     parts_to_msg,
     to_time,
 )
+from plate_core.ros.diagnostics import Diagnostics
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, parameter
 from plate_core.ros.qos import DATA, IMAGE
 from plate_core.scenario import load_scenario
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
 from .camera import NOISE, Camera
 from .dirt import RANGES, Dirt
@@ -45,8 +47,8 @@ START_NS = 1_000_000_000
 CLOCK_PERIOD_S = 0.01
 """Time between two messages on /clock [s, wall]."""
 
-REPORT_PERIOD_S = 1.0
-"""Time between two diagnostics, and between two copies of an unanswered image [s, wall]."""
+REPEAT_PERIOD_S = 1.0
+"""Time between two copies of an unanswered image [s, wall]."""
 
 SHORTEST_NS = 20_000_000
 """Stretches of the device's motion that are shorter have no image of their own [ns]."""
@@ -78,6 +80,9 @@ class Options:
     noise: float = parameter(NOISE, "Standard deviation of the image noise [grey values].", 0, 50)
     mu_scale: float = parameter(1.0, "True friction over the rig file's.", 0.1, 10)
     hold_cycles: int = parameter(5, "Repetitions of a table when no new one comes.", 0, 1000)
+    input_timeout_s: float = parameter(
+        INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0
+    )
     idle_period: float = parameter(0.1, "Length of a cycle while at rest [s].", 0.01, 10)
     model: str = parameter(
         AUTO, "What is computed of parts; auto: the least that will do.", choices=MODELS
@@ -99,6 +104,17 @@ class Options:
     def dirt(self) -> Dirt:
         """Return what is asked for of the real world's dirt."""
         return Dirt(**{f.name: getattr(self, f.name) for f in fields(Dirt)})
+
+
+@dataclass
+class Tally:
+    """Of what came since the last report: how many tables, how many were refused and why the last
+    was; and how many cycles began late."""
+
+    tables: int = 0
+    refused: int = 0
+    why: str = ""
+    late: int = 0
 
 
 class SimulatorNode(Node):
@@ -127,6 +143,7 @@ class SimulatorNode(Node):
             "cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0,
             "missed images": 0,
         }  # fmt: skip
+        self._tally = Tally()
         self._told = ""  # the model that was logged last
         self._simulated_time = options.lockstep or options.rate != 1
         self._driven = options.driven_by == "device"
@@ -156,9 +173,16 @@ class SimulatorNode(Node):
         self._images = self.create_publisher(Image, "image_raw", IMAGE)
         self._infos = self.create_publisher(CameraInfo, "camera_info", IMAGE)
         self._truths = self.create_publisher(MultiDOFJointState, "ground_truth", DATA)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
         if self._simulated_time:
             self._clocks = self.create_publisher(ClockMsg, "/clock", DATA)
+        what, topic, question = "motor table", "motor_setpoints", "is the driver active?"
+        if self._driven:
+            what, topic, question = "motion", "motor_motion", "does the device run?"
+        self._input = Input(what, topic, question, self._options.input_timeout_s, time.monotonic())
+        self._diagnostics = Diagnostics(
+            self, self._find, self._values, "simulation", self._begin_report,
+            lambda: to_time(self._time_ns),
+        )  # fmt: skip
         if self._driven:
             self.create_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
         else:
@@ -166,11 +190,10 @@ class SimulatorNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         # Wall time: our own /clock must not drive the timers that make it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
         if self._options.lockstep:
-            self._repeat = self.create_timer(REPORT_PERIOD_S, self._publish_image, clock=steady)
+            self._repeat = self.create_timer(REPEAT_PERIOD_S, self._publish_image, clock=steady)
         elif not self._driven:
-            self._alarm = self.create_timer(REPORT_PERIOD_S, self._on_alarm, clock=steady)
+            self._alarm = self.create_timer(REPEAT_PERIOD_S, self._on_alarm, clock=steady)
             if self._simulated_time:
                 self.create_timer(CLOCK_PERIOD_S, self._publish_clock, clock=steady)
 
@@ -234,6 +257,7 @@ class SimulatorNode(Node):
             self._due_ns += behind_ns
             self._next_ns += 0 if self._simulated_time else behind_ns
             self._count["late cycles"] += 1
+            self._tally.late += 1
         self._begin_cycle()
 
     def _publish_clock(self) -> None:
@@ -243,8 +267,20 @@ class SimulatorNode(Node):
 
     # Tables
 
+    def _hear(self) -> None:
+        """Note that a table or motion has come."""
+        self._input = self._input.heard(time.monotonic())
+        self._tally.tables += 1
+
+    def _refuse(self, error: PlateError) -> None:
+        """Note that it cannot be played."""
+        self._count["refused tables"] += 1
+        self._tally.refused += 1
+        self._tally.why = str(error)
+
     def _on_table(self, msg: JointTrajectory) -> None:
         lockstep = self._options.lockstep
+        self._hear()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
             return  # a second answer to an earlier image
         try:
@@ -252,7 +288,7 @@ class SimulatorNode(Node):
             self._usage = check_table(self._rig, cycle)
             self._newest = cycle
         except PlateError as error:
-            self._count["refused tables"] += 1
+            self._refuse(error)
             self.get_logger().warning(
                 f"motor table refused, the plate carries on: {error}",
                 throttle_duration_sec=QUIET_S,
@@ -262,11 +298,12 @@ class SimulatorNode(Node):
 
     def _on_motion(self, msg: JointTrajectory) -> None:
         """Move the parts as the device has moved the motors, and take an image at the end."""
+        self._hear()
         try:
             times, *motors = msg_to_knots(msg, [motor.name for motor in self._rig.motors])
             motion = PlateMotion.of_motors(self._rig, times, np.stack(motors, axis=1))
         except PlateError as error:
-            self._count["refused tables"] += 1
+            self._refuse(error)
             self.get_logger().warning(
                 f"motor motion refused, the parts stay: {error}", throttle_duration_sec=QUIET_S
             )
@@ -314,33 +351,37 @@ class SimulatorNode(Node):
         if self._options.lockstep:
             self._repeat.reset()
 
-    def _report(self) -> None:
-        limits, used, dropped = self._rig.limits, self._usage, self._simulation.state.dropped
-        mu, choice = self._simulation.mu, self._simulation.state.choice
+    def _find(self, now: float) -> Finding:
+        """Judge what came, and how the plate does; see `plate_core.status`."""
+        tally, dropped = self._tally, self._simulation.state.dropped
+        findings = [used("tables", tally.tables, tally.refused, tally.why), self._input.gone(now)]
         troubles = [f"parts dropped: {dropped}"] if dropped else []
-        if self._count["late cycles"]:
-            troubles.append(f"late cycles: {self._count['late cycles']}")
+        if tally.late:
+            troubles.append(f"late cycles: {tally.late}")
         overtravel = self._simulation.plate.overtravel_m
         if overtravel > 0:
             troubles.append(f"a motor would hit its stop, {1e3 * overtravel:.2g} mm too far")
-        values = {
+        findings += [Finding(Level.WARN, trouble) for trouble in troubles]
+        return worst(findings, "all parts on the plate, all cycles on time")
+
+    def _values(self) -> Mapping[str, object]:
+        limits, share = self._rig.limits, self._usage
+        mu, choice = self._simulation.mu, self._simulation.state.choice
+        return {
             **self._count,
-            "parts dropped": dropped,
-            "stroke used": f"{used.stroke_m / limits.stroke_m:.3f}",
-            "speed used": f"{used.speed / limits.speed:.3f}",
-            "acceleration used": f"{used.accel / limits.accel:.3f}",
+            "parts dropped": self._simulation.state.dropped,
+            "stroke used": f"{share.stroke_m / limits.stroke_m:.3f}",
+            "speed used": f"{share.speed / limits.speed:.3f}",
+            "acceleration used": f"{share.accel / limits.accel:.3f}",
             "true friction": f"{np.min(mu, initial=np.inf):.3g} to {np.max(mu, initial=0):.3g}",
             "dirt": self._simulation.dirt.told,
+            "silent": f"{self._input.silence(time.monotonic()):.2f} s",
             **{f"cycles as {name}": count for name, count in self._simulation.used.items()},
             **({"model": choice.model, "reason": choice.reason} if choice else {}),
         }
-        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="simulation")
-        status.level = DiagnosticStatus.WARN if troubles else DiagnosticStatus.OK
-        status.message = ", ".join(troubles) or "all parts on the plate, all cycles on time"
-        status.values = [KeyValue(key=k, value=str(v)) for k, v in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = to_time(self._time_ns)
-        self._diagnostics.publish(msg)
+
+    def _begin_report(self) -> None:
+        self._tally = Tally()
 
 
 def main() -> None:

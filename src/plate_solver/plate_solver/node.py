@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
@@ -15,16 +15,17 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
 from plate_core.ros.convert import cycle_to_msg, msg_to_parts, nanoseconds
+from plate_core.ros.diagnostics import Diagnostics
 from plate_core.ros.main import run_node
 from plate_core.ros.markers import centres_to_msg
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, NEWEST
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
 from .library import Library
 from .manipulability import condition_number
 
-REPORT_PERIOD_S = 0.5
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
 
@@ -47,6 +48,12 @@ class Options:
         live=True,
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
+    input_timeout_s: float = parameter(
+        INPUT_TIMEOUT_S,
+        "Diagnostics say STALE when no part_forces come for longer; no answer may take longer [s].",
+        0.1,
+        3600.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,19 @@ class Sent:
     stamp_ns: int
     sent_ns: int
     cycle: PlateCycle
+
+
+@dataclass
+class Tally:
+    """Of the messages since the last report: how many, how many were refused, how many had no
+    solution, why the last of these was, times of solving [ms], and errors and wishes [m]."""
+
+    messages: int = 0
+    refused: int = 0
+    why: str = ""
+    failed: str = ""
+    solve_ms: list[float] = field(default_factory=list)
+    errors: list[tuple[float, float]] = field(default_factory=list)
 
 
 class SolverNode(Node):
@@ -69,17 +89,19 @@ class SolverNode(Node):
         self._controller = Controller(rig, options.method, options.seed)
         warm_up(self._controller, rig.plate.half)
         self._sent: deque[Sent] = deque(maxlen=4)
-        self._solve_ms: list[float] = []
-        self._errors: list[tuple[float, float]] = []
-        self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0}
+        self._tally = Tally()
+        self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0}
         self._last: Answer | None = None
         self._parts: np.ndarray = np.empty((0, 2))
         follow(self, options, self._set_options)
         self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        self._timeout_s = options.input_timeout_s
+        self._input = Input(
+            "part_forces", "part_forces", "does the planner run?", self._timeout_s, time.monotonic()
+        )
+        self._diagnostics = Diagnostics(self, self._find, self._values, reported=self._begin_report)
         self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, NEWEST)
-        self.create_timer(REPORT_PERIOD_S, self._report)
 
     def _set_options(self, options: Options) -> None:
         self._controller.method = METHODS[options.method]
@@ -87,6 +109,8 @@ class SolverNode(Node):
 
     def _on_forces(self, msg: MultiDOFJointState) -> None:
         stamp_ns = nanoseconds(msg.header.stamp)
+        self._input = self._input.heard(time.monotonic())
+        self._tally.messages += 1
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -110,21 +134,33 @@ class SolverNode(Node):
 
     def _refuse(self, text: str) -> None:
         self._count["refused_messages"] += 1
+        self._tally.refused += 1
+        self._tally.why = text
         self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
 
     def _answer(self, parts: PartSet, stamp_ns: int) -> PlateCycle:
-        began = time.perf_counter()
+        began = time.monotonic()
         try:
             answer = self._controller.answer(parts, self._running(stamp_ns))
         except (PlateError, np.linalg.LinAlgError) as error:
-            self.get_logger().error(f"no solution, plate rests: {error}")
-            return PlateCycle.rest(IDLE_PERIOD)
+            return self._rest(str(error))
+        took = time.monotonic() - began
+        if took > self._timeout_s:
+            # This process has stood still: the parts are long gone from where the answer has them.
+            return self._rest(f"the answer took {took:.1f} s, allowed: {self._timeout_s:g} s")
         self._count["answers"] += 1
         self._last, self._parts = answer, parts.position
         if answer.solution is not None:
-            self._solve_ms.append(1e3 * (time.perf_counter() - began))
-            self._errors.append((answer.error_m, answer.asked_m))
+            self._tally.solve_ms.append(1e3 * took)
+            self._tally.errors.append((answer.error_m, answer.asked_m))
         return answer.cycle
+
+    def _rest(self, why: str) -> PlateCycle:
+        """Note that there is no solution, and return a plate at rest."""
+        self._tally.failed = why
+        self._count["no_solution"] += 1
+        self.get_logger().error(f"no solution, plate rests: {why}", throttle_duration_sec=QUIET_S)
+        return PlateCycle.rest(IDLE_PERIOD)
 
     def _running(self, stamp_ns: int) -> PlateCycle | None:
         """The cycle that began when the image was taken: the last one that was there in time."""
@@ -143,30 +179,37 @@ class SolverNode(Node):
         """How much harder the hardest forces on the last parts are than the easiest."""
         return condition_number(self._rig, self._parts, self._library) if len(self._parts) else 0.0
 
-    def _report(self) -> None:
-        asked = sum(pair[1] ** 2 for pair in self._errors) ** 0.5
-        missed = sum(pair[0] ** 2 for pair in self._errors) ** 0.5
+    def _find(self, now: float) -> Finding:
+        """Judge what came and what was answered; see `plate_core.status`."""
+        tally = self._tally
+        findings = [
+            used("part_forces", tally.messages, tally.refused, tally.why), self._input.gone(now)
+        ]  # fmt: skip
+        if tally.failed:
+            findings.append(Finding(Level.ERROR, f"no solution, plate rests: {tally.failed}"))
+        return worst(findings, self._last.message if self._last else "waiting for part_forces")
+
+    def _values(self) -> Mapping[str, object]:
+        errors, solve_ms = self._tally.errors, self._tally.solve_ms
+        asked = sum(pair[1] ** 2 for pair in errors) ** 0.5
+        missed = sum(pair[0] ** 2 for pair in errors) ** 0.5
         solution = self._last.solution if self._last else None
-        values = {
+        return {
             "method": self._controller.method,
             "parts": len(self._parts),
             "missed_share": f"{missed / asked:.4f}" if asked > 0 else "0",
-            "solve_ms_median": f"{np.median(self._solve_ms):.2f}" if self._solve_ms else "0",
-            "solve_ms_max": f"{max(self._solve_ms):.2f}" if self._solve_ms else "0",
+            "solve_ms_median": f"{np.median(solve_ms):.2f}" if solve_ms else "0",
+            "solve_ms_max": f"{max(solve_ms):.2f}" if solve_ms else "0",
             "condition": f"{solution.condition:.4g}" if solution else "0",
             "share": f"{self._last.share:g}" if self._last else "0",
             "plate_condition": f"{self._plate_condition():.4g}",
             "iterations": solution.iterations if solution else 0,
+            "silent_s": f"{self._input.silence(time.monotonic()):.2f}",
             **self._count,
         }
-        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="")
-        status.message = self._last.message if self._last else "waiting for part_forces"
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
-        self._solve_ms.clear()
-        self._errors.clear()
+
+    def _begin_report(self) -> None:
+        self._tally = Tally()
 
 
 def warm_up(controller: Controller, half: np.ndarray) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +18,12 @@ from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
 from plate_core.ros.convert import array_to_image, parts_to_msg, pose_to_msg, seconds
+from plate_core.ros.diagnostics import Diagnostics
 from plate_core.ros.main import run_node
 from plate_core.ros.markers import scene_to_msg
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import CAMERA, DATA, IMAGE
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
 from .calibration import Lens
 from .camera_file import load_camera
@@ -61,6 +65,9 @@ class DetectorParameters:
     camera_file: str = parameter("", "Lens: camera_info YAML; empty: camera_info or the rig file")
     image_transport: str = parameter(
         "raw", "Images come on image_raw (raw) or image_raw/compressed", choices=TRANSPORTS
+    )
+    input_timeout_s: float = parameter(
+        INPUT_TIMEOUT_S, "Diagnostics say STALE when no image comes for longer [s]", 0.1, 3600.0
     )
     bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
     threshold: float = parameter(
@@ -147,8 +154,20 @@ class DetectorParameters:
         )
 
 
+@dataclass
+class Tally:
+    """Of the images since the last report: how many, how many were refused and why the last was,
+    what was wrong with light or markers, and how long detection took [ms]."""
+
+    images: int = 0
+    refused: int = 0
+    why: str = ""
+    problem: str = ""
+    detection_ms: list[float] = field(default_factory=list)
+
+
 class DetectorNode(Node):
-    """Node `detector`: subscribes image_raw and camera_info, publishes parts.
+    """Node `detector`: subscribes image_raw and camera_info, publishes parts and diagnostics.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
@@ -179,6 +198,17 @@ class DetectorNode(Node):
         self._drawings = self.create_publisher(Image, "detections_image", IMAGE)
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._trails: dict[str, deque[tuple[float, float]]] = {}
+        compressed = values.image_transport == "compressed"
+        topic = "image_raw/compressed" if compressed else "image_raw"
+        self._input = Input(
+            "image", topic, "does the camera run?", values.input_timeout_s, time.monotonic()
+        )
+        self._from_topic = values.source == "topic"
+        self._tally, self._reported_at = Tally(), time.monotonic()
+        self._images = self._refused = 0
+        self._diagnostics = Diagnostics(
+            self, self._find, self._values, "camera", self._begin_report
+        )
         if values.source == "file":
             self._timer = self.create_timer(1 / values.rate, self._on_timer)
         elif values.image_transport == "raw":
@@ -190,20 +220,22 @@ class DetectorNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _on_image(self, msg: Image) -> None:
+        self._hear()
         try:
             size_px = (msg.width, msg.height)
             big = bool(msg.is_bigendian)
             image = decode(msg.data, size_px, msg.encoding, msg.step, big, self._bits)
         except PlateError as error:
-            self._warn(f"image_raw ignored: {error}")
+            self._refuse("image_raw", error)
             return
         self._answer(image, msg.header.stamp, "image_raw")
 
     def _on_file(self, msg: CompressedImage) -> None:
+        self._hear()
         try:
             image = decode_file(msg.data, msg.format, self._bits, self._vision.size_px)
         except PlateError as error:
-            self._warn(f"image_raw/compressed ignored: {error}")
+            self._refuse("image_raw/compressed", error)
             return
         self._answer(image, msg.header.stamp, "image_raw/compressed")
 
@@ -228,6 +260,7 @@ class DetectorNode(Node):
             self._timer.cancel()
             return
         name, image = self._picture
+        self._hear()
         self._answer(image, self.get_clock().now().to_msg(), name)
         try:
             self._picture = next(self._pictures, None)
@@ -235,17 +268,33 @@ class DetectorNode(Node):
             self._warn(f"no more pictures: {error}")
             self._picture = None
 
+    def _hear(self) -> None:
+        """Note that an image has come."""
+        self._input = self._input.heard(time.monotonic())
+        self._tally.images += 1
+        self._images += 1
+
+    def _refuse(self, topic: str, error: PlateError) -> None:
+        """Note that it cannot be used."""
+        self._warn(f"{topic} ignored: {error}")
+        self._tally.refused += 1
+        self._tally.why = str(error)
+        self._refused += 1
+
     def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
+        began = time.perf_counter()
         try:
             if self._watch is not None:
                 image = self._see_plate(self._watch, image, stamp)
             self._tracker = look(self._vision, self._tracker, image, seconds(stamp))
         except PlateError as error:
-            self._warn(f"{topic} ignored: {error}")
+            self._refuse(topic, error)
             return
+        self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
             self._warn(f"{topic}: {problem}")
+            self._tally.problem = problem
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
         if self._drawings.get_subscription_count():
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
@@ -284,6 +333,7 @@ class DetectorNode(Node):
             self._poses.publish(pose_to_msg(state.plate.pose, stamp))
         if state.problem:
             self._warn(state.problem)
+            self._tally.problem = state.problem
         return image
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -295,6 +345,36 @@ class DetectorNode(Node):
         response.success = True
         self.get_logger().info(response.message)
         return response
+
+    def _find(self, now: float) -> Finding:
+        """Judge what came; see `plate_core.status`."""
+        tally = self._tally
+        findings = [used("images", tally.images, tally.refused, tally.why)]
+        if tally.problem:
+            findings.append(Finding(Level.WARN, tally.problem))
+        if self._from_topic:
+            findings.append(self._input.gone(now))
+            if self._input.came is None:
+                return worst(findings, f"waiting for images on {self._input.topic}")
+        elif self._picture is None:
+            return worst(findings, "that was the last picture")
+        return worst(findings, "all images used")
+
+    def _values(self) -> Mapping[str, object]:
+        now, tally = time.monotonic(), self._tally
+        took = tally.detection_ms
+        return {
+            "images": self._images,
+            "refused": self._refused,
+            "rate_hz": f"{tally.images / max(now - self._reported_at, 1e-3):.1f}",
+            "silent_s": f"{self._input.silence(now):.2f}",
+            "parts_seen": len(self._tracker.parts),
+            "detection_ms_median": f"{np.median(took):.2f}" if took else "0",
+            "detection_ms_max": f"{max(took):.2f}" if took else "0",
+        }
+
+    def _begin_report(self) -> None:
+        self._tally, self._reported_at = Tally(), time.monotonic()
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)

@@ -1,0 +1,91 @@
+"""How every node publishes its `diagnostics`: once a second, whatever comes in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from ..status import Finding, Level
+from .qos import DATA
+
+PERIOD_S = 1.0
+"""Time between diagnostics [s]: a node that has said nothing for longer is dead or frozen."""
+
+LOOK_PERIOD_S = 0.1
+"""Time between looks at the level [s]: that it has become worse is told at once."""
+
+
+class Diagnostics:
+    """Publishes what a node finds of itself, by the steady clock; see `plate_core.status`.
+
+    Parameters
+    ----------
+    node : Node
+    find : callable
+        Given the time [s, steady clock], returns the level and its reason.
+    values : callable
+        Returns what is told beside it, name to value.
+    hardware_id : str
+    reported : callable, optional
+        Called after each periodic report: what is counted per report begins anew.
+    stamp : callable, optional
+        Returns the time of a report; the node's clock if left out.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        find: Callable[[float], Finding],
+        values: Callable[[], Mapping[str, Any]],
+        hardware_id: str = "",
+        reported: Callable[[], None] = lambda: None,
+        stamp: Callable[[], Time] | None = None,
+    ) -> None:
+        self._node, self._find, self._values = node, find, values
+        self._hardware_id, self._reported, self._stamp = hardware_id, reported, stamp
+        self._level, self._due = Level.OK, time.monotonic() + PERIOD_S
+        self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
+
+    def publish(self) -> None:
+        """Publish now, between two reports."""
+        self._tell(self._find(time.monotonic()))
+
+    def destroy(self) -> None:
+        """Publish no more; for nodes that are configured anew."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._publisher)
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        finding = self._find(now)
+        if now < self._due:
+            if finding.level.rank > self._level.rank:
+                self._tell(finding)
+            return
+        # After a standstill the next report is a whole period away, not at once.
+        self._due = max(self._due, now - PERIOD_S / 2) + PERIOD_S
+        self._tell(finding)
+        self._reported()
+
+    def _tell(self, finding: Finding) -> None:
+        self._level = finding.level
+        status = DiagnosticStatus(
+            level=bytes([finding.level]),
+            name=self._node.get_fully_qualified_name(),
+            message=finding.message,
+            hardware_id=self._hardware_id,
+        )
+        status.values = [KeyValue(key=k, value=str(v)) for k, v in self._values().items()]
+        msg = DiagnosticArray(status=[status])
+        msg.header.stamp = (
+            self._node.get_clock().now().to_msg() if self._stamp is None else self._stamp()
+        )
+        self._publisher.publish(msg)

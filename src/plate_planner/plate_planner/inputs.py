@@ -1,0 +1,214 @@
+"""What the planner hears, when, and whether a task can go on with it. Pure; time is an argument.
+
+All times are of the steady clock [s]: neither an image's stamp nor a simulated clock that stands
+still can make an input look fresh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+from plate_core.status import Finding, Input, Level
+
+CYCLES = 3.0
+"""Silence of so many cycles is none yet, however short the timeout."""
+
+ERROR_TIMEOUT_S = 1.0
+"""A task whose driver tells an error for longer is ended [s]; a line may fail for a moment."""
+
+REPORT_TIMEOUT_S = 1.3
+"""A node that has published no diagnostics for longer, where one a second is due, is silent [s]."""
+
+LOOP = ("simulator", "device", "detector", "solver", "driver")
+"""Nodes whose diagnostics count: without input for one of them the plate does not do as planned."""
+
+READY = "ready"
+"""What driver_state begins with when cycles reach the motors."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """The newest diagnostics of a node: when they came, their level and message."""
+
+    at: float
+    level: Level
+    message: str
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was heard so far.
+
+    Attributes
+    ----------
+    parts, driver : Input
+        Parts count as heard only with a new stamp: the same image again is no news.
+    ran : float
+        When the planner last did something.
+    stamp : int or None
+        Of the last parts [ns].
+    unanswered : float or None
+        Since when part_forces have been published without a plate_cycle after them.
+    driver_state : str
+        What the driver last said; empty: nothing.
+    error_since : float or None
+        Since when it has told an error.
+    said : mapping of str to Said
+        Diagnostics by node.
+    """
+
+    parts: Input
+    driver: Input
+    ran: float
+    stamp: int | None = None
+    unanswered: float | None = None
+    driver_state: str = ""
+    error_since: float | None = None
+    said: Mapping[str, Said] = field(default_factory=dict)
+
+    @classmethod
+    def none_yet(cls, now: float, timeout_s: float) -> Inputs:
+        """Return what has been heard at the start: nothing."""
+        parts = Input("parts", "parts", "does the detector run, does the camera?", timeout_s, now)
+        driver = Input("driver_state", "driver_state", "does the driver run?", timeout_s, now)
+        return cls(parts, driver, now)
+
+    # What is heard
+
+    def heard_parts(self, now: float, stamp_ns: int) -> Inputs:
+        """Take in that parts have come."""
+        if stamp_ns == self.stamp:
+            return self
+        return replace(self, parts=self.parts.heard(now), stamp=stamp_ns)
+
+    def asked(self, now: float) -> Inputs:
+        """Take in that part_forces have been published."""
+        return self if self.unanswered is not None else replace(self, unanswered=now)
+
+    def heard_cycle(self) -> Inputs:
+        """Take in that the solver has answered."""
+        return replace(self, unanswered=None)
+
+    def heard_driver(self, now: float, state: str) -> Inputs:
+        """Take in what the driver says."""
+        since = None
+        if state.startswith("error"):
+            since = now if self.error_since is None else self.error_since
+        return replace(self, driver=self.driver.heard(now), driver_state=state, error_since=since)
+
+    def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
+        """Take in diagnostics of a node; those of nodes outside the loop do not count."""
+        if name not in LOOP:
+            return self
+        return replace(self, said={**self.said, name: Said(now, level, message)})
+
+    # What follows
+
+    def timeout(self, period: float) -> float:
+        """Longest silence [s] at cycles of `period` [s]."""
+        return max(self.parts.timeout_s, CYCLES * period)
+
+    def driver_problem(self, now: float) -> str:
+        """Say why no task can be started with the driver; empty if one can."""
+        gone = self.driver.gone(now)
+        if gone is not None:
+            return gone.message
+        if not self.driver_state:
+            return f"no driver_state yet: {self.driver.question}"
+        return "" if self.driver_state.startswith(READY) else f"driver: {self.driver_state}"
+
+    def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
+        """Say why no task can be started with what comes of the camera; empty if one can."""
+        if self.parts.came is None:
+            return f"no parts yet: {self._blame_for_parts(now, publishers)}"
+        if self.parts.gone(now) is not None:
+            return self._no_parts(now, self.parts.silence(now), publishers)
+        return ""
+
+    def problem(
+        self, now: float, began: float, period: float, publishers: Callable[[str], int]
+    ) -> str:
+        """Say why a running task cannot go on; empty if it can.
+
+        Parameters
+        ----------
+        now : float
+        began : float
+            When the task was started: what was missing before does not count.
+        period : float
+            Of the cycles [s].
+        publishers : callable
+            Returns how many there are of a topic.
+        """
+        timeout = self.timeout(period)
+        silence = min(self.driver.silence(now), now - began)
+        if silence > timeout:
+            nobody = "" if publishers("driver_state") else "nobody publishes it, "
+            return f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
+        if self.error_since is not None:
+            if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
+                return f"driver: {self.driver_state}"
+        elif not self.driver_state.startswith(READY):
+            return f"driver: {self.driver_state}"
+        silence = min(self.parts.silence(now), now - began)
+        if silence > timeout:
+            return self._no_parts(now, silence, publishers)
+        if self.unanswered is not None and now - max(self.unanswered, began) > timeout:
+            silence = now - max(self.unanswered, began)
+            return f"no plate_cycle for {silence:.1f} s: {self._blame_for_cycles(now, publishers)}"
+        for name, said in self.said.items():
+            if said.level is Level.STALE and said.at - began > timeout:
+                return f"{name}: {said.message}"
+        return ""
+
+    def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
+        """Return what is missing, for diagnostics, whether a task runs or not."""
+        parts = self.parts.gone(now)
+        if parts is not None:
+            parts = Finding(Level.STALE, self.parts_problem(now, publishers))
+        driver = self.driver.gone(now)
+        if driver is None and self.driver_problem(now):
+            driver = Finding(Level.WARN, self.driver_problem(now))
+        return [parts, driver]
+
+    def stood_still(self, now: float, period: float) -> str:
+        """Say that the planner itself has stood still for longer than its inputs may; or nothing.
+
+        What has come meanwhile looks fresh, but the plate has long been brought to rest.
+        """
+        away = now - self.ran
+        if away <= self.timeout(period):
+            return ""
+        return f"the planner itself stood still for {away:.1f} s"
+
+    def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
+        return f"no parts for {silence:.1f} s: {self._blame_for_parts(now, publishers)}"
+
+    def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
+        if not publishers("parts"):
+            return "nobody publishes them, does the detector run?"
+        detector = self._lives("detector", now)
+        if detector is None:
+            return self.parts.question
+        if not detector:
+            return "the detector is silent, does it run?"
+        said = self.said["detector"]
+        if said.level is not Level.OK:
+            return f"detector: {said.message}"
+        return "the detector runs, does the camera send images?"
+
+    def _blame_for_cycles(self, now: float, publishers: Callable[[str], int]) -> str:
+        if not publishers("plate_cycle"):
+            return "nobody publishes them, does the solver run?"
+        solver = self._lives("solver", now)
+        if solver is None:
+            return "does the solver run?"
+        if not solver:
+            return "the solver is silent, does it run?"
+        return f"the solver runs, but does not answer: {self.said['solver'].message}"
+
+    def _lives(self, name: str, now: float) -> bool | None:
+        """Whether a node publishes diagnostics; None if it never did."""
+        said = self.said.get(name)
+        return None if said is None else now - said.at <= REPORT_TIMEOUT_S
