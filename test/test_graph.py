@@ -70,7 +70,7 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
         assert not record.ended
         assert observer.until(lambda: record.ended, 60)
         assert observer.until(lambda: record.last("solver", "method") == "rotations", 5)
-        assert observer.until(lambda: record.last("planner", "message") == "done", 5)
+        assert observer.until(lambda: record.last("planner", "task_state") == "done", 5)
         for name in NAMES:
             graph.processes.signal(name, signal.SIGINT)
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
@@ -107,7 +107,7 @@ def test_the_plate_rests_when_a_node_dies(tmp_path):
         Observer(domain) as observer,  # without a look at the processes: one is to die
     ):
         observer.await_nodes(NAMES, 120)
-        observer.trigger("start")
+        observer.start()
         assert observer.until(lambda: any(not at_rest(c) for c in tables(observer.record)), 20)
         processes.signal("detector", signal.SIGKILL)
         assert processes.wait("detector", 5) == -signal.SIGKILL
@@ -167,7 +167,7 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path):
             return bool(record.tables) and not at_rest(tables(record)[-1])
 
         camera.stream(lambda: record.answers > 0)
-        observer.trigger("start")
+        observer.start()
         for message, changes in WRONG_IMAGES.items():
             assert camera.stream(moving), "good images move the plate"
             assert camera.stream(

@@ -193,7 +193,7 @@ def watch(plan: Plan, observer: Observer) -> None:
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1].split(":")[0]
-    observer.until(lambda: record.last("planner", "message").startswith(over), 2.0)
+    observer.until(lambda: record.last("planner", "task_state").startswith(over), 2.0)
     line.show(record, last=True)
 
 

@@ -151,10 +151,11 @@ def develop(record: Record, rig: Rig) -> Film:
     PlateError
         If the task never began.
     """
-    reports = [(ns, v) for ns, v in record.reports["planner"] if float(v["time_s"]) > 0]
+    # Stamped by the image they tell of; once the task is over its time stands still.
+    reports = [(ns, v) for ns, v in record.reports["planner"] if float(v.get("time_s", "0")) > 0]
     if not reports or not record.truth:
         raise PlateError("the task never began: there is nothing to judge or draw")
-    began = reports[-1][0] - round(1e9 * float(reports[-1][1]["time_s"]))
+    began = reports[0][0] - round(1e9 * float(reports[0][1]["time_s"]))
     truth = [deserialize_message(data, MultiDOFJointState) for data in record.truth]
     ids = tuple(truth[0].joint_names)
     position = np.full((len(truth), len(ids), 2), np.nan)

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, MultiDOFJointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.graph import GraphError
@@ -33,6 +33,13 @@ CALL_S = 10.0
 """Longest wait for a service [s]."""
 
 POLL_S = 0.05
+
+READY_S = 15.0
+"""Longest wait until the driver is ready [s]: the device may have to find home first, for 5 s."""
+
+ACCEPTED_S = 5.0
+"""Longest wait until a task may be started [s]: the planner hears of the driver and of images when
+we do, or a little later."""
 
 SETTLE_S = 0.5
 """Time in which all images of parts that were put elsewhere are answered [s]."""
@@ -84,6 +91,7 @@ class Observer:
             listen(Image, "image_raw", record.images.add, CAMERA, True)
         listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
         listen(String, "task_state", lambda msg: record.states.append(msg.data), LATCHED, False)
+        listen(String, "driver_state", self._on_driver, LATCHED, False)
 
     def __enter__(self) -> Observer:
         return self
@@ -95,6 +103,9 @@ class Observer:
 
     def _on_answer(self, _: bytes) -> None:
         self.record.answers += 1
+
+    def _on_driver(self, msg: String) -> None:
+        self.record.driver_state = msg.data
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -152,7 +163,7 @@ class Observer:
             )
 
     def activate_driver(self) -> None:
-        """Let the driver pass on what the solver answers: from now on the plate may move.
+        """Let the driver pass on what the solver answers, as far as the motors may move.
 
         Raises
         ------
@@ -163,6 +174,50 @@ class Observer:
             request = ChangeState.Request(transition=Transition(id=step))
             if not self.call(ChangeState, "driver/change_state", request).success:
                 raise GraphError("the driver could not be activated, see its log")
+
+    def enable(self) -> None:
+        """Set the motors free, as a person does who has looked at the rig; returns when they are.
+
+        Raises
+        ------
+        GraphError
+            If that is refused, or they are not ready in time.
+        """
+        answer = self.call(SetBool, "enable", SetBool.Request(data=True))
+        if not answer.success:
+            raise GraphError(f"enable refused: {answer.message}")
+        self.await_ready()
+
+    def await_ready(self) -> None:
+        """Wait until the driver says that it is ready.
+
+        Raises
+        ------
+        GraphError
+            If it does not in time: what it says instead.
+        """
+        if not self.until(lambda: self.record.driver_state.startswith("ready"), READY_S):
+            said = self.record.driver_state or "nothing"
+            raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
+
+    def start(self) -> None:
+        """Start the task; for a moment it may still be refused.
+
+        Raises
+        ------
+        GraphError
+            If it is refused for longer: why.
+        """
+        self.await_ready()
+        end = time.monotonic() + ACCEPTED_S
+        while True:
+            try:
+                self.trigger("start")
+                return
+            except GraphError:
+                if time.monotonic() > end:
+                    raise
+            self.until(lambda: False, POLL_S)
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service and return its answer.
@@ -201,6 +256,8 @@ class Observer:
     def begin_anew(self) -> None:
         """Put the parts down anew, forget where they were, and start the task again.
 
+        The driver must be ready.
+
         Raises
         ------
         GraphError
@@ -212,7 +269,7 @@ class Observer:
         self.until(lambda: False, SETTLE_S)  # images of the old parts are on their way
         self.trigger("detector/reset")
         self.record.states.clear()
-        self.trigger("start")
+        self.start()
 
     def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
         """Set a parameter of a running node; returns whether it took it, and why not."""

@@ -46,6 +46,8 @@ class Record:
         Diagnostics by node: keys and values, and the message under "message".
     states : list of str
         Of task_state.
+    driver_state : str
+        What the driver said last.
     """
 
     truth: list[bytes] = field(default_factory=list)
@@ -56,6 +58,7 @@ class Record:
         default_factory=lambda: defaultdict(list)
     )
     states: list[str] = field(default_factory=list)
+    driver_state: str = ""
 
     def last(self, node: str, key: str, default: str = "") -> str:
         """Return the newest value that a node has reported."""

@@ -112,7 +112,7 @@ def work_again(
     with ExitStack() as stack:
         graph = stack.enter_context(session(options, logs, pictures=False))
         hops = stack.enter_context(Hops())
-        graph.observer.activate_driver()
+        graph.free()
         names, others = list(graph.nodes), None
         if beside:
             one_task(graph, hops, None, 0.0, 5.0)  # messages of their true size

@@ -37,18 +37,25 @@ class Session:
     observer: Observer
     nodes: list[str]
 
-    def begin(self) -> None:
-        """Start the task and set the plate free.
+    def free(self) -> None:
+        """Set the plate free: activate the driver and, where there are motors, enable them.
 
-        In lockstep in this order: the simulator waits at the first image, which has been answered
-        so far, so the task begins with the second one, and a seed gives the same run every time.
+        Whoever calls this is the person who enables.
         """
-        if self.options.lockstep:
-            self.observer.trigger("start")
-            self.observer.activate_driver()
-        else:
-            self.observer.activate_driver()
-            self.observer.trigger("start")
+        self.observer.activate_driver()
+        if self.options.transport == "serial":
+            print("Calling the service enable: from now on the motors may move.", flush=True)
+            self.observer.enable()
+
+    def begin(self) -> None:
+        """Set the plate free and start the task.
+
+        In lockstep the task starts by itself with the driver: the simulator waits at the first
+        image, which has been answered so far, so it begins with the second one.
+        """
+        self.free()
+        if not self.options.lockstep:
+            self.observer.start()
 
 
 @contextmanager
@@ -60,7 +67,7 @@ def session(
     Parameters
     ----------
     options : RunOptions
-        With `autostart` False: `Session.begin` activates the driver.
+        With `autostart` False: `Session.free` activates the driver.
     logs : path
         Folder for the nodes' logs.
     domain : int, optional

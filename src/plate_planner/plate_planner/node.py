@@ -151,9 +151,11 @@ class PlannerNode(Node):
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._task_state = self.create_publisher(String, "task_state", LATCHED)
         self._inputs = Inputs.none_yet(time.monotonic(), values.input_timeout_s)
+        self._stamp = self.get_clock().now().to_msg()  # of the last image
         self._diagnostics = Diagnostics(
-            self, self._find, self._values, self._planner.scenario.name, self._begin_report
-        )
+            self, self._find, self._values, self._planner.scenario.name, self._begin_report,
+            lambda: self._stamp,
+        )  # fmt: skip
         self.create_subscription(MultiDOFJointState, "parts", self._on_parts, NEWEST)
         self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         self.create_subscription(String, "driver_state", self._on_driver, LATCHED)
@@ -171,7 +173,7 @@ class PlannerNode(Node):
 
     def _on_parts(self, msg: MultiDOFJointState) -> None:
         now = self._wake()
-        stamp = msg.header.stamp
+        self._stamp = stamp = msg.header.stamp
         self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
         self._start_by_itself(now)
         try:
