@@ -136,6 +136,8 @@ class Processes:
         Words before the command line of a node.
     environment : mapping, optional
         Variables over those of `ros_environment`.
+    remaps : mapping of str to (str, str), optional
+        By node a topic, and the name that it has for this node alone.
 
     Attributes
     ----------
@@ -151,11 +153,15 @@ class Processes:
         domain: int,
         prefix: Mapping[str, list[str]] | None = None,
         environment: Mapping[str, str] | None = None,
+        remaps: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
         self.exit_codes: dict[str, int] = {}
+        remaps = remaps or {}
         self._commands = {
             node.name: [
-                *(prefix or {}).get(node.name, []), *command(node, options.parameters(node))
+                *(prefix or {}).get(node.name, []),
+                *command(node, options.parameters(node)),
+                *(("-r", ":=".join(remaps[node.name])) if node.name in remaps else ()),
             ]
             for node in nodes
         }  # fmt: skip

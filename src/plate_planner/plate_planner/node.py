@@ -247,7 +247,7 @@ class PlannerNode(Node):
         task = self._state.task
         if task.phase is not Phase.RUNNING:
             return
-        why = self._inputs.problem(now, self._began, self._state.period, self.count_publishers)
+        why = self._inputs.problem(now, self._began, self._state.period, self._publisher_count)
         if not why and task.began is None and now - self._began > self._wait_s + WATCH_PERIOD_S:
             # Where stamps stand still, the planner's own wait for all parts never ends.
             why = f"not all parts seen within {self._wait_s:g} s of start"
@@ -259,6 +259,10 @@ class PlannerNode(Node):
             self._state = self._planner.stop(self._state, why)
             self._report()
 
+    def _publisher_count(self, topic: str) -> int:
+        """How many publish a topic, by the name that it has for us."""
+        return self.count_publishers(self.resolve_topic_name(topic))
+
     # Services
 
     def _start_by_itself(self, now: float) -> None:
@@ -269,7 +273,7 @@ class PlannerNode(Node):
     def _not_ready(self, now: float) -> str:
         """Say why no task can be started; empty if one can."""
         return self._inputs.driver_problem(now) or self._inputs.parts_problem(
-            now, self.count_publishers
+            now, self._publisher_count
         )
 
     def _start(self, now: float) -> None:
@@ -325,7 +329,7 @@ class PlannerNode(Node):
     def _find(self, now: float) -> Finding:
         """Judge the task, and what it needs; see `plate_core.status`."""
         task = self._state.task
-        findings = self._inputs.findings(now, self.count_publishers)
+        findings = self._inputs.findings(now, self._publisher_count)
         if self._refused:
             findings.append(Finding(Level.WARN, self._refused))
         found = worst(findings, "")

@@ -199,7 +199,7 @@ class DetectorNode(Node):
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._trails: dict[str, deque[tuple[float, float]]] = {}
         compressed = values.image_transport == "compressed"
-        topic = "image_raw/compressed" if compressed else "image_raw"
+        topic = self.resolve_topic_name("image_raw/compressed" if compressed else "image_raw")
         self._input = Input(
             "image", topic, "does the camera run?", values.input_timeout_s, time.monotonic()
         )

@@ -1,0 +1,365 @@
+"""Kill, freeze and cut off each node of the graph in mid-task, and see who says what, and when.
+
+python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--transport sim]
+                       [--scenario sort_10] [--json FILE] [--markdown FILE]
+
+For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
+started again after `WATCH_S`; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
+its main input through to the node for `WATCH_S`. Told is what driver_state, task_state and the
+diagnostics said and how long after the fault; when the plate rested; whether it moved again before
+anybody asked; and which services had to be called to go on. With --transport serial a simulated
+motor controller is in between, and the plate's motion is what that has played.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from graph import gate
+from graph.film import check_limits
+from graph.observer import ALL, Observer
+from graph.processes import Processes, free_domain
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import load_rig
+from plate_core.graph import GraphError, RunOptions, load_graph
+from plate_core.ros.convert import nanoseconds
+from plate_core.ros.qos import LATCHED
+from plate_core.status import Level
+
+START_S, MOVE_S = 180.0, 30.0
+"""Longest waits [s]: until the graph stands, until the plate moves."""
+
+WORK_S = 3.0
+"""Time for which the plate moves before a fault [s]."""
+
+WATCH_S = 4.0
+"""How long we look on before what was killed or cut comes back [s]."""
+
+FREEZE_S = 3.0
+"""How long a node is frozen [s]."""
+
+BACK_S = 30.0
+"""Longest wait until a node that came back speaks [s]."""
+
+UNASKED_S = 3.0
+"""Time after that in which nothing may move [s]."""
+
+STILL_S = 0.6
+"""A plate that has not moved for so long rests [s]: three of its cycles."""
+
+MOST_S = 2.0
+"""Time within which a task must have ended [s]."""
+
+KINDS = ("kill", "freeze", "cut")
+
+
+class Plate:
+    """Whether and until when the plate moved; times of the system clock [s].
+
+    Over a serial line it is what the device has played (`motor_motion`), else how the parts move
+    (`ground_truth`); where the simulator is what fails, the tables that the driver sends.
+    """
+
+    def __init__(self, observer: Observer, transport: str) -> None:
+        self.moved_until = 0.0
+        self.told_until = 0.0
+        self.tables_only = False
+        self._serial = transport == "serial"
+        listen = observer.node.create_subscription
+        listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
+        if self._serial:
+            listen(JointTrajectory, "motor_motion", self._on_motion, ALL)
+        else:
+            listen(MultiDOFJointState, "ground_truth", self._on_truth, ALL)
+
+    def _saw(self, moves: bool, until: float) -> None:
+        self.told_until = max(self.told_until, until)
+        if moves:
+            self.moved_until = max(self.moved_until, until)
+
+    def _on_table(self, msg: JointTrajectory) -> None:
+        if self.tables_only and not self._serial:
+            length = 1e-9 * nanoseconds(msg.points[-1].time_from_start)
+            self._saw(any(any(point.positions) for point in msg.points), time.time() + length)
+
+    def _on_motion(self, msg: JointTrajectory) -> None:
+        end = nanoseconds(msg.header.stamp) + nanoseconds(msg.points[-1].time_from_start)
+        moves = any(any(point.velocities) for point in msg.points)
+        self._saw(moves, 1e-9 * end)
+
+    def _on_truth(self, msg: MultiDOFJointState) -> None:
+        if not self.tables_only:
+            moves = any(twist.linear.x or twist.linear.y for twist in msg.twist)
+            self._saw(moves, 1e-9 * nanoseconds(msg.header.stamp))
+
+    @property
+    def moving(self) -> bool:
+        """Whether it has moved a moment ago."""
+        return time.time() - self.moved_until < STILL_S
+
+
+@dataclass(frozen=True)
+class Said:
+    """What somebody said, when [s, monotonic], and how bad it is."""
+
+    at: float
+    text: str
+    level: int = 0
+
+
+class Talk:
+    """All that was said, by topic or node."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.said: dict[str, list[Said]] = {}
+        listen = observer.node.create_subscription
+        listen(String, "driver_state", self._on_driver, LATCHED)
+        listen(String, "task_state", self._on_task, LATCHED)
+        listen(DiagnosticArray, "diagnostics", self._on_diagnostics, ALL)
+
+    def _on_driver(self, msg: String) -> None:
+        self._note("driver_state", msg.data)
+
+    def _on_task(self, msg: String) -> None:
+        self._note("task_state", msg.data)
+
+    def _note(self, who: str, text: str, level: int = 0) -> None:
+        self.said.setdefault(who, []).append(Said(time.monotonic(), text, level))
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            name = status.name.rsplit("/", 1)[-1]
+            self._note(name, status.message, int.from_bytes(status.level, "little"))
+
+    def after(self, who: str, when: float) -> list[Said]:
+        """Return what was said after a time."""
+        return [said for said in self.said.get(who, []) if said.at > when]
+
+    def before(self, who: str, when: float) -> Said:
+        """Return what was said last before a time."""
+        return [Said(0.0, ""), *(said for said in self.said.get(who, []) if said.at <= when)][-1]
+
+
+@dataclass
+class Row:
+    """What came of one fault. Times are since the fault [s]; None: it did not happen."""
+
+    fault: str
+    node: str
+    task: str = ""
+    task_s: float | None = None
+    driver: str = ""
+    driver_s: float | None = None
+    diagnostics: list[tuple[str, str, float, str]] = field(default_factory=list)
+    rest_s: float | None = None
+    moved_unasked: bool = False
+    refused: str = ""
+    to_go_on: list[str] = field(default_factory=list)
+    goes_on: bool = False
+    load: float = 0.0
+
+    @property
+    def well(self) -> bool:
+        """Whether it is as it should be."""
+        in_time = self.node == "planner" or (self.task_s is not None and self.task_s <= MOST_S)
+        return in_time and self.rest_s is not None and not self.moved_unasked and self.goes_on
+
+
+class Faults:
+    """A running graph into which faults are put."""
+
+    def __init__(self, processes: Processes, observer: Observer, transport: str) -> None:
+        self.processes, self.observer, self.serial = processes, observer, transport == "serial"
+        self.plate, self.talk = Plate(observer, transport), Talk(observer)
+
+    def wait(self, seconds: float) -> None:
+        """Listen for a time [s]."""
+        self.observer.until(lambda: False, seconds)
+
+    def work(self) -> None:
+        """Have the plate work on a task."""
+        observer = self.observer
+        self.plate.tables_only = False
+        if not observer.record.driver_state.startswith("ready"):
+            observer.enable()
+        observer.begin_anew()
+        assert observer.until(lambda: self.plate.moving, MOVE_S), observer.record.states
+        observer.until(lambda: observer.record.ended, WORK_S)
+        assert not observer.record.ended, f"before the fault: {observer.record.states}"
+
+    @contextmanager
+    def gone(self, kind: str, node: str) -> Any:
+        """Take a node or its input away, and bring it back."""
+        processes = self.processes
+        if kind == "cut":
+            assert self.observer.set_parameter(gate.NAME, "cut", node)[0]
+            yield
+            assert self.observer.set_parameter(gate.NAME, "cut", "")[0]
+            return
+        processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
+        yield
+        if kind == "kill":
+            processes.wait(node, 5.0)
+            processes.restart(node)
+        else:
+            processes.signal(node, signal.SIGCONT)
+
+    def put(self, kind: str, node: str) -> Row:
+        """Put one fault into a running task."""
+        self.work()
+        row, plate, talk = Row(kind, node), self.plate, self.talk
+        plate.tables_only = node == "simulator" and kind != "cut"
+        at, at_utc = time.monotonic(), time.time()
+        with self.gone(kind, node):
+            self.wait(FREEZE_S if kind == "freeze" else WATCH_S)
+            row.load = round(os.getloadavg()[0], 1)
+            if not plate.moving:
+                row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
+            back = time.monotonic()
+        self.hear(row, at, back)
+        # It speaks again; nothing moves before somebody asks for it.
+        self.observer.until(
+            lambda: bool(talk.after(node, time.monotonic() - 1.5)) and bool(talk.after(node, back)),
+            BACK_S,
+        )
+        self.wait(UNASKED_S)
+        plate.tables_only = False
+        if row.task_s is None:  # told only when the node was back
+            self.hear(row, at, time.monotonic())
+        row.moved_unasked = (
+            row.rest_s is not None and plate.moved_until > at_utc + row.rest_s + 0.25
+        )
+        self.go_on(row)
+        return row
+
+    def hear(self, row: Row, since: float, until: float) -> None:
+        """Note what was said between two times."""
+        talk = self.talk
+        for said in talk.after("task_state", since):
+            if said.at < until and not said.text.startswith("running"):
+                row.task, row.task_s = said.text, round(said.at - since, 1)
+                break
+        before = talk.before("driver_state", since).text
+        row.driver, row.driver_s = before, None
+        for said in talk.after("driver_state", since):
+            if said.at < until and said.text != before:
+                row.driver, row.driver_s = said.text, round(said.at - since, 1)
+                break
+        row.diagnostics = []
+        for name in talk.said:
+            worst: Said | None = None
+            for said in talk.after(name, since):
+                more = Level(said.level).rank > (Level(worst.level).rank if worst else 0)
+                if name not in ("driver_state", "task_state") and said.at < until and more:
+                    worst = said
+            if worst is not None and worst.level != talk.before(name, since).level:
+                seconds = round(worst.at - since, 1)
+                row.diagnostics.append((name, Level(worst.level).name, seconds, worst.text))
+        row.diagnostics.sort(key=lambda item: item[2])
+
+    def go_on(self, row: Row) -> None:
+        """Do what a person must do until the plate moves again."""
+        observer = self.observer
+        try:
+            observer.trigger("start")
+        except GraphError as refusal:
+            row.refused = str(refusal)
+            if not observer.record.driver_state.startswith("ready"):
+                row.to_go_on.append("enable")
+                observer.enable()
+            observer.start()
+        row.to_go_on.append("start")
+        begun = time.time()
+        row.goes_on = observer.until(lambda: self.plate.moved_until > begun, MOVE_S)
+        observer.trigger("stop")
+
+
+def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
+    """Put all faults into one running graph after the other; return what happened."""
+    domain, transport = free_domain(), options.transport
+    graph = options.nodes(load_graph())
+    rows = []
+    with (
+        Processes(graph, options, logs, domain, remaps=gate.remaps(transport)) as processes,
+        Observer(domain) as observer,  # without a look at the processes: they are to die
+    ):
+        processes.add({gate.NAME: gate.command(transport)}, {})
+        observer.await_nodes([*(node.name for node in graph), gate.NAME], START_S)
+        observer.await_answers(START_S)
+        faults = Faults(processes, observer, transport)
+        if transport == "serial":
+            observer.enable()
+        for kind in kinds:
+            for name in names:
+                rows.append(faults.put(kind, name))
+                print(json.dumps(asdict(rows[-1])), flush=True)
+        check = check_limits(observer.record, load_rig())
+    return {
+        "transport": transport, "rows": [asdict(row) | {"well": row.well} for row in rows],
+        "tables": check.tables, "faults": list(check.faults),
+    }  # fmt: skip
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return the rows as a table for a reader."""
+
+    def after(text: str, seconds: float | None) -> str:
+        return f"{seconds:.1f} s: {text}" if seconds is not None else text
+
+    lines = [
+        "| fault | node | task_state | driver_state | diagnostics | plate rests | to go on |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in result["rows"]:
+        told = "; ".join(
+            f"{name} {level} {seconds:.1f} s" for name, level, seconds, _ in row["diagnostics"]
+        )
+        rest = "no" if row["rest_s"] is None else f"{row['rest_s']:.1f} s"
+        driver = after(row["driver"], row["driver_s"])
+        lines.append(
+            f"| {row['fault']} | {row['node']} | {after(row['task'], row['task_s'])} | {driver} | "
+            f"{told} | {rest} | {', '.join(row['to_go_on'])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    names = [node.name for node in RunOptions().nodes(load_graph())]
+    parser.add_argument("nodes", nargs="*", choices=[*names, []], help="all if left out")
+    parser.add_argument("--fault", action="append", choices=KINDS, help="all if left out")
+    parser.add_argument("--transport", choices=("sim", "serial"), default="sim")
+    parser.add_argument("--scenario", default="sort_10")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as logs:
+        link = str(Path(logs) / "device")
+        options = RunOptions(scenario=args.scenario, transport=args.transport, link=link)
+        result = run(args.fault or list(KINDS), args.nodes or names, options, Path(logs))
+    print(markdown(result))
+    print(f"{result['tables']} motor tables, broken limits: {result['faults']}")
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    if args.markdown:
+        args.markdown.write_text(markdown(result), encoding="utf-8")
+    return 0 if all(row["well"] for row in result["rows"]) and not result["faults"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
