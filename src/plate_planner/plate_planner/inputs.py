@@ -182,6 +182,14 @@ class Inputs:
             return ""
         return f"the planner itself stood still for {away:.1f} s"
 
+    def woken(self, now: float) -> Inputs:
+        """Return what counts after a standstill: what came meanwhile is not known."""
+        parts, driver = (
+            replace(each, since=now, came=None if each.came is None else now)
+            for each in (self.parts, self.driver)
+        )
+        return replace(self, parts=parts, driver=driver, ran=now, unanswered=None, said={})
+
     def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
         return f"no parts for {silence:.1f} s: {self._blame_for_parts(now, publishers)}"
 

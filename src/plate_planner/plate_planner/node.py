@@ -237,7 +237,7 @@ class PlannerNode(Node):
     def _stood_still(self) -> bool:
         now = time.monotonic()
         why = self._inputs.stood_still(now, self._state.period)
-        self._inputs = replace(self._inputs, ran=now)
+        self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:
             self._abort(why)
         return bool(why)

@@ -13,7 +13,7 @@ from plate_core import PlateCycle, load_rig
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
@@ -215,6 +215,27 @@ def test_bad_tables_are_refused_and_the_plate_carries_on():
         assert np.array_equal(
             msg_to_parts(loop.truths[0]).position, msg_to_parts(loop.truths[-1]).position
         )
+
+
+def test_diagnostics_tell_silence_and_refusals():
+    def told(loop, level, words):
+        loop.reports.clear()
+
+        def heard():
+            status = loop.reports[-1].status[0] if loop.reports else None
+            return status and status.level == level and words in status.message
+
+        assert loop.spin(heard), loop.reports[-1:]
+
+    with Loop(idle_period=0.05, input_timeout_s=0.3) as loop:
+        told(loop, DiagnosticStatus.STALE, "no motor table yet on motor_setpoints: is the driver")
+        loop.answer = good
+        assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
+        assert loop.spin(lambda: loop.reports[-1].status[0].level != DiagnosticStatus.STALE)
+        loop.answer = spoilt
+        told(loop, DiagnosticStatus.ERROR, "tables refused: ")
+        loop.answer = None
+        told(loop, DiagnosticStatus.STALE, "no motor table for ")
 
 
 def test_real_time_goes_on_without_answers():

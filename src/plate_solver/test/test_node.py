@@ -16,7 +16,7 @@ from plate_core.limits import usage
 from plate_sim import simulate
 
 rclpy = pytest.importorskip("rclpy")
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMsg  # noqa: E402
 from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
@@ -129,6 +129,19 @@ class Peer:
         assert self.until(lambda: latest() and condition(latest())), latest()
         return latest()
 
+    def told(self, level: bytes, *words: str) -> None:
+        """Wait for diagnostics of a level whose message has some words."""
+
+        def heard() -> bool:
+            status = self.reports[-1].status[0] if self.reports else None
+            return (
+                status is not None
+                and status.level == level
+                and all(word in status.message for word in words)
+            )
+
+        assert self.until(heard), self.reports[-1:]
+
     def end(self) -> tuple[int, str]:
         """Interrupt the solver; return its exit code and all it printed."""
         if self.process.poll() is None:
@@ -236,10 +249,12 @@ def test_life_of_a_solver(peer, rig):
         PartSet.make(("a_1", "a_2"), PLACES, force=np.full((2, 2), np.nan)),
         PartSet.make(("a_1", "a_1"), PLACES),
     ]
+    peer.until(lambda: False, 1.1)  # so that diagnostics tell of these alone
     for number, bad in enumerate(refused, 1):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
         peer.report(lambda r, number=number: r["refused_messages"] == str(number))
+    peer.told(DiagnosticStatus.ERROR, "part_forces refused: ")
     peer.send(whole, plate.stamp_ns - 50 * MS)  # older than the last
     peer.report(lambda r: r["refused_messages"] == "4")
     stamp_ns += 100 * MS
@@ -263,6 +278,9 @@ def test_life_of_a_solver(peer, rig):
     # A torque is served: see test_turning.
     spun = peer.ask(PartSet.make(("z_1",), PLACES[:1], torque=[2e-6]), fresh.stamp_ns)
     assert np.any(spun.knot_pose != 0)
+
+    # Nobody asks: what is told is old.
+    peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)
     assert 0 <= float(report["missed_share"]) <= 1

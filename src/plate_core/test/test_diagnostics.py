@@ -1,0 +1,76 @@
+"""Diagnostics come by the steady clock, whatever comes in and whatever ROS time does."""
+
+import os
+import time
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+
+from plate_core.ros.diagnostics import PERIOD_S, Diagnostics  # noqa: E402
+from plate_core.ros.qos import DATA  # noqa: E402
+from plate_core.status import Finding, Level  # noqa: E402
+
+DOMAIN = 1 + (43 * os.getpid() + 3) % 99
+LONGEST_S = 20.0
+
+
+@pytest.fixture
+def talker():
+    """A node whose simulated clock stands still, and what is heard of it."""
+    words = ["--ros-args", "-p", "use_sim_time:=true", "-r", "__ns:=/diagnostics_test"]
+    rclpy.init(args=words, domain_id=DOMAIN)
+    node, executor, heard = rclpy.create_node("talker"), SingleThreadedExecutor(), []
+    executor.add_node(node)
+    node.create_subscription(DiagnosticArray, "diagnostics", heard.append, DATA)
+
+    def until(true):
+        end = time.monotonic() + LONGEST_S
+        while not true():
+            assert time.monotonic() < end, "it did not come"
+            executor.spin_once(timeout_sec=0.05)
+
+    yield node, heard, until
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_reports_come_though_simulated_time_stands_still(talker):
+    node, heard, until = talker
+    periods = []
+    began = time.monotonic()
+    Diagnostics(
+        node,
+        lambda now: Finding(Level.OK, "all well"),
+        lambda: {"count": len(periods), "share": 0.5},
+        "plate",
+        lambda: periods.append(1),
+    )
+    until(lambda: len(heard) >= 2)
+    assert time.monotonic() - began >= 2 * PERIOD_S  # not more often than it says
+    status = heard[-1].status[0]
+    assert (status.name, status.hardware_id) == ("/diagnostics_test/talker", "plate")
+    assert (status.level, status.message) == (b"\x00", "all well")
+    assert {item.key: item.value for item in status.values} == {"count": "1", "share": "0.5"}
+
+
+def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):
+    node, heard, until = talker
+    level = [Level.OK]
+    reports = []
+    Diagnostics(node, lambda now: Finding(level[0], ""), dict, reported=lambda: reports.append(1))
+    until(lambda: len(heard) == 1)
+    for worse in (Level.WARN, Level.STALE, Level.ERROR):
+        level[0], count = worse, len(reports)
+        until(lambda worse=worse: heard[-1].status[0].level == bytes([worse]))
+        if len(reports) == count:  # told between two reports, which count on
+            before = len(heard)
+            until(lambda count=count: len(reports) > count)
+            until(lambda before=before: len(heard) > before)
+            assert len(heard) == before + 1
+    level[0] = Level.OK
+    until(lambda: heard[-1].status[0].level == b"\x00")

@@ -1,0 +1,41 @@
+"""Levels of diagnostics, and when an input counts as gone."""
+
+import pytest
+
+from plate_core.status import Finding, Input, Level, used, worst
+
+
+def test_levels_are_those_of_ros():
+    messages = pytest.importorskip("diagnostic_msgs.msg")
+    for level in Level:
+        assert bytes([level]) == getattr(messages.DiagnosticStatus, level.name)
+
+
+def test_of_several_findings_the_worst_counts_and_all_are_told():
+    late, old = Finding(Level.WARN, "late"), Finding(Level.STALE, "no image")
+    failed = Finding(Level.ERROR, "failed")
+    assert worst([None, None], "all well") == Finding(Level.OK, "all well")
+    assert worst([late, None, old], "") == Finding(Level.STALE, "no image; late")
+    assert worst([late, old, failed], "") == Finding(Level.ERROR, "failed; no image; late")
+
+
+def test_an_input_is_gone_after_its_timeout_whether_it_ever_came_or_not():
+    topic = Input("image", "image_raw", "does the camera run?", 1.5, since=10.0)
+    assert topic.gone(11.5) is None
+    assert topic.gone(11.6) == Finding(
+        Level.STALE, "no image yet on image_raw: does the camera run?"
+    )
+    topic = topic.heard(20.0)
+    assert topic.gone(21.5) is None
+    assert topic.silence(21.0) == 1.0
+    assert topic.gone(22.1) == Finding(
+        Level.STALE, "no image for 2.1 s on image_raw: does the camera run?"
+    )
+
+
+def test_refusals_are_an_error_only_if_nothing_was_of_use():
+    assert used("images", 5, 0, "") is None
+    assert used("images", 5, 1, "too dark") == Finding(
+        Level.WARN, "1 of 5 images refused: too dark"
+    )
+    assert used("images", 5, 5, "too dark").level is Level.ERROR
