@@ -4,8 +4,8 @@ python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--t
                        [--scenario sort_10] [--json FILE] [--markdown FILE]
 
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
-started again after `WATCH_S`; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
-its main input through to the node for `WATCH_S`. Told is what driver_state, task_state and the
+started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
+its main input through to the node for 4 s. Told is what driver_state, task_state and the
 diagnostics said and how long after the fault; when the plate rested; whether it moved again before
 anybody asked; and which services had to be called to go on. With --transport serial a simulated
 motor controller is in between, and the plate's motion is what that has played.
@@ -20,6 +20,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -35,7 +36,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import load_rig
-from plate_core.graph import GraphError, RunOptions, load_graph
+from plate_core.graph import GraphError, GraphNode, RunOptions, load_graph
 from plate_core.ros.convert import nanoseconds
 from plate_core.ros.qos import LATCHED
 from plate_core.status import Level
@@ -43,23 +44,14 @@ from plate_core.status import Level
 START_S, MOVE_S = 180.0, 30.0
 """Longest waits [s]: until the graph stands, until the plate moves."""
 
-WORK_S = 3.0
-"""Time for which the plate moves before a fault [s]."""
-
-WATCH_S = 4.0
-"""How long we look on before what was killed or cut comes back [s]."""
-
-FREEZE_S = 3.0
-"""How long a node is frozen [s]."""
-
 BACK_S = 30.0
 """Longest wait until a node that came back speaks [s]."""
 
-UNASKED_S = 3.0
-"""Time after that in which nothing may move [s]."""
-
 STILL_S = 0.6
 """A plate that has not moved for so long rests [s]: three of its cycles."""
+
+STILL_SPEED = 2e-3
+"""A motor that is slower is at rest [m/s]: without current it is only slowed by friction."""
 
 MOST_S = 2.0
 """Time within which a task must have ended [s]."""
@@ -98,7 +90,7 @@ class Plate:
 
     def _on_motion(self, msg: JointTrajectory) -> None:
         end = nanoseconds(msg.header.stamp) + nanoseconds(msg.points[-1].time_from_start)
-        moves = any(any(point.velocities) for point in msg.points)
+        moves = any(abs(v) > STILL_SPEED for point in msg.points for v in point.velocities)
         self._saw(moves, 1e-9 * end)
 
     def _on_truth(self, msg: MultiDOFJointState) -> None:
@@ -154,6 +146,28 @@ class Talk:
         return [Said(0.0, ""), *(said for said in self.said.get(who, []) if said.at <= when)][-1]
 
 
+@dataclass(frozen=True)
+class Times:
+    """How long things are looked at [s].
+
+    Attributes
+    ----------
+    work : float
+        The plate moves for so long before a fault.
+    watch : float
+        What was killed or cut comes back after that.
+    freeze : float
+        A node is frozen for so long.
+    unasked : float
+        For so long after that nothing may move.
+    """
+
+    work: float = 3.0
+    watch: float = 4.0
+    freeze: float = 3.0
+    unasked: float = 3.0
+
+
 @dataclass
 class Row:
     """What came of one fault. Times are since the fault [s]; None: it did not happen."""
@@ -180,10 +194,25 @@ class Row:
 
 
 class Faults:
-    """A running graph into which faults are put."""
+    """A running graph into which faults are put.
 
-    def __init__(self, processes: Processes, observer: Observer, transport: str) -> None:
-        self.processes, self.observer, self.serial = processes, observer, transport == "serial"
+    Parameters
+    ----------
+    processes : mapping of str to Processes
+        By node: those that it is one of.
+    observer : Observer
+    transport : str
+    times : Times
+    """
+
+    def __init__(
+        self,
+        processes: Mapping[str, Processes],
+        observer: Observer,
+        transport: str,
+        times: Times | None = None,
+    ) -> None:
+        self.processes, self.observer, self.times = processes, observer, times or Times()
         self.plate, self.talk = Plate(observer, transport), Talk(observer)
 
     def wait(self, seconds: float) -> None:
@@ -198,18 +227,18 @@ class Faults:
             observer.enable()
         observer.begin_anew()
         assert observer.until(lambda: self.plate.moving, MOVE_S), observer.record.states
-        observer.until(lambda: observer.record.ended, WORK_S)
+        observer.until(lambda: observer.record.ended, self.times.work)
         assert not observer.record.ended, f"before the fault: {observer.record.states}"
 
     @contextmanager
     def gone(self, kind: str, node: str) -> Any:
         """Take a node or its input away, and bring it back."""
-        processes = self.processes
         if kind == "cut":
             assert self.observer.set_parameter(gate.NAME, "cut", node)[0]
             yield
             assert self.observer.set_parameter(gate.NAME, "cut", "")[0]
             return
+        processes = self.processes[node]
         processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
         yield
         if kind == "kill":
@@ -225,7 +254,7 @@ class Faults:
         plate.tables_only = node == "simulator" and kind != "cut"
         at, at_utc = time.monotonic(), time.time()
         with self.gone(kind, node):
-            self.wait(FREEZE_S if kind == "freeze" else WATCH_S)
+            self.wait(self.times.freeze if kind == "freeze" else self.times.watch)
             row.load = round(os.getloadavg()[0], 1)
             if not plate.moving:
                 row.rest_s = round(max(0.0, plate.moved_until - at_utc), 1)
@@ -236,7 +265,7 @@ class Faults:
             lambda: bool(talk.after(node, time.monotonic() - 1.5)) and bool(talk.after(node, back)),
             BACK_S,
         )
-        self.wait(UNASKED_S)
+        self.wait(self.times.unasked)
         plate.tables_only = False
         if row.task_s is None:  # told only when the node was back
             self.hear(row, at, time.monotonic())
@@ -288,16 +317,33 @@ class Faults:
         observer.trigger("stop")
 
 
+@contextmanager
+def running(
+    graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int
+) -> Iterator[dict[str, Processes]]:
+    """Run the nodes, each behind the gate; the driver last: without its port it gives up."""
+    first = [node for node in graph if node.name != "driver"]
+    last = [node for node in graph if node.name == "driver"]
+    behind = gate.remaps(options.transport)
+    with Processes(first, options, logs, domain, remaps=behind) as processes:
+        processes.add({gate.NAME: gate.command(options.transport)}, {})
+        end = time.monotonic() + START_S
+        while options.transport == "serial" and not Path(options.link).exists():
+            assert time.monotonic() < end, f"no port {options.link}"
+            time.sleep(0.1)
+        with Processes(last, options, logs, domain, remaps=behind) as other:
+            yield {node.name: other if node in last else processes for node in graph}
+
+
 def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
     """Put all faults into one running graph after the other; return what happened."""
     domain, transport = free_domain(), options.transport
     graph = options.nodes(load_graph())
     rows = []
     with (
-        Processes(graph, options, logs, domain, remaps=gate.remaps(transport)) as processes,
         Observer(domain) as observer,  # without a look at the processes: they are to die
+        running(graph, options, logs, domain) as processes,
     ):
-        processes.add({gate.NAME: gate.command(transport)}, {})
         observer.await_nodes([*(node.name for node in graph), gate.NAME], START_S)
         observer.await_answers(START_S)
         faults = Faults(processes, observer, transport)
@@ -305,6 +351,8 @@ def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> 
             observer.enable()
         for kind in kinds:
             for name in names:
+                if name == "device" and kind != "kill":
+                    continue  # its input is the line; a controller that hangs has a watchdog
                 rows.append(faults.put(kind, name))
                 print(json.dumps(asdict(rows[-1])), flush=True)
         check = check_limits(observer.record, load_rig())
@@ -340,8 +388,8 @@ def markdown(result: dict[str, Any]) -> str:
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    names = [node.name for node in RunOptions().nodes(load_graph())]
-    parser.add_argument("nodes", nargs="*", choices=[*names, []], help="all if left out")
+    known = [node.name for node in load_graph()]
+    parser.add_argument("nodes", nargs="*", choices=[*known, []], help="all if left out")
     parser.add_argument("--fault", action="append", choices=KINDS, help="all if left out")
     parser.add_argument("--transport", choices=("sim", "serial"), default="sim")
     parser.add_argument("--scenario", default="sort_10")
@@ -351,7 +399,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as logs:
         link = str(Path(logs) / "device")
         options = RunOptions(scenario=args.scenario, transport=args.transport, link=link)
-        result = run(args.fault or list(KINDS), args.nodes or names, options, Path(logs))
+        names = args.nodes or [node.name for node in options.nodes(load_graph())]
+        result = run(args.fault or list(KINDS), names, options, Path(logs))
     print(markdown(result))
     print(f"{result['tables']} motor tables, broken limits: {result['faults']}")
     if args.json:

@@ -14,14 +14,22 @@ from plate_core.status import Finding, Input, Level
 CYCLES = 3.0
 """Silence of so many cycles is none yet, however short the timeout."""
 
+HEARSAY_S = 0.2
+"""How much longer the planner waits than the node before it does [s]: what that one misses is the
+better reason."""
+
 ERROR_TIMEOUT_S = 1.0
 """A task whose driver tells an error for longer is ended [s]; a line may fail for a moment."""
 
 REPORT_TIMEOUT_S = 1.3
 """A node that has published no diagnostics for longer, where one a second is due, is silent [s]."""
 
-LOOP = ("simulator", "device", "detector", "solver", "driver")
+LOOP = ("detector", "solver", "driver", "device", "simulator")
 """Nodes whose diagnostics count: without input for one of them the plate does not do as planned."""
+
+FRESH_S, LIFE_S = 0.5, 0.8
+"""Silence of parts or cycles [s], unless cycles are long, and of driver_state, which is said again
+each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
 
 READY = "ready"
 """What driver_state begins with when cycles reach the motors."""
@@ -107,7 +115,7 @@ class Inputs:
 
     def timeout(self, period: float) -> float:
         """Longest silence [s] at cycles of `period` [s]."""
-        return max(self.parts.timeout_s, CYCLES * period)
+        return max(self.parts.timeout_s, CYCLES * period) + HEARSAY_S
 
     def driver_problem(self, now: float) -> str:
         """Say why no task can be started with the driver; empty if one can."""
@@ -141,9 +149,16 @@ class Inputs:
         publishers : callable
             Returns how many there are of a topic.
         """
+        why = self._missing(now, began, period, publishers)
+        # A line that has failed is the reason, whatever is missed because of it.
+        return f"driver: {self.driver_state}" if why and self.error_since is not None else why
+
+    def _missing(
+        self, now: float, began: float, period: float, publishers: Callable[[str], int]
+    ) -> str:
         timeout = self.timeout(period)
         silence = min(self.driver.silence(now), now - began)
-        if silence > timeout:
+        if silence > self.driver.timeout_s:
             nobody = "" if publishers("driver_state") else "nobody publishes it, "
             return f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
         if self.error_since is not None:
@@ -157,10 +172,33 @@ class Inputs:
         if self.unanswered is not None and now - max(self.unanswered, began) > timeout:
             silence = now - max(self.unanswered, began)
             return f"no plate_cycle for {silence:.1f} s: {self._blame_for_cycles(now, publishers)}"
-        for name, said in self.said.items():
-            if said.level is Level.STALE and said.at - began > timeout:
-                return f"{name}: {said.message}"
-        return ""
+        name = self._cut_off(now, began, period)
+        return f"{name}: {self.said[name].message}" if name else ""
+
+    def _cut_off(self, now: float, began: float, period: float) -> str:
+        """Name the first node around the loop that says that it has no input; empty if none does.
+
+        Those after it, and those after a silent one, only miss what that does not send.
+        """
+        fresh = max(FRESH_S, CYCLES * period)
+        stale = {
+            name
+            for name, said in self.said.items()
+            if said.level is Level.STALE and said.at - began > self.parts.timeout_s
+        }
+        if "detector" in stale:  # a simulated camera has no images where nothing moves the plate
+            return "simulator" if "simulator" in stale else "detector"
+        if self.parts.silence(now) > fresh:
+            return ""
+        if "solver" in stale:
+            return "solver"
+        if self.unanswered is not None and now - self.unanswered > fresh:
+            return ""
+        if "driver" in stale:
+            return "driver"
+        if self.driver.silence(now) > LIFE_S:
+            return ""
+        return next((name for name in ("device", "simulator") if name in stale), "")
 
     def findings(self, now: float, publishers: Callable[[str], int]) -> list[Finding | None]:
         """Return what is missing, for diagnostics, whether a task runs or not."""
@@ -201,10 +239,7 @@ class Inputs:
             return self.parts.question
         if not detector:
             return "the detector is silent, does it run?"
-        said = self.said["detector"]
-        if said.level is not Level.OK:
-            return f"detector: {said.message}"
-        return "the detector runs, does the camera send images?"
+        return f"the detector runs and says: {self.said['detector'].message}"
 
     def _blame_for_cycles(self, now: float, publishers: Callable[[str], int]) -> str:
         if not publishers("plate_cycle"):
@@ -214,7 +249,7 @@ class Inputs:
             return "does the solver run?"
         if not solver:
             return "the solver is silent, does it run?"
-        return f"the solver runs, but does not answer: {self.said['solver'].message}"
+        return f"the solver runs and says: {self.said['solver'].message}"
 
     def _lives(self, name: str, now: float) -> bool | None:
         """Whether a node publishes diagnostics; None if it never did."""

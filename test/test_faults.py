@@ -1,0 +1,57 @@
+"""Nodes of the real graph are killed and frozen in mid-task: what is said of it, and what moves."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from faults import Faults, Times
+from graph.observer import Observer
+from graph.processes import Processes, free_domain, ros_environment
+
+from plate_core.graph import RunOptions, load_graph
+
+START_S = 180.0
+TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
+"""Long enough for every timeout; shorter than in the tool, which measures when."""
+
+EXPECTED = {
+    ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),
+    ("kill", "driver"): ("no driver_state for", "does the driver run?", "simulator"),
+    ("freeze", "simulator"): ("no image for", "does the camera run?", "detector"),
+    ("freeze", "planner"): ("the planner itself stood still for", "", "solver"),
+    ("freeze", "solver"): ("no plate_cycle for", "the solver is silent, does it run?", "planner"),
+}
+"""By fault: what task_state says, and a node whose diagnostics go bad (the planner's always do)."""
+
+
+@pytest.fixture(autouse=True)
+def on_this_machine(monkeypatch):
+    """As env.sh does."""
+    for name, value in ros_environment(0).items():
+        if name != "ROS_DOMAIN_ID":
+            monkeypatch.setenv(name, value)
+
+
+def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path):
+    domain, options = free_domain(), RunOptions(scenario="sort_4")
+    graph = options.nodes(load_graph())
+    with (
+        Processes(graph, options, tmp_path, domain) as processes,
+        Observer(domain, pictures=False) as observer,
+    ):
+        names = [node.name for node in graph]
+        observer.await_nodes(names, START_S)
+        observer.await_answers(START_S)
+        faults = Faults(dict.fromkeys(names, processes), observer, "sim", TIMES)
+        for (kind, node), (reason, question, other) in EXPECTED.items():
+            row = faults.put(kind, node)
+            assert row.task.startswith("aborted"), row
+            assert reason in row.task
+            assert question in row.task
+            levels = {name: level for name, level, *_ in row.diagnostics}
+            assert levels["planner"] == "ERROR", row
+            assert levels[other] in ("STALE", "ERROR"), row
+            assert row.rest_s is not None, "the plate goes on"
+            assert not row.moved_unasked, row
+            assert row.to_go_on == ["start"]
+            assert row.goes_on, row
