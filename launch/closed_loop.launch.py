@@ -2,6 +2,7 @@
 
 ros2 launch plate_core closed_loop.launch.py scenario:=sort_10 method:=sinusoids
 ros2 launch plate_core closed_loop.launch.py transport:=serial   # over a simulated motor controller
+ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # with transport:=serial only
 ros2 service call /start std_srvs/srv/Trigger
 """
 

@@ -2,6 +2,9 @@
 
 ros2 launch plate_core hardware.launch.py port:=/dev/ttyUSB0 image_topic:=/camera/image_raw
 
+ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # when you have looked at the rig
+ros2 service call /start std_srvs/srv/Trigger
+
 The camera's driver is started separately; it publishes image and camera_info, triggered at the
 start of each plate cycle.
 """

@@ -226,9 +226,9 @@ class Faults:
         """Have the plate work on a task."""
         observer = self.observer
         self.plate.tables_only = False
-        if not observer.record.driver_state.startswith("ready"):
-            observer.enable()
         for _ in range(TRIES):
+            if not observer.record.driver_state.startswith("ready"):
+                observer.enable()
             observer.begin_anew()
             self.plate.moved_until = 0.0
             observer.until(lambda: self.plate.moving or observer.record.ended, MOVE_S)
