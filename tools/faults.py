@@ -28,7 +28,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from graph import gate
-from graph.film import check_limits
+from graph.film import LimitCheck, check_limits
 from graph.observer import ALL, Observer
 from graph.processes import Processes, free_domain
 from sensor_msgs.msg import MultiDOFJointState
@@ -327,14 +327,15 @@ class Faults:
 
 @contextmanager
 def running(
-    graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int
+    graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int, gated: bool
 ) -> Iterator[dict[str, Processes]]:
-    """Run the nodes, each behind the gate; the driver last: without its port it gives up."""
+    """Run the nodes, all behind the gate or none; the driver last: without a port it gives up."""
     first = [node for node in graph if node.name != "driver"]
     last = [node for node in graph if node.name == "driver"]
-    behind = gate.remaps(options.transport)
+    behind = gate.remaps(options.transport) if gated else {}
     with Processes(first, options, logs, domain, remaps=behind) as processes:
-        processes.add({gate.NAME: gate.command(options.transport)}, {})
+        if gated:
+            processes.add({gate.NAME: gate.command(options.transport)}, {})
         end = time.monotonic() + START_S
         while options.transport == "serial" and not Path(options.link).exists():
             assert time.monotonic() < end, f"no port {options.link}"
@@ -344,15 +345,30 @@ def running(
 
 
 def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:
-    """Put all faults into one running graph after the other; return what happened."""
+    """Put all faults into a running graph after the other; return what happened."""
+    result: dict[str, Any] = {"transport": options.transport, "port": options.link}
+    result |= {"rows": [], "tables": 0, "faults": []}
+    for some in ([kind for kind in kinds if kind != "cut"], ["cut"] if "cut" in kinds else []):
+        if some:
+            rows, check = run_some(some, names, options, logs)
+            result["rows"] += [asdict(row) | {"well": row.well} for row in rows]
+            result["tables"] += check.tables
+            result["faults"] += check.faults
+    return result
+
+
+def run_some(
+    kinds: list[str], names: list[str], options: RunOptions, logs: Path
+) -> tuple[list[Row], LimitCheck]:
+    """Put faults into one running graph; to cut, with the gate in between."""
     domain, transport = free_domain(), options.transport
     graph = options.nodes(load_graph())
     rows = []
     with (
         Observer(domain) as observer,  # without a look at the processes: they are to die
-        running(graph, options, logs, domain) as processes,
+        running(graph, options, logs, domain, gated="cut" in kinds) as processes,
     ):
-        observer.await_nodes([*(node.name for node in graph), gate.NAME], START_S)
+        observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
         faults = Faults(processes, observer, transport)
         if transport == "serial":
@@ -363,12 +379,7 @@ def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> 
                     continue  # its input is the line; a controller that hangs has a watchdog
                 rows.append(faults.put(kind, name))
                 print(json.dumps(asdict(rows[-1])), flush=True)
-        check = check_limits(observer.record, load_rig())
-    return {
-        "transport": transport, "port": options.link,
-        "rows": [asdict(row) | {"well": row.well} for row in rows],
-        "tables": check.tables, "faults": list(check.faults),
-    }  # fmt: skip
+        return rows, check_limits(observer.record, load_rig())
 
 
 def markdown(result: dict[str, Any]) -> str:
