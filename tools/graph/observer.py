@@ -183,6 +183,7 @@ class Observer:
         GraphError
             If that is refused, or they are not ready in time.
         """
+        self.until(lambda: not self.record.driver_state.startswith("braking"), READY_S)
         answer = self.call(SetBool, "enable", SetBool.Request(data=True))
         if not answer.success:
             raise GraphError(f"enable refused: {answer.message}")
