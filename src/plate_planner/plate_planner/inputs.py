@@ -186,8 +186,9 @@ class Inputs:
             for name, said in self.said.items()
             if said.level is Level.STALE and said.at - began > self.parts.timeout_s
         }
-        if "detector" in stale:  # a simulated camera has no images where nothing moves the plate
-            return "simulator" if "simulator" in stale else "detector"
+        if "detector" in stale:  # beside a simulated device images come only with its motion
+            driven = "device" in self.said and "simulator" in stale
+            return "simulator" if driven else "detector"
         if self.parts.silence(now) > fresh:
             return ""
         if "solver" in stale:
