@@ -99,28 +99,6 @@ def test_a_seed_gives_the_same_run_to_the_last_bit(tmp_path):
 # Faults
 
 
-def test_the_plate_rests_when_a_node_dies(tmp_path):
-    domain = free_domain()
-    options = RunOptions(scenario="follow_2")
-    with (
-        Processes(GRAPH.values(), options, tmp_path, domain) as processes,
-        Observer(domain) as observer,  # without a look at the processes: one is to die
-    ):
-        observer.await_nodes(NAMES, 120)
-        observer.start()
-        assert observer.until(lambda: any(not at_rest(c) for c in tables(observer.record)), 20)
-        processes.signal("detector", signal.SIGKILL)
-        assert processes.wait("detector", 5) == -signal.SIGKILL
-        with pytest.raises(GraphError, match="detector was ended by SIGKILL"):
-            processes.check()
-        assert observer.until(lambda: at_rest(tables(observer.record)[-1]), 10)
-        count = len(observer.record.tables)
-        observer.until(lambda: False, 0.5)
-        assert len(observer.record.tables) == count
-    others = [name for name in NAMES if name != "detector"]
-    assert [processes.exit_codes[name] for name in others] == [0, 0, 0, 0]
-
-
 class CameraStandIn:
     """Publishes pictures of a scenario's parts, right ones and wrong ones."""
 
@@ -163,18 +141,29 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path):
         camera = CameraStandIn(observer, "sort_4")
         record = observer.record
 
-        def moving():
+        def moves():
             return bool(record.tables) and not at_rest(tables(record)[-1])
 
+        def started():
+            try:
+                observer.trigger("start")
+            except GraphError:
+                return False
+            record.states.clear()
+            record.tables.clear()
+            return True
+
         camera.stream(lambda: record.answers > 0)
-        observer.start()
         for message, changes in WRONG_IMAGES.items():
-            assert camera.stream(moving), "good images move the plate"
+            assert camera.stream(started), "the task starts while good images come"
+            assert camera.stream(moves), "good images move the plate"
             assert camera.stream(
-                lambda m=message: not moving() and m in processes.log("detector").read_text(),
+                lambda m=message: record.ended and m in processes.log("detector").read_text(),
                 **changes,
-            ), "wrong ones are named, and the plate rests"
-        assert camera.stream(moving), "and good ones move it again"
+            ), "wrong ones are named, and the task ends"
+            assert "images refused" in record.states[-1] or "no parts for" in record.states[-1]
+        assert camera.stream(started), "and good ones are enough to start again"
+        assert camera.stream(moves)
     assert processes.exit_codes == dict.fromkeys(NAMES[1:], 0)
 
 

@@ -183,6 +183,7 @@ class PlannerNode(Node):
             self._warn(str(error))
             self._ask(parts_to_msg(NOTHING, stamp))
             return
+        sorted_before = -1 if self._progress is None else self._progress.parts_sorted
         self._state, asked, self._progress = self._planner.plan(self._state, parts, seconds(stamp))
         if self._stood_still():
             asked = NOTHING  # these parts are long gone from where they were
@@ -190,6 +191,8 @@ class PlannerNode(Node):
         if self._markers.get_subscription_count():
             self._markers.publish(forces_to_msg(self._rig, asked, stamp))
         self._report()
+        if self._progress.parts_sorted != sorted_before:
+            self._diagnostics.publish()  # in lockstep a task may be over within a report's period
 
     def _ask(self, msg: MultiDOFJointState) -> None:
         self._forces.publish(msg)
