@@ -1,0 +1,142 @@
+/* The controller on an STM32F405: a tick each ms, the line in between, a watchdog over both. */
+#include "../../controller.h"
+
+#include "board.h"
+#include "limits_rig.h"
+
+Record record;
+
+static Controller controller;
+static uint32_t boot, tick_began, longest; /* [counts]: of the ticks since hal_load was asked */
+
+void tick(void);
+
+void pin_mode(Gpio *port, unsigned pin, unsigned mode)
+{
+    port->MODER = (port->MODER & ~(3u << 2 * pin)) | mode << 2 * pin;
+}
+
+void pin_function(Gpio *port, unsigned pin, unsigned function)
+{
+    volatile uint32_t *half = &port->AFR[pin / 8];
+    unsigned shift = 4 * (pin % 8);
+    *half = (*half & ~(15u << shift)) | function << shift;
+    pin_mode(port, pin, 2);
+}
+
+/* Called in the tick only, and oftener than TIM2 wraps: 51 s, 4 s in QEMU. */
+uint64_t hal_time_us(void)
+{
+    static uint64_t us;
+    static uint32_t told;
+    uint32_t passed = (counts() - told) / clock.counts_per_us;
+    told += passed * clock.counts_per_us;
+    us += passed;
+    return us;
+}
+
+uint32_t hal_boot(void) { return boot; }
+
+/* Bijective in `value` (the finaliser of MurmurHash3): another count is another number. */
+static uint32_t mixed(uint32_t value)
+{
+    value = (value ^ value >> 16) * 0x85EBCA6Bu;
+    value = (value ^ value >> 13) * 0xC2B2AE35u;
+    return value ^ value >> 16;
+}
+
+/* The count of boots outlives a reset; after the supply was away memory holds anything, so that the
+   chip's own noise is added to its number. */
+static uint32_t boot_number(void)
+{
+    uint32_t own = 0;
+    if (!clock.emulated) {
+        own = mixed(UNIQUE_ID(0)) ^ mixed(UNIQUE_ID(1) + 1) ^ mixed(UNIQUE_ID(2) + 2);
+        RCC_AHB2ENR |= AHB2_RNG;
+        RNG_CR = RNG_ENABLE;
+        for (int polls = 0; polls < 1000 && !(RNG_SR & RNG_READY); polls++) {
+        }
+        own ^= mixed(RNG_DR);
+    }
+    return mixed(++survivor.boots ^ own);
+}
+
+static void watchdog_start(void)
+{
+    IWDG_KR = IWDG_START;
+    IWDG_KR = IWDG_UNLOCK;
+    IWDG_PR = 0;
+    IWDG_RLR = WATCHDOG_COUNTS;
+    for (int polls = 0; polls < 100000 && IWDG_SR; polls++) { /* 5 counts of its oscillator */
+    }
+    IWDG_KR = IWDG_FEED;
+}
+
+void hal_watchdog(void)
+{
+    if (!(SCB_ICSR & ICSR_PENDSTSET)) /* on time: the next tick is not due yet */
+        IWDG_KR = IWDG_FEED;
+}
+
+float hal_load(void)
+{
+    float share = (float)longest / (float)(clock.counts_per_us * (1000000u / TICK_HZ));
+    longest = 0;
+    return share;
+}
+
+static void keep(uint32_t lasted)
+{
+    uint32_t us = lasted / clock.counts_per_us;
+    record.ticks++;
+    record.by_us[us < TICK_BINS ? us : TICK_BINS - 1]++;
+    if (SCB_ICSR & ICSR_PENDSTSET)
+        record.late++;
+    if (lasted > record.longest)
+        record.longest = lasted;
+    if (lasted > longest)
+        longest = lasted;
+}
+
+void tick(void)
+{
+    tick_began = counts();
+    motors_measure();
+    controller_tick(&controller);
+    keep(counts() - tick_began);
+}
+
+/* The chip's own supply: below 2.9 V an interrupt that ends in a reset, motors off. */
+static void brown_out_start(void)
+{
+    RCC_APB1ENR |= APB1_PWR;
+    PWR_CR |= PWR_PLS_2V9 | PWR_PVDE;
+    EXTI_RTSR |= EXTI_PVD;
+    EXTI_IMR |= EXTI_PVD;
+    NVIC_ISER(0) = BIT(IRQ_PVD);
+}
+
+int main(void)
+{
+    RCC_AHB1ENR |= AHB1_GPIOA | AHB1_GPIOB | AHB1_GPIOC;
+    clock_start();
+    motors_start(&LIMITS);
+    boot = boot_number();
+    usart_start();
+    controller_start(&controller, LIMITS);
+    brown_out_start();
+    /* Bytes before the tick, the tick before the rest; faults before all. */
+    NVIC_IPR(IRQ_USART1) = 0x40;
+    SCB_SHPR3 = 0xC0u << 24;
+    SYSTICK_RVR = clock.core_hz / TICK_HZ - 1;
+    SYSTICK_CVR = 0;
+    SYSTICK_CSR = 7; /* core's clock, interrupt, on */
+    watchdog_start();
+    for (;;) {
+        usart_drain();
+        __asm__ volatile("cpsid i" ::: "memory");
+        if (usart_idle())
+            __asm__ volatile("wfi"); /* also woken by what is held back */
+        __asm__ volatile("cpsie i" ::: "memory");
+    }
+}

@@ -1,0 +1,70 @@
+/* From reset to main, the vector table, and what happens when something goes wrong. */
+#include "board.h"
+
+extern uint32_t stack_top, data_start, data_end, data_load, bss_start, bss_end;
+
+int main(void);
+void reset(void);
+void crash(void);
+void tick(void);
+void usart(void);
+
+Survivor survivor __attribute__((section(".noinit")));
+
+/* No memory is sound, no clock is sure: first the motors' current goes, then the watchdog, which is
+   fed no more, resets the chip. */
+__attribute__((noreturn, used)) static void end(const uint32_t *stacked)
+{
+    motors_cut();
+    uint32_t at = (uint32_t)(uintptr_t)stacked;
+    survivor.crashes++;
+    survivor.crash_pc = at >= 0x20000000u && at < 0x20000000u + 128 * 1024 - 32 ? stacked[6] : 0;
+    for (;;)
+        motors_cut();
+}
+
+/* Every fault and every interrupt that nobody asked for: a stack of its own, since the one that was
+   may be what went wrong. */
+__attribute__((naked)) void crash(void)
+{
+    __asm__ volatile("mov r0, sp\n"
+                     "ldr r1, =stack_top\n"
+                     "mov sp, r1\n"
+                     "b %0\n"
+                     :
+                     : "i"(end));
+}
+
+void reset(void)
+{
+    SCB_CPACR |= 0xFu << 20; /* floating point on, before any is used */
+    __asm__ volatile("dsb\nisb" ::: "memory");
+    const uint32_t *from = &data_load;
+    for (uint32_t *to = &data_start; to < &data_end;)
+        *to++ = *from++;
+    for (uint32_t *to = &bss_start; to < &bss_end;)
+        *to++ = 0;
+    main();
+    crash();
+}
+
+typedef void (*Handler)(void);
+
+__attribute__((section(".vectors"), used)) static const struct {
+    uint32_t *stack;
+    Handler core[15];
+    Handler irq[IRQS];
+} VECTORS = {
+    .stack = &stack_top,
+    .core = {
+        reset, crash /* NMI: the crystal has stopped */, crash /* hard fault */, crash, crash, crash,
+        crash, crash, crash, crash, crash /* SVC */, crash, crash, crash, tick,
+    },
+    .irq = {
+        [0] = crash,
+        [IRQ_PVD] = crash, /* the chip's own supply falls: while it can, it lets go of the motors */
+        [2 ... IRQ_USART1 - 1] = crash,
+        [IRQ_USART1] = usart,
+        [IRQ_USART1 + 1 ... IRQS - 1] = crash,
+    },
+};
