@@ -24,6 +24,12 @@ BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405
 ICOUNT_SHIFT = 3
 INSTRUCTION_NS = 2**ICOUNT_SHIFT
 TICK_BINS = 1024
+RING_BYTES = 4096
+"""`ROOM` of usart.c."""
+
+PART = 1024
+"""Bytes written at once by the debugger."""
+
 RECORD = struct.Struct(f"<3I{TICK_BINS}II4f3I")
 """`Record` of board.h."""
 
@@ -119,6 +125,8 @@ class EmulatedBoard:
         self._names = symbols(elf)
         self._control = folder / f"qmp-{os.getpid()}-{id(self):x}"
         self._memory = self._control.with_suffix(".memory")
+        self._debug = self._control.with_suffix(".gdb")
+        self._debugger: Debugger | None = None
         self._machine: subprocess.Popen[bytes] | None = None
         self.port = ""
 
@@ -128,6 +136,7 @@ class EmulatedBoard:
             "-icount", f"shift={ICOUNT_SHIFT}", "-kernel", str(self._elf),
             "-chardev", "pty,id=line", "-serial", "chardev:line",
             "-qmp", f"unix:{self._control},server=on,wait=off",
+            "-gdb", f"unix:{self._debug},server=on,wait=off",
         ]  # fmt: skip
         self._machine = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -143,9 +152,11 @@ class EmulatedBoard:
     def __exit__(self, *_: object) -> None:
         assert self._machine is not None
         self._qmp.close()
+        if self._debugger is not None:
+            self._debugger.close()
         self._machine.terminate()
         self._machine.wait(10)
-        for path in (self._control, self._memory):
+        for path in (self._control, self._memory, self._debug):
             path.unlink(missing_ok=True)
 
     def order(self, name: str, **arguments: Any) -> Any:
@@ -168,9 +179,94 @@ class EmulatedBoard:
         """Return what the board has seen so far."""
         return Record.of_bytes(self.memory("record", RECORD.size))
 
+    def hear(self, data: bytes) -> None:
+        """Put bytes into the board's ring of those that came, as if the line had brought them.
+
+        QEMU's line brings 20 to 50 bytes in a millisecond, half of the real one. A full ring is the
+        most that a line of any speed can do to a tick. The line must be quiet meanwhile.
+        """
+        if self._debugger is None:
+            assert self._machine is not None
+            self._debugger = Debugger(_connected(self._debug, self._machine))
+        ring = self._names["received"]
+        self._debugger.pause()
+        came, read = struct.unpack("<2I", self._debugger.read(ring, 8))
+        if came - read + len(data) > RING_BYTES:
+            raise RuntimeError(f"{len(data)} bytes, room in the ring: {RING_BYTES - came + read}")
+        for at in range(0, len(data), PART):
+            part, place = data[at : at + PART], (came + at) % RING_BYTES
+            first = part[: RING_BYTES - place]
+            self._debugger.write(ring + 8 + place, first)
+            if first != part:
+                self._debugger.write(ring + 8, part[len(first) :])
+        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
+        self._debugger.go()
+
+    def room(self) -> int:
+        """How many bytes `hear` could add [bytes]."""
+        came, read = struct.unpack("<2I", self.memory("received", 8))
+        return RING_BYTES - (came - read) % 2**32
+
     def reset(self) -> None:
         """Reset the chip; its memory keeps what it held."""
         self.order("system_reset")
+
+
+class Debugger:
+    """As much of GDB's remote protocol as it takes to change the memory of a machine."""
+
+    def __init__(self, line: socket.socket) -> None:
+        self._line = line  # the machine has stopped as it was connected
+        self._running = False
+        self._held = b""
+        self._ask(b"QStartNoAckMode")
+
+    def close(self) -> None:
+        """Let the machine go, for good."""
+        if not self._running:
+            self.go()
+        self._line.close()
+
+    def pause(self) -> None:
+        """Stop the machine, and its time."""
+        if self._running:
+            self._line.sendall(b"\x03")
+            self._answer()
+            self._running = False
+
+    def go(self) -> None:
+        """Let the machine run."""
+        self._send(b"c")
+        self._running = True
+
+    def read(self, address: int, size: int) -> bytes:
+        """Return bytes of memory."""
+        return bytes.fromhex(self._ask(f"m{address:x},{size:x}".encode()).decode())
+
+    def write(self, address: int, data: bytes) -> None:
+        """Change bytes of memory."""
+        answer = self._ask(f"M{address:x},{len(data):x}:{data.hex()}".encode())
+        if answer != b"OK":
+            raise RuntimeError(f"debugger: write at {address:#x}: {answer!r}")
+
+    def _send(self, order: bytes) -> None:
+        self._line.sendall(b"$" + order + f"#{sum(order) % 256:02x}".encode())
+
+    def _ask(self, order: bytes) -> bytes:
+        self._send(order)
+        while (answer := self._answer())[:1] == b"T":
+            pass  # some versions tell at once that the machine has stopped, others only when asked
+        return answer
+
+    def _answer(self) -> bytes:
+        while b"#" not in self._held[:-2]:
+            data = self._line.recv(4096)
+            if not data:
+                raise RuntimeError("debugger: QEMU has closed the line")
+            self._held += data
+        answer, _, rest = self._held.partition(b"#")
+        self._held = rest[2:]
+        return answer.partition(b"$")[2]
 
 
 def _connected(path: Path, machine: subprocess.Popen[bytes]) -> socket.socket:
