@@ -7,16 +7,19 @@ instructions. A byte takes no time on that line: a host that is to be real must 
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
+import select
 import shutil
 import socket
 import struct
 import subprocess
+import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -27,11 +30,17 @@ TICK_BINS = 1024
 RING_BYTES = 4096
 """`ROOM` of usart.c."""
 
-PART = 1024
-"""Bytes written at once by the debugger."""
+TICK_BYTES = 128
+"""That a tick reads (`controller.h`)."""
 
 RECORD = struct.Struct(f"<3I{TICK_BINS}II4f3I")
 """`Record` of board.h."""
+
+ANSWER_S = 60.0
+"""The machine may be busy: longest wait for an answer of QEMU [s]."""
+
+POKE_S = 0.2
+"""Without a word from QEMU it is woken [s]."""
 
 TOOLS = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
@@ -118,25 +127,24 @@ class Record:
 
 
 class EmulatedBoard:
-    """The board in QEMU. Use it as a context; `port` is its line: a pseudo-terminal's path."""
+    """The board in QEMU, in real time as far as the machine can. Use it as a context; `port` is its
+    line: a pseudo-terminal's path."""
+
+    _options: ClassVar[tuple[str, ...]] = ("-icount", f"shift={ICOUNT_SHIFT}")
 
     def __init__(self, elf: Path, folder: Path) -> None:
+        self.names = symbols(elf)
         self._elf = elf
-        self._names = symbols(elf)
-        self._control = folder / f"qmp-{os.getpid()}-{id(self):x}"
-        self._memory = self._control.with_suffix(".memory")
-        self._debug = self._control.with_suffix(".gdb")
-        self._debugger: Debugger | None = None
-        self._machine: subprocess.Popen[bytes] | None = None
+        self._folder = Path(tempfile.mkdtemp(dir=folder))
+        self._control = self._folder / "qmp"
         self.port = ""
 
     def __enter__(self) -> Self:
         command = [
             "qemu-system-arm", "-M", "netduinoplus2", "-nodefaults", "-display", "none",
-            "-icount", f"shift={ICOUNT_SHIFT}", "-kernel", str(self._elf),
-            "-chardev", "pty,id=line", "-serial", "chardev:line",
+            "-kernel", str(self._elf), *self._options,
+            "-chardev", self._chardev(), "-serial", "chardev:line",
             "-qmp", f"unix:{self._control},server=on,wait=off",
-            "-gdb", f"unix:{self._debug},server=on,wait=off",
         ]  # fmt: skip
         self._machine = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -149,15 +157,15 @@ class EmulatedBoard:
         self.port = line["filename"].removeprefix("pty:")
         return self
 
+    def _chardev(self) -> str:
+        return "pty,id=line"
+
     def __exit__(self, *_: object) -> None:
-        assert self._machine is not None
+        self._answers.close()
         self._qmp.close()
-        if self._debugger is not None:
-            self._debugger.close()
         self._machine.terminate()
         self._machine.wait(10)
-        for path in (self._control, self._memory, self._debug):
-            path.unlink(missing_ok=True)
+        shutil.rmtree(self._folder)
 
     def order(self, name: str, **arguments: Any) -> Any:
         """Give QEMU an order (QMP) and return its answer."""
@@ -172,72 +180,129 @@ class EmulatedBoard:
 
     def memory(self, name: str, size: int) -> bytes:
         """Return the bytes of a variable of the firmware."""
-        self.order("pmemsave", val=self._names[name], size=size, filename=str(self._memory))
-        return self._memory.read_bytes()
+        file = self._folder / "memory"
+        self.order("pmemsave", val=self.names[name], size=size, filename=str(file))
+        return file.read_bytes()
 
     def record(self) -> Record:
         """Return what the board has seen so far."""
         return Record.of_bytes(self.memory("record", RECORD.size))
-
-    def hear(self, data: bytes) -> None:
-        """Put bytes into the board's ring of those that came, as if the line had brought them.
-
-        QEMU's line brings 20 to 50 bytes in a millisecond, half of the real one. A full ring is the
-        most that a line of any speed can do to a tick. The line must be quiet meanwhile.
-        """
-        if self._debugger is None:
-            assert self._machine is not None
-            self._debugger = Debugger(_connected(self._debug, self._machine))
-        ring = self._names["received"]
-        self._debugger.pause()
-        came, read = struct.unpack("<2I", self._debugger.read(ring, 8))
-        if came - read + len(data) > RING_BYTES:
-            raise RuntimeError(f"{len(data)} bytes, room in the ring: {RING_BYTES - came + read}")
-        for at in range(0, len(data), PART):
-            part, place = data[at : at + PART], (came + at) % RING_BYTES
-            first = part[: RING_BYTES - place]
-            self._debugger.write(ring + 8 + place, first)
-            if first != part:
-                self._debugger.write(ring + 8, part[len(first) :])
-        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
-        self._debugger.go()
-
-    def room(self) -> int:
-        """How many bytes `hear` could add [bytes]."""
-        came, read = struct.unpack("<2I", self.memory("received", 8))
-        return RING_BYTES - (came - read) % 2**32
 
     def reset(self) -> None:
         """Reset the chip; its memory keeps what it held."""
         self.order("system_reset")
 
 
-class Debugger:
-    """As much of GDB's remote protocol as it takes to change the memory of a machine."""
+class SteppedBoard(EmulatedBoard):
+    """The board in QEMU, tick by tick: nothing depends on how busy the machine is.
 
-    def __init__(self, line: socket.socket) -> None:
-        self._line = line  # the machine has stopped as it was connected
-        self._running = False
+    A debugger stops it when it has nothing to do until the next tick: QEMU then lets time jump to
+    that. Bytes are put into the ring of those that came, as if the line had brought them since the
+    tick before: QEMU's own line has no pace.
+    """
+
+    _options = ("-icount", f"shift={ICOUNT_SHIFT},sleep=off", "-S")
+
+    def _chardev(self) -> str:
+        return f"socket,id=line,path={self._folder / 'line'},server=on,wait=off"
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self._out = _connected(self._folder / "line", self._machine)
+        self._out.setblocking(False)
+        while "disconnected" in str(self.order("query-chardev")):
+            time.sleep(1e-3)
+        gdb = self._folder / "gdb"
+        self.order("human-monitor-command", **{
+            "command-line": f"gdbserver unix:{gdb},server=on,wait=off"
+        })  # fmt: skip
+        self._said = b""
+        self._debugger = Debugger(
+            _connected(gdb, self._machine), self._out, self._listen,
+            lambda: self.order("query-status"),
+        )  # fmt: skip
+        self._debugger.stop_at(self.names["idle"])
+        self._debugger.go()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._out.close()
+        self._debugger.close()
+        super().__exit__()
+
+    def tick(self, data: bytes = b"") -> bytes:
+        """Let one tick pass, which finds these bytes come; returns what was said in it.
+
+        Raises
+        ------
+        RuntimeError
+            If the board has no room for so many bytes.
+        """
+        if data:
+            self._come(data)
+        self._debugger.go()
+        self._listen()
+        said, self._said = self._said, b""
+        return said
+
+    def _listen(self) -> None:
+        """Read what the board says; QEMU waits if nobody does."""
+        with contextlib.suppress(BlockingIOError):
+            while data := self._out.recv(65_536):
+                self._said += data
+
+    def _come(self, data: bytes) -> None:
+        ring = self.names["received"]
+        came, read = struct.unpack("<2I", self._debugger.read(ring, 8))
+        if came - read + len(data) > RING_BYTES:
+            raise RuntimeError(f"{len(data)} bytes, room in the ring: {RING_BYTES - came + read}")
+        place = came % RING_BYTES
+        first = data[: RING_BYTES - place]
+        self._debugger.write(ring + 8 + place, first)
+        if first != data:
+            self._debugger.write(ring + 8, data[len(first) :])
+        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
+
+
+class Debugger:
+    """As much of GDB's remote protocol as it takes to stop a machine and to change its memory.
+
+    Parameters
+    ----------
+    line : socket
+        Of QEMU's server; the machine stands still.
+    other : socket
+        On which something may come meanwhile.
+    listen : callable
+        Reads it.
+    poke : callable
+        Asks QEMU something, so that it wakes up; raises where it has ended.
+    """
+
+    def __init__(
+        self, line: socket.socket, other: socket.socket, listen: Callable[[], None],
+        poke: Callable[[], object],
+    ) -> None:  # fmt: skip
+        self._line, self._other, self._listen, self._poke = line, other, listen, poke
         self._held = b""
         self._ask(b"QStartNoAckMode")
+        self._ask(b"Qqemu.sstep=1")  # time goes on in a single step, which may be a wait
 
     def close(self) -> None:
-        """Let the machine go, for good."""
-        if not self._running:
-            self.go()
+        """Hang up; the machine stays as it is."""
         self._line.close()
 
-    def pause(self) -> None:
-        """Stop the machine, and its time."""
-        if self._running:
-            self._line.sendall(b"\x03")
-            self._answer()
-            self._running = False
+    def stop_at(self, address: int) -> None:
+        """Have the machine stop where it comes to an address."""
+        self._order(f"Z0,{address:x},2")
 
     def go(self) -> None:
-        """Let the machine run."""
-        self._send(b"c")
-        self._running = True
+        """Let the machine run until it stops again."""
+        for order in (b"s", b"c"):  # it would not leave the address where it has stopped
+            self._send(order)
+            answer = self._answer()
+            if answer[:3] not in (b"T05", b"S05"):
+                raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
@@ -245,9 +310,12 @@ class Debugger:
 
     def write(self, address: int, data: bytes) -> None:
         """Change bytes of memory."""
-        answer = self._ask(f"M{address:x},{len(data):x}:{data.hex()}".encode())
+        self._order(f"M{address:x},{len(data):x}:{data.hex()}")
+
+    def _order(self, order: str) -> None:
+        answer = self._ask(order.encode())
         if answer != b"OK":
-            raise RuntimeError(f"debugger: write at {address:#x}: {answer!r}")
+            raise RuntimeError(f"debugger: {order[:20]}: {answer!r}")
 
     def _send(self, order: bytes) -> None:
         self._line.sendall(b"$" + order + f"#{sum(order) % 256:02x}".encode())
@@ -260,6 +328,13 @@ class Debugger:
 
     def _answer(self) -> bytes:
         while b"#" not in self._held[:-2]:
+            ready, _, _ = select.select([self._line, self._other], [], [], POKE_S)
+            if not ready:
+                self._poke()
+            if self._other in ready:
+                self._listen()
+            if self._line not in ready:
+                continue
             data = self._line.recv(4096)
             if not data:
                 raise RuntimeError("debugger: QEMU has closed the line")
@@ -278,6 +353,6 @@ def _connected(path: Path, machine: subprocess.Popen[bytes]) -> socket.socket:
         except OSError:
             time.sleep(0.01)
         else:
-            line.settimeout(20)
+            line.settimeout(ANSWER_S)
             return line
     raise RuntimeError(f"qemu-system-arm ended with {machine.returncode}")

@@ -10,6 +10,7 @@ static Controller controller;
 static uint32_t boot, tick_began, longest; /* [counts]: of the ticks since hal_load was asked */
 
 void tick(void);
+void idle(void);
 
 void pin_mode(Gpio *port, unsigned pin, unsigned mode)
 {
@@ -116,6 +117,10 @@ static void brown_out_start(void)
     NVIC_ISER(0) = BIT(IRQ_PVD);
 }
 
+/* Nothing to do until an interrupt comes, also one that is held back. A debugger that stops here
+   stops between ticks. */
+__attribute__((noinline)) void idle(void) { __asm__ volatile("wfi"); }
+
 int main(void)
 {
     RCC_AHB1ENR |= AHB1_GPIOA | AHB1_GPIOB | AHB1_GPIOC;
@@ -136,7 +141,7 @@ int main(void)
         usart_drain();
         __asm__ volatile("cpsid i" ::: "memory");
         if (usart_idle())
-            __asm__ volatile("wfi"); /* also woken by what is held back */
+            idle();
         __asm__ volatile("cpsie i" ::: "memory");
     }
 }
