@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from emulated_board import RING_BYTES, TICK_BYTES, Record, SteppedBoard
+from emulated_board import RING_BYTES, TICK_BYTES, EmulatedBoard, Record
 
 from plate_core.serial_protocol import (
     Acknowledgement,
@@ -47,6 +47,12 @@ BEAT_TICKS = 25
 WAIT_TICKS = 12_000
 """Longest wait for anything: longer than a table may be played again."""
 
+FEW_PIECES = 24
+"""Fewer cannot follow the wave: a table of them only twitches."""
+
+PLAYED_TICKS = 300
+"""Of a new table that are measured."""
+
 VERSION = 2
 """Of the protocol."""
 
@@ -67,19 +73,20 @@ class Ticks:
 
 
 class Host:
-    """Speaks to a board that is stepped from tick to tick; time is the board's.
+    """Speaks to an emulated board; time is the board's, in ticks.
 
     Parameters
     ----------
-    board : SteppedBoard
+    board : EmulatedBoard
+        In real time, or stepped from tick to tick.
     pace : int
         Bytes that the line brings in a tick: 92 are 921,600 baud.
     """
 
-    def __init__(self, board: SteppedBoard, pace: int = LINE_BYTES) -> None:
+    def __init__(self, board: EmulatedBoard, pace: int = LINE_BYTES) -> None:
         self.board, self._pace = board, pace
         self._reader = Reader()
-        self._waiting = b""
+        self.waiting = b""
         self._sequence, self._session = 100, 0
         self._ticks = self._beat_at = 0
         self.telemetry: list[Telemetry] = []
@@ -94,7 +101,7 @@ class Host:
 
     def tick(self) -> None:
         """Let a tick pass: the line brings what waits, at its pace, and takes what is said."""
-        now, self._waiting = self._waiting[: self._pace], self._waiting[self._pace :]
+        now, self.waiting = self.waiting[: self._pace], self.waiting[self._pace :]
         self._ticks += 1
         self.sent += len(now)
         self._reader, packets = self._reader.fed(self.board.tick(now))
@@ -103,17 +110,17 @@ class Host:
                 self.telemetry.append(message)
             elif isinstance(message, Acknowledgement):
                 self.answers[message.sequence] = message.status
-        if not self._waiting and self._ticks >= self._beat_at:
+        if not self.waiting and self._ticks >= self._beat_at:
             self.send(b"")
 
     def send(self, frames: bytes) -> None:
         """Have the line bring whole frames, and a heartbeat after them."""
-        self._waiting += frames + frame(pack(Packet(0, Heartbeat(1))))
+        self.waiting += frames + frame(pack(Packet(0, Heartbeat(1))))
         self._beat_at = self._ticks + BEAT_TICKS
 
     def sent_all(self) -> None:
         """Let time pass until all has been brought and read."""
-        while self._waiting:
+        while self.waiting:
             self.tick()
         self.rest(RING_BYTES // TICK_BYTES)
 
@@ -124,11 +131,13 @@ class Host:
 
     def until(self, reached: Callable[[], object]) -> None:
         """Let time pass until something is so."""
-        for _ in range(WAIT_TICKS):
-            if reached():
-                return
+        end = self._ticks + WAIT_TICKS
+        while not reached():
+            if self._ticks >= end:
+                raise TimeoutError(
+                    f"not in {WAIT_TICKS} ticks: the board tells {self.telemetry[-1:]}"
+                )
             self.tick()
-        raise TimeoutError(f"not in {WAIT_TICKS} ticks: the board tells {self.telemetry[-1:]}")
 
     def rest(self, ticks: int) -> None:
         """Let time pass at the board."""
@@ -221,17 +230,17 @@ def wave(
 
 
 def committed(host: Host, pieces: int, table: int) -> tuple[Status, Ticks]:
-    """Play a table; meanwhile send another one of so many pieces, commit it, and see it play."""
-    host.upload(table, wave(48, 0.9), 8)
-    host.until(lambda: host.now().state is State.PLAYING)
+    """While a table plays send another one of so many pieces, commit it, and see it play."""
+    if host.now().state is State.READY:
+        host.upload(table, wave(48, 0.9), 8)
+        host.until(lambda: host.now().state is State.PLAYING)
     before, first = host.board.record(), len(host.telemetry)
-    status = host.upload(table + 1, wave(pieces, 0.9), 1)
+    size = 0.9 if pieces >= FEW_PIECES else 0.002
+    status = host.upload(table + 1, wave(pieces, size), 1)
     if status is Status.DONE:
         host.until(lambda: host.now().table == table + 1)
-    host.rest(300)
-    ticks = host.ticks_since(before, first)
-    host.until(lambda: host.now().state is not State.PLAYING)
-    return status, ticks
+        host.rest(PLAYED_TICKS)
+    return status, host.ticks_since(before, first)
 
 
 @dataclass
@@ -254,7 +263,8 @@ class Attack:
         self.kinds[kind.__name__] = self.kinds.get(kind.__name__, 0) + len(packets)
         return b"".join(packets)
 
-    def _next(self) -> int:
+    def another(self) -> int:
+        """Return a number for a table that was not used of late."""
         self.table = self.table % 60_000 + 1
         return self.table
 

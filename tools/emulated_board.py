@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import re
 import select
 import shutil
 import socket
 import struct
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +25,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
+import serial
+import yaml
 
 BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405"
 ICOUNT_SHIFT = 3
@@ -39,8 +44,12 @@ RECORD = struct.Struct(f"<3I{TICK_BINS}II4f3I")
 ANSWER_S = 60.0
 """The machine may be busy: longest wait for an answer of QEMU [s]."""
 
-POKE_S = 0.2
-"""Without a word from QEMU it is woken [s]."""
+WRITTEN = re.compile(
+    r"^(\S+): unimplemented device write \(size 4, offset (0x[0-9a-f]+), value (0x[0-9a-f]+)\)",
+    re.MULTILINE,
+)
+BSRR, ENABLE_HIGH, ENABLE_LOW = 0x18, 1 << 10, 1 << 26
+"""GPIOB's register to set and reset pins, and PB10 in it."""
 
 TOOLS = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
@@ -58,12 +67,32 @@ def missing() -> str:
 
 def built(out: Path, **options: str | Path) -> Path:
     """Build the firmware into a folder, with variables of its Makefile; returns plate.elf."""
-    values = [f"{name}={value}" for name, value in options.items()]
+    values = [f"{name}={value}" for name, value in options.items()] + [f"PYTHON={sys.executable}"]
     command = ["make", "-C", str(BOARD), f"BUILD={out}", *values]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr}")
     return out / "plate.elf"
+
+
+def unfollowed(rig: Path, folder: Path) -> Path:
+    """Write a rig file without watch over the following error, for a plate that is not there."""
+    facts = yaml.safe_load(rig.read_text(encoding="utf-8"))
+    facts["limits"]["following_error_m"] = 0
+    path = folder / rig.name
+    path.write_text(yaml.safe_dump(facts), encoding="utf-8")
+    return path
+
+
+def assembled(source: str, elf: Path) -> Path:
+    """Assemble a program of its own for the board's processor; returns where it is."""
+    command = [
+        "arm-none-eabi-gcc", "-nostdlib", "-mcpu=cortex-m4", "-x", "assembler", "-",
+        "-Wl,-Ttext=0x08000100,--section-start=.vectors=0x08000000,-Tbss=0x20000000,-e,start",
+        "-o", str(elf),
+    ]  # fmt: skip
+    subprocess.run(command, input=source, text=True, check=True, timeout=60)
+    return elf
 
 
 def symbols(elf: Path) -> dict[str, int]:
@@ -132,8 +161,10 @@ class EmulatedBoard:
 
     _options: ClassVar[tuple[str, ...]] = ("-icount", f"shift={ICOUNT_SHIFT}")
 
-    def __init__(self, elf: Path, folder: Path) -> None:
+    def __init__(self, elf: Path, folder: Path, logs: bool = False) -> None:
         self.names = symbols(elf)
+        self._logs = logs
+        self._line: serial.Serial | None = None
         self._elf = elf
         self._folder = Path(tempfile.mkdtemp(dir=folder))
         self._control = self._folder / "qmp"
@@ -146,12 +177,14 @@ class EmulatedBoard:
             "-chardev", self._chardev(), "-serial", "chardev:line",
             "-qmp", f"unix:{self._control},server=on,wait=off",
         ]  # fmt: skip
+        if self._logs:
+            command += ["-d", "unimp", "-D", str(self._folder / "log")]
         self._machine = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._qmp = _connected(self._control, self._machine)
-        self._answers = self._qmp.makefile("r")
-        json.loads(self._answers.readline())
+        self._heard = b""
+        self._answer()
         self.order("qmp_capabilities")
         [line] = [c for c in self.order("query-chardev") if c["label"] == "line"]
         self.port = line["filename"].removeprefix("pty:")
@@ -161,7 +194,7 @@ class EmulatedBoard:
         return "pty,id=line"
 
     def __exit__(self, *_: object) -> None:
-        self._answers.close()
+        self.unplug()
         self._qmp.close()
         self._machine.terminate()
         self._machine.wait(10)
@@ -172,11 +205,21 @@ class EmulatedBoard:
         order = {"execute": name, "arguments": arguments}
         self._qmp.sendall(json.dumps(order).encode())
         while True:
-            answer = json.loads(self._answers.readline())
+            answer = self._answer()
             if "error" in answer:
                 raise RuntimeError(f"{name}: {answer['error']['desc']}")
             if "return" in answer:
                 return answer["return"]
+
+    def _answer(self) -> dict[str, Any]:
+        """Return what QEMU says next: a greeting, an answer or an event."""
+        while b"\n" not in self._heard:
+            data = self._qmp.recv(65_536)
+            if not data:
+                raise RuntimeError("QEMU has closed the line for orders")
+            self._heard += data
+        line, _, self._heard = self._heard.partition(b"\n")
+        return dict(json.loads(line))
 
     def memory(self, name: str, size: int) -> bytes:
         """Return the bytes of a variable of the firmware."""
@@ -191,6 +234,33 @@ class EmulatedBoard:
     def reset(self) -> None:
         """Reset the chip; its memory keeps what it held."""
         self.order("system_reset")
+
+    def tick(self, data: bytes = b"") -> bytes:
+        """Write to the line, let a millisecond pass, and return what has been said."""
+        if self._line is None:
+            self._line = serial.Serial(self.port, 921_600, timeout=0, exclusive=True)
+        while data:
+            data = data[os.write(self._line.fileno(), data) :]
+        time.sleep(1e-3)
+        return self._line.read(65_536)
+
+    def unplug(self) -> None:
+        """Take the cable out; the next tick puts it in again."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def written(self) -> list[tuple[str, int, int]]:
+        """Return what was written to units that QEMU does not model, if it keeps a log: the
+        unit's name, the register's place in it, the value."""
+        log = (self._folder / "log").read_text(encoding="utf-8")
+        return [(unit, int(at, 16), int(value, 16)) for unit, at, value in WRITTEN.findall(log)]
+
+    def enabled(self) -> bool:
+        """Whether the pin that lets the bridges drive was last set high; needs the log."""
+        sets = [v for unit, at, v in self.written() if (unit, at) == ("GPIOB", BSRR)]
+        sets = [v for v in sets if v & (ENABLE_HIGH | ENABLE_LOW)]
+        return bool(sets) and sets[-1] == ENABLE_HIGH
 
 
 class SteppedBoard(EmulatedBoard):
@@ -218,9 +288,8 @@ class SteppedBoard(EmulatedBoard):
         })  # fmt: skip
         self._said = b""
         self._debugger = Debugger(
-            _connected(gdb, self._machine), self._out, self._listen,
-            lambda: self.order("query-status"),
-        )  # fmt: skip
+            _connected(gdb, self._machine), [self._out, self._qmp], self._listen
+        )
         self._debugger.stop_at(self.names["idle"])
         self._debugger.go()
         return self
@@ -246,10 +315,18 @@ class SteppedBoard(EmulatedBoard):
         return said
 
     def _listen(self) -> None:
-        """Read what the board says; QEMU waits if nobody does."""
+        """Read what the board says, and QEMU of each stop: it waits if nobody reads."""
+        while select.select([self._qmp], [], [], 0)[0] and self._qmp.recv(65_536):
+            pass
         with contextlib.suppress(BlockingIOError):
             while data := self._out.recv(65_536):
                 self._said += data
+
+    def jump(self, address: int) -> None:
+        """Have the processor go on from an address, sound or not, for 10 ms."""
+        self._debugger.jump(address)
+        self.order("cont")
+        time.sleep(0.01)
 
     def _come(self, data: bytes) -> None:
         ring = self.names["received"]
@@ -271,22 +348,18 @@ class Debugger:
     ----------
     line : socket
         Of QEMU's server; the machine stands still.
-    other : socket
+    others : list of socket
         On which something may come meanwhile.
     listen : callable
         Reads it.
-    poke : callable
-        Asks QEMU something, so that it wakes up; raises where it has ended.
     """
 
     def __init__(
-        self, line: socket.socket, other: socket.socket, listen: Callable[[], None],
-        poke: Callable[[], object],
-    ) -> None:  # fmt: skip
-        self._line, self._other, self._listen, self._poke = line, other, listen, poke
+        self, line: socket.socket, others: list[socket.socket], listen: Callable[[], None]
+    ) -> None:
+        self._line, self._others, self._listen = line, others, listen
         self._held = b""
         self._ask(b"QStartNoAckMode")
-        self._ask(b"Qqemu.sstep=1")  # time goes on in a single step, which may be a wait
 
     def close(self) -> None:
         """Hang up; the machine stays as it is."""
@@ -303,6 +376,10 @@ class Debugger:
             answer = self._answer()
             if answer[:3] not in (b"T05", b"S05"):
                 raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
+
+    def jump(self, address: int) -> None:
+        """Set the program counter."""
+        self._order(f"Pf={struct.pack('<I', address).hex()}")
 
     def read(self, address: int, size: int) -> bytes:
         """Return bytes of memory."""
@@ -328,10 +405,10 @@ class Debugger:
 
     def _answer(self) -> bytes:
         while b"#" not in self._held[:-2]:
-            ready, _, _ = select.select([self._line, self._other], [], [], POKE_S)
+            ready, _, _ = select.select([self._line, *self._others], [], [], ANSWER_S)
             if not ready:
-                self._poke()
-            if self._other in ready:
+                raise RuntimeError(f"debugger: no answer from QEMU in {ANSWER_S:g} s")
+            if ready != [self._line]:
                 self._listen()
             if self._line not in ready:
                 continue

@@ -119,7 +119,7 @@ static void brown_out_start(void)
 
 /* Nothing to do until an interrupt comes, also one that is held back. A debugger that stops here
    stops between ticks. */
-__attribute__((noinline)) void idle(void) { __asm__ volatile("wfi"); }
+__attribute__((noinline)) void idle(void) { __asm__ volatile("dsb\nwfi"); }
 
 int main(void)
 {

@@ -12,4 +12,5 @@ static const Limits LIMITS = {
         {0.15f, -0.15f, 0.8f, 0.2f},
         {-0.15f, 0.15f, 0.2f, 0.8f},
     },
+    .following_m = 0.003f,
 };

@@ -1,0 +1,293 @@
+"""The firmware on an emulated STM32F405 (firmware/boards/stm32f405): what a tick costs, what it
+commands, what stops it. Ticks are stepped, so that no test depends on how busy the machine is."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from board_host import SPEED, STROKE_M, Host, attacked, committed, wave
+from emulated_board import (
+    INSTRUCTION_NS,
+    EmulatedBoard,
+    Record,
+    SteppedBoard,
+    assembled,
+    built,
+    missing,
+    symbols,
+    unfollowed,
+)
+
+from plate_core import load_rig
+from plate_core.serial_protocol import Enable, Fault, State, Status, Stop
+from plate_sim.device import DeviceLimits
+from plate_sim.device.limits_header import header, main
+
+ROOT = Path(__file__).resolve().parents[1]
+BOARD = ROOT / "firmware" / "boards" / "stm32f405"
+
+MOST = 42_000
+"""Instructions of a tick: a quarter of 1 ms at 168 MHz."""
+
+SLACK = 1.002
+"""A limit may be passed by this factor (docs/protocol.md)."""
+
+emulated = pytest.mark.skipif(bool(missing()), reason=f"not installed: apt install {missing()}")
+
+
+@pytest.fixture(name="firmware", scope="module")
+def _firmware(tmp_path_factory):
+    """Of config/rig.yaml without watch over the following error: an emulated plate never moves."""
+    folder = tmp_path_factory.mktemp("board")
+    return built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
+
+
+def ready(board: EmulatedBoard) -> Host:
+    host = Host(board)
+    host.begin()
+    assert host.enable() is Status.DONE
+    assert host.now().state is State.READY
+    return host
+
+
+def numbers(text: str) -> dict[str, list[np.float32]]:
+    """The values of `LIMITS` in C, by name."""
+    [block] = re.findall(r"Limits LIMITS = \{(.*?)\n\};", text, re.DOTALL)
+    found = re.findall(r"\.(\w+) = (.*?),(?=\s*(?:\.\w|$))", block, re.DOTALL)
+    return {
+        name: [np.float32(v) for v in re.findall(r"-?[\d.]+(?:e-?\d+)?(?=f)", values)]
+        for name, values in found
+    }
+
+
+def expected(limits: DeviceLimits) -> dict[str, list[np.float32]]:
+    return {k: [np.float32(v) for v in np.ravel(values)] for k, values in vars(limits).items()}
+
+
+@pytest.mark.parametrize("path", ["boards/stm32f405/limits_default.h", "host/host.c"])
+def test_limits_in_c_are_those_of_the_rig_file(path):
+    text = (ROOT / "firmware" / path).read_text(encoding="utf-8")
+    limits = DeviceLimits.of_rig(load_rig(ROOT / "config" / "rig.yaml"))
+    assert numbers(text) == expected(limits)
+
+
+def test_limits_header_is_of_the_rig_that_is_named(tmp_path, capsys):
+    rig = yaml.safe_load((ROOT / "config" / "rig.yaml").read_text(encoding="utf-8"))
+    rig["limits"] |= {"stroke_m": 0.0071, "following_error_m": 0.00123, "force_n": 1e-3}
+    rig["motors"]["motor_3"]["point_m"] = [-0.123, -0.15]
+    path = tmp_path / "other.yaml"
+    path.write_text(yaml.safe_dump(rig), encoding="utf-8")
+    assert main([str(path)]) == 0
+    text = capsys.readouterr().out
+    limits = DeviceLimits.of_rig(load_rig(path))
+    assert numbers(text) == expected(limits)
+    assert text == header(limits, "other.yaml")
+    assert main([str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml" in capsys.readouterr().err
+
+
+@emulated
+def test_image_has_no_double_no_heap_and_no_streams(firmware):
+    names = symbols(firmware)
+    assert {"tick", "controller_tick", "table_at"} <= set(names)
+    banned = re.compile(
+        r"__aeabi_(?!u?l|mem|u?idiv)\w*d\w*|__\w+df\w*|_?malloc\w*|_?free\w*|_sbrk\w*|\w*printf\w*"
+        r"|_?(?:write|read|open|close|fstat|isatty|lseek)(?:_r)?"
+    )
+    assert [name for name in names if banned.fullmatch(name)] == []
+    # The expression finds what it must.
+    for name in ("__aeabi_dmul", "__aeabi_f2d", "__aeabi_d2f", "__adddf3", "malloc", "_sbrk"):
+        assert banned.fullmatch(name)
+
+
+@emulated
+def test_build_refuses_a_rig_that_is_none(tmp_path):
+    with pytest.raises(RuntimeError, match=r"nothing\.yaml"):
+        built(tmp_path, RIG=tmp_path / "nothing.yaml")
+
+
+@emulated
+def test_an_instruction_is_eight_nanoseconds(tmp_path):
+    """The timer by which ticks are measured, over loops whose instructions are counted by hand."""
+    rounds = (1_000, 5_000)
+    took = []
+    for count in rounds:
+        elf = assembled(LOOP.replace("ROUNDS", str(count)), tmp_path / f"loop{count}.elf")
+        with EmulatedBoard(elf, tmp_path) as board:
+            board.tick()
+            while not int.from_bytes(board.memory("done", 4), "little"):
+                board.tick()
+            took.append(int.from_bytes(board.memory("took", 4), "little"))
+    # Four instructions a round.
+    assert took[1] - took[0] == 4 * (rounds[1] - rounds[0]) * INSTRUCTION_NS
+
+
+LOOP = """
+    .syntax unified
+    .cpu cortex-m4
+    .thumb
+    .section .vectors, "a"
+    .word 0x20002000, start
+    .text
+    .thumb_func
+    .global start
+start:
+    ldr r0, =0x40000000     @ TIM2: all of its 32 bits, on
+    mvn r1, #0
+    str r1, [r0, #0x2c]
+    movs r1, #1
+    str r1, [r0]
+    ldr r2, =ROUNDS
+    ldr r3, [r0, #0x24]
+again:
+    nop
+    nop
+    subs r2, #1
+    bne again
+    ldr r4, [r0, #0x24]
+    subs r4, r3
+    ldr r5, =took
+    str r4, [r5]
+    ldr r5, =done
+    str r1, [r5]
+stay:
+    b stay
+    .bss
+    .global took, done
+took: .space 4
+done: .space 4
+"""
+
+
+@emulated
+def test_a_tick_is_bounded_while_tables_of_all_sizes_come(firmware, tmp_path):
+    with SteppedBoard(firmware, tmp_path) as board:
+        host = ready(board)
+        for table, pieces in enumerate((1, 48, 500)):
+            status, ticks = committed(host, pieces, 10 * table + 1)
+            assert status is Status.DONE
+            assert ticks.median < ticks.worst <= MOST
+        assert_moved_within_limits(board.record())
+        assert host.now().faults is Fault.NONE
+        assert host.refused == 0
+
+
+@emulated
+def test_a_tick_is_bounded_whatever_comes(firmware, tmp_path):
+    with SteppedBoard(firmware, tmp_path) as board:
+        host = Host(board, pace=128)
+        host.begin()
+        host.enable()
+        attack, ticks = attacked(host, 500, seed=2)
+        assert ticks.worst <= MOST
+        assert len(attack.kinds) >= 6
+        record = board.record()
+        assert record.late == 0
+        assert_moved_within_limits(record)
+
+
+def assert_moved_within_limits(record: Record) -> None:
+    assert 0 < record.step_m <= SPEED * 1e-3 * SLACK
+    assert record.most[0] <= STROKE_M * SLACK
+    assert record.most[1] <= SPEED * SLACK
+    assert record.most[0] > 0.8 * STROKE_M
+
+
+@emulated
+def test_a_plate_that_does_not_follow_is_let_go(tmp_path):
+    """Nothing moves in an emulator: as a jammed plate, held 2 mm from where it is told to be."""
+    with SteppedBoard(built(tmp_path / "b"), tmp_path, logs=True) as board:
+        host = ready(board)
+        assert host.upload(1, wave(48, 0.2)) is Status.DONE
+        host.until(lambda: host.now().state is State.PLAYING)
+        host.until(lambda: host.now().state is State.READY)
+        assert board.enabled()
+        assert host.upload(2, wave(48, 0.5)) is Status.DONE
+        host.until(lambda: host.now().state is State.OFF)
+        assert host.telemetry[-1].faults is Fault.FOLLOWING
+        assert max(m.following_m for m in host.telemetry) > 0.003
+        assert not board.enabled()
+
+
+@emulated
+@pytest.mark.parametrize("now", [0, 1])
+def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path, now):
+    with SteppedBoard(firmware, tmp_path, logs=True) as board:
+        host = Host(board)
+        host.begin()
+        host.rest(50)
+        assert not board.enabled()
+        host.enable()
+        assert board.enabled()
+        host.upload(1, wave(48), 3)
+        host.until(lambda: host.now().state is State.PLAYING)
+        assert host.ask(Stop(now)) is Status.DONE
+        if now:
+            assert not board.enabled()
+        host.until(lambda: host.now().state is State.OFF)
+        assert host.telemetry[-1].faults is Fault.STOPPED
+        assert not board.enabled()
+        fed = [value for _, at, value in board.written() if value == 0xAAAA]
+        assert len(fed) > 1000  # the watchdog, in each tick
+
+
+@emulated
+def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path):
+    with SteppedBoard(firmware, tmp_path, logs=True) as board:
+        ready(board)
+        assert board.enabled()
+        board.jump(0x1000_0001)  # where there is nothing
+        assert not board.enabled()
+        boots, crashes, _ = np.frombuffer(board.memory("survivor", 12), np.uint32)
+        assert (boots, crashes) == (1, 1)
+        fed = sum(value == 0xAAAA for _, _, value in board.written())
+        board.jump(0x1000_0001)
+        assert sum(value == 0xAAAA for _, _, value in board.written()) == fed
+
+
+@emulated
+def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
+    with EmulatedBoard(firmware, tmp_path) as board:
+        host = ready(board)
+        old = host.now().stop
+        assert host.ask(Stop(0)) is Status.DONE
+        stop = host.now().stop
+        assert stop != old
+        board.unplug()
+        host = Host(board)
+        host.begin()
+        host.rest(300)
+        told = host.now()
+        assert (told.state, told.faults, told.stop) == (State.OFF, Fault.STOPPED, stop)
+        board.reset()
+        board.unplug()
+        host = Host(board)
+        host.until(lambda: host.telemetry)
+        assert host.ask(Enable(stop)) is Status.NO_SESSION
+        host.begin()
+        assert host.ask(Enable(stop)) is Status.WRONG_STOP
+        assert host.upload(1, wave(48, 0.5)) is Status.WRONG_STATE
+        host.rest(300)
+        told = host.now()
+        assert (told.state, told.faults) == (State.OFF, Fault.NO_HOME)
+        assert board.memory("driving", 1) == b"\0"
+        assert np.frombuffer(board.memory("survivor", 4), np.uint32)[0] == 2
+        assert host.enable() is Status.DONE
+        assert host.now().state is State.READY
+        assert board.memory("driving", 1) == b"\1"
+
+
+@emulated
+def test_the_line_loses_no_byte(firmware, tmp_path):
+    with EmulatedBoard(firmware, tmp_path) as board:
+        host = ready(board)
+        assert host.upload(1, wave(48), 8) is Status.DONE
+        for _ in range(100):  # as fast as the terminal takes them
+            host.send(b"".join(host.again() for _ in range(20)))
+        host.until(lambda: not host.waiting)
+        host.rest(300)
+        record = board.record()
+        assert record.received >= host.sent - 40
+        assert (record.overruns, host.now().refused, host.refused) == (0, 0, 0)
