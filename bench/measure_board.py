@@ -11,9 +11,11 @@ from harness import ROOT, Result, Table
 
 sys.path.insert(0, str(ROOT / "tools"))
 
-from board_host import TICK_INSTRUCTIONS, Host, Ticks, attacked, committed  # noqa: E402
-from emulated_board import SteppedBoard, built, calibrated, missing, sizes  # noqa: E402
-from board_rig import without_following  # noqa: E402
+from board_host import Host, Ticks, attacked, committed
+from emulated_board import SteppedBoard, built, missing, unfollowed
+
+from plate_core import PlateError
+from plate_core.serial_protocol import Status
 
 PIECES = (1, 2, 8, 24, 48, 96, 200, 500)
 PACKETS = 10_000
@@ -23,5 +25,86 @@ LINES = (92, 128)
 MOST = 42_000
 """Instructions of a tick that are allowed: a quarter of 1 ms at 168 MHz."""
 
-BEFORE = {1: 1_386_165, 8: 1_380_629, 48: 1_385_837, 96: 2_759_748, 200: 5_734_534, 500: 14_323_463}
-BEFORE_STEP_M = {1: 0.33e-3, 8: 0.66e-3, 48: 0.99e-3, 96: 2.65e-3, 200: 7.22e-3, 500: 8.95e-3}
+
+def measure(quick: bool) -> Result:
+    """Commit tables of all sizes while one plays, then send hostile packets; quick: fewer."""
+    if missing():
+        raise PlateError(f"the board's tools are not installed: apt install {missing()}")
+    pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        elf = built(folder, RIG=unfollowed(ROOT / "config" / "rig.yaml", folder))
+        commits = commit_rows(elf, folder, pieces)
+        attacks = [attack_row(elf, folder, pace, packets) for pace in LINES]
+    worst = max(row["worst"] for row in (*commits, *attacks))
+    step = max(row["step_mm"] for row in (*commits, *attacks))
+    return Result(
+        [
+            Table(
+                "commits", "A table that comes while another plays",
+                {"pieces": "pieces", "answer": "answer", **COLUMNS},
+                commits,
+                "QEMU netduinoplus2, 8 ns of its time for each instruction; bytes at 92 a tick.",
+            ),
+            Table(
+                "attacks", "Hostile packets with the right CRC",
+                {"bytes": "bytes a tick", "packets": "packets", "kinds": "of these kinds",
+                 "refused": "refused", **COLUMNS},
+                attacks,
+            ),
+        ],
+        [
+            f"longest tick: {worst} instructions, {MOST} allowed",
+            f"longest step between setpoints: {step:.3f} mm, 1 mm allowed",
+        ],
+    )  # fmt: skip
+
+
+COLUMNS = {
+    "median": "instructions a tick, median",
+    "worst": "most",
+    "step_mm": "longest step so far [mm]",
+    "speed": "fastest setpoint [m/s]",
+    "late": "ticks too late",
+}
+
+
+def commit_rows(elf: Path, folder: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
+    """One board, and a table of each size."""
+    rows = []
+    with SteppedBoard(elf, folder) as board:
+        host = Host(board)
+        host.begin()
+        host.enable()
+        for number, count in enumerate(pieces):
+            status, ticks = committed(host, count, 2 * number + 1)
+            rows.append({"pieces": count, "answer": Status(status).name, **row_of(ticks)})
+    return rows
+
+
+def attack_row(elf: Path, folder: Path, pace: int, packets: int) -> dict[str, Any]:
+    """A board under attack, by a line of some speed."""
+    with SteppedBoard(elf, folder) as board:
+        host = Host(board, pace)
+        host.begin()
+        host.enable()
+        attack, ticks = attacked(host, packets, seed=1)
+        told = ", ".join(f"{kind} {count}" for kind, count in sorted(attack.kinds.items()))
+        return {
+            "bytes": pace,
+            "packets": sum(attack.kinds.values()),
+            "kinds": told,
+            "refused": host.now().refused,
+            **row_of(ticks),
+        }
+
+
+def row_of(ticks: Ticks) -> dict[str, Any]:
+    """Return ticks as columns of a table."""
+    return {
+        "median": round(ticks.median),
+        "worst": ticks.worst,
+        "step_mm": 1e3 * ticks.step_m,
+        "speed": ticks.most[1],
+        "late": ticks.late,
+    }

@@ -38,6 +38,7 @@ MEASUREMENTS = {
     "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
     "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
     "stop_latency": "From the emergency_stop call to the wire, under floods of messages",
+    "board": "The firmware on an emulated STM32F405: instructions a tick, steps between setpoints",
     "latency": "Image to motors in the real graph, beside one that only forwards",
     "closed_loop": "Whole tasks in the closed loop",
 }

@@ -2,6 +2,7 @@
 commands, what stops it. Ticks are stepped, so that no test depends on how busy the machine is."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -180,7 +181,7 @@ def test_a_tick_is_bounded_whatever_comes(firmware, tmp_path):
         host = Host(board, pace=128)
         host.begin()
         host.enable()
-        attack, ticks = attacked(host, 500, seed=2)
+        attack, ticks = attacked(host, 1200, seed=2)
         assert ticks.worst <= MOST
         assert len(attack.kinds) >= 6
         record = board.record()
@@ -229,8 +230,8 @@ def test_a_stop_takes_the_enable_pin_down(firmware, tmp_path, now):
         host.until(lambda: host.now().state is State.OFF)
         assert host.telemetry[-1].faults is Fault.STOPPED
         assert not board.enabled()
-        fed = [value for _, at, value in board.written() if value == 0xAAAA]
-        assert len(fed) > 1000  # the watchdog, in each tick
+        fed = sum(value == 0xAAAA for _, _, value in board.written())
+        assert abs(fed - board.record().ticks) <= 2  # the watchdog, in each tick
 
 
 @emulated
@@ -243,8 +244,8 @@ def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path)
         boots, crashes, _ = np.frombuffer(board.memory("survivor", 12), np.uint32)
         assert (boots, crashes) == (1, 1)
         fed = sum(value == 0xAAAA for _, _, value in board.written())
-        board.jump(0x1000_0001)
-        assert sum(value == 0xAAAA for _, _, value in board.written()) == fed
+        time.sleep(0.05)
+        assert sum(value == 0xAAAA for _, _, value in board.written()) == fed > 0
 
 
 @emulated
@@ -287,7 +288,8 @@ def test_the_line_loses_no_byte(firmware, tmp_path):
         for _ in range(100):  # as fast as the terminal takes them
             host.send(b"".join(host.again() for _ in range(20)))
         host.until(lambda: not host.waiting)
-        host.rest(300)
+        sent = host.sent
+        host.until(lambda: board.record().received >= sent)
+        host.rest(100)
         record = board.record()
-        assert record.received >= host.sent - 40
         assert (record.overruns, host.now().refused, host.refused) == (0, 0, 0)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from emulated_board import RING_BYTES, TICK_BYTES, EmulatedBoard, Record
+from emulated_board import RING_BYTES, EmulatedBoard, Record
 
 from plate_core.serial_protocol import (
     Acknowledgement,
@@ -101,7 +101,8 @@ class Host:
 
     def tick(self) -> None:
         """Let a tick pass: the line brings what waits, at its pace, and takes what is said."""
-        now, self.waiting = self.waiting[: self._pace], self.waiting[self._pace :]
+        size = min(self._pace, self.board.room()) if self.waiting else 0
+        now, self.waiting = self.waiting[:size], self.waiting[size:]
         self._ticks += 1
         self.sent += len(now)
         self._reader, packets = self._reader.fed(self.board.tick(now))
@@ -122,7 +123,7 @@ class Host:
         """Let time pass until all has been brought and read."""
         while self.waiting:
             self.tick()
-        self.rest(RING_BYTES // TICK_BYTES)
+        self.until(lambda: self.board.room() == RING_BYTES)
 
     def numbered(self, message: Message) -> bytes:
         """Return the frame that carries a message with the next sequence number."""

@@ -59,7 +59,8 @@ static uint32_t boot_number(void)
         }
         own ^= mixed(RNG_DR);
     }
-    return mixed(++survivor.boots ^ own);
+    survivor.boots++;
+    return mixed(survivor.boots ^ own);
 }
 
 static void watchdog_start(void)

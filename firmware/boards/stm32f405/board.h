@@ -89,7 +89,7 @@ typedef struct {
 
 extern Clock clock;
 extern Record record;
-extern Survivor survivor;
+extern volatile Survivor survivor;
 
 /* Counts of TIM2: wraps, so only differences count. */
 static inline uint32_t counts(void) { return TIM2->CNT; }

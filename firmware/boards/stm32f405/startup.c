@@ -9,7 +9,7 @@ void crash(void);
 void tick(void);
 void usart(void);
 
-Survivor survivor __attribute__((section(".noinit")));
+volatile Survivor survivor __attribute__((section(".noinit")));
 
 /* No memory is sound, no clock is sure: first the motors' current goes, then the watchdog, which is
    fed no more, resets the chip. */
