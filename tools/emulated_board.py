@@ -306,7 +306,7 @@ class SteppedBoard(EmulatedBoard):
         super().__exit__()
 
     def tick(self, data: bytes = b"") -> bytes:
-        """Let one tick pass, which finds these bytes come, `room` at most; returns what was said."""
+        """Let one tick pass, which finds these bytes come, `room` at most; returns answers."""
         if data:
             self._come(data)
         self._debugger.go()
