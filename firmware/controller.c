@@ -472,7 +472,7 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    if (c->now_us - c->told_us >= TELEMETRY_US) {
+    if (c->now_us - c->told_us >= TELEMETRY_US && hal_idle()) { /* a slow line carries less of it */
         c->told_us = c->now_us;
         tell_state(c);
     }

@@ -25,6 +25,9 @@ size_t hal_read(uint8_t *data, size_t size);
    eight frames, of 71 bytes or less. */
 void hal_write(const uint8_t *data, size_t size);
 
+/* Whether all that was written is on its way: telemetry waits for that, so that answers need not. */
+bool hal_idle(void);
+
 /* Motor current on or off. Must work at any time. */
 void hal_drive(bool on);
 

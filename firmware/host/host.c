@@ -45,6 +45,8 @@ void hal_drive(bool wanted)
     searched = 0;
 }
 
+bool hal_idle(void) { return true; }
+
 size_t hal_read(uint8_t *data, size_t size)
 {
     size_t count = input_size - input_at < size ? input_size - input_at : size;

@@ -141,7 +141,7 @@ int main(void)
     for (;;) {
         usart_drain();
         __asm__ volatile("cpsid i" ::: "memory");
-        if (usart_idle())
+        if (hal_idle())
             idle();
         __asm__ volatile("cpsie i" ::: "memory");
     }

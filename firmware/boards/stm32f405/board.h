@@ -100,7 +100,6 @@ void pin_function(Gpio *port, unsigned pin, unsigned function);
 void clock_start(void);
 void usart_start(void);
 void usart_drain(void); /* what is to be sent, as far as the line takes it; from the main loop */
-bool usart_idle(void);
 void motors_start(const Limits *limits);
 void motors_measure(void); /* at the start of each tick */
 

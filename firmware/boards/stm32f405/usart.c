@@ -55,11 +55,11 @@ void hal_write(const uint8_t *data, size_t size)
     waiting.in = in + size;
 }
 
-bool usart_idle(void) { return waiting.in == waiting.out; }
+bool hal_idle(void) { return waiting.in == waiting.out; }
 
 void usart_drain(void)
 {
-    while (!usart_idle() && USART1->SR & SR_TXE) {
+    while (!hal_idle() && USART1->SR & SR_TXE) {
         USART1->DR = waiting.bytes[waiting.out % ROOM];
         waiting.out++;
     }

@@ -175,6 +175,7 @@ class Device:
         data: bytes = b"",
         faults: Fault = Fault.NONE,
         home_found: bool = True,
+        line_idle: bool = True,
     ) -> tuple[Device, bytes, np.ndarray | None]:
         """Return the device at a later time, what it says, and what it commands.
 
@@ -190,6 +191,8 @@ class Device:
             Of the board, now: SUPPLY, HARDWARE.
         home_found : bool
             Whether the search for home ends, if there is one.
+        line_idle : bool
+            Whether all that was said is on its way.
 
         Returns
         -------
@@ -221,7 +224,7 @@ class Device:
         device = changed(
             device, motion=motion, heat=heat, heat_rest=rest, draft=draft, follows=at is not None
         )
-        if now_us - device.told_us >= TELEMETRY_US:
+        if now_us - device.told_us >= TELEMETRY_US and line_idle:
             device, told = changed(device, told_us=now_us)._say(device._telemetry())
             device, said = changed(device, following_m=np.float32(0)), said + told
         return device, said, at

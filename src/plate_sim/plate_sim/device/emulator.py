@@ -150,7 +150,8 @@ class Emulator:
             came = came[: BUFFER_BYTES - len(device.backlog)]
             motion = device.motion
             found = motion.searches and now_us - motion.enabled_us >= self._homing_us
-            self.device, said, at = device.ticked(now_us, self._measured, came, faults, found)
+            idle = self.to_host.idle(now)
+            self.device, said, at = device.ticked(now_us, self._measured, came, faults, found, idle)
         if self.connected:
             self.to_host.sent(said, now)
         if self._commanded is not None:

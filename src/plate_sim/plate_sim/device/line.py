@@ -73,6 +73,10 @@ class Line:
             self._free_at = start + (len(part) * BITS_PER_BYTE / baud if baud else 0.0)
             self._way.append((self._free_at, self._spoilt(part)))
 
+    def idle(self, now: float) -> bool:
+        """Tell whether all that was sent is on its way, but for the delay."""
+        return self._free_at - self.trouble.delay <= now
+
     def arrived(self, now: float) -> bytes:
         """Take what has come by a time [s]."""
         came = b"".join(data for at, data in self._way if at <= now)
