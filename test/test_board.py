@@ -21,8 +21,11 @@ from emulated_board import (
     unfollowed,
 )
 
-from plate_core import load_rig
+from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import Enable, Fault, State, Status, Stop
+from plate_driver.motor_table import MotorTable
+from plate_driver.serial_transport import SerialTransport, open_port
+from plate_driver.transport import Condition
 from plate_sim.device import DeviceLimits
 from plate_sim.device.limits_header import header, main
 
@@ -293,3 +296,44 @@ def test_the_line_loses_no_byte(firmware, tmp_path):
         host.rest(100)
         record = board.record()
         assert (record.overruns, host.now().refused, host.refused) == (0, 0, 0)
+
+
+@emulated
+def test_the_driver_plays_on_the_board(firmware, tmp_path):
+    """The driver's own transport, over the pseudo-terminal."""
+    rig = load_rig()
+    knots = wave(48)
+    q, qd, qdd = (
+        np.array([getattr(k, name) for k in knots])
+        for name in ("position", "velocity", "acceleration")
+    )
+    times = np.array([k.ticks * 1e-8 for k in knots])
+    cycle = PlateCycle.from_knots(times, *np.zeros((3, len(knots), 3)))
+    table = MotorTable(0, cycle, q, qd, qdd)
+    assert rig.limits.stroke_m == STROKE_M
+    with EmulatedBoard(firmware, tmp_path) as board:
+        transport = SerialTransport(lambda: open_port(board.port), time.monotonic, 1)
+        transport.open()
+
+        def until(word):
+            for _ in range(10_000):
+                transport.poll()
+                if transport.report().condition is word:
+                    return
+                time.sleep(1e-3)
+            pytest.fail(f"the driver reports {transport.report()}, {transport.troubles()}")
+
+        until(Condition.OFF)
+        order = transport.enable()
+        until(Condition.READY)
+        assert order.done
+        transport.send(table, 2)
+        for _ in range(10_000):
+            transport.poll()
+            if board.record().most[0] > 0.99 * np.max(np.abs(q)):
+                break
+        assert board.record().most[0] == pytest.approx(np.max(np.abs(q)), rel=0.01)
+        order = transport.stop(cut=True)
+        until(Condition.OFF)
+        assert order.done
+        transport.close()
