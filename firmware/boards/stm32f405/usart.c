@@ -27,8 +27,10 @@ void usart(void)
     record.received++;
     if (status & SR_ORE)
         record.overruns++;
-    if (in + 1 - received.out == ROOM)
-        USART1->CR1 = DEAF; /* until the tick has read: what a full buffer cannot take is lost */
+    /* Until the tick has read: what a full buffer cannot take is lost. One place is left for the
+       byte that comes before this is written: its interrupt is pending then. */
+    if (in + 1 - received.out >= ROOM - 1)
+        USART1->CR1 = DEAF;
 }
 
 size_t hal_read(uint8_t *data, size_t size)
