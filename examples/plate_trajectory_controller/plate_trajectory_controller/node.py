@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import numpy as np
@@ -21,7 +22,7 @@ TOPIC = "joint_trajectory_controller/joint_trajectory"
 
 
 def make(context: TransportContext) -> Relay:
-    """Return the transport: what the entry point names. The joints are called motor_1 to motor_4."""
+    """Return the transport: what the entry point names. The joints are motor_1 to motor_4."""
     node = rclpy.create_node("trajectory_controller_relay")
     trajectories = node.create_publisher(JointTrajectory, TOPIC, DATA)
     names = [motor.name for motor in context.rig.motors]
@@ -43,10 +44,8 @@ def make(context: TransportContext) -> Relay:
     def spin() -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             executor.spin()
-        except ExternalShutdownException:
-            pass
 
     threading.Thread(target=spin, daemon=True).start()
     return relay

@@ -1,7 +1,7 @@
 """The relay without ROS: which trajectory the controller gets next, and when.
 
-A joint_trajectory_controller follows the newest trajectory at once and holds its last point, so each
-table is handed over when the one before it ends. All tables begin and end at rest at home: a table
+A joint_trajectory_controller follows the newest trajectory at once and holds its last point, so
+each table is handed over when the one before it ends. All tables begin and end at rest at home: one
 that is handed over late makes the plate rest a little longer, and nothing else.
 """
 
@@ -32,13 +32,14 @@ STILL_M, STILL_S = 2e-4, 0.1
 STOP_S = BRAKE_S + HOMEWARD_S + 0.5
 """Longest wait until the joint states show that the motors rest [s]."""
 
+CANNOT_CUT = "a trajectory controller cannot cut the current: use the drives' own stop"
 HELD = "at rest, but the drives hold their current: cut it at the drives before you reach in"
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the controller is told: times (k,) [s] from now, travel [m], speed [m/s] and acceleration
-    [m/s2] of the motors (k, 4); quintics between."""
+    """What the controller is told: times (k,) [s] from now; travel [m], speed [m/s] and
+    acceleration [m/s2] of the motors (k, 4); quintics between."""
 
     times: np.ndarray
     position: np.ndarray
@@ -137,7 +138,7 @@ class Relay:
             self._command(brake(self._rig, playing, along))
             self._rests_at = now + min(playing.cycle.period, BRAKE_S) + HOMEWARD_S
         if cut:
-            return order.settle("a trajectory controller cannot cut the current: use the drives' stop")
+            return order.settle(CANNOT_CUT)
         self._stop = order, now
         return order
 
@@ -180,7 +181,7 @@ class Relay:
             return
         order, asked = self._stop
         recent = [p for t, p in self._states if now - t <= STILL_S and t >= self._rests_at]
-        if len(recent) > 1 and recent and np.max(np.ptp(recent, axis=0)) < STILL_M:
+        if len(recent) > 1 and np.max(np.ptp(recent, axis=0)) < STILL_M:
             order.settle()
         elif now - asked > STOP_S:
             order.settle("joint_states do not show that the motors rest")
