@@ -48,7 +48,7 @@ def marked(mark):
     [
         (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
         (["--method", "C"], "method is 'C', allowed: A, B, rotations, sinusoids"),
-        (["--transport", "usb"], "transport is 'usb', allowed: sim"),
+        (["--transport", "usb"], "transport is 'usb', allowed: serial, sim"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
         (["--seed", "-1"], "seed is -1, allowed: 0 to 2147483647"),
