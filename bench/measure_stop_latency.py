@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
@@ -82,8 +82,12 @@ while True:
 
 BUSY = "while True: sum(range(100000))"
 
+GRAPH = ("plate_sim", "plate_vision", "plate_planner", "plate_solver")
+"""The other nodes; the simulator follows the setpoints that the driver publishes."""
+
 CONDITIONS: dict[str, dict[str, Any]] = {
     "cycles each 200 ms": {},
+    "the whole graph, sorting ten parts": {"graph": True},
     "20,000 points, again and again": {"points": 20_000, "pause_s": 0.02},
     "1,000,000 points, again and again": {"points": 1_000_000, "pause_s": 0.2},
     "clock that stands still": {"parameters": ["use_sim_time:=true"]},
@@ -112,7 +116,7 @@ def program(*words: str, wait: bool = False) -> Iterator[None]:
 class Bench:
     """A node that enables, plays and stops."""
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float | None) -> None:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from std_msgs.msg import String
@@ -129,6 +133,7 @@ class Bench:
         self.node.create_subscription(String, "driver_state", self._on_state, LATCHED)
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
+        self.start = self.node.create_client(Trigger, "start")
         self.kinds = Trigger, SetBool
         cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
         table, self.number = shaking(64, 5e-4), 0
@@ -137,7 +142,8 @@ class Bench:
             self.number += 1
             cycles.publish(cycle_to_msg(table.cycle, to_time(1_000_000 * self.number)))
 
-        self.node.create_timer(period_s, send)
+        if period_s is not None:
+            self.node.create_timer(period_s, send)
         self._thread = threading.Thread(target=self.executor.spin, daemon=True)
         self._thread.start()
 
@@ -156,6 +162,17 @@ class Bench:
         future = client.call_async(request)
         return future.result() if self.until(future.done, seconds) else None
 
+    def begin_task(self) -> None:
+        """Start the task, as soon as the planner takes it."""
+        trigger, _ = self.kinds
+        self.start.wait_for_service(START_S)
+        end = time.monotonic() + START_S
+        while time.monotonic() < end:
+            answer = self.call(self.start, trigger.Request())
+            if answer is not None and answer.success:
+                return
+            time.sleep(0.2)
+
     def close(self) -> None:
         """End."""
         self.executor.shutdown()
@@ -165,7 +182,7 @@ class Bench:
 
 def latencies(
     count: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S, busy: int = 0,
-    parameters: list[str] | None = None,
+    parameters: list[str] | None = None, graph: bool = False,
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Return the times [ms] from the call of emergency_stop to the frame, at most and at least."""
     context = multiprocessing.get_context("spawn")
@@ -179,22 +196,23 @@ def latencies(
         ready.wait(START_S)
         words = ["transport:=serial", f"port:={link}", *(parameters or [])]
         arguments = ["--ros-args", "--log-level", "fatal", *(w for p in words for w in ("-p", p))]
-        bench = Bench(period_s)
+        bench = Bench(None if graph else period_s)
         try:
             with program("-c", driver, *arguments):
                 bench.until(lambda: bench.state.startswith("disabled"), START_S)
                 for client in (bench.stop, bench.enable):
                     client.wait_for_service(START_S)
-                from contextlib import ExitStack
-
                 with ExitStack() as stack:
+                    for package in GRAPH if graph else ():
+                        main = f"from {package}.node import main; main()"
+                        stack.enter_context(program("-c", main, *arguments[:3]))
                     for _ in range(busy):
                         stack.enter_context(program("-c", BUSY))
                     if points:
                         flood = program("-c", FLOOD, str(points), str(pause_s), wait=True)
                         stack.enter_context(flood)
                     for number in range(count):
-                        found += one(bench, stops, number)
+                        found += one(bench, stops, number, graph)
         finally:
             bench.close()
             done.set()
@@ -202,12 +220,16 @@ def latencies(
     return found
 
 
-def one(bench: Bench, stops: Any, number: int) -> list[tuple[float, float]]:
-    """Enable, play for a while, stop; returns the time from call to wire [ms]."""
+def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, float]]:
+    """Enable, start a task if there is one, play for a while, stop; returns the time from call to
+    wire [ms]."""
     trigger, set_bool = bench.kinds
     answer = bench.call(bench.enable, set_bool.Request(data=True))
     if answer is None or not answer.success:
         return []
+    if task:
+        bench.begin_task()
+        time.sleep(1.0)
     time.sleep(0.3 + 0.037 * (number % 10))
     while not stops.empty():
         stops.get()
