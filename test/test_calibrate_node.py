@@ -107,7 +107,8 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
     def enable() -> None:
         """As a person does; the service would wait in real time."""
         run(0.3)
-        number, order = driver.latch.number, driver._keeper.enable()
+        number = driver.latch.number
+        order = driver._keeper.enable(number)
         for _ in range(20):
             run(0.0 if order.settled else 0.2)
         assert order.done, order.failure

@@ -547,7 +547,9 @@ def test_a_jam_is_told(desk):
     pass_time(desk, transport, 0.5)
     assert not desk.current
     assert transport.report().reason == "following"
-    assert transport.troubles() == ["device has stopped: following"]
+    [told] = transport.troubles()
+    assert told.startswith("device has stopped: following (a motor was 3.")
+    assert told.endswith("mm from where it was told to be, allowed: 3)")
     assert float(transport.values()["following_error_mm"]) > 3
 
 

@@ -44,6 +44,9 @@ SLOWEST = 4
 FOLLOWED = 0.2
 """Least share of the slow motion that the plate must do: else the motors are off, or miswired."""
 
+RESPONSE_BYTES = 32_768
+"""Length of a response's file, and more [bytes]."""
+
 AXES = ("x", "y", "theta")
 
 FILE_ERRORS = (
@@ -218,6 +221,27 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     rest = -np.angle(turn * np.exp(1j * omega * late))
     weight = np.abs(turn) * omega
     return np.asarray(t - late - np.sum(weight * rest) / np.sum(weight * omega))
+
+
+def check_writable(path: str | Path) -> None:
+    """See whether a response can be written to a file, before the plate is shaken for it.
+
+    Raises
+    ------
+    PlateError
+        If it cannot.
+    """
+    draft = Path(path).with_name(f".{Path(path).name}.{os.getpid()}")
+    try:
+        with draft.open("wb") as file:
+            file.write(bytes(RESPONSE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
 
 
 def save_response(path: str | Path, response: Response) -> None:

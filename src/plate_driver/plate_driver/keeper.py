@@ -7,14 +7,20 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from datetime import datetime
 
-from plate_core import CycleError
+from plate_core import CycleError, PlateError
 
 from .motor_table import MotorTable
-from .transport import Measured, Order, Report, Transport
+from .transport import Condition, Measured, Order, Report, Transport
 
 POLL_PERIOD_S = 0.005
 """Time between two looks at the transport [s]: an upload takes some ten of them."""
+
+STOPPED_SINCE = "another stop has come since; call enable again"
+
+BUSY_S, CLOSE_S = 0.3, 2.0
+"""Longest wait for a transport that is in the middle of something, and for its thread's end [s]."""
 
 REMEMBERED = 2000
 """Measurements that are kept until somebody asks for them: 20 s of them."""
@@ -47,6 +53,8 @@ class Latch:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._reason, self._number = "", 0
+        self.unanswered = False  # whether the last stop was not acknowledged
+        self.opened = ""  # when cycles were let through last, for people and for the planner
 
     @property
     def reason(self) -> str:
@@ -70,7 +78,8 @@ class Latch:
         with self._lock:
             if number != self._number:
                 return False
-            self._reason = ""
+            self._reason, self.unanswered = "", False
+            self.opened = f"{datetime.now():%H:%M:%S.%f}"
             return True
 
 
@@ -83,7 +92,7 @@ class Keeper:
         Already open.
     latch : Latch
     wrong : callable
-        Told, in this thread, what a defect of the transport raises: the motors are stopped then.
+        Told what a defect of the transport raises: the motors are stopped then, and count as gone.
     """
 
     def __init__(
@@ -122,22 +131,42 @@ class Keeper:
         self._thread.start()
 
     def look(self) -> None:
-        """Look after it once."""
+        """Look after it once. What a defect of the transport raises is told, and ends nothing."""
         with self._lock:
-            self._measured.extend(self._transport.poll())
-            self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
-            self.report = self._transport.report()
+            try:
+                self._measured.extend(self._transport.poll())
+                self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
+                self.report = self._transport.report()
+            except Exception as error:
+                self._broken(error)
+            if self.report.condition is Condition.OFF:
+                self._latch.unanswered = False  # whatever became of the answer
+
+    def _broken(self, error: Exception) -> None:
+        """Stop the motors, if that still works, and let no cycle through meanwhile."""
+        self.report = Report(Condition.GONE, f"the transport has a defect: {error!r}")
+        with contextlib.suppress(Exception):
+            self._transport.stop()
+        self._wrong(error)
 
     def _run(self) -> None:
         with urgent():
-            self._look_on()
-
-    def _look_on(self) -> None:
-        while not self._ended.wait(POLL_PERIOD_S):
-            try:
+            while not self._ended.wait(POLL_PERIOD_S):
                 self.look()
-            except Exception as error:  # a defect must be told, and must not end the looking
-                self._wrong(error)
+
+    def _asked(self, ask: Callable[[], Order]) -> Order:
+        """Ask the transport for something that a person wants; a defect is a failure."""
+        if not self._lock.acquire(timeout=BUSY_S):
+            return Order().settle("the transport is busy")
+        try:
+            order = ask()
+            self.report = self._transport.report()
+            return order
+        except Exception as error:
+            self._broken(error)
+            return Order().settle(repr(error))
+        finally:
+            self._lock.release()
 
     # What threads ask
 
@@ -152,26 +181,31 @@ class Keeper:
         with self._lock:
             if self._latch.reason or self._latch.number != number:
                 raise CycleError("the plate was stopped meanwhile")
-            self._transport.send(table, repeats)
+            try:
+                self._transport.send(table, repeats)
+            except PlateError:
+                raise
+            except Exception as error:
+                self._broken(error)
+                raise CycleError(f"the transport has a defect: {error!r}") from None
 
     def stop(self, cut: bool = False) -> Order:
         """Stop, see `Transport.stop`."""
-        with self._lock:
-            order = self._transport.stop(cut)
-            self.report = self._transport.report()
-            return order
+        return self._asked(lambda: self._transport.stop(cut))
 
-    def enable(self) -> Order:
-        """Enable, see `Transport.enable`."""
-        with self._lock:
-            order = self._transport.enable()
-            self.report = self._transport.report()
-            return order
+    def enable(self, number: int) -> Order:
+        """Enable, see `Transport.enable`: for whom the latch had counted so many stops."""
+
+        def ask() -> Order:
+            if self._latch.number != number:
+                return Order().settle(STOPPED_SINCE)
+            return self._transport.enable()
+
+        return self._asked(ask)
 
     def home(self) -> Order:
         """Home, see `Transport.home`."""
-        with self._lock:
-            return self._transport.home()
+        return self._asked(self._transport.home)
 
     def measured(self) -> list[Measured]:
         """Return what was measured since the last call."""
@@ -189,7 +223,11 @@ class Keeper:
     def values(self) -> dict[str, str]:
         """Return what is to be reported since the last call."""
         with self._lock:
-            return self._transport.values()
+            try:
+                return self._transport.values()
+            except Exception as error:
+                self._broken(error)
+                return {}
 
     def close(self) -> None:
         """Stop the motors, wait for the answer, and release the transport."""
@@ -197,6 +235,11 @@ class Keeper:
         if self._thread.is_alive():
             order.wait()
             self._ended.set()
-            self._thread.join()
-        with self._lock:
-            self._transport.close()
+            self._thread.join(CLOSE_S)
+        if self._lock.acquire(timeout=BUSY_S):
+            try:
+                self._transport.close()
+            except Exception as error:
+                self._broken(error)
+            finally:
+                self._lock.release()

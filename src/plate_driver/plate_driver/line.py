@@ -20,6 +20,9 @@ ANSWER_S = 0.03
 UNKNOWN_S = 0.25
 """Wait for an answer while no pulse has told the round trip [s]."""
 
+MOST_ROUND_S = 0.5
+"""Longest that a round trip is taken for [s], whatever was measured while this host stood still."""
+
 HEARTBEAT_S, QUICK_HEARTBEAT_S = 0.025, 0.01
 """Time between heartbeats, and where they are lost [s]: of ten or 25 one must reach the device, or
 its watchdog (0.25 s) bites. Where 5 % of the bytes are lost four heartbeats in ten come whole: ten
@@ -105,7 +108,9 @@ class LineModel:
     @property
     def round_s(self) -> float:
         """A round trip, long enough for nearly all [s]."""
-        return UNKNOWN_S if self.trip_s is None else self.trip_s + 4 * self.deviation_s
+        if self.trip_s is None:
+            return UNKNOWN_S
+        return min(self.trip_s + 4 * self.deviation_s, MOST_ROUND_S)
 
     @property
     def retry_s(self) -> float:

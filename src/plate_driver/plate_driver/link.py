@@ -50,8 +50,14 @@ wait for long behind what was sent before."""
 KNOTS_ANSWER_S = 0.01
 """What a device may take to answer knots, beside the round trip [s]."""
 
+MOST_TRIP_S = 1.0
+"""A pulse that took longer says nothing of the line [s]."""
+
 PULSE_AGE_S = 5.0
 """How long the pulse with the shortest round trip is kept [s]: 50 ppm of drift make 0.25 ms."""
+
+SCATTER = 40_503
+"""Sessions that follow each other begin so far apart (Knuth's multiplicative hashing)."""
 
 MOVABLE = (State.READY, State.PLAYING)
 """States in which the device takes a table."""
@@ -132,6 +138,8 @@ class Link:
         None until it has answered.
     told : Telemetry or None
         The last one.
+    told_at : float
+        When it came [s].
     telemetry : Telemetry or None
         The same, but None after each command that changes what it says, until the next one.
     answer : Answer or None
@@ -154,6 +162,7 @@ class Link:
     sequence: int = 0
     device: Capabilities | None = None
     told: Telemetry | None = None
+    told_at: float = float("-inf")
     telemetry: Telemetry | None = None
     clock: DeviceClock = field(default_factory=DeviceClock)
     heartbeat_at: float = float("-inf")
@@ -166,7 +175,10 @@ class Link:
     @classmethod
     def begun(cls, session: int, now: float, baud: float = float("inf")) -> Link:
         """Return a link that is about to say hello, over a line of so many bits a second."""
-        return cls(session, now, LineModel(baud))._asked(Hello(VERSION, session))
+        # Numbers begin elsewhere in each session, so that no answer to an older one fits.
+        number = session * SCATTER % 2**16
+        link = cls(session, now, LineModel(baud), sequence=number)
+        return link._asked(Hello(VERSION, session))
 
     @property
     def busy(self) -> bool:
@@ -242,6 +254,8 @@ class Link:
         if isinstance(message, Telemetry):
             return link._reported(message)
         if isinstance(message, Pulse):
+            if now - message.host_ns * 1e-9 > MOST_TRIP_S:
+                return link  # it waited while we stood still, or answers no heartbeat of ours
             clock, line = link.clock.heard(message, now), link.line.heard(message, now)
             return replace(link, clock=clock, line=line)
         if isinstance(message, Capabilities):
@@ -251,7 +265,7 @@ class Link:
         return link
 
     def _reported(self, told: Telemetry) -> Link:
-        link = replace(self, told=told, telemetry=told)
+        link = replace(self, told=told, telemetry=told, told_at=self.heard_at)
         if told.state in MOVABLE:
             return link
         # A device that has stopped takes no table, and must not find one when it is enabled.

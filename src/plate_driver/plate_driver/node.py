@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,9 +34,9 @@ from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
 from plate_core.ros.unlocked import UnlockedSubscription
 
-from .calibration import Calibration, Run, save_response, saved_response
+from .calibration import Calibration, Run, check_writable, save_response, saved_response
 from .guard import Guard
-from .keeper import Keeper, Latch, urgent
+from .keeper import STOPPED_SINCE, Keeper, Latch, urgent
 from .motor_table import MAX_KNOTS, MotorTable
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .state import (
@@ -61,6 +62,9 @@ from .transport import (
 CYCLE_PERIOD_S = 0.002
 """Time between looks for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
 
+MOST_CYCLES = 5
+"""Cycles that are taken in one look."""
+
 WATCH_PERIOD_S = 0.02
 STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
 """Time between looks whether driver_state has changed, and after which it is said again [s]."""
@@ -81,8 +85,8 @@ WORTH_A_WARNING = 0.99
 FAREWELL_S = 0.5
 """How long to wait until the last table has arrived [s]."""
 
-THREADS = 4
-"""For stops, while somebody waits for an enable."""
+THREADS = 16
+"""For stops, while others wait for an answer."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,7 @@ class DriverNode(SafeLifecycleNode):
         self._keeper: Keeper | None = None
         self._making = threading.Lock()
         self._run: Run | None = None
+        self._outcome = ""  # of the last calibration
         self._measured: Measured | None = None
         self._retries, self._ready_since = 0, 0.0
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
@@ -142,7 +147,7 @@ class DriverNode(SafeLifecycleNode):
         if self._options.autostart:
             try:
                 self.start()
-            except PlateError:
+            except BaseException:  # a signal too: threads must not outlive the node
                 self.destroy_node()
                 raise
 
@@ -152,10 +157,12 @@ class DriverNode(SafeLifecycleNode):
             if self.active and self.context.ok():
                 self.trigger_deactivate()
         finally:  # the line must be released all the same
-            self._close()
-            if hasattr(self, "_safety"):
-                self._safety.close()
-            super().destroy_node()
+            try:
+                self._close()
+            finally:
+                if hasattr(self, "_safety"):
+                    self._safety.close()
+                super().destroy_node()
 
     def _set_options(self, options: Options) -> None:
         self._options = options
@@ -193,7 +200,10 @@ class DriverNode(SafeLifecycleNode):
         self._ready_since = self._now()
         keeper = self._keeper
         if keeper is not None and not keeper.motors:
-            (keeper.stop if self._latch.reason else keeper.enable)()
+            if self._latch.reason:
+                keeper.stop()
+            elif keeper.enable(self._latch.number).done:
+                self._latch.open(self._latch.number)
         self._safety.say()
 
     def rest(self) -> None:
@@ -203,7 +213,9 @@ class DriverNode(SafeLifecycleNode):
             return
         self._latch.close(DISABLED if keeper.motors else "")
         self._halted()
-        if not keeper.stop().wait():
+        done = keeper.stop().wait()
+        self._latch.unanswered = not done
+        if not done:
             self.get_logger().error(UNANSWERED)
         else:
             end = self._now() + REST_S
@@ -256,21 +268,22 @@ class DriverNode(SafeLifecycleNode):
             if keeper is None:
                 stack.enter_context(self._making)
                 keeper = self._keeper
-            if keeper is not None:
-                order = keeper.stop(cut)
-                order.wait()
-                return order
-            try:
-                self._rig = load_rig(self._options.rig_file)
-                transport = self._make_transport()
-                transport.open()
-            except PlateError as error:
-                return Order().settle(str(error))
-            keeper = Keeper(transport, self._latch, self._on_defect)
-            keeper.start()
+            own = keeper is None
+            if keeper is None:
+                try:
+                    self._rig = load_rig(self._options.rig_file)
+                    transport = self._make_transport()
+                    transport.open()
+                except PlateError as error:
+                    self._latch.unanswered = True
+                    return Order().settle(str(error))
+                keeper = Keeper(transport, self._latch, self._on_defect)
+                keeper.start()
             order = keeper.stop(cut)
-            order.wait()
-            keeper.close()
+            self._latch.unanswered = not order.wait()
+            keeper.look()
+            if own:
+                keeper.close()
             return order
 
     @property
@@ -289,7 +302,8 @@ class DriverNode(SafeLifecycleNode):
         report = None if keeper is None else keeper.report
         run = self._run
         lifecycle = "active" if self.active else ("unconfigured" if keeper is None else "inactive")
-        return driver_state(lifecycle, self._latch.reason, report, run is not None)
+        latch = self._latch
+        return driver_state(lifecycle, latch.reason, report, run is not None, latch.unanswered)
 
     # Work
 
@@ -297,8 +311,11 @@ class DriverNode(SafeLifecycleNode):
         return time.monotonic()
 
     def _take(self) -> None:
-        """Look whether a cycle has come."""
-        while (taken := self._cycles.take()) is not None:
+        """Look whether cycles have come: a few, so that a flood leaves time for all else."""
+        for _ in range(MOST_CYCLES):
+            taken = self._cycles.take()
+            if taken is None:
+                return
             self.take_cycle(*taken)
 
     def take_cycle(self, data: bytes, size: int) -> None:
@@ -393,6 +410,8 @@ class DriverNode(SafeLifecycleNode):
             response.message = f"the driver is {state}, allowed: ready"
         else:
             try:
+                check_writable(self._options.calibration_file)
+                self._outcome = ""
                 self._experiment(keeper, Run(Calibration.begun(self._rig)), self._now())
                 response.success, response.message = True, "see driver_state and diagnostics"
             except PlateError as error:
@@ -430,8 +449,8 @@ class DriverNode(SafeLifecycleNode):
 
     def _calibrated(self, text: str, now: float) -> None:
         """End a calibration."""
+        self._outcome = text
         if text.startswith("failed"):
-            self._guard = self._guard.troubled(f"calibration {text}")
             self.get_logger().error(f"calibration {text}")
         else:
             self.get_logger().info(f"calibration {text}")
@@ -478,11 +497,16 @@ class DriverNode(SafeLifecycleNode):
         run = self._run
         if run is not None:
             values["calibration"] = run.calibration.progress
+        elif self._outcome:
+            values["calibration"] = self._outcome
         if keeper is not None:
             values |= dict(keeper.report.values) | keeper.values()
         retries = int(values.get("retries", "0"))
         again, self._retries = max(0, retries - self._retries), retries
-        level, message = health(state, record, again, self._quiet_s(now))
+        lasting = [f"calibration {self._outcome}"] if self._outcome.startswith("failed") else []
+        if values.get("following_watched") == "no":
+            lasting.append("following error is not watched: limits.following_error_m is 0")
+        level, message = health(state, record, again, self._quiet_s(now), lasting)
         status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="plate")
         status.level, status.message = bytes([level]), message
         status.values = [KeyValue(key=k, value=v) for k, v in values.items()]
@@ -519,15 +543,15 @@ class Safety:
             namespace=driver.get_namespace(), use_global_arguments=False,
             start_parameter_services=False,
         )  # fmt: skip
-        stops, waits = ReentrantCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        for kind, name, call, group in (
-            (Trigger, "emergency_stop", self._on_emergency_stop, stops),
-            (Trigger, "cut_power", self._on_cut_power, stops),
-            (SetBool, "enable", self._on_enable, waits),
-            (Trigger, "home", self._on_home, waits),
+        group = ReentrantCallbackGroup()
+        for kind, name, answer in (
+            (Trigger, "emergency_stop", self._on_emergency_stop),
+            (Trigger, "cut_power", self._on_cut_power),
+            (SetBool, "enable", self._on_enable),
+            (Trigger, "home", self._on_home),
         ):
             full = driver.resolve_service_name(name)
-            node.create_service(kind, full, call, callback_group=group)
+            node.create_service(kind, full, self._guarded(answer), callback_group=group)
         topic = driver.resolve_topic_name("driver_state")
         self._states = node.create_publisher(String, topic, LATCHED)
         self._state, self._said_at = "", float("-inf")
@@ -542,12 +566,33 @@ class Safety:
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+            while self._context.ok():
+                try:
+                    self._executor.spin()
+                except ExternalShutdownException:
+                    raise
+                except Exception as error:
+                    self.node.get_logger().error(f"safety: {error!r}")
+
+    def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Return a callback that answers whatever goes wrong: these threads must not end."""
+
+        def callback(request: Any, response: Any) -> Any:
+            try:
+                return answer(request, response)
+            except Exception as error:
+                self.node.get_logger().error(f"{type(request).__name__}: {error!r}")
+                response.success, response.message = False, UNANSWERED
+                return response
+
+        return callback
 
     def say(self) -> None:
         """Publish driver_state if it has changed, or was not said for a while."""
         with self._saying:
             state, now = self._driver.told(), time.monotonic()
+            if state == READY:  # another text after each enable: nobody can miss a stop in between
+                state = f"{READY}: enabled at {self._latch.opened}"
             if state == self._state and now - self._said_at < LIFE_PERIOD_S:
                 return
             self._state, self._said_at = state, now
@@ -574,7 +619,7 @@ class Safety:
         self._latch.close(reason, over=("", DISABLED) if not cut else ())
         order = self._driver.stop_motors(cut)
         response.success = order.done
-        response.message = reason if order.done else UNANSWERED
+        response.message = self._driver.told() if order.done else UNANSWERED
         self.say()
         if order.done:
             self.node.get_logger().warning(reason)
@@ -587,7 +632,7 @@ class Safety:
             self._latch.close(DISABLED)
             order = self._driver.stop_motors(False)
             response.success = order.done
-            response.message = self._latch.reason if order.done else UNANSWERED
+            response.message = self._driver.told() if order.done else UNANSWERED
             self.say()
             return response
         keeper, number = self._driver.keeper, self._latch.number
@@ -595,14 +640,15 @@ class Safety:
             response.success = False
             response.message = f"the driver is {self._driver.told()}, allowed: active"
             return response
-        order = keeper.enable()
+        order = keeper.enable(number)
         self.say()
         order.wait()
         if not order.settled:
             order.settle(f"the motors are not ready after {order.longest_s:.2g} s")
         failure = order.failure
         if not failure and not self._latch.open(number):
-            failure = "another stop has come since; call enable again"
+            failure = STOPPED_SINCE
+            keeper.stop()  # whatever it has found
         keeper.look()
         self.say()
         response.success, response.message = not failure, failure or self._driver.told()

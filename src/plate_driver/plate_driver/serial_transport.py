@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import termios
 from collections.abc import Callable
 from typing import Protocol
 
@@ -11,7 +12,9 @@ import serial
 
 from plate_core import CycleError, PlateError
 from plate_core.errors import FrameError
+from plate_core.rig import Limits
 from plate_core.serial_protocol import (
+    Capabilities,
     Enable,
     Fault,
     Home,
@@ -52,6 +55,9 @@ QUIET_S = 0.5
 STOP_ANSWER_S, HOME_ANSWER_S, READY_S = 0.5, 1.0, 8.0
 """Longest waits, besides four round trips: for the answers to a stop and to a home, and until the
 motors are ready: 5 s for the search of home, 0.5 s for the way there [s]."""
+
+ROUNDING = 1e-5
+"""By so much limits may differ [share]: they come in single precision."""
 
 READ_BYTES = 65_536
 """Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
@@ -104,7 +110,7 @@ def open_port(name: str, baud: int = BAUD) -> Port:
     """
     try:
         port: Port = _Serial(name, baud, timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:  # SerialException is an OSError
+    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
         raise PlateError(
             f"port is {name!r}, allowed: a serial port that opens at {baud} baud ({error})"
         ) from None
@@ -127,8 +133,9 @@ def make_serial(context: TransportContext) -> SerialTransport:
     port, baud = str(values["port"]), int(values["baud"])
     check_line(baud, float(values["longest_upload_s"]))
     return SerialTransport(
-        lambda: open_port(port, baud), context.clock, context.seed, bool(values["streams"]), baud
-    )
+        lambda: open_port(port, baud), context.clock, context.seed, bool(values["streams"]), baud,
+        context.rig.limits,
+    )  # fmt: skip
 
 
 class SerialTransport:
@@ -149,6 +156,8 @@ class SerialTransport:
         Whether setpoints are streamed, not sent ahead cycle by cycle.
     baud : float
         Of the line [bit/s].
+    limits : Limits, optional
+        Of the rig: a device that keeps other ones is not enabled.
     """
 
     motors = True
@@ -160,7 +169,12 @@ class SerialTransport:
         seed: int,
         streams: bool = False,
         baud: float = BAUD,
+        limits: Limits | None = None,
     ) -> None:
+        self._limits, self._unfit = limits, ""
+        self._boot: int | None = None
+        self._reset = False  # and not enabled since
+        self._closed = False
         self._streams, self._baud = streams, baud
         self._row: Unrolled | None = None
         self._row_began: float | None = None  # on the device's clock [s]
@@ -202,6 +216,7 @@ class SerialTransport:
 
     def open(self) -> None:
         """Open the port and say hello; a PlateError says what is missing."""
+        self._closed = False
         self._connect(self._make_port())
         self.poll()
 
@@ -271,11 +286,18 @@ class SerialTransport:
         told, now = self._link.told, self._clock()
         if self._port is None or self._link.device is None or told is None:
             return Report(Condition.GONE, self._gone)
-        if now - self._link.heard_at > QUIET_S + self._link.line.round_s:
+        longest = QUIET_S + self._link.line.round_s
+        if now - self._link.heard_at > longest:
             return Report(Condition.GONE, UNANSWERED)
+        if now - self._link.told_at > longest:
+            return Report(Condition.GONE, "the device does not tell its state")
+        if self._unfit:
+            return Report(Condition.GONE, self._unfit)
         # Where home is not known the next enable finds it: that is no reason to look at the rig.
         faults = told.faults & ~Fault.NO_HOME
         reason = named(faults) if told.state in (State.OFF, State.BRAKING) else ""
+        if told.state is State.OFF and self._reset:
+            reason = "the device was reset"
         return Report(CONDITIONS[told.state], reason)
 
     @property
@@ -304,6 +326,7 @@ class SerialTransport:
                 "faults": named(link.told.faults) or "none",
                 "stop": str(link.told.stop),
                 "following_error_mm": f"{1e3 * self._followed_m:.3f}",
+                "following_watched": "yes" if link.device and link.device.following_m else "no",
                 "device_heat": f"{link.told.heat:.4f}",
                 "device_load": f"{self._load:.3f}",
             }
@@ -319,6 +342,8 @@ class SerialTransport:
         self._row = self._next = None
         self._grant("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
+        if self._closed:
+            return order.settle(UNANSWERED)
         self._cut = cut or (self._cut and bool(self._stops))
         self._stops.append(order)
         self._link = self._link.stopping(self._cut)
@@ -329,6 +354,8 @@ class SerialTransport:
         """Ask for current, once, after the stop that the device tells now."""
         told = self._link.told
         order = self._ordered(READY_S)
+        if self._unfit:
+            return order.settle(self._unfit)
         if self.report().condition is Condition.GONE or told is None:
             return order.settle(UNANSWERED)
         if self._stops or self._link.telemetry is None:  # nobody knows which stop it would clear
@@ -357,6 +384,7 @@ class SerialTransport:
         if self._port is not None and not self._stops and not off:
             self.stop()
         self._row = self._next = None
+        self._closed = True
         self._release()
 
     def _ordered(self, longest_s: float) -> Order:
@@ -379,6 +407,7 @@ class SerialTransport:
         elif isinstance(answer.message, Enable) and self._link.telemetry is not None:
             state = self._link.telemetry.state
             if state in (State.READY, State.PLAYING):
+                self._reset = False
                 self._grant()
             elif state is not State.HOMING:
                 reason = named(self._link.telemetry.faults)
@@ -412,6 +441,7 @@ class SerialTransport:
         self._link = self._link.heard(packet, now)
         if before is None and self._link.device is not None:
             self._failures, self._gone = 0, UNANSWERED
+            self._greeted(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
             return None
@@ -419,11 +449,26 @@ class SerialTransport:
         self._load = max(self._load, message.load)
         if message.faults & ~(Fault.STOPPED | Fault.NO_HOME) and message.stop != self._stop_told:
             self._stop_told = message.stop
-            self._tell(f"device has stopped: {named(message.faults)}")
+            self._tell(f"device has stopped: {named(message.faults)}{self._strayed(message)}")
         if message.state not in (State.READY, State.PLAYING):
             self._row = self._next = None
         # Until a pulse has come nobody knows when it was.
         return message if np.isfinite(self._link.clock.trip_s) else None
+
+    def _greeted(self, device: Capabilities) -> None:
+        """Look at a device that has answered: is it the same, and is it for this rig?"""
+        self._reset = self._reset or self._boot not in (None, device.boot)
+        self._boot = device.boot
+        self._unfit = "" if self._limits is None else differing(device, self._limits)
+        if self._unfit:
+            self._tell(self._unfit)
+
+    def _strayed(self, told: Telemetry) -> str:
+        device = self._link.device
+        if not told.faults & Fault.FOLLOWING or device is None:
+            return ""
+        most, allowed = 1e3 * self._followed_m, 1e3 * device.following_m
+        return f" (a motor was {most:.2g} mm from where it was told to be, allowed: {allowed:.2g})"
 
     def _lead(self, now: float) -> float:
         """How far the stream is ahead of the device [s]; infinite if none plays, or it ends."""
@@ -492,6 +537,24 @@ class SerialTransport:
 def named(faults: Fault) -> str:
     """Return faults in words."""
     return ", ".join(fault.name.lower().replace("_", " ") for fault in faults if fault.name)
+
+
+def differing(device: Capabilities, limits: Limits) -> str:
+    """Say which limits of a device are not those of the rig file; empty if all are."""
+    pairs = {
+        "stroke [m]": (device.stroke_m, limits.stroke_m),
+        "speed [m/s]": (device.speed, limits.speed),
+        "accel [m/s2]": (device.accel, limits.accel),
+        "force [N]": (device.force, limits.force),
+        "continuous force [N]": (device.lasting, limits.continuous_force),
+        "following error [m]": (device.following_m, limits.following_error_m),
+    }
+    wrong = [
+        f"{name} {own:.4g}, rig file {rig:.4g}"
+        for name, (own, rig) in pairs.items()
+        if abs(own - rig) > ROUNDING * abs(rig)
+    ]
+    return f"the device's limits are not the rig's: {', '.join(wrong)}" if wrong else ""
 
 
 def _refused(status: Status) -> str:

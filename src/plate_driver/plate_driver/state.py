@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 
 from .record import Record
 from .transport import Condition, Report
 
 READY, CALIBRATING = "ready", "calibrating"
-EMERGENCY = "stopped: emergency stop; look at the rig, then call enable"
-CUT = "stopped: power cut; look at the rig, then call enable"
-DISABLED = "disabled: the motors are off; call enable"
+EMERGENCY, CUT, DISABLED = "emergency stop", "power cut", "disabled"
+"""What a person has asked for, as the latch keeps it."""
+
+LOOK = "look at the rig, then call enable"
+OFF = "disabled: the motors are off; call enable"
+UNCERTAIN = "error: the last stop was not acknowledged: cut the power by hand"
+"""What driver_state says until the device has been heard again."""
 
 UNANSWERED = "the device does not answer: cut the power by hand"
 """What a stop says that nobody has acknowledged."""
@@ -28,7 +33,13 @@ class Level(IntEnum):
     STALE = 3
 
 
-def driver_state(lifecycle: str, latch: str, report: Report | None, calibrating: bool) -> str:
+def driver_state(
+    lifecycle: str,
+    latch: str,
+    report: Report | None,
+    calibrating: bool,
+    unanswered: bool = False,
+) -> str:
     """Return what driver_state says.
 
     Parameters
@@ -39,34 +50,45 @@ def driver_state(lifecycle: str, latch: str, report: Report | None, calibrating:
         Why the driver lets no cycles through; empty: it does.
     report : Report or None
         What the motors do; None: no transport is open.
+    calibrating : bool
+    unanswered : bool
+        Whether the last stop was not acknowledged.
     """
+    condition = Condition.GONE if report is None else report.condition
+    if unanswered and condition is Condition.GONE:
+        return UNCERTAIN
     if lifecycle != "active" or report is None:
-        word, _, reason = latch.partition(": ")
-        return f"{lifecycle}: {reason}" if word == "stopped" else lifecycle
-    if report.condition is Condition.GONE:
+        if condition is Condition.BRAKING:
+            return f"{lifecycle}: braking"
+        return f"{lifecycle}: {latch}; {LOOK}" if latch in (EMERGENCY, CUT) else lifecycle
+    if condition is Condition.GONE:
         return f"error: {report.reason or 'the device does not answer'}"
-    if report.condition is Condition.BRAKING:
-        return f"braking: {latch.partition(': ')[2] or report.reason or 'stopped'}"
-    if report.condition is Condition.OFF:
+    if condition is Condition.BRAKING:
+        return f"braking: {latch or report.reason or 'stopped'}"
+    if condition is Condition.OFF:
         return _off(latch, report.reason)
-    if report.condition is Condition.ENABLING:
+    if condition is Condition.ENABLING:
         return "enabling: the plate goes home"
     if latch:
-        return "braking: the device has not acknowledged the stop"
+        return f"braking: {latch}"
     return CALIBRATING if calibrating else READY
 
 
 def _off(latch: str, reason: str) -> str:
-    if latch.startswith("stopped") or reason in ("", "stopped"):
-        if latch:
-            return latch
-        if not reason:
-            return DISABLED
-        return "stopped: before this driver began; look at the rig, then call enable"
-    return f"stopped: {reason}; look at the rig, then call enable"
+    if latch in (EMERGENCY, CUT):
+        return f"stopped: {latch}; {LOOK}"
+    if reason not in ("", "stopped"):
+        return f"stopped: {reason}; {LOOK}"
+    return OFF if latch or not reason else f"stopped: before this driver began; {LOOK}"
 
 
-def health(state: str, record: Record, retries: int, quiet_s: float | None) -> tuple[Level, str]:
+def health(
+    state: str,
+    record: Record,
+    retries: int,
+    quiet_s: float | None,
+    lasting: Sequence[str] = (),
+) -> tuple[Level, str]:
     """Return how well the driver is, and why.
 
     Parameters
@@ -79,15 +101,18 @@ def health(state: str, record: Record, retries: int, quiet_s: float | None) -> t
         Messages that were repeated in it.
     quiet_s : float or None
         Time for which no cycle came [s], if the plate rests because of that.
+    lasting : sequence of str
+        What is wrong until somebody changes it.
     """
     word = state.partition(":")[0]
     if word in ("error", "stopped"):
         return Level.ERROR, state
     if word not in (READY, CALIBRATING):
-        return Level.WARN, state
+        return Level.WARN, "; ".join([state, *lasting])
     if quiet_s is not None:
-        return Level.STALE, f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
-    troubles = record.troubles
+        told = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
+        return Level.STALE, "; ".join([told, *lasting])
+    troubles = (*record.troubles, *lasting)
     if retries > MANY_RETRIES:
         troubles = (*troubles, f"{retries} messages were repeated: the line is bad")
     if troubles:

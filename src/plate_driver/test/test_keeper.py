@@ -8,7 +8,18 @@ from plate_core import CycleError, load_rig
 from plate_driver.keeper import Keeper, Latch
 from plate_driver.motor_table import MotorTable
 from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
-from plate_driver.state import CUT, DISABLED, EMERGENCY, Level, Record, driver_state, health
+from plate_driver.state import (
+    CUT,
+    DISABLED,
+    EMERGENCY,
+    LOOK,
+    OFF,
+    UNCERTAIN,
+    Level,
+    Record,
+    driver_state,
+    health,
+)
 from plate_driver.transport import Condition, Order, Report, SimTransport
 
 RIG = load_rig()
@@ -64,13 +75,80 @@ def test_a_stop_does_not_wait_for_whoever_waits_for_an_enable():
     keeper, _, _ = kept()
     never = Order(longest_s=60.0)
     keeper._transport.enable = lambda: never
-    waiting = threading.Thread(target=lambda: keeper.enable().wait(), daemon=True)
+    waiting = threading.Thread(target=lambda: keeper.enable(0).wait(), daemon=True)
     waiting.start()
     assert keeper.stop().done
     assert waiting.is_alive()
     never.settle("stopped")
     waiting.join(10)
     assert not waiting.is_alive()
+
+
+def refused(keeper: Keeper, number: int) -> None:
+    with pytest.raises(CycleError, match="defect"):
+        keeper.send(TABLE, 1, number)
+
+
+def test_an_enable_that_was_called_before_a_stop_does_not_reach_the_transport():
+    keeper, latch, _ = kept()
+    number = latch.number
+    latch.close(EMERGENCY)
+    assert keeper.stop().done
+    asked = []
+    keeper._transport.enable = lambda: asked.append(1) or Order().settle()
+    assert "another stop has come since" in keeper.enable(number).failure
+    assert not asked
+    assert keeper.enable(latch.number).done
+    assert asked
+
+
+@pytest.mark.parametrize("broken", ["stop", "enable", "home", "report", "poll", "send", "values"])
+def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
+    """Whatever it raises: the answer is no, no cycle goes on, and the motors are stopped."""
+    told: list[Exception] = []
+    sent: list = []
+    latch = Latch()
+    keeper = Keeper(SimTransport(RIG, sent.append), latch, told.append)
+    keeper.send(TABLE, 1, latch.number)
+    stops = []
+    stop = keeper._transport.stop
+    keeper._transport.stop = lambda cut=False: stops.append(cut) or stop(cut)
+
+    def defect(*_):
+        raise RuntimeError("a defect")
+
+    setattr(keeper._transport, broken, defect)
+    calls = {
+        "stop": keeper.stop, "enable": lambda: keeper.enable(0), "home": keeper.home,
+        "report": keeper.look, "poll": keeper.look, "values": keeper.values,
+        "send": lambda: refused(keeper, latch.number),
+    }  # fmt: skip
+    answer = calls[broken]()
+    if isinstance(answer, Order):
+        assert answer.settled
+        assert not answer.done
+    assert [str(error) for error in told] == ["a defect"]
+    assert keeper.report.condition is Condition.GONE
+    assert "defect" in keeper.report.reason
+    assert bool(stops) == (broken != "stop")
+
+
+def test_a_transport_that_hangs_does_not_hold_up_an_answer():
+    keeper, _, _ = kept()
+    hangs, go_on = threading.Event(), threading.Event()
+
+    def poll():
+        hangs.set()
+        go_on.wait(30)
+        return []
+
+    keeper._transport.poll = poll
+    keeper.start()
+    assert hangs.wait(10)
+    order = keeper.stop()
+    assert order.failure == "the transport is busy"
+    go_on.set()
+    keeper.close()
 
 
 def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
@@ -100,23 +178,24 @@ def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
         ("inactive", DISABLED, Condition.OFF, "", False, "inactive"),
         ("active", "", Condition.GONE, "", False, "error: the device does not answer"),
         ("active", EMERGENCY, Condition.GONE, "port is gone", False, "error: port is gone"),
-        ("active", "", Condition.OFF, "", False, DISABLED),
-        ("active", DISABLED, Condition.OFF, "stopped", False, DISABLED),
+        ("active", "", Condition.OFF, "", False, OFF),
+        ("active", DISABLED, Condition.OFF, "stopped", False, OFF),
+        ("active", DISABLED, Condition.BRAKING, "stopped", False, "braking: disabled"),
+        ("inactive", DISABLED, Condition.BRAKING, "stopped", False, "inactive: braking"),
         ("active", DISABLED, Condition.OFF, "supply", False,
          "stopped: supply; look at the rig, then call enable"),
-        ("active", EMERGENCY, Condition.OFF, "supply", False, EMERGENCY),
+        ("active", EMERGENCY, Condition.OFF, "supply", False, f"stopped: emergency stop; {LOOK}"),
         ("active", "", Condition.OFF, "following", False,
          "stopped: following; look at the rig, then call enable"),
         ("active", "", Condition.OFF, "stopped", False,
          "stopped: before this driver began; look at the rig, then call enable"),
         ("active", "", Condition.ENABLING, "", False, "enabling: the plate goes home"),
         ("active", EMERGENCY, Condition.BRAKING, "stopped", False,
-         "braking: emergency stop; look at the rig, then call enable"),
+         "braking: emergency stop"),
         ("active", "", Condition.BRAKING, "heat", False, "braking: heat"),
         ("active", "", Condition.READY, "", False, "ready"),
         ("active", "", Condition.READY, "", True, "calibrating"),
-        ("active", EMERGENCY, Condition.READY, "", False,
-         "braking: the device has not acknowledged the stop"),
+        ("active", EMERGENCY, Condition.READY, "", False, "braking: emergency stop"),
     ],
 )  # fmt: skip
 def test_driver_state_is_what_the_motors_report(
@@ -124,6 +203,14 @@ def test_driver_state_is_what_the_motors_report(
 ):
     report = None if condition is None else Report(condition, reason)
     assert driver_state(lifecycle, latch, report, calibrating) == told
+
+
+@pytest.mark.parametrize("lifecycle", ["unconfigured", "inactive", "active"])
+def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(lifecycle):
+    gone, off = Report(Condition.GONE, "port is gone"), Report(Condition.OFF, "stopped")
+    assert driver_state(lifecycle, CUT, gone, False, True) == UNCERTAIN
+    assert driver_state(lifecycle, CUT, None, False, True) == UNCERTAIN
+    assert "power cut" in driver_state(lifecycle, CUT, off, False, True)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +221,10 @@ def test_driver_state_is_what_the_motors_report(
         ("ready", ("a cycle was refused",), 0, None, Level.WARN, "a cycle was refused"),
         ("ready", (), 51, None, Level.WARN, "51 messages were repeated: the line is bad"),
         ("ready", (), 0, 1.2, Level.STALE, "no plate_cycle for 1.2 s, the plate rests"),
-        (DISABLED, (), 0, 5.0, Level.WARN, DISABLED),
+        (OFF, (), 0, 5.0, Level.WARN, OFF),
         ("inactive", (), 0, None, Level.WARN, "inactive"),
         ("error: x", (), 0, 5.0, Level.ERROR, "error: x"),
-        (EMERGENCY, (), 0, None, Level.ERROR, EMERGENCY),
+        (f"stopped: {CUT}; {LOOK}", (), 0, None, Level.ERROR, f"stopped: {CUT}; {LOOK}"),
     ],
 )
 def test_levels(state, troubles, retries, quiet_s, level, message):

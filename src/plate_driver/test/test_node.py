@@ -31,7 +31,7 @@ from plate_core.ros.convert import (  # noqa: E402
 )
 from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.state import CUT, DISABLED, EMERGENCY  # noqa: E402
+from plate_driver.state import LOOK, OFF  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 DOMAIN = 1 + (31 * os.getpid() + 17) % 99
@@ -51,6 +51,9 @@ def shaking(amplitude: float) -> PlateCycle:
     twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
     twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
     return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+
+
+EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
 
 
 class Peer:
@@ -90,8 +93,9 @@ class Peer:
 
     def _on_state(self, msg: String) -> None:
         self.heard_at.append(time.monotonic())
-        if not self.told or self.told[-1] != msg.data:
-            self.told.append(msg.data)
+        state = "ready" if msg.data.startswith("ready: enabled at") else msg.data
+        if not self.told or self.told[-1] != state:
+            self.told.append(state)
 
     def until(self, condition, seconds: float = 60.0) -> bool:
         """Spin until the condition holds; False when it takes too long.
@@ -362,7 +366,7 @@ def test_services_stop_disable_and_enable(peer):
     for call, state in (
         (lambda: peer.call(stop, Trigger.Request()), EMERGENCY),
         (lambda: peer.call(cut, Trigger.Request()), CUT),
-        (lambda: peer.call(enable, SetBool.Request(data=False)), DISABLED),
+        (lambda: peer.call(enable, SetBool.Request(data=False)), OFF),
     ):
         stamp += MS
         peer.send(shaking(0.0005), stamp)

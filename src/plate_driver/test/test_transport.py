@@ -158,7 +158,7 @@ def test_a_transport_from_outside_is_found_and_driven(outside):
     keeper = Keeper(transport, latch, lambda error: pytest.fail(repr(error)))
     keeper.look()
     assert keeper.report.condition is Condition.OFF
-    assert keeper.enable().done
+    assert keeper.enable(latch.number).done
     keeper.send(TABLE, 3, latch.number)
     assert keeper.stop(cut=True).done
     assert keeper.home().failure == "no home here"

@@ -62,6 +62,10 @@ class Inputs:
         What the driver last said; empty: nothing.
     error_since : float or None
         Since when it has told an error.
+    ready : str
+        What it said when it was ready last: another text after each enable.
+    enabled_again : float or None
+        When that has changed: the motors were stopped meanwhile, even if nothing else told.
     said : mapping of str to Said
         Diagnostics by node.
     """
@@ -73,6 +77,8 @@ class Inputs:
     unanswered: float | None = None
     driver_state: str = ""
     error_since: float | None = None
+    ready: str = ""
+    enabled_again: float | None = None
     said: Mapping[str, Said] = field(default_factory=dict)
 
     @classmethod
@@ -100,10 +106,20 @@ class Inputs:
 
     def heard_driver(self, now: float, state: str) -> Inputs:
         """Take in what the driver says."""
-        since = None
+        since, again = None, self.enabled_again
+        if state.startswith(READY):
+            if self.ready not in ("", state):
+                again = now
+            self = replace(self, ready=state)
         if state.startswith("error"):
             since = now if self.error_since is None else self.error_since
-        return replace(self, driver=self.driver.heard(now), driver_state=state, error_since=since)
+        return replace(
+            self,
+            driver=self.driver.heard(now),
+            driver_state=state,
+            error_since=since,
+            enabled_again=again,
+        )
 
     def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
         """Take in diagnostics of a node; those of nodes outside the loop do not count."""
@@ -166,6 +182,8 @@ class Inputs:
                 return f"driver: {self.driver_state}"
         elif not self.driver_state.startswith(READY):
             return f"driver: {self.driver_state}"
+        if self.enabled_again is not None and self.enabled_again > began:
+            return "driver: the motors were stopped and enabled again"
         silence = min(self.parts.silence(now), now - began)
         if silence > timeout:
             return self._no_parts(now, silence, publishers)

@@ -48,6 +48,19 @@ class SafeLifecycleNode(LifecycleNode):
         self.active = False
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
 
+    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:  # noqa: N802
+        """Answer a request for a transition that the state does not have with `success: false`.
+
+        rclpy lets the error of its state machine end the process, and has no public place for this.
+        """
+        try:
+            return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
+        except RuntimeError as error:  # RCLError, which has no public name
+            wanted = request.transition.label or request.transition.id
+            self.get_logger().error(f"transition {wanted} refused: {error}")
+            response.success = False
+            return response
+
     def start(self) -> None:
         """Configure and activate.
 
