@@ -160,6 +160,71 @@ def _bench(tmp_path):
     return Bench(tmp_path)
 
 
+STANDARD = "limits of config/rig.yaml as it came (no RIG is named)"
+
+
+@emulated
+def test_flash_takes_what_was_built_and_says_what_that_is(bench):
+    assert "nothing is built" in bench.refused("flash")
+    code, told, _ = bench.make()
+    assert code == 0
+    assert STANDARD in told
+    assert "stroke 0.01 m" in told
+    standard = bench.image()
+    assert bench.make(f"RIG={bench.rig}")[0] == 0
+    image = bench.image()
+    assert image != standard
+    code, told, _ = bench.make("flash")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
+    for limit in (
+        "stroke 0.0071 m", "speed 1.0 m/s", "acceleration 100.0 m/s2", "force 12.5 N",
+        "following error not watched",
+    ):  # fmt: skip
+        assert limit in told
+    assert bench.image() == image
+    [call] = bench.flashes()
+    assert f"program {bench.build}/plate.elf verify reset exit" in call
+
+
+@emulated
+def test_build_remembers_what_it_was_told(bench):
+    assert bench.make(f"RIG={bench.rig}", "CRYSTAL_MHZ=25")[0] == 0
+    image = bench.image()
+    code, told, _ = bench.make("BAUD=460800")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 25, BAUD 460800" in told
+    assert bench.image() != image
+    assert numbers((bench.build / "limits_rig.h").read_text(encoding="utf-8")) == expected(
+        DeviceLimits.of_rig(load_rig(bench.rig))
+    )
+    assert bench.make("BAUD=921600")[0] == 0
+    assert bench.image() == image
+    code, told, _ = bench.make("RIG=")
+    assert code == 0
+    assert STANDARD in told
+
+
+@emulated
+def test_flash_refuses_what_it_is_not_sure_of(bench):
+    assert bench.make(f"RIG={bench.rig}")[0] == 0
+    assert "BAUD 460800" in bench.refused("flash", "BAUD=460800")
+    assert STANDARD in bench.refused("flash", "RIG=")
+    later = (bench.build / "plate.txt").stat().st_mtime + 1
+    os.utime(bench.rig, (later, later))
+    assert f"{bench.rig} is newer" in bench.refused("flash")
+    os.utime(bench.rig, (1, 1))
+    assert bench.make("flash")[0] == 0
+    # A build that fails leaves nothing to flash, and is not remembered.
+    assert "none.yaml: no such file" in bench.refused("RIG=/none.yaml")
+    assert "nothing is built" in bench.refused("flash")
+    assert bench.make("CRYSTAL_MHZ=12")[0]
+    assert "nothing is built" in bench.refused("flash")
+    code, told, _ = bench.make("all", "flash")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
+
+
 @emulated
 def test_build_without_the_projects_python_says_what_to_do(bench):
     line = bench.refused(f"RIG={bench.rig}", "PYTHON=no_python")
