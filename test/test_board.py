@@ -1,7 +1,9 @@
 """The firmware on an emulated STM32F405 (firmware/boards/stm32f405): what a tick costs, what it
 commands, what stops it. Ticks are stepped, so that no test depends on how busy the machine is."""
 
+import os
 import re
+import subprocess
 import time
 from pathlib import Path
 
@@ -110,6 +112,124 @@ def test_image_has_no_double_no_heap_and_no_streams(firmware):
 def test_build_refuses_a_rig_that_is_none(tmp_path):
     with pytest.raises(RuntimeError, match=r"nothing\.yaml"):
         built(tmp_path, RIG=tmp_path / "nothing.yaml")
+
+
+class Bench:
+    """A person's shell outside the environment, with a programmer that writes down what it gets."""
+
+    def __init__(self, folder: Path) -> None:
+        self.build = folder / "build"
+        self.flashed = folder / "flashed"
+        programmer = folder / "openocd"
+        programmer.write_text(f'#!/bin/sh\necho "$@" >> {self.flashed}\n', encoding="utf-8")
+        programmer.chmod(0o755)
+        self.rig = folder / "my rig.yaml"
+        facts = yaml.safe_load((ROOT / "config" / "rig.yaml").read_text(encoding="utf-8"))
+        facts["limits"] |= {"stroke_m": 0.0071, "force_n": 12.5, "following_error_m": 0}
+        self.rig.write_text(yaml.safe_dump(facts), encoding="utf-8")
+        self.environment = {"PATH": f"{folder}:{os.environ['PATH']}"}
+
+    def make(self, *arguments: str) -> tuple[int, str, str]:
+        """Return code, output and errors of a make in the board's folder."""
+        command = ["make", "-s", "-C", str(BOARD), f"BUILD={self.build}", *arguments]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=120, env=self.environment
+        )
+        return done.returncode, done.stdout, done.stderr
+
+    def refused(self, *arguments: str) -> str:
+        """Return the one line that says why a make was refused; nothing was flashed."""
+        before = self.flashes()
+        code, _, errors = self.make(*arguments)
+        assert code
+        [line] = [line for line in errors.splitlines() if not line.startswith("make: ***")]
+        assert self.flashes() == before
+        return line
+
+    def flashes(self) -> list[str]:
+        return (
+            self.flashed.read_text(encoding="utf-8").splitlines() if self.flashed.exists() else []
+        )
+
+    def image(self) -> bytes:
+        return (self.build / "plate.bin").read_bytes()
+
+
+@pytest.fixture(name="bench")
+def _bench(tmp_path):
+    return Bench(tmp_path)
+
+
+STANDARD = "limits of config/rig.yaml as it came (no RIG is named)"
+
+
+@emulated
+def test_flash_takes_what_was_built_and_says_what_that_is(bench):
+    assert "nothing is built" in bench.refused("flash")
+    code, told, _ = bench.make()
+    assert code == 0
+    assert STANDARD in told
+    assert "stroke 0.01 m" in told
+    standard = bench.image()
+    assert bench.make(f"RIG={bench.rig}")[0] == 0
+    image = bench.image()
+    assert image != standard
+    code, told, _ = bench.make("flash")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
+    for limit in (
+        "stroke 0.0071 m", "speed 1.0 m/s", "acceleration 100.0 m/s2", "force 12.5 N",
+        "following error not watched",
+    ):  # fmt: skip
+        assert limit in told
+    assert bench.image() == image
+    [call] = bench.flashes()
+    assert f"program {bench.build}/plate.elf verify reset exit" in call
+
+
+@emulated
+def test_build_remembers_what_it_was_told(bench):
+    assert bench.make(f"RIG={bench.rig}", "CRYSTAL_MHZ=25")[0] == 0
+    image = bench.image()
+    code, told, _ = bench.make("BAUD=460800")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 25, BAUD 460800" in told
+    assert bench.image() != image
+    assert numbers((bench.build / "limits_rig.h").read_text(encoding="utf-8")) == expected(
+        DeviceLimits.of_rig(load_rig(bench.rig))
+    )
+    assert bench.make("BAUD=921600")[0] == 0
+    assert bench.image() == image
+    code, told, _ = bench.make("RIG=")
+    assert code == 0
+    assert STANDARD in told
+
+
+@emulated
+def test_flash_refuses_what_it_is_not_sure_of(bench):
+    assert bench.make(f"RIG={bench.rig}")[0] == 0
+    assert "BAUD 460800" in bench.refused("flash", "BAUD=460800")
+    assert STANDARD in bench.refused("flash", "RIG=")
+    later = (bench.build / "plate.txt").stat().st_mtime + 1
+    os.utime(bench.rig, (later, later))
+    assert f"{bench.rig} is newer" in bench.refused("flash")
+    os.utime(bench.rig, (1, 1))
+    assert bench.make("flash")[0] == 0
+    # A build that fails leaves nothing to flash, and is not remembered.
+    assert "none.yaml: no such file" in bench.refused("RIG=/none.yaml")
+    assert "nothing is built" in bench.refused("flash")
+    assert bench.make("CRYSTAL_MHZ=12")[0]
+    assert "nothing is built" in bench.refused("flash")
+    code, told, _ = bench.make("all", "flash")
+    assert code == 0
+    assert f"limits of {bench.rig}; CRYSTAL_MHZ 8, BAUD 921600" in told
+
+
+@emulated
+def test_build_without_the_projects_python_says_what_to_do(bench):
+    line = bench.refused(f"RIG={bench.rig}", "PYTHON=no_python")
+    assert "no_python" in line
+    assert f"run make setup in {ROOT}, or source its env.sh" in line
 
 
 @emulated

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import serial
+import yaml
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.kinematics import motor_state
+from plate_core.rig import default_rig_path
 from plate_core.serial_protocol import (
     Begin,
     Commit,
@@ -53,6 +55,40 @@ def test_load_gives_the_plate_its_acceleration():
     np.testing.assert_allclose(total, RIG.plate.mass_kg * accel[:2], rtol=1e-6)
     inertia = RIG.plate.mass_kg * (RIG.plate.length_m**2 + RIG.plate.width_m**2) / 12
     assert torque == pytest.approx(inertia * accel[2], rel=1e-6)
+
+
+def test_load_is_that_of_the_inertia_and_centre_of_mass_in_the_rig_file(tmp_path):
+    # Independent: Newton's law for each of four point masses of that inertia about that centre.
+    facts = yaml.safe_load(default_rig_path().read_text(encoding="utf-8"))
+    centre, inertia = np.array([0.04, -0.02]), 0.11
+    facts["suspension"] = {
+        "frequency_hz": [35, 35, 35],
+        "damping_ratio": [0.03, 0.03, 0.03],
+        "feedforward": {"mass": 0, "damping": 0, "stiffness": 1},
+        "inertia_kgm2": inertia,
+        "centre_of_mass_m": centre.tolist(),
+    }
+    path = tmp_path / "hung.yaml"
+    path.write_text(yaml.safe_dump(facts), encoding="utf-8")
+    hung = load_rig(path)
+    mass = hung.plate.mass_kg
+    places = centre + np.sqrt(inertia / mass) * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    motors = [(np.array(motor.point), np.array(motor.direction)) for motor in hung.motors]
+    for accel in np.eye(3) * [5.0, 5.0, 40.0]:
+        pulls = mass / 4 * (accel[:2] + accel[2] * np.stack([-places[:, 1], places[:, 0]], 1))
+        needed = [*pulls.sum(0), np.sum(places[:, 0] * pulls[:, 1] - places[:, 1] * pulls[:, 0])]
+        qdd = [
+            way @ (accel[:2] + accel[2] * np.array([-point[1], point[0]])) for point, way in motors
+        ]
+        force = DeviceLimits.of_rig(hung).forces(np.array(qdd, np.float32))
+        pushes = [push * way for push, (_, way) in zip(force, motors, strict=True)]
+        torque = sum(
+            point[0] * push[1] - point[1] * push[0]
+            for push, (point, _) in zip(pushes, motors, strict=True)
+        )
+        np.testing.assert_allclose([*np.sum(pushes, 0), torque], needed, rtol=1e-5, atol=1e-4)
+        # A uniform plate on the same flexures would need something else.
+        assert np.max(np.abs(LIMITS.forces(np.array(qdd, np.float32)) - force)) > 0.05
 
 
 def test_line_is_as_bad_as_asked():

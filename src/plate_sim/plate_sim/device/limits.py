@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import Rig
+from plate_core.suspension import mass_matrix
 
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
@@ -46,19 +47,20 @@ class DeviceLimits:
 
     @classmethod
     def of_rig(cls, rig: Rig) -> DeviceLimits:
-        """Return the limits for a rig's plate, its suspension left out.
+        """Return the limits for a rig's plate, the forces of its flexures left out.
 
         Forces f = B^+ M c'' of least norm push the plate with B; c'' = (B^T)^+ q'' follows from the
-        motors' accelerations at home, so the load is B^+ M (B^T)^+.
+        motors' accelerations at home, so the load is B^+ M (B^T)^+. M is the suspension's, with the
+        inertia and the centre of mass that it tells, or else that of a uniform plate.
         """
         (x, y), (dx, dy) = (
             np.array([getattr(motor, name) for motor in rig.motors]).T
             for name in ("point", "direction")
         )
         share = np.linalg.pinv(np.stack([dx, dy, x * dy - y * dx]))
-        plate = rig.plate
+        plate, hung = rig.plate, rig.suspension
         inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-        mass = np.diag([plate.mass_kg, plate.mass_kg, inertia])
+        mass = np.array(mass_matrix(plate.mass_kg, inertia) if hung is None else hung.mass)
         # Rounded, so that no rounding error of the inverse decides about a limit.
         load = np.round(share @ mass @ share.T, 9)
         limits = rig.limits
