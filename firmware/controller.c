@@ -8,6 +8,7 @@
 
 #define WATCHDOG_US 250000u
 #define TELEMETRY_US 10000u
+#define LONGEST_UNTOLD_US 100000u
 #define HOLD_MS 10000u      /* longest time that a table is played again */
 #define TICKS_PER_MS 100000u
 #define WINDOW 8            /* knot messages that may be on their way: what the board's buffer holds */
@@ -61,6 +62,9 @@ static float bearable(const Controller *c)
     return c->limits.lasting * c->limits.lasting;
 }
 
+/* A value as it is told: what is not finite would make the whole packet one that is refused. */
+static float told(float value) { return isfinite(value) ? value : 0; }
+
 static void tell_state(Controller *c)
 {
     uint8_t fields[64], *at = put_u64(fields, c->now_us);
@@ -75,10 +79,10 @@ static void tell_state(Controller *c)
     for (int m = 1; m < MOTORS; m++)
         hottest = fmaxf(hottest, c->heat[m]);
     for (int m = 0; m < MOTORS; m++)
-        at = put_f32(at, c->measured[m]);
+        at = put_f32(at, told(c->measured[m]));
     for (int m = 0; m < MOTORS; m++)
-        at = put_f32(at, c->accelerations[m]);
-    at = put_f32(put_f32(put_f32(at, hottest / bearable(c)), c->following_m), hal_load());
+        at = put_f32(at, told(c->accelerations[m]));
+    at = put_f32(put_f32(put_f32(at, hottest / bearable(c)), told(c->following_m)), hal_load());
     c->following_m = 0;
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
@@ -232,6 +236,9 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
         return STATUS_WRONG_STATE; /* a stream has no end to begin at */
     if (repeats == 0 || (table->streams && repeats != 1))
         return STATUS_REPEATS;
+    for (int m = 0; m < MOTORS && c->state == STATE_READY; m++)
+        if (!(fabsf(c->commanded.position[m]) <= REST_M))
+            return STATUS_JUMP; /* a stream has ended elsewhere: only stop and enable lead home */
     if (table->streams) {
         if (table->count < 2 || table_period(table) < BRAKE_TICKS)
             return STATUS_INCOMPLETE; /* it must always be able to brake */
@@ -472,7 +479,8 @@ void controller_tick(Controller *c)
     uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);
-    if (c->now_us - c->told_us >= TELEMETRY_US && hal_idle()) { /* a slow line carries less of it */
+    uint64_t silent_us = c->now_us - c->told_us; /* a slow line carries less of it, but never none */
+    if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= LONGEST_UNTOLD_US)) {
         c->told_us = c->now_us;
         tell_state(c);
     }

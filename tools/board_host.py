@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -53,6 +54,9 @@ FEW_PIECES = 24
 PLAYED_TICKS = 300
 """Of a new table that are measured."""
 
+HOSTS = itertools.count(1)
+"""Hosts so far."""
+
 VERSION = 2
 """Of the protocol."""
 
@@ -87,7 +91,8 @@ class Host:
         self.board, self._pace = board, pace
         self._reader = Reader()
         self.waiting = b""
-        self._sequence, self._session = 100, 0
+        # Numbers of its own: what the line delivers late from a host before this one must not fit.
+        self._sequence = self._session = 1000 * next(HOSTS)
         self._ticks = self._beat_at = 0
         self.telemetry: list[Telemetry] = []
         self.answers: dict[int, Status] = {}

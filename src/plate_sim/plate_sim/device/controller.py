@@ -47,7 +47,7 @@ WINDOW = 8
 """Messages of knots that may be on their way."""
 
 WATCHDOG_US = 250_000
-TELEMETRY_US = 10_000
+TELEMETRY_US, LONGEST_UNTOLD_US = 10_000, 100_000
 HOLD_MS = 10_000
 """Longest time that a table is played again."""
 
@@ -224,7 +224,8 @@ class Device:
         device = changed(
             device, motion=motion, heat=heat, heat_rest=rest, draft=draft, follows=at is not None
         )
-        if now_us - device.told_us >= TELEMETRY_US and line_idle:
+        silent_us = now_us - device.told_us  # a slow line carries less of it, but never none
+        if silent_us >= TELEMETRY_US and (line_idle or silent_us >= LONGEST_UNTOLD_US):
             device, told = changed(device, told_us=now_us)._say(device._telemetry())
             device, said = changed(device, following_m=np.float32(0)), said + told
         return device, said, at
@@ -321,7 +322,8 @@ class Device:
         moving = motion.state is State.PLAYING or (
             motion.state is State.BRAKING and motion.homeward_us is None
         )
-        position, accel = (tuple(row) for row in self.measured.tolist())
+        finite = np.where(np.isfinite(self.measured), self.measured, np.float32(0))
+        position, accel = (tuple(row) for row in finite.tolist())
         return Telemetry(
             self.now_us,
             motion.state,
@@ -333,7 +335,7 @@ class Device:
             position,
             accel,
             float(np.max(self.heat) / self.limits.bearable),
-            float(self.following_m),
+            float(self.following_m) if np.isfinite(self.following_m) else 0.0,
             self.load,
         )
 
@@ -522,6 +524,9 @@ class Device:
             return self, Status.WRONG_STATE  # a stream has no end to begin at
         if commit.repeats == 0 or (endless and commit.repeats != 1):
             return self, Status.REPEATS
+        away = np.abs(motion.commanded[0]) > REST_M
+        if motion.state is State.READY and away.any():
+            return self, Status.JUMP  # a stream has ended elsewhere: only stop and enable lead home
         if isinstance(draft, Stream):
             if len(draft.ticks) < 2 or draft.period_ticks < BRAKE_TICKS:
                 return self, Status.INCOMPLETE  # it must always be able to brake
