@@ -16,6 +16,7 @@ from desk import (
     say,
     spline,
     twin,
+    upload,
     wave,
 )  # fmt: skip
 
@@ -122,6 +123,24 @@ def test_wrong_setpoints_are_refused_and_the_plate_brakes(device, at, values, st
     assert later <= {Status.INCOMPLETE, Status.WRONG_TABLE}
     assert (done.state, done.faults) == (State.OFF, Fault.HOST_SILENT)
     assert limits_kept(done.setpoints)
+
+
+def test_after_a_stream_that_ended_away_from_home_no_table_begins(device):
+    knots = endless(8)
+    u = np.linspace(0, 1, len(knots))
+    shift = 1e-3 * (10 * u**3 - 15 * u**4 + 6 * u**5)  # to 1 mm, from rest to rest
+    away = tuple(
+        replace(k, position=tuple(x + s for x in k.position))
+        for k, s in zip(knots, shift.tolist(), strict=True)
+    )
+    end = replace(away[-1], velocity=(0.0,) * 4, acceleration=(0.0,) * 4)
+    done = run(
+        device, *READY, *streamed((*away[:-1], end)), *quiet(0.5), upload(2, wave(0.001), 400),
+        0.2,
+    )  # fmt: skip
+    assert np.max(np.abs(done.setpoints[-1, 0])) > 5e-4
+    assert done.state is State.READY
+    assert done.answers()[400 + 1 + 7] is Status.JUMP
 
 
 def test_a_stream_begins_where_the_plate_is_with_room_to_brake(device):
