@@ -34,4 +34,5 @@ setup(
     maintainer_email="plate@example.org",
     description="Rig facts, frames, plate cycles and message conversion shared by all stages.",
     license="Apache-2.0",
+    entry_points={"console_scripts": [f"plate = {NAME}.ros.command:main"]},
 )

@@ -391,6 +391,37 @@ def test_services_stop_disable_and_enable(peer):
     assert "cycle refused: the driver is stopped: emergency stop; look at the rig" in output
 
 
+@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
+def test_a_transition_that_does_not_fit_is_refused_and_ends_nothing(peer):
+    assert peer.change("configure")
+    assert peer.change("activate")
+    assert not peer.change("activate")
+    assert not peer.change("configure")
+    assert peer.state() == "active"
+    stop = peer.node.create_client(Trigger, "emergency_stop")
+    assert peer.call(stop, Trigger.Request()).success
+
+
+def test_the_command_line_stops_and_tells(peer):
+    peer.connect()
+
+    def plate(*words: str) -> tuple[int, str]:
+        code = "from plate_core.ros.command import main; main()"
+        environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE], env=environment, capture_output=True, text=True,
+            timeout=60,
+        )  # fmt: skip
+        return done.returncode, done.stdout
+
+    assert plate("emergency_stop") == (0, EMERGENCY + "\n")
+    code, text = plate("state")
+    assert (code, EMERGENCY in text) == (0, True)
+    assert plate("enable") == (0, "ready\n")
+    code, text = plate("start")
+    assert (code, "no service start" in text) == (1, True)
+
+
 def test_a_stop_latches_in_every_state(peer):
     """Without motors there is only the driver's own latch: nothing but enable opens it."""
     peer.connect()

@@ -48,7 +48,7 @@ class SafeLifecycleNode(LifecycleNode):
         self.active = False
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
 
-    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:  # noqa: N802
+    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
         """Answer a request for a transition that the state does not have with `success: false`.
 
         rclpy lets the error of its state machine end the process, and has no public place for this.
