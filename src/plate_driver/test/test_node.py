@@ -409,8 +409,8 @@ def test_the_command_line_stops_and_tells(peer):
         code = "from plate_core.ros.command import main; main()"
         environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}
         done = subprocess.run(
-            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE], env=environment, capture_output=True, text=True,
-            timeout=60,
+            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE], env=environment,
+            capture_output=True, text=True, timeout=60,
         )  # fmt: skip
         return done.returncode, done.stdout
 
