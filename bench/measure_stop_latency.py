@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -237,7 +238,7 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
     future = bench.stop.call_async(trigger.Request())
     try:
         told, looked = stops.get(timeout=10.0)
-    except Exception:  # queue.Empty: there was none
+    except queue.Empty:
         return [(float("inf"), float("inf"))]
     bench.until(future.done, 5.0)
     bench.until(lambda: bench.state.startswith("stopped"), 10.0)

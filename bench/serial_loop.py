@@ -131,7 +131,7 @@ class Operator:
     _since: float | None = None
 
     def look(self, now: float) -> None:
-        """Look at what is told at a time [s]."""
+        """Look at what the driver reports at a time [s]."""
         if self.transport.report().condition is not Condition.OFF:
             self._since = None
             return
@@ -213,7 +213,7 @@ class Loop:
         table, _ = prepare(self._rig, cycle, round(now * 1e9))
         try:
             self.transport.send(table, HOLD_CYCLES)
-        except CycleError:  # the device is not ready: its reason is told by driver_state
+        except CycleError:  # the device is not ready: driver_state gives the reason
             return
         self._sent = [*self._sent[-1:], table.cycle]
 

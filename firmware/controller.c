@@ -62,7 +62,7 @@ static float bearable(const Controller *c)
     return c->limits.lasting * c->limits.lasting;
 }
 
-/* A value as it is told: what is not finite would make the whole packet one that is refused. */
+/* A value for telemetry: one that is not finite would make the host refuse the whole packet. */
 static float told(float value) { return isfinite(value) ? value : 0; }
 
 static void tell_state(Controller *c)

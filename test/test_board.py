@@ -40,7 +40,9 @@ MOST = 42_000
 SLACK = 1.002
 """A limit may be passed by this factor (docs/protocol.md)."""
 
-emulated = pytest.mark.skipif(bool(missing()), reason=f"not installed: apt install {missing()}")
+emulated = pytest.mark.skipif(
+    bool(missing()), reason=f"the emulated board needs tools that are not installed: {missing()}"
+)
 
 
 @pytest.fixture(name="firmware", scope="module")
@@ -321,7 +323,7 @@ def assert_moved_within_limits(record: Record) -> None:
 
 @emulated
 def test_a_plate_that_does_not_follow_is_let_go(tmp_path):
-    """Nothing moves in an emulator: as a jammed plate, held 2 mm from where it is told to be."""
+    """Nothing moves in an emulator: as a jammed plate, held 2 mm from its setpoint."""
     with SteppedBoard(built(tmp_path / "b"), tmp_path, logs=True) as board:
         host = ready(board)
         assert host.upload(1, wave(48, 0.2)) is Status.DONE

@@ -133,7 +133,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
         run(1.0)
         calibrated()
         run(3.0)
-        emulator.reset()  # it fails, which is told; nothing begins again by itself
+        emulator.reset()  # it fails, with the reason; nothing begins again by itself
         run(3.0)
         assert not learned.exists()
         assert driver._run is None

@@ -261,7 +261,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(desk):
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
     assert 5e-4 < board.travel < 2e-3
     assert nanoseconds(desk.setpoints[-1].header.stamp) <= desk.stamp
-    # Without cycles the plate rests by itself, with current; that is told, and no fault.
+    # Without cycles the plate rests by itself, with current; the driver says so: it is no fault.
     assert desk.until(lambda: board.state is State.READY)
     assert desk.until(lambda: desk.reports[-1].level == DiagnosticStatus.STALE)
     assert desk.reports[-1].message.startswith("no plate_cycle for ")

@@ -1,4 +1,4 @@
-"""A process between nodes: hands the main input of each node on to it, until it is told to cut one.
+"""A process between nodes: hands the main input of each node on to it, until a command cuts one.
 
 What a cut cable, a wrong remapping or a filter that has died look like to the node behind it: its
 process runs, those before it run, and nothing comes.

@@ -40,7 +40,7 @@ class Session:
     def free(self) -> None:
         """Set the plate free: activate the driver and, where there are motors, enable them.
 
-        Whoever calls this is the person who enables.
+        The caller stands for the person who enables.
         """
         self.observer.activate_driver()
         if self.options.transport == "serial":

@@ -38,7 +38,7 @@ HELD = "at rest, but the drives hold their current: cut it at the drives before 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What the controller is told: times (k,) [s] from now; travel [m], speed [m/s] and
+    """A command to the controller: times (k,) [s] from now; travel [m], speed [m/s] and
     acceleration [m/s2] of the motors (k, 4); quintics between."""
 
     times: np.ndarray

@@ -22,7 +22,7 @@ static float supply; /* [V] */
 static int supply_bad;    /* ticks on end */
 static bool sensors_lost, sensors_met, driving;
 
-/* Home search of each motor: where it is told to be [m], and whether its edge was there. */
+/* Home search of each motor: its setpoint [m], and whether its edge was there. */
 static struct {
     bool begun, found[MOTORS];
     bool beyond[MOTORS]; /* the side on which it began */

@@ -30,7 +30,7 @@ class Level(IntEnum):
 
     @property
     def rank(self) -> int:
-        """How bad it is: of several the worst is told; an error asks for more than silence does."""
+        """How bad it is: an error asks for more than silence does."""
         return (Level.OK, Level.WARN, Level.STALE, Level.ERROR).index(self)
 
 

@@ -8,11 +8,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import datetime
+from typing import TypeVar
 
 from plate_core import CycleError, PlateError
 
 from .motor_table import MotorTable
 from .transport import Condition, Measured, Order, Report, Transport
+
+T = TypeVar("T")
 
 POLL_PERIOD_S = 0.005
 """Time between two looks at the transport [s]: an upload takes some ten of them."""
@@ -131,42 +134,54 @@ class Keeper:
         self._thread.start()
 
     def look(self) -> None:
-        """Look after it once. What a defect of the transport raises is told, and ends nothing."""
+        """Look after it once."""
         with self._lock:
-            try:
-                self._measured.extend(self._transport.poll())
-                self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
-                self.report = self._transport.report()
-            except Exception as error:
-                self._broken(error)
+            self._tried(self._looked)
             if self.report.condition is Condition.OFF:
                 self._latch.unanswered = False  # whatever became of the answer
 
-    def _broken(self, error: Exception) -> None:
-        """Stop the motors, if that still works, and let no cycle through meanwhile."""
-        self.report = Report(Condition.GONE, f"the transport has a defect: {error!r}")
-        with contextlib.suppress(Exception):
-            self._transport.stop()
-        self._wrong(error)
+    def _looked(self) -> None:
+        self._measured.extend(self._transport.poll())
+        self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
+        self.report = self._transport.report()
+
+    def _tried(self, ask: Callable[[], T]) -> T | None:
+        """Ask the transport, with the lock held; None if that shows a defect.
+
+        A transport may be anybody's code. Whatever it raises, but a refusal, stops the motors and
+        lets no cycle through; it must end neither this thread nor the one that answers stops.
+        """
+        try:
+            return ask()
+        except PlateError:
+            raise
+        except Exception as error:  # see above
+            self.report = Report(Condition.GONE, f"the transport has a defect: {error!r}")
+            with contextlib.suppress(Exception):  # the same defect, most likely
+                self._transport.stop()
+            self._wrong(error)
+            return None
 
     def _run(self) -> None:
         with urgent():
             while not self._ended.wait(POLL_PERIOD_S):
                 self.look()
 
-    def _asked(self, ask: Callable[[], Order]) -> Order:
-        """Ask the transport for something that a person wants; a defect is a failure."""
+    def _ordered(self, ask: Callable[[], Order]) -> Order:
+        """Ask the transport for something that a person wants."""
         if not self._lock.acquire(timeout=BUSY_S):
             return Order().settle("the transport is busy")
         try:
-            order = ask()
-            self.report = self._transport.report()
+            order = self._tried(ask)
+            if order is None:
+                return Order().settle(self.report.reason)
+            self._tried(self._reported)
             return order
-        except Exception as error:
-            self._broken(error)
-            return Order().settle(repr(error))
         finally:
             self._lock.release()
+
+    def _reported(self) -> None:
+        self.report = self._transport.report()
 
     # What threads ask
 
@@ -181,17 +196,17 @@ class Keeper:
         with self._lock:
             if self._latch.reason or self._latch.number != number:
                 raise CycleError("the plate was stopped meanwhile")
-            try:
+
+            def ask() -> bool:
                 self._transport.send(table, repeats)
-            except PlateError:
-                raise
-            except Exception as error:
-                self._broken(error)
-                raise CycleError(f"the transport has a defect: {error!r}") from None
+                return True
+
+            if not self._tried(ask):
+                raise CycleError(self.report.reason)
 
     def stop(self, cut: bool = False) -> Order:
         """Stop, see `Transport.stop`."""
-        return self._asked(lambda: self._transport.stop(cut))
+        return self._ordered(lambda: self._transport.stop(cut))
 
     def enable(self, number: int) -> Order:
         """Enable, see `Transport.enable`: for whom the latch had counted so many stops."""
@@ -201,11 +216,11 @@ class Keeper:
                 return Order().settle(STOPPED_SINCE)
             return self._transport.enable()
 
-        return self._asked(ask)
+        return self._ordered(ask)
 
     def home(self) -> Order:
         """Home, see `Transport.home`."""
-        return self._asked(self._transport.home)
+        return self._ordered(self._transport.home)
 
     def measured(self) -> list[Measured]:
         """Return what was measured since the last call."""
@@ -223,11 +238,7 @@ class Keeper:
     def values(self) -> dict[str, str]:
         """Return what is to be reported since the last call."""
         with self._lock:
-            try:
-                return self._transport.values()
-            except Exception as error:
-                self._broken(error)
-                return {}
+            return self._tried(self._transport.values) or {}
 
     def close(self) -> None:
         """Stop the motors, wait for the answer, and release the transport."""
@@ -238,8 +249,6 @@ class Keeper:
             self._thread.join(CLOSE_S)
         if self._lock.acquire(timeout=BUSY_S):
             try:
-                self._transport.close()
-            except Exception as error:
-                self._broken(error)
+                self._tried(self._transport.close)
             finally:
                 self._lock.release()

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
@@ -28,11 +27,13 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_core import CycleError, PlateError, load_rig
 from plate_core.kinematics import motor_state
 from plate_core.ros.convert import msg_to_cycle, nanoseconds, to_time, trajectory_to_msg
+from plate_core.ros.diagnostics import PERIOD_S, Diagnostics
 from plate_core.ros.lifecycle import SafeLifecycleNode, logged
 from plate_core.ros.main import run_node
 from plate_core.ros.params import declare, follow, parameter
 from plate_core.ros.qos import DATA, LATCHED
 from plate_core.ros.unlocked import UnlockedSubscription
+from plate_core.status import INPUT_TIMEOUT_S, Finding
 
 from .calibration import Calibration, Run, check_writable, save_response, saved_response
 from .guard import Guard
@@ -69,12 +70,8 @@ WATCH_PERIOD_S = 0.02
 STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
 """Time between looks whether driver_state has changed, and after which it is said again [s]."""
 
-REPORT_PERIOD_S = 1.0
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
-
-IDLE_S = 1.0
-"""So long after the motors are ready, without any cycle, the driver says that none comes [s]."""
 
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""
@@ -137,11 +134,12 @@ class DriverNode(SafeLifecycleNode):
         self._run: Run | None = None
         self._outcome = ""  # of the last calibration
         self._measured: Measured | None = None
-        self._retries, self._ready_since = 0, 0.0
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
+        self._ready_since = 0.0
+        self._reported: dict[str, str] = {}  # values of the last diagnostics
+        self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_PERIOD_S, self._report, clock=self._steady)
+        self._diagnostics = Diagnostics(self, self._find, self._values, "plate", self._begin_report)
         with urgent():  # for the participant's own threads too
             self._safety = Safety(self)
         if self._options.autostart:
@@ -489,37 +487,37 @@ class DriverNode(SafeLifecycleNode):
         q, qd, _ = motor_state(self._rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
         return q[0].tolist(), qd[0].tolist()
 
-    def _report(self) -> None:
-        """Publish diagnostics, in every state."""
-        now, state, guard, keeper = self._now(), self.told(), self._guard, self._keeper
-        record, self._guard = guard.record, guard.reported()
-        values = guard.values(REPORT_PERIOD_S, now) | {"state": state}
-        run = self._run
+    def _find(self, now: float) -> Finding:
+        """Return how well the driver is, and why."""
+        lasting = [f"calibration {self._outcome}"] if self._outcome.startswith("failed") else []
+        if self._reported.get("following_watched") == "no":
+            lasting.append("following error is not watched: limits.following_error_m is 0")
+        return health(self.told(), self._guard.record, self._again, self._quiet_s(now), lasting)
+
+    def _values(self) -> dict[str, str]:
+        """Return what diagnostics tell, name to value."""
+        run, keeper = self._run, self._keeper
+        values = self._guard.values(PERIOD_S, self._now()) | {"state": self.told()}
         if run is not None:
             values["calibration"] = run.calibration.progress
         elif self._outcome:
             values["calibration"] = self._outcome
         if keeper is not None:
             values |= dict(keeper.report.values) | keeper.values()
-        retries = int(values.get("retries", "0"))
-        again, self._retries = max(0, retries - self._retries), retries
-        lasting = [f"calibration {self._outcome}"] if self._outcome.startswith("failed") else []
-        if values.get("following_watched") == "no":
-            lasting.append("following error is not watched: limits.following_error_m is 0")
-        level, message = health(state, record, again, self._quiet_s(now), lasting)
-        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="plate")
-        status.level, status.message = bytes([level]), message
-        status.values = [KeyValue(key=k, value=v) for k, v in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
+        before, now = (int(v.get("retries", "0")) for v in (self._reported, values))
+        self._again, self._reported = max(0, now - before), values
+        return values
+
+    def _begin_report(self) -> None:
+        """Begin to count for the next diagnostics."""
+        self._guard = self._guard.reported()
 
     def _quiet_s(self, now: float) -> float | None:
         """Time for which no cycle has come [s], if the plate rests because of that."""
         if self._guard.watchdog.fed_at is not None:
             return None
         quiet = now - max(self._guard.sent_at, self._ready_since)
-        return quiet if quiet > max(IDLE_S, self._guard.watchdog.hold_s) else None
+        return quiet if quiet > max(INPUT_TIMEOUT_S, self._guard.watchdog.hold_s) else None
 
 
 class Safety:

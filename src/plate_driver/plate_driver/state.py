@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
+
+from plate_core.status import Finding, Level
 
 from .record import Record
 from .transport import Condition, Report
@@ -22,15 +23,6 @@ UNANSWERED = "the device does not answer: cut the power by hand"
 
 MANY_RETRIES = 50
 """Messages repeated in a second beyond which the line is worth a warning."""
-
-
-class Level(IntEnum):
-    """Of a diagnostic status."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-    STALE = 3
 
 
 def driver_state(
@@ -88,7 +80,7 @@ def health(
     retries: int,
     quiet_s: float | None,
     lasting: Sequence[str] = (),
-) -> tuple[Level, str]:
+) -> Finding:
     """Return how well the driver is, and why.
 
     Parameters
@@ -106,15 +98,15 @@ def health(
     """
     word = state.partition(":")[0]
     if word in ("error", "stopped"):
-        return Level.ERROR, state
+        return Finding(Level.ERROR, state)
     if word not in (READY, CALIBRATING):
-        return Level.WARN, "; ".join([state, *lasting])
+        return Finding(Level.WARN, "; ".join([state, *lasting]))
     if quiet_s is not None:
         told = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
-        return Level.STALE, "; ".join([told, *lasting])
+        return Finding(Level.STALE, "; ".join([told, *lasting]))
     troubles = (*record.troubles, *lasting)
     if retries > MANY_RETRIES:
         troubles = (*troubles, f"{retries} messages were repeated: the line is bad")
     if troubles:
-        return Level.WARN, ", ".join(troubles)
-    return Level.OK, "all cycles as asked"
+        return Finding(Level.WARN, ", ".join(troubles))
+    return Finding(Level.OK, "all cycles as asked")

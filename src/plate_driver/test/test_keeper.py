@@ -5,6 +5,7 @@ import threading
 import pytest
 
 from plate_core import CycleError, load_rig
+from plate_core.status import Finding, Level
 from plate_driver.keeper import Keeper, Latch
 from plate_driver.motor_table import MotorTable
 from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
@@ -15,7 +16,6 @@ from plate_driver.state import (
     LOOK,
     OFF,
     UNCERTAIN,
-    Level,
     Record,
     driver_state,
     health,
@@ -70,7 +70,7 @@ def test_a_weaker_reason_does_not_replace_a_stronger_one():
     assert latch.number == 5
 
 
-def test_a_stop_does_not_wait_for_whoever_waits_for_an_enable():
+def test_a_stop_does_not_wait_behind_an_enable():
     """The enable of a transport that never becomes ready is waited for without a lock."""
     keeper, _, _ = kept()
     never = Order(longest_s=60.0)
@@ -228,7 +228,7 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(lifec
     ],
 )
 def test_levels(state, troubles, retries, quiet_s, level, message):
-    assert health(state, Record(troubles=troubles), retries, quiet_s) == (level, message)
+    assert health(state, Record(troubles=troubles), retries, quiet_s) == Finding(level, message)
 
 
 def test_long_messages_are_refused_by_their_beginning():
@@ -244,4 +244,4 @@ def test_long_messages_are_refused_by_their_beginning():
     with pytest.raises(CycleError, match=f"{most + 1} bytes, allowed: at most {most}"):
         check_length(head + (50).to_bytes(4, "little"), most + 1, 50)
     for data in (b"", b"\0\1\0\0", b"\xff" * 40, head, b"\0\1\0\0" + b"\xff" * 100):
-        check_length(data, len(data), 50)  # what is no cycle is found out by whoever unpacks it
+        check_length(data, len(data), 50)  # whether it is a cycle shows when it is unpacked

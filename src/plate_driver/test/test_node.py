@@ -275,7 +275,7 @@ def test_foreign_cycle_and_silence(peer, rig):
     applied = msg_to_motors(rig, peer.answer(MS))
     assert applied.starts_at_rest
     assert applied.period == pytest.approx(3 * PERIOD)
-    # No more cycles: the plate rests by itself, which is told; nothing is sent for it.
+    # No more cycles: the plate rests by itself, and the driver says so; nothing is sent for it.
     assert peer.until(lambda: peer.level() == DiagnosticStatus.STALE)
     assert peer.reports[-1].status[0].message.startswith("no plate_cycle for ")
     assert len(peer.setpoints) == 1

@@ -312,7 +312,7 @@ class PlannerNode(Node):
     def _retune(self, values: PlannerParameters) -> None:
         self._planner = replace(self._planner, options=values.options())
 
-    # What is told
+    # What it reports
 
     def _report(self) -> None:
         """Publish the task's state if it has changed."""

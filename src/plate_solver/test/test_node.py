@@ -279,7 +279,7 @@ def test_life_of_a_solver(peer, rig):
     spun = peer.ask(PartSet.make(("z_1",), PLACES[:1], torque=[2e-6]), fresh.stamp_ns)
     assert np.any(spun.knot_pose != 0)
 
-    # Nobody asks: what is told is old.
+    # Nobody asks: the values are old.
     peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)

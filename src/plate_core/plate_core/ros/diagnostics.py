@@ -18,7 +18,7 @@ PERIOD_S = 1.0
 """Time between diagnostics [s]: a node that has said nothing for longer is dead or frozen."""
 
 LOOK_PERIOD_S = 0.1
-"""Time between looks at the level [s]: that it has become worse is told at once."""
+"""Time between looks at the level [s]: a level that has become worse is published at once."""
 
 
 class Diagnostics:
@@ -30,7 +30,7 @@ class Diagnostics:
     find : callable
         Given the time [s, steady clock], returns the level and its reason.
     values : callable
-        Returns what is told beside it, name to value.
+        Returns what is published with it, name to value.
     hardware_id : str
     reported : callable, optional
         Called after each periodic report: what is counted per report begins anew.

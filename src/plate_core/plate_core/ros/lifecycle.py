@@ -54,6 +54,7 @@ class SafeLifecycleNode(LifecycleNode):
         rclpy lets the error of its state machine end the process, and has no public place for this.
         """
         try:
+            # mypy does not know names that Python has mangled.
             return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
         except RuntimeError as error:  # RCLError, which has no public name
             wanted = request.transition.label or request.transition.id

@@ -20,7 +20,7 @@ from .played import Recorder, Stretch
 TICK_US = 1_000
 
 HOMING_S = 0.3
-"""What the search for home takes [s], unless another time is told."""
+"""Duration of the search for home [s], unless another one is given."""
 
 BUFFER_BYTES = 2048
 """What the board holds of bytes that the device has not read (firmware/hal.h); more are lost."""

@@ -34,7 +34,7 @@ class Look:
     Attributes
     ----------
     halvings : int
-        Of its curves, until it is told.
+        Of its curves, until the answer is clear.
     keeps : bool
         Whether the limits of motion and force are kept.
     heat : (4,)
