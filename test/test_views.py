@@ -11,7 +11,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PUBLISHER = re.compile(r'create_(?:lifecycle_)?publisher\(\s*\w+,\s*"(\w+)"')
 PUBLISHED = {
     name
-    for path in ROOT.glob("src/*/plate_*/node.py")
+    for pattern in ("src/*/plate_*/node.py", "src/plate_core/plate_core/ros/*.py")
+    for path in ROOT.glob(pattern)
     for name in PUBLISHER.findall(path.read_text("utf-8"))
 }
 

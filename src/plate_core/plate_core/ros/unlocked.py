@@ -69,7 +69,12 @@ class UnlockedSubscription:
         self.kind, self.topic_name, self._keep = kind, name, keep
 
     def take(self) -> tuple[bytes, int] | None:
-        """Return the next message as it came, and its length; None if none waits."""
+        """Return the next message as it came, and its length; None if none waits.
+
+        None after `destroy` too: an executor may call a timer that has just been destroyed.
+        """
+        if self._handle is None:
+            return None
         message = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
         with self._handle:
             code = _TAKE(self._handle.pointer, ctypes.addressof(message), None, None)
@@ -82,4 +87,6 @@ class UnlockedSubscription:
 
     def destroy(self) -> None:
         """Leave the topic."""
-        self._handle.destroy_when_not_in_use()
+        handle, self._handle = self._handle, None
+        if handle is not None:
+            handle.destroy_when_not_in_use()

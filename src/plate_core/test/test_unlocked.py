@@ -1,0 +1,55 @@
+"""A subscription that an executor does not know of."""
+
+import os
+import time
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="rclpy is not installed")
+from rclpy.serialization import deserialize_message  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+from plate_core.ros.qos import DATA  # noqa: E402
+from plate_core.ros.unlocked import UnlockedSubscription  # noqa: E402
+
+
+@pytest.fixture(name="node")
+def _node():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("unlocked", context=context, namespace=f"/unlocked_{os.getpid()}")
+    yield node
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def taken(subscription):
+    end = time.monotonic() + 20
+    while time.monotonic() < end:
+        if (found := subscription.take()) is not None:
+            return found
+        time.sleep(0.01)
+    pytest.fail("no message")
+
+
+def test_takes_messages_in_order_and_the_beginning_of_long_ones(node):
+    publisher = node.create_publisher(String, "words", DATA)
+    subscription = UnlockedSubscription(node, String, "words", DATA, 100)
+    assert subscription.take() is None
+    end = time.monotonic() + 20
+    while not publisher.get_subscription_count() and time.monotonic() < end:
+        time.sleep(0.01)
+    for word in ("one", "two", 1000 * "x"):
+        publisher.publish(String(data=word))
+    for word in ("one", "two"):
+        data, size = taken(subscription)
+        assert deserialize_message(data, String).data == word and size == len(data)
+    data, size = taken(subscription)
+    assert len(data) == 100 and size > 1000
+
+
+def test_nothing_comes_once_it_is_destroyed(node):
+    subscription = UnlockedSubscription(node, String, "words", DATA, 100)
+    subscription.destroy()
+    assert subscription.take() is None
+    subscription.destroy()
