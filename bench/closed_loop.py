@@ -16,7 +16,7 @@ from loop import Setup, summary, with_settings
 from spread import cluster, processes, spread
 
 from plate_core import PlateError, Rig, load_rig
-from plate_core.scenario import load_scenario
+from plate_core.tasks import load_scenario
 
 
 def main() -> int:

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from plate_core import PlateCycle, Rig, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim.bodies import run_bodies
 from plate_sim.footprint import disc
 

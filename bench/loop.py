@@ -14,7 +14,7 @@ import numpy as np
 from harness import cpu_time
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
-from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
 from plate_planner.assembling import Assembly

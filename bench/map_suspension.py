@@ -10,7 +10,7 @@ from measure_requests import scatter
 from stability_map import Grid, StabilityMap, grid
 
 from plate_core import PlateCycle, Rig, load_rig
-from plate_core.suspension import modal_matrices
+from plate_core.rig import modal_matrices
 from plate_sim.drive import PlateState
 from plate_sim.suspension import realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver

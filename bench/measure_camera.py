@@ -10,8 +10,7 @@ import numpy as np
 from harness import Result, Table, race
 
 from plate_core import Rig, load_rig
-from plate_core.frames import camera_pose
-from plate_core.lens import Lens
+from plate_core.rig import Lens, camera_pose
 from plate_sim import Camera, part_greys
 
 PARTS = 10

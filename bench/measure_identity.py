@@ -10,9 +10,8 @@ import numpy as np
 from harness import Result, Table
 from loop import Moment, Setup, run
 
-from plate_core import PartSet, load_rig
-from plate_core.parts import part_class
-from plate_core.scenario import load_scenario
+from plate_core import PartSet, load_rig, part_class
+from plate_core.tasks import load_scenario
 from plate_planner import PlannerOptions, SortOptions
 from plate_sim.dirt import CLEAN, Dirt
 from plate_sim.simulation import Simulation

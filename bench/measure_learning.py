@@ -14,7 +14,7 @@ import numpy as np
 from harness import Result, Table
 
 from plate_core import PlateCycle, Rig, load_rig
-from plate_core.suspension import Suspension, mass_matrix, modal_matrices
+from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from plate_driver.calibration import COUNT, PERIOD_S, Calibration
 from plate_driver.learning import Response, harmonic_error, harmonics, settled
 from plate_sim.drive import PlateState

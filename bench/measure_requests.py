@@ -15,7 +15,7 @@ from harness import Result, Table, cpu_time
 from measure_steering import scatter
 
 from plate_core import Rig, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import (
     RotationSolver,

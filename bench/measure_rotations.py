@@ -14,7 +14,7 @@ from rotation_forces import GAIN, PARTS, WORST_STARTS, force_rows, request
 from scipy.optimize import linprog
 
 from plate_core import Rig, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, average_force
 from plate_solver.centres import grid, solve_weights

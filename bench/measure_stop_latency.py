@@ -68,7 +68,7 @@ import sys, time
 import rclpy
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from plate_core.ros.qos import DATA
+from plate_core.ros import DATA
 count, pause = int(sys.argv[1]), float(sys.argv[2])
 point = JointTrajectoryPoint(positions=[0.0] * 3, velocities=[0.0] * 3, accelerations=[0.0] * 3)
 data = serialize_message(JointTrajectory(joint_names=["x", "y", "theta"], points=[point] * count))
@@ -124,8 +124,7 @@ class Bench:
         from std_srvs.srv import SetBool, Trigger
         from trajectory_msgs.msg import JointTrajectory
 
-        from plate_core.ros.convert import cycle_to_msg, to_time
-        from plate_core.ros.qos import DATA, LATCHED
+        from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
 
         self.node = rclpy.create_node("stop_latency")
         self.executor = SingleThreadedExecutor()

@@ -17,7 +17,7 @@ from spread import processes
 from store import Store
 
 from plate_core import Rig, load_rig
-from plate_core.suspension import Suspension, mass_matrix, modal_matrices
+from plate_core.rig import Suspension, mass_matrix, modal_matrices
 
 FIRST_SEED = 20_000
 """No parameter was ever chosen by runs with this seed or a later one."""

@@ -14,7 +14,7 @@ from harness import Result, Table, cpu_time, missing_peer, optional
 from photographs import photograph_table
 
 from plate_core import Rig, load_rig
-from plate_core.frames import homography, project
+from plate_core.rig import homography, project
 from plate_sim import Camera, part_greys
 from plate_vision import detect, make_vision
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from harness import ROOT
 
-from plate_core.errors import FrameError
+from plate_core import FrameError
 from plate_core.serial_protocol import (
     Acknowledgement,
     Begin,

@@ -14,8 +14,8 @@ from loop import HOLD_CYCLES, IDLE_PERIOD, Setup
 from serial_watch import Verdict, Watch
 
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
-from plate_core.scenario import load_scenario
 from plate_core.serial_protocol import State
+from plate_core.tasks import load_scenario
 from plate_driver.motor_table import prepare
 from plate_driver.serial_transport import SerialTransport
 from plate_driver.transport import Condition, Order

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plate_core import Rig
-from plate_core.kinematics import plate_state
+from plate_core.motion import plate_state
 
 ROUNDING = 2e-3
 """Share by which a limit may be passed: what the motors' splines may differ from the plate's."""

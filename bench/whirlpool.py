@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 
 from plate_core import PlateCycle, Rig, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim.bodies import simulate_bodies
 from plate_sim.footprint import disc
 from plate_solver import RotationSolver

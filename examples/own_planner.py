@@ -9,9 +9,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 
 from plate_core import PartSet, load_rig
-from plate_core.ros.convert import msg_to_parts, parts_to_msg, seconds
-from plate_core.ros.main import run_node
-from plate_core.ros.qos import DATA
+from plate_core.ros import DATA, msg_to_parts, parts_to_msg, run_node, seconds
 
 RATE, FASTEST = 1.0, 0.012
 """Asked drift for each metre to go [1/s], and at most [m/s]."""

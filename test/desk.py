@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BPoly
 
-from plate_core import load_rig
-from plate_core.serial_protocol import (
+from plate_core import load_rig  # fmt: skip
+from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Acknowledgement,
     Begin,
     Commit,
@@ -28,8 +29,7 @@ from plate_core.serial_protocol import (
     pack,
     parse,
     table_crc,
-)  # fmt: skip
-from plate_core.serial_protocol.messages import VERSION
+)
 from plate_sim.device import Device, DeviceLimits
 
 STROKE_M, SPEED = 0.010, 1.0

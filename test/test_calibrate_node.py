@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.kinematics import motor_state
+from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
 from rclpy.serialization import serialize_message  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
-from plate_core.ros.convert import cycle_to_msg, to_time  # noqa: E402
+from plate_core.ros import cycle_to_msg, to_time  # noqa: E402
 from plate_driver.keeper import Keeper  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.serial_transport import SerialTransport  # noqa: E402

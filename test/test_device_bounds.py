@@ -24,8 +24,8 @@ from desk import (
     wave,
 )  # fmt: skip
 
-from plate_core import load_rig
-from plate_core.serial_protocol import (
+from plate_core import load_rig  # fmt: skip
+from plate_core.serial_protocol import (  # fmt: skip
     Acknowledgement,
     Begin,
     Commit,
@@ -42,7 +42,7 @@ from plate_core.serial_protocol import (
     Telemetry,
     frame,
     table_crc,
-)  # fmt: skip
+)
 from plate_sim.device import DeviceLimits
 from plate_sim.device.controller import sane
 

@@ -20,8 +20,7 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros.convert import cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
-from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_sim.device import node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402

@@ -21,7 +21,8 @@ from desk import (
     wave,
 )  # fmt: skip
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Begin,
     Commit,
     Enable,
@@ -35,8 +36,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
-)  # fmt: skip
-from plate_core.serial_protocol.messages import VERSION
+)
 
 PLAYING = [*READY, upload(1, GENTLE, 110), UPLOAD_S, 0.05]
 STOPPED = [*PLAYING, say(300, Stop(0)), *alive(0.8)]

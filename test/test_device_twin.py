@@ -22,8 +22,8 @@ from desk import (
     wave,
 )  # fmt: skip
 
-from plate_core import load_rig
-from plate_core.serial_protocol import (
+from plate_core import load_rig  # fmt: skip
+from plate_core.serial_protocol import (  # fmt: skip
     Begin,
     Commit,
     Enable,
@@ -37,7 +37,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
-)  # fmt: skip
+)
 from plate_sim.device import DeviceLimits
 from plate_sim.device.piece import looks, rows
 

@@ -38,7 +38,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path):
     from sensor_msgs.msg import MultiDOFJointState
 
     from plate_core.graph import RunOptions, load_graph
-    from plate_core.ros.convert import msg_to_parts
+    from plate_core.ros import msg_to_parts
 
     domain = free_domain()
     options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)

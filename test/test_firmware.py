@@ -30,7 +30,8 @@ from desk import (
     wave,
 )  # fmt: skip
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -49,8 +50,7 @@ from plate_core.serial_protocol import (
     Telemetry,
     frame,
     pack,
-)  # fmt: skip
-from plate_core.serial_protocol.messages import VERSION
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 

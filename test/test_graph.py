@@ -23,9 +23,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateError, load_rig
 from plate_core.graph import GraphError, RunOptions, load_graph
-from plate_core.ros.convert import array_to_image, msg_to_motors, to_time
-from plate_core.ros.qos import IMAGE
-from plate_core.scenario import load_scenario
+from plate_core.ros import IMAGE, array_to_image, msg_to_motors, to_time
+from plate_core.tasks import load_scenario
 from plate_sim.camera import Camera, part_greys
 from plate_sim.world import WorldState
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import load_rig
-from plate_core.lens import Lens
+from plate_core.rig import Lens
 from plate_sim import Camera, part_greys
 from plate_vision import Tracker, look, make_vision
 

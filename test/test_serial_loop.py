@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from plate_core import load_rig
-from plate_core.kinematics import motor_state
+from plate_core.motion import motor_state
 from plate_sim.device import Accidents, Trouble
 
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")

@@ -26,8 +26,7 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros.convert import cycle_to_msg, nanoseconds, to_time  # noqa: E402
-from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, nanoseconds, to_time  # noqa: E402
 from plate_driver.state import LOOK, OFF, UNANSWERED  # noqa: E402
 
 RIG = load_rig()

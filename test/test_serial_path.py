@@ -9,8 +9,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.serial_protocol import Commit, Enable, Hello, Reader, State, Stop, parse
-from plate_core.serial_protocol.messages import Message
+from plate_core.serial_protocol import Commit, Enable, Hello, Message, Reader, State, Stop, parse
 from plate_driver.motor_table import MotorTable, prepare
 from plate_driver.serial_transport import SerialTransport
 from plate_driver.transport import Condition, Measured, Order

@@ -20,7 +20,7 @@ from desk import (
     wave,
 )  # fmt: skip
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
     Begin,
     Commit,
     Fault,
@@ -30,7 +30,7 @@ from plate_core.serial_protocol import (
     State,
     Status,
     Telemetry,
-)  # fmt: skip
+)
 
 ACCEL = 100.0
 AHEAD = 16

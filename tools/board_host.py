@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from emulated_board import RING_BYTES, EmulatedBoard, Record
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
     Acknowledgement,
     Begin,
     Commit,
@@ -31,7 +31,7 @@ from plate_core.serial_protocol import (
     parse,
     table_crc,
     unframe,
-)  # fmt: skip
+)
 
 TICK_INSTRUCTIONS = 125_000
 """Of a tick's period, 1 ms at 8 ns an instruction."""

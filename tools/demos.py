@@ -18,7 +18,7 @@ from typing import Any
 from graph.result import summary
 from PIL import Image, ImageSequence
 
-from plate_core.scenario import load_scenario
+from plate_core.tasks import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs/results"

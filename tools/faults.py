@@ -37,8 +37,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import load_rig
 from plate_core.graph import GraphError, GraphNode, RunOptions, load_graph
-from plate_core.ros.convert import nanoseconds
-from plate_core.ros.qos import LATCHED
+from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import Level
 
 START_S, MOVE_S = 180.0, 30.0

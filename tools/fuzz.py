@@ -31,7 +31,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
-from plate_core.ros.convert import (
+from plate_core.ros import (
     array_to_image,
     cycle_to_msg,
     motors_to_msg,

@@ -17,7 +17,7 @@ from typing import Any
 
 from plate_core import PlateError, Rig, load_rig
 from plate_core.graph import GraphError, RunOptions, load_graph
-from plate_core.scenario import Scenario, load_scenario
+from plate_core.tasks import Scenario, load_scenario
 from plate_driver.transport import check_transport
 from plate_solver.controller import METHODS
 

@@ -12,10 +12,9 @@ from sensor_msgs.msg import Image, MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.frames import homography
-from plate_core.kinematics import motor_state
-from plate_core.limits import corner_accel
-from plate_core.ros.convert import image_to_array, msg_to_motors, msg_to_parts, nanoseconds
+from plate_core.motion import corner_accel, motor_state
+from plate_core.rig import homography
+from plate_core.ros import image_to_array, msg_to_motors, msg_to_parts, nanoseconds
 
 from .record import Record
 

@@ -19,9 +19,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.convert import nanoseconds
-from plate_core.ros.main import run_node
-from plate_core.ros.qos import CAMERA, DATA, IMAGE
+from plate_core.ros import CAMERA, DATA, IMAGE, nanoseconds, run_node
 
 from .hops import CHAIN
 

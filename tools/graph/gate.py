@@ -18,8 +18,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.main import run_node
-from plate_core.ros.qos import DATA, IMAGE
+from plate_core.ros import DATA, IMAGE, run_node
 
 NAME = "gate"
 

@@ -12,7 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import Image, MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.qos import CAMERA
+from plate_core.ros import CAMERA
 
 CHAIN: tuple[tuple[str, Any], ...] = (
     ("image_raw", Image),

@@ -21,8 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.graph import GraphError
-from plate_core.ros.convert import nanoseconds
-from plate_core.ros.qos import CAMERA, LATCHED
+from plate_core.ros import CAMERA, LATCHED, nanoseconds
 
 from .record import Record
 

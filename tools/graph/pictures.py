@@ -12,10 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from PIL import Image, ImageDraw, ImageFont
 
-from plate_core import Rig
-from plate_core.curves import circle_points
-from plate_core.parts import part_class
-from plate_core.scenario import AssembleTask, Bin, FollowTask, Scenario, Side, SortTask
+from plate_core import Rig, part_class
+from plate_core.tasks import AssembleTask, Bin, FollowTask, Scenario, Side, SortTask, circle_points
 from plate_solver import average_force
 
 from .film import Film, from_above

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario
 
 from .record import Record
 

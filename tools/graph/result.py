@@ -8,7 +8,7 @@ import numpy as np
 
 from plate_core import Rig
 from plate_core.graph import RunOptions
-from plate_core.scenario import AssembleTask, FollowTask, PoseTask, load_scenario
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
 
 from .film import check_limits, develop
 from .record import Record

@@ -12,8 +12,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.convert import trajectory_to_msg
-from plate_core.ros.qos import DATA
+from plate_core.ros import DATA, trajectory_to_msg
 from plate_driver.transport import TransportContext
 
 from .relay import Relay, Trajectory

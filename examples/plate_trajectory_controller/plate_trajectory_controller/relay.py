@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import CycleError, Rig
-from plate_core.kinematics import motor_state
+from plate_core.motion import motor_state
 from plate_driver.motor_table import MAX_KNOTS, MotorTable
 from plate_driver.transport import Condition, Measured, Order, Report
 

@@ -1,12 +1,17 @@
-"""What two or more stages share: rig facts, frames, plate cycles, kinematics, messages."""
+"""What two or more stages share: rig facts, plate motions, tasks, messages, the serial protocol.
 
-from .cycle import PlateCycle
-from .errors import CycleError, PlateError, RigError, ScenarioError
-from .parts import PartSet
+Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, `ros`,
+`serial_protocol`, `status` and `yaml_fields` have the rest.
+"""
+
+from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError
+from .motion import PlateCycle
+from .parts import PartSet, part_class
 from .rig import Rig, load_rig
 
 __all__ = [
     "CycleError",
+    "FrameError",
     "PartSet",
     "PlateCycle",
     "PlateError",
@@ -14,4 +19,5 @@ __all__ = [
     "RigError",
     "ScenarioError",
     "load_rig",
+    "part_class",
 ]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, PartSet, PlateCycle, PlateError, load_rig
-from plate_core.frames import to_image
-from plate_core.lens import Lens
+from plate_core.rig import Lens, to_image
 
 pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message, serialize_message

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.curves import SAGITTA_M, circle_points, spline_points
+from plate_core.tasks.curves import SAGITTA_M, circle_points, spline_points
 
 
 def polygon_area(point: np.ndarray) -> float:

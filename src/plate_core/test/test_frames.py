@@ -3,7 +3,7 @@
 import numpy as np
 
 from plate_core import load_rig
-from plate_core.frames import homography, project, surface_velocity, to_home, to_plate
+from plate_core.rig import homography, project, surface_velocity, to_home, to_plate
 
 RIG = load_rig()
 POSE = np.array([0.004, -0.003, 0.05])

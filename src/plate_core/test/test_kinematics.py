@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, load_rig
-from plate_core.frames import to_home
-from plate_core.kinematics import CONSISTENCY_TOLERANCE, motor_state, plate_state
+from plate_core.motion import motor_state, plate_state
+from plate_core.motion.kinematics import CONSISTENCY_TOLERANCE
+from plate_core.rig import to_home
 
 RIG = load_rig()
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import RigError, load_rig
-from plate_core.frames import camera_pose, homography, project, to_image
-from plate_core.lens import Lens
+from plate_core.rig import Lens, camera_pose, homography, project, to_image
 
 STRONG = Lens((600.0, 605.0), (318.0, 243.0), (-0.3, 0.09, 1e-3, -2e-3, 0.01))
 LENSES = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.limits import corner_accel, usage
+from plate_core.motion import corner_accel, usage
 
 RIG = load_rig()
 PERIOD = 0.1

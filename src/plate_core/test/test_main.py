@@ -18,7 +18,7 @@ NODE = """
 import sys, time
 from rclpy.node import Node
 from plate_core import PlateError
-from plate_core.ros.main import run_node
+from plate_core.ros import run_node
 
 class Talker(Node):
     def __init__(self):

@@ -9,8 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from plate_core import PartSet, PlateCycle, load_rig
-from plate_core.ros.convert import to_time
-from plate_core.ros.markers import centres_to_msg, forces_to_msg, scene_to_msg
+from plate_core.ros import centres_to_msg, forces_to_msg, scene_to_msg, to_time
 
 STAMP = to_time(7)
 

@@ -10,7 +10,7 @@ from plate_core import PlateError
 rclpy = pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter  # noqa: E402
 
-from plate_core.ros.params import declare, follow, parameter  # noqa: E402
+from plate_core.ros import declare, follow, parameter  # noqa: E402
 
 
 @dataclass(frozen=True)

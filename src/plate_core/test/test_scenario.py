@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import ScenarioError, load_rig
-from plate_core.scenario import (
-    MIN_SEPARATION_M,
+from plate_core.tasks import (
     Bin,
     FollowTask,
     PartGroup,
@@ -18,6 +17,7 @@ from plate_core.scenario import (
     scenario_names,
     start_positions,
 )
+from plate_core.tasks.scenario import MIN_SEPARATION_M
 
 SORT = """
 description: test

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plate_core.errors import FrameError
-from plate_core.serial_protocol import (
+from plate_core import FrameError  # fmt: skip
+from plate_core.serial_protocol import (  # fmt: skip
     Acknowledgement,
     Begin,
     Capabilities,
@@ -38,7 +38,7 @@ from plate_core.serial_protocol import (
     parse,
     table_crc,
     unframe,
-)  # fmt: skip
+)
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "protocol.md"
 EXAMPLES = re.findall(r"^\| (\w+) \| .* \| `([0-9a-f ]+)` \|$", DOCUMENT.read_text(), re.MULTILINE)

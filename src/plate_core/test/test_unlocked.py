@@ -9,8 +9,7 @@ rclpy = pytest.importorskip("rclpy", reason="rclpy is not installed")
 from rclpy.serialization import deserialize_message  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from plate_core.ros.qos import DATA  # noqa: E402
-from plate_core.ros.unlocked import UnlockedSubscription  # noqa: E402
+from plate_core.ros import DATA, UnlockedSubscription  # noqa: E402
 
 
 @pytest.fixture(name="node")
@@ -43,9 +42,11 @@ def test_takes_messages_in_order_and_the_beginning_of_long_ones(node):
         publisher.publish(String(data=word))
     for word in ("one", "two"):
         data, size = taken(subscription)
-        assert deserialize_message(data, String).data == word and size == len(data)
+        assert deserialize_message(data, String).data == word
+        assert size == len(data)
     data, size = taken(subscription)
-    assert len(data) == 100 and size > 1000
+    assert len(data) == 100
+    assert size > 1000
 
 
 def test_nothing_comes_once_it_is_destroyed(node):

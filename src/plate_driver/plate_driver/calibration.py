@@ -12,7 +12,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.kinematics import plate_state
+from plate_core.motion import plate_state
 
 from .learning import (
     Response,

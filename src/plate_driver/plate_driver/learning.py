@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.kinematics import motor_state, plate_state
+from plate_core.motion import motor_state, plate_state
 
 SAMPLES = 512
 """Instants at which a cycle is read: far more than twice its harmonics."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.cycle import quintic_pieces
+from plate_core.motion import quintic_pieces
 
 from .peaks import Peaks, derivative, peaks, polynomial_peaks
 

@@ -5,8 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import ceil
 
-from plate_core.serial_protocol import Begin, Commit, Heartbeat, Knot, Knots, Message, Pulse
-from plate_core.serial_protocol.messages import HEADER, KNOTS_PER_MESSAGE, LAYOUTS
+from plate_core.serial_protocol import (
+    HEADER,
+    KNOTS_PER_MESSAGE,
+    LAYOUTS,
+    Begin,
+    Commit,
+    Heartbeat,
+    Knot,
+    Knots,
+    Message,
+    Pulse,
+)
 
 BITS_PER_BYTE = 10
 """On a UART: with start and stop bit."""

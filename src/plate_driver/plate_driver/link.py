@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from plate_core.serial_protocol import (
+    MOTORS,
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -25,7 +27,6 @@ from plate_core.serial_protocol import (
     Telemetry,
     table_crc,
 )
-from plate_core.serial_protocol.messages import MOTORS, VERSION
 
 from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 

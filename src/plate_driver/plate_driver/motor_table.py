@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.kinematics import motor_state
+from plate_core.motion import motor_state
 
 from . import transition
 from .limits import Fit, check_setpoints, fit

@@ -25,14 +25,24 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import CycleError, PlateError, load_rig
-from plate_core.kinematics import motor_state
-from plate_core.ros.convert import msg_to_cycle, nanoseconds, to_time, trajectory_to_msg
-from plate_core.ros.diagnostics import PERIOD_S, Diagnostics
-from plate_core.ros.lifecycle import SafeLifecycleNode, logged
-from plate_core.ros.main import run_node
-from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA, LATCHED
-from plate_core.ros.unlocked import UnlockedSubscription
+from plate_core.motion import motor_state
+from plate_core.ros import (
+    DATA,
+    DIAGNOSTICS_PERIOD_S,
+    LATCHED,
+    Diagnostics,
+    SafeLifecycleNode,
+    UnlockedSubscription,
+    declare,
+    follow,
+    logged,
+    msg_to_cycle,
+    nanoseconds,
+    parameter,
+    run_node,
+    to_time,
+    trajectory_to_msg,
+)
 from plate_core.status import INPUT_TIMEOUT_S, Finding
 
 from .calibration import Calibration, Run, check_writable, save_response, saved_response
@@ -497,7 +507,7 @@ class DriverNode(SafeLifecycleNode):
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""
         run, keeper = self._run, self._keeper
-        values = self._guard.values(PERIOD_S, self._now()) | {"state": self.told()}
+        values = self._guard.values(DIAGNOSTICS_PERIOD_S, self._now()) | {"state": self.told()}
         if run is not None:
             values["calibration"] = run.calibration.progress
         elif self._outcome:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import PlateCycle, Rig
-from plate_core.cycle import quintic_pieces
-from plate_core.kinematics import motor_state
-from plate_core.suspension import mass_matrix
+from plate_core.motion import motor_state, quintic_pieces
+from plate_core.rig import mass_matrix
 
 CERTAINTY = 1e-6
 """A peak is told too high by this share of its value at most."""

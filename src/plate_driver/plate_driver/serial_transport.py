@@ -10,8 +10,7 @@ from typing import Protocol
 import numpy as np
 import serial
 
-from plate_core import CycleError, PlateError
-from plate_core.errors import FrameError
+from plate_core import CycleError, FrameError, PlateError
 from plate_core.rig import Limits
 from plate_core.serial_protocol import (
     Capabilities,

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plate_core.cycle import quintic_pieces
-from plate_core.serial_protocol import Knot
-from plate_core.serial_protocol.messages import TICK_S
+from plate_core.motion import quintic_pieces
+from plate_core.serial_protocol import TICK_S, Knot
 
 from .motor_table import MotorTable
 

@@ -11,8 +11,7 @@ from scipy.integrate import trapezoid
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.kinematics import motor_state
-from plate_core.limits import corner_accel
+from plate_core.motion import corner_accel, motor_state
 from plate_driver.guard import Guard
 from plate_driver.learning import Response
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
-from plate_core.kinematics import motor_state
-from plate_core.limits import corner_accel
+from plate_core.motion import corner_accel, motor_state
 from plate_driver.limits import ROUNDING, check_setpoints, fit
 from plate_driver.peaks import peaks
 

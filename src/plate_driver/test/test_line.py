@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
     Begin,
     Commit,
     Heartbeat,
@@ -14,7 +14,7 @@ from plate_core.serial_protocol import (
     Stop,
     frame,
     pack,
-)  # fmt: skip
+)
 from plate_driver.line import HEARTBEAT_S, MOST_COPIES, LineModel, frame_bytes, upload_s
 
 REST = (0.0,) * 4

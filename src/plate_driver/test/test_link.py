@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from plate_core.serial_protocol import (
+from plate_core.serial_protocol import (  # fmt: skip
     Acknowledgement,
     Begin,
     Capabilities,
@@ -24,7 +24,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
-)  # fmt: skip
+)
 from plate_driver.line import ANSWER_S, frame_bytes
 from plate_driver.link import (
     GREETING_S,

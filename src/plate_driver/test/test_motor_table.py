@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
-from plate_core.kinematics import motor_state, plate_state
+from plate_core.motion import motor_state, plate_state
 from plate_driver.motor_table import MAX_KNOTS, RESTART_NS, MotorTable, check_order, prepare
 
 RIG = load_rig()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.kinematics import motor_state
+from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
@@ -23,13 +23,7 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros.convert import (  # noqa: E402
-    cycle_to_msg,
-    msg_to_motors,
-    nanoseconds,
-    to_time,
-)
-from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.state import LOOK, OFF  # noqa: E402
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.cycle import quintic_pieces
-from plate_core.kinematics import motor_state
-from plate_core.limits import corner_accel
-from plate_core.suspension import Suspension
+from plate_core.motion import corner_accel, motor_state, quintic_pieces
+from plate_core.rig import Suspension
 from plate_driver.heat import AMBIENT_C, Heat
 from plate_driver.peaks import CERTAINTY, peaks, polynomial_peaks
 

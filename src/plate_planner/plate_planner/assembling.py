@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import PartSet, Rig
-from plate_core.scenario import AssembleTask
+from plate_core.tasks import AssembleTask
 
 from .places import approach_drift, assign, hold_back, paces, pass_by
 from .requests import DriftRequest

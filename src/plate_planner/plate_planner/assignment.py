@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from plate_core import PartSet
-from plate_core.parts import part_class
+from plate_core import PartSet, part_class
 
 UNMATCHED = ""
 """Stands for the id of a path without a part."""

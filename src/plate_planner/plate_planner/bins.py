@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plate_core import Rig, ScenarioError
-from plate_core.scenario import Bin, Scenario, SortTask
+from plate_core.tasks import Bin, Scenario, SortTask
 
 SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
 """Distance of neighbouring slots, and of slots from the bin's sides [part radii]."""

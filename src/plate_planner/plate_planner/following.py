@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import PartSet, Rig
-from plate_core.scenario import FollowTask
+from plate_core.tasks import FollowTask
 
 from .assignment import UNMATCHED, match_paths, rematch_paths
 from .disturbance import Disturbance

@@ -21,14 +21,24 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import msg_to_cycle, msg_to_parts, nanoseconds, parts_to_msg, seconds
-from plate_core.ros.diagnostics import Diagnostics
-from plate_core.ros.main import run_node
-from plate_core.ros.markers import forces_to_msg
-from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA, LATCHED, NEWEST
-from plate_core.scenario import load_scenario
+from plate_core.ros import (
+    DATA,
+    LATCHED,
+    NEWEST,
+    Diagnostics,
+    declare,
+    follow,
+    forces_to_msg,
+    msg_to_cycle,
+    msg_to_parts,
+    nanoseconds,
+    parameter,
+    parts_to_msg,
+    run_node,
+    seconds,
+)
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
+from plate_core.tasks import load_scenario
 
 from .assembling import AssembleOptions
 from .inputs import Inputs

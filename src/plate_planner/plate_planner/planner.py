@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import PartSet, PlateCycle, Rig
-from plate_core.scenario import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
-from plate_core.scenario import check_scenario as check
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
+from plate_core.tasks import check_scenario as check
 
 from .ages import Ages
 from .assembling import AssembleOptions, Assembly

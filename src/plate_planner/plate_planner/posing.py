@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from plate_core import PartSet, Rig
-from plate_core.scenario import PoseTask
+from plate_core.tasks import PoseTask
 
 from .assignment import UNMATCHED, match_paths
 from .requests import DriftRequest

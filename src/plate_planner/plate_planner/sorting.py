@@ -13,9 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core import PartSet, Rig
-from plate_core.parts import part_class
-from plate_core.scenario import Bin, Side, SortTask
+from plate_core import PartSet, Rig, part_class
+from plate_core.tasks import Bin, Side, SortTask
 
 from .bins import inside, outline_distance, slots
 from .places import approach_drift, assign, hold_back, paces, pass_by

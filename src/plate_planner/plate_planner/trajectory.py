@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core.scenario import PathTask
+from plate_core.tasks import PathTask
 
 
 @dataclass(frozen=True)

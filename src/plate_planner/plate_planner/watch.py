@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import PartSet, PlateCycle, Rig
-from plate_core.parts import part_class
-from plate_core.scenario import Scenario
+from plate_core import PartSet, PlateCycle, Rig, part_class
+from plate_core.tasks import Scenario
 
 from .ages import Ages
 from .estimation import Belief, carried

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from plate_core import PartSet, load_rig
-from plate_core.scenario import start_positions
+from plate_core.tasks import start_positions
 
 RIG = load_rig()
 MASS = RIG.parts.mass_kg

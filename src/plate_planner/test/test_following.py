@@ -5,7 +5,7 @@ import pytest
 from plant import RIG, Plant, T, run
 
 from plate_core import PartSet
-from plate_core.scenario import load_scenario
+from plate_core.tasks import load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.following import Follower
 

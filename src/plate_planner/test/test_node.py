@@ -17,13 +17,7 @@ from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig  # noqa: E402
-from plate_core.ros.convert import (  # noqa: E402
-    cycle_to_msg,
-    msg_to_parts,
-    parts_to_msg,
-    to_time,
-)
-from plate_core.ros.qos import DATA, LATCHED  # noqa: E402
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_parts, parts_to_msg, to_time  # noqa: E402
 from plate_planner.node import PlannerNode  # noqa: E402
 
 IDS = ("black_1", "black_2", "grey_1", "grey_2")

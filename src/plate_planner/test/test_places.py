@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, load_rig
-from plate_core.scenario import AssembleTask
+from plate_core.tasks import AssembleTask
 from plate_planner.assembling import AssembleOptions, Assembly
 from plate_planner.places import LOOSE, approach_drift, assign, hold_back, paces, pass_by
 from plate_planner.requests import DriftRequest

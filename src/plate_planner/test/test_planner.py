@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready, run, without
 
-from plate_core import PartSet, PlateCycle, ScenarioError
-from plate_core.parts import part_class
-from plate_core.scenario import Bin, Side, SortTask, load_scenario
+from plate_core import PartSet, PlateCycle, ScenarioError, part_class
+from plate_core.tasks import Bin, Side, SortTask, load_scenario
 from plate_planner import Planner
 
 

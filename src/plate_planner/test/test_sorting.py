@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, ScenarioError, load_rig
-from plate_core.scenario import Bin, PartGroup, Side, SortTask, load_scenario
+from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
 from plate_planner.bins import check_bins, inside, outline_distance, slots
 from plate_planner.sorting import Sorter, SortOptions
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plate_core.scenario import PathTask
+from plate_core.tasks import PathTask
 from plate_planner.trajectory import PolygonPath
 
 SQUARE = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.frames import homography, to_home
+from plate_core.rig import homography, to_home
 
 from .outlines import DISCS, Outline, prepare
 from .raster import draw_parts, draw_plate, expose, image_slopes, pixel_places

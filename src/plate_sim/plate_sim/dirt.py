@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import erf
 
 from plate_core import PlateError
-from plate_core.frames import to_plate
+from plate_core.rig import to_plate
 
 from .ground import STATIC, TILT, Ground
 

@@ -19,7 +19,7 @@ from math import factorial, pi
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.suspension import Suspension
+from plate_core.rig import Suspension
 
 from .linear import DEGREE, later
 from .plate_motion import PlateMotion

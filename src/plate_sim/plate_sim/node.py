@@ -16,22 +16,24 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
-from plate_core.limits import CycleUsage
-from plate_core.ros.convert import (
+from plate_core.motion import CycleUsage
+from plate_core.ros import (
+    DATA,
+    IMAGE,
+    Diagnostics,
     array_to_image,
     camera_to_info,
+    declare,
     msg_to_knots,
     msg_to_motors,
     nanoseconds,
+    parameter,
     parts_to_msg,
+    run_node,
     to_time,
 )
-from plate_core.ros.diagnostics import Diagnostics
-from plate_core.ros.main import run_node
-from plate_core.ros.params import declare, parameter
-from plate_core.ros.qos import DATA, IMAGE
-from plate_core.scenario import load_scenario
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_core.tasks import load_scenario
 
 from .camera import NOISE, Camera
 from .dirt import RANGES, Dirt

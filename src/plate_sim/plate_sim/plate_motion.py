@@ -9,8 +9,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.cycle import quintic_pieces
-from plate_core.kinematics import plate_state
+from plate_core.motion import plate_state, quintic_pieces
 
 
 @dataclass(frozen=True)

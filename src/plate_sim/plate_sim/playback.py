@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.limits import CycleUsage, usage
+from plate_core.motion import CycleUsage, usage
 
 SLACK = 1.02
 """Share of a limit at which a table is refused: its peaks are bounds, up to 1 % too high."""

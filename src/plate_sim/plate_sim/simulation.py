@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig
-from plate_core.parts import part_class
-from plate_core.scenario import Scenario
+from plate_core import PlateCycle, Rig, part_class
+from plate_core.tasks import Scenario
 
 from .camera import NOISE, Camera, part_greys
 from .contacts import INELASTIC, Contacts

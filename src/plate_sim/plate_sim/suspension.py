@@ -14,9 +14,8 @@ from math import factorial
 import numpy as np
 
 from plate_core import PlateCycle, Rig
-from plate_core.cycle import quintic_pieces
-from plate_core.kinematics import motor_state
-from plate_core.suspension import Suspension
+from plate_core.motion import motor_state, quintic_pieces
+from plate_core.rig import Suspension
 
 from .drive import Command, Plant, PlateState
 from .linear import DEGREE, advance, depth, later, step_responses

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.scenario import Scenario, start_positions
+from plate_core.tasks import Scenario, start_positions
 
 from .contacts import INELASTIC, Contacts
 from .friction import Trajectory, friction_accel, pairs

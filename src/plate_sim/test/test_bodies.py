@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError
-from plate_core.frames import to_plate
+from plate_core.rig import to_plate
 from plate_sim import simulate
 from plate_sim.bodies import simulate_bodies
 from plate_sim.footprint import bar, disc, on_feet, union

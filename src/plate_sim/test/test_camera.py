@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError, load_rig
-from plate_core.frames import homography, project, to_home
+from plate_core.rig import homography, project, to_home
 from plate_sim import Camera, part_greys
 
 RIG = load_rig()

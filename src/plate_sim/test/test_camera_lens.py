@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError, load_rig
-from plate_core.frames import homography, project, to_home, to_image, to_plate
-from plate_core.lens import Lens
+from plate_core.rig import Lens, homography, project, to_home, to_image, to_plate
 from plate_sim import Camera
 
 TURN, PLACE = np.array([3.07, 0.03, 0.02]), np.array([0.004, -0.003, 0.66])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.frames import to_plate
+from plate_core.rig import to_plate
 from plate_sim import WorldState, simulate, world
 from plate_sim.contacts import Contacts, simulate_discs
 from plate_sim.plate_motion import PlateMotion

@@ -9,10 +9,11 @@ import pytest
 import serial
 import yaml
 
-from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.kinematics import motor_state
-from plate_core.rig import default_rig_path
-from plate_core.serial_protocol import (
+from plate_core import CycleError, PlateCycle, PlateError, load_rig  # fmt: skip
+from plate_core.motion import motor_state  # fmt: skip
+from plate_core.rig import default_rig_path  # fmt: skip
+from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Begin,
     Commit,
     Enable,
@@ -31,8 +32,7 @@ from plate_core.serial_protocol import (
     pack,
     parse,
     table_crc,
-)  # fmt: skip
-from plate_core.serial_protocol.messages import VERSION
+)
 from plate_sim.device import Accidents, DeviceLimits, Emulator, Line, Trouble
 from plate_sim.device.terminal import Terminal
 from plate_sim.plate_motion import PlateMotion

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.frames import to_home
+from plate_core.rig import to_home
 from plate_sim import WorldState, run_cycle
 from plate_sim.dirt import CLEAN, RANGES, WAVELENGTH, Dirt, Surface
 from plate_sim.plate_motion import PlateMotion

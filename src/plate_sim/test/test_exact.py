@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from plate_core import PlateCycle, PlateError
-from plate_core.frames import surface_velocity, to_plate
+from plate_core.rig import surface_velocity, to_plate
 from plate_sim import simulate, simulate_many
 from plate_sim.exact import run_points
 from plate_sim.motion import tabulate

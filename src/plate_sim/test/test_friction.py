@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.frames import surface_velocity, to_plate
+from plate_core.rig import surface_velocity, to_plate
 from plate_sim import PlateMotion, simulate
 
 MU, G = 0.25, 9.81

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from plate_core import PlateCycle, PlateError
-from plate_core.frames import surface_velocity, to_plate
+from plate_core.rig import surface_velocity, to_plate
 from plate_sim import simulate
 from plate_sim.ground import Ground
 from plate_sim.plate_motion import PlateMotion

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.kinematics import motor_state
-from plate_core.suspension import Suspension, mass_matrix, modal_matrices
+from plate_core.motion import motor_state
+from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from plate_sim.device import HungPlate
 from plate_sim.drive import PlateState
 from plate_sim.suspension import motor_record, realise

@@ -20,8 +20,15 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.ros.convert import image_to_array, motors_to_msg, msg_to_parts, nanoseconds, to_time
-from plate_core.ros.qos import CAMERA, DATA
+from plate_core.ros import (
+    CAMERA,
+    DATA,
+    image_to_array,
+    motors_to_msg,
+    msg_to_parts,
+    nanoseconds,
+    to_time,
+)
 from plate_sim.node import START_NS, SimulatorNode
 
 RIG = load_rig()

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.frames import to_image
-from plate_core.scenario import load_scenario
-from plate_core.suspension import Suspension
+from plate_core.rig import Suspension, to_image
+from plate_core.tasks import load_scenario
 from plate_sim import Camera, part_greys, simulate
 from plate_sim.camera import PLATE
 from plate_sim.dirt import CLEAN, Dirt

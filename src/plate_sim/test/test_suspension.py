@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.suspension import Suspension, mass_matrix, modal_matrices
+from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from plate_sim.drive import PlateState
 from plate_sim.suspension import (
     ACCEL_ERROR,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.frames import to_home
-from plate_core.scenario import load_scenario
+from plate_core.rig import to_home
+from plate_core.tasks import load_scenario
 from plate_sim import WorldState, record_cycle, run_cycle
 
 RIG = load_rig()

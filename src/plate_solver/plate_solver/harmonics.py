@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.limits import PIECES
+from plate_core.motion import PIECES
 
 from .solution import Bounds
 

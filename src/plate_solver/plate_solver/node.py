@@ -14,12 +14,19 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PartSet, PlateCycle, PlateError, load_rig
-from plate_core.ros.convert import cycle_to_msg, msg_to_parts, nanoseconds
-from plate_core.ros.diagnostics import Diagnostics
-from plate_core.ros.main import run_node
-from plate_core.ros.markers import centres_to_msg
-from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA, NEWEST
+from plate_core.ros import (
+    DATA,
+    NEWEST,
+    Diagnostics,
+    centres_to_msg,
+    cycle_to_msg,
+    declare,
+    follow,
+    msg_to_parts,
+    nanoseconds,
+    parameter,
+    run_node,
+)
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller

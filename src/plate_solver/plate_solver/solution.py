@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.limits import PIECES
+from plate_core.motion import PIECES
 
 from .traits import FARTHEST_M, FASTEST_MPS, Traits, find_traits
 
@@ -134,7 +134,7 @@ def exact_share(
     half: np.ndarray,
     limits: np.ndarray,
 ) -> float:
-    """Return the greatest share of a limit, as `plate_core.limits.usage` has it.
+    """Return the greatest share of a limit, as `plate_core.motion.usage` has it.
 
     Parameters
     ----------

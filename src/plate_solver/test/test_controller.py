@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, PlateCycle, PlateError
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS

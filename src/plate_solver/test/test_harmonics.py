@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_solver.harmonics import harmonics
 from plate_solver.solution import Bounds
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, PlateCycle, PlateError
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 
 rclpy = pytest.importorskip("rclpy")
@@ -24,13 +24,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros.convert import (  # noqa: E402
-    msg_to_cycle,
-    nanoseconds,
-    parts_to_msg,
-    to_time,
-)
-from plate_core.ros.qos import DATA  # noqa: E402
+from plate_core.ros import DATA, msg_to_cycle, nanoseconds, parts_to_msg, to_time  # noqa: E402
 from plate_solver.node import SolverNode  # noqa: E402
 
 SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]

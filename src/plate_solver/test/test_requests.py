@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plate_core import PlateError, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import RotationSolver, SinusoidSolver
 from plate_solver.force_map import mean_force

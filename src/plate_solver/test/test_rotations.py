@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
-from plate_core.limits import corner_accel, usage
+from plate_core.motion import corner_accel, usage
 from plate_solver import Goal, RotationSolver, average_force
 from plate_solver.centres import ring, unit_twists
 from plate_solver.rotation_descent import line_of, slopes

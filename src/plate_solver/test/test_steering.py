@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
 from plate_solver.steering import residual

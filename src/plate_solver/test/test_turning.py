@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import PartSet, PlateCycle, load_rig
-from plate_core.limits import usage
+from plate_core.motion import usage
 from plate_sim.world import WorldState, run_cycle
 from plate_solver import Controller
 from plate_solver.disc_map import POINTS, end_disc, end_disc_gradient

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plate_core.fiducials import Fiducials
-from plate_core.frames import to_home
+from plate_core.rig import Fiducials, to_home
 
 from .calibration import Calibration, Lens, calibrate_by_matrix
 from .errors import CalibrationError

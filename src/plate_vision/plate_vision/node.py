@@ -17,12 +17,21 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
-from plate_core.ros.convert import array_to_image, parts_to_msg, pose_to_msg, seconds
-from plate_core.ros.diagnostics import Diagnostics
-from plate_core.ros.main import run_node
-from plate_core.ros.markers import scene_to_msg
-from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import CAMERA, DATA, IMAGE
+from plate_core.ros import (
+    CAMERA,
+    DATA,
+    IMAGE,
+    Diagnostics,
+    array_to_image,
+    declare,
+    follow,
+    parameter,
+    parts_to_msg,
+    pose_to_msg,
+    run_node,
+    scene_to_msg,
+    seconds,
+)
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
 from .calibration import Lens

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.frames import to_home
+from plate_core.rig import to_home
 
 from .calibration import Calibration, Lens, calibrate_by_rig
 from .detection import detect

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plate_core import Rig
-from plate_core.fiducials import Fiducials
-from plate_core.frames import to_home
+from plate_core.rig import Fiducials, to_home
 
 from .calibration import Calibration, Lens, rig_lens
 from .errors import CalibrationError

@@ -189,8 +189,7 @@ class MarkedPlate:
         import cv2
 
         from plate_core import load_rig
-        from plate_core.fiducials import Fiducials
-        from plate_core.frames import camera_pose
+        from plate_core.rig import Fiducials, camera_pose
         from plate_vision import Lens
 
         rig = load_rig()

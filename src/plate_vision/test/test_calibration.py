@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from plate_core import load_rig
-from plate_core.frames import homography
+from plate_core.rig import homography
 from plate_vision import (
     Calibration,
     CalibrationError,

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core.fiducials import Fiducials
-from plate_core.frames import to_home
+from plate_core.rig import Fiducials, to_home
 from plate_vision import CalibrationError, detect, make_vision
 from plate_vision.fiducials import find_home, find_pose, fit_pose, hide
 from plate_vision.markers import DICTIONARIES, draw_marker, find_markers

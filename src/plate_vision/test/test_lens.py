@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plate_core import load_rig
-from plate_core.lens import Lens
+from plate_core.rig import Lens
 from plate_vision import ImageError, Tracker, detect, look, make_vision
 from plate_vision.calibration import Lens as SeenLens
 from plate_vision.region import check_region, make_region

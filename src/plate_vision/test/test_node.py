@@ -19,8 +19,7 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.rig import config_path  # noqa: E402
-from plate_core.ros.convert import array_to_image, msg_to_parts, to_time  # noqa: E402
-from plate_core.ros.qos import DATA, IMAGE  # noqa: E402
+from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, to_time  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])

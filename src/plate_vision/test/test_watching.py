@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from plate_core.frames import to_home
+from plate_core.rig import to_home
 from plate_vision import CalibrationError, Tracker, TrackerOptions, look, make_vision
 from plate_vision.watching import Watch, watch
 

@@ -1,1 +1,64 @@
-"""The only place outside the nodes that imports ROS."""
+"""What the nodes share of ROS: messages, QoS, parameters, diagnostics, markers, start and end.
+
+Nothing else outside the nodes imports ROS.
+"""
+
+from .convert import (
+    array_to_image,
+    camera_to_info,
+    cycle_to_msg,
+    image_to_array,
+    motors_to_msg,
+    msg_to_cycle,
+    msg_to_knots,
+    msg_to_motors,
+    msg_to_parts,
+    nanoseconds,
+    parts_to_msg,
+    pose_to_msg,
+    seconds,
+    to_time,
+    trajectory_to_msg,
+)
+from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics
+from .lifecycle import SafeLifecycleNode, logged
+from .main import run_node
+from .markers import centres_to_msg, forces_to_msg, scene_to_msg
+from .params import declare, follow, parameter
+from .qos import CAMERA, DATA, IMAGE, LATCHED, NEWEST
+from .unlocked import UnlockedSubscription
+
+__all__ = [
+    "CAMERA",
+    "DATA",
+    "DIAGNOSTICS_PERIOD_S",
+    "IMAGE",
+    "LATCHED",
+    "NEWEST",
+    "Diagnostics",
+    "SafeLifecycleNode",
+    "UnlockedSubscription",
+    "array_to_image",
+    "camera_to_info",
+    "centres_to_msg",
+    "cycle_to_msg",
+    "declare",
+    "follow",
+    "forces_to_msg",
+    "image_to_array",
+    "logged",
+    "motors_to_msg",
+    "msg_to_cycle",
+    "msg_to_knots",
+    "msg_to_motors",
+    "msg_to_parts",
+    "nanoseconds",
+    "parameter",
+    "parts_to_msg",
+    "pose_to_msg",
+    "run_node",
+    "scene_to_msg",
+    "seconds",
+    "to_time",
+    "trajectory_to_msg",
+]

@@ -11,9 +11,8 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ..cycle import PlateCycle
 from ..errors import CycleError, PlateError
-from ..kinematics import motor_state, plate_state
+from ..motion import PlateCycle, motor_state, plate_state
 from ..parts import PartSet
 from ..rig import Camera, Rig
 

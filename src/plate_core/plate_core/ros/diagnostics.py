@@ -14,7 +14,7 @@ from rclpy.node import Node
 from ..status import Finding, Level
 from .qos import DATA
 
-PERIOD_S = 1.0
+DIAGNOSTICS_PERIOD_S = 1.0
 """Time between diagnostics [s]: a node that has said nothing for longer is dead or frozen."""
 
 LOOK_PERIOD_S = 0.1
@@ -49,7 +49,7 @@ class Diagnostics:
     ) -> None:
         self._node, self._find, self._values = node, find, values
         self._hardware_id, self._reported, self._stamp = hardware_id, reported, stamp
-        self._level, self._due = Level.OK, time.monotonic() + PERIOD_S
+        self._level, self._due = Level.OK, time.monotonic() + DIAGNOSTICS_PERIOD_S
         self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", DATA)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(LOOK_PERIOD_S, self._look, clock=steady)
@@ -71,7 +71,7 @@ class Diagnostics:
                 self._tell(finding)
             return
         # After a standstill the next report is a whole period away, not at once.
-        self._due = max(self._due, now - PERIOD_S / 2) + PERIOD_S
+        self._due = max(self._due, now - DIAGNOSTICS_PERIOD_S / 2) + DIAGNOSTICS_PERIOD_S
         self._tell(finding)
         self._reported()
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ..cycle import PlateCycle
+from ..motion import PlateCycle
 from ..parts import PartSet, part_class
 from ..rig import Rig
 from .convert import FRAME, pose_to_msg

@@ -2,6 +2,12 @@
 
 from .framing import Reader, frame, unframe
 from .messages import (
+    HEADER,
+    KNOTS_PER_MESSAGE,
+    LAYOUTS,
+    MOTORS,
+    TICK_S,
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -27,6 +33,12 @@ from .messages import (
 )
 
 __all__ = [
+    "HEADER",
+    "KNOTS_PER_MESSAGE",
+    "LAYOUTS",
+    "MOTORS",
+    "TICK_S",
+    "VERSION",
     "Acknowledgement",
     "Begin",
     "Capabilities",

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core.errors import FrameError
+from plate_core import FrameError
 from plate_core.serial_protocol import (
+    MOTORS,
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -34,7 +36,6 @@ from plate_core.serial_protocol import (
     pack,
     parse,
 )
-from plate_core.serial_protocol.messages import MOTORS, VERSION
 
 from .changed import changed
 from .limits import BRAKE_ROOM, SLACK, DeviceLimits

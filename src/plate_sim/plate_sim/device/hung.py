@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plate_core import Rig
-from plate_core.cycle import quintic_pieces
+from plate_core.motion import quintic_pieces
 
 from ..drive import PlateState
 from ..plate_motion import PlateMotion

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import Rig
-from plate_core.suspension import mass_matrix
+from plate_core.rig import mass_matrix
 
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core.serial_protocol import Fault, State
-from plate_core.serial_protocol.messages import MOTORS
+from plate_core.serial_protocol import MOTORS, Fault, State
 
 from .changed import changed
 from .piece import TICK_S

@@ -12,10 +12,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import load_rig
-from plate_core.ros.convert import to_time, trajectory_to_msg
-from plate_core.ros.main import run_node
-from plate_core.ros.params import declare, follow, parameter
-from plate_core.ros.qos import DATA
+from plate_core.ros import DATA, declare, follow, parameter, run_node, to_time, trajectory_to_msg
 
 from .emulator import TICK_US, Accidents, Emulator
 from .hung import HungPlate

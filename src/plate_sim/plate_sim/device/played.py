@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core.serial_protocol import State
-from plate_core.serial_protocol.messages import MOTORS, TICK_S
+from plate_core.serial_protocol import MOTORS, TICK_S, State
 
 from .motion import Motion
 from .stream import Stream

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core.serial_protocol import Knot, Status
-from plate_core.serial_protocol.messages import MOTORS
+from plate_core.serial_protocol import MOTORS, Knot, Status
 
 from .limits import DeviceLimits
 from .piece import Look, looks, rows

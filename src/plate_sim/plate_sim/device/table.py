@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core.serial_protocol import Knot, Status, table_crc
-from plate_core.serial_protocol.messages import MOTORS, TICK_S
+from plate_core.serial_protocol import MOTORS, TICK_S, Knot, Status, table_crc
 
 from . import piece
 from .changed import changed

@@ -6,43 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import PlateError, ScenarioError
-from .rig import Rig, config_path
+from ..errors import PlateError, ScenarioError
+from ..rig import Rig, config_path
+from ..yaml_fields import Fields, read_yaml
 from .task_fields import pairs, read_task
 from .tasks import (
     AssembleTask,
     Bin,
     FollowTask,
     PartGroup,
-    PathTask,
     Point,
-    Pose,
     PoseTask,
     Scenario,
-    Side,
     SortTask,
     Task,
 )
-from .yaml_fields import Fields, read_yaml
-
-__all__ = [
-    "MIN_SEPARATION_M",
-    "SCATTER_SHARE",
-    "AssembleTask",
-    "Bin",
-    "FollowTask",
-    "PartGroup",
-    "PathTask",
-    "Pose",
-    "PoseTask",
-    "Scenario",
-    "Side",
-    "SortTask",
-    "check_scenario",
-    "load_scenario",
-    "scenario_names",
-    "start_positions",
-]
 
 MIN_SEPARATION_M = 0.04
 """Least distance of scattered centres [m]: five radii of the default parts."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import CycleError
-from .rig import Rig
+from ..errors import CycleError
+from ..rig import Rig
 
 CONSISTENCY_TOLERANCE = 5e-6
 """Greatest disagreement of four motors [m]: more would bend the plate's suspension."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import RigError
-from .yaml_fields import Fields
+from ..errors import RigError
+from ..yaml_fields import Fields
 
 LEAST, MOST = 4, 16
 """How many there may be: fewer than four cannot be checked against each other."""

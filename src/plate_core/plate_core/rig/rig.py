@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import RigError
+from ..errors import RigError
+from ..yaml_fields import Fields, read_yaml
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .suspension import Suspension, read_suspension
-from .yaml_fields import Fields, read_yaml
 
 
 @dataclass(frozen=True)

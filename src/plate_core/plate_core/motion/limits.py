@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..rig import Rig
 from .cycle import PlateCycle
 from .kinematics import motor_state
-from .rig import Rig
 
 PIECES = 4
 """Pieces of a knot interval when bounding its peaks: with 6 knots to a sine wave they come out

@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..errors import ScenarioError
+from ..yaml_fields import Fields
 from .curves import circle_points, spline_points
-from .errors import ScenarioError
 from .tasks import (
     AssembleTask,
     Bin,
@@ -24,7 +25,6 @@ from .tasks import (
     SortTask,
     Task,
 )
-from .yaml_fields import Fields
 
 SIDES: Mapping[str, Side] = MappingProxyType(
     {

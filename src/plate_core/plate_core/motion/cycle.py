@@ -9,7 +9,7 @@ from math import comb
 import numpy as np
 from scipy.interpolate import PPoly
 
-from .errors import CycleError
+from ..errors import CycleError
 
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
 """Pose [m, m, rad], twist and acceleration below this (times 1, 1/s, 1/s2 and 100) are rest."""

@@ -7,8 +7,8 @@ from math import inf, pi
 
 import numpy as np
 
-from .errors import RigError
-from .yaml_fields import Fields
+from ..errors import RigError
+from ..yaml_fields import Fields
 
 Matrix = tuple[tuple[float, float, float], ...]
 

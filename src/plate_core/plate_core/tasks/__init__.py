@@ -1,0 +1,43 @@
+"""Scenarios: which parts are on the plate, and what is to be done with them.
+
+`load_scenario` reads one, `start_positions` places its parts; the tasks are plain data.
+"""
+
+from .curves import circle_points
+from .scenario import check_scenario, load_scenario, scenario_names, start_positions
+from .tasks import (
+    AssembleTask,
+    Bin,
+    FollowTask,
+    PartGroup,
+    PathTask,
+    Point,
+    Pose,
+    PoseTask,
+    Region,
+    Scenario,
+    Side,
+    SortTask,
+    Task,
+)
+
+__all__ = [
+    "AssembleTask",
+    "Bin",
+    "FollowTask",
+    "PartGroup",
+    "PathTask",
+    "Point",
+    "Pose",
+    "PoseTask",
+    "Region",
+    "Scenario",
+    "Side",
+    "SortTask",
+    "Task",
+    "check_scenario",
+    "circle_points",
+    "load_scenario",
+    "scenario_names",
+    "start_positions",
+]
