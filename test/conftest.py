@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from desk import running, twin
+from graph.domains import own_domain
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
 STRICT = [
@@ -13,6 +14,13 @@ STRICT = [
     "-Wfloat-conversion", "-Werror",
 ]  # fmt: skip
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+@pytest.fixture
+def domain():
+    """A ROS domain for this test alone."""
+    with own_domain() as domain:
+        yield domain
 
 
 @pytest.fixture(name="program", scope="session")

@@ -4,7 +4,6 @@ In simulated time: the node's timers are called here, its clock is the device's.
 """
 
 import itertools
-import os
 import sys
 from pathlib import Path
 
@@ -27,7 +26,6 @@ from plate_sim.device import Accidents, DeviceLimits, Emulator, HungPlate, Troub
 
 RIG = load_rig()
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")
-DOMAIN = 1 + (43 * os.getpid() + 29) % 99
 PERIOD = 0.2
 TICK_S = 1e-3
 HUNG = """
@@ -87,7 +85,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
     words = ["transport:=serial", "port:=simulated", "hold_cycles:=20"]
     words += [f"calibration_file:={learned}", f"rig_file:={rig_file}"]
     arguments = ["--ros-args", "-r", "__ns:=/calibrate_node"]
-    rclpy.init(args=arguments + [w for p in words for w in ("-p", p)], domain_id=DOMAIN)
+    rclpy.init(args=arguments + [w for p in words for w in ("-p", p)])
     driver, cycle = DriverNode(), shaking()
     t = PERIOD * np.arange(1000) / 1000
     _, _, wanted = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))

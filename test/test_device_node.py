@@ -26,7 +26,6 @@ from plate_sim.device import node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402
 
 RIG = load_rig()
-DOMAIN = 1 + (41 * os.getpid() + 11) % 99
 PATIENCE_S = 15.0
 
 
@@ -45,7 +44,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     link = tmp_path / "port"
     words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=20"]
     arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/device_node"]
-    rclpy.init(args=arguments, domain_id=DOMAIN)
+    rclpy.init(args=arguments)
     executor, own = SingleThreadedExecutor(), SingleThreadedExecutor()
     device = DeviceNode()
     own.add_node(device)  # the device must not wait for the others
@@ -132,7 +131,7 @@ def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_pa
     clock = [10**9]
     monkeypatch.setattr(node, "time", SimpleNamespace(monotonic_ns=lambda: clock[0]))
     arguments = ["--ros-args", "-p", f"link:={tmp_path / 'port'}", "-r", "__ns:=/held_up"]
-    rclpy.init(args=arguments, domain_id=DOMAIN)
+    rclpy.init(args=arguments)
     device = DeviceNode()
     try:
 

@@ -29,10 +29,10 @@ def test_a_script_runs_and_draws(tmp_path, name):
         assert "success True" in done.stdout
 
 
-def test_a_planner_of_ones_own_moves_the_parts(tmp_path):
+def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
     pytest.importorskip("rclpy")
     from graph.observer import Observer
-    from graph.processes import Processes, free_domain, ros_environment
+    from graph.processes import Processes, ros_environment
     from graph.session import ANSWER_S, START_S
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import MultiDOFJointState
@@ -40,7 +40,6 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path):
     from plate_core.graph import RunOptions, load_graph
     from plate_core.ros import msg_to_parts
 
-    domain = free_domain()
     options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
     nodes = [node for node in load_graph() if node.name != "planner"]
     own = subprocess.Popen(

@@ -6,7 +6,7 @@ pytest.importorskip("rclpy")
 
 from faults import Faults, Times
 from graph.observer import Observer
-from graph.processes import Processes, free_domain, ros_environment
+from graph.processes import Processes
 
 from plate_core.graph import RunOptions, load_graph
 
@@ -24,16 +24,8 @@ EXPECTED = {
 """By fault: what task_state says, and a node whose diagnostics go bad (the planner's always do)."""
 
 
-@pytest.fixture(autouse=True)
-def on_this_machine(monkeypatch):
-    """As env.sh does."""
-    for name, value in ros_environment(0).items():
-        if name != "ROS_DOMAIN_ID":
-            monkeypatch.setenv(name, value)
-
-
-def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path):
-    domain, options = free_domain(), RunOptions(scenario="sort_4")
+def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
+    options = RunOptions(scenario="sort_4")
     graph = options.nodes(load_graph())
     with (
         Processes(graph, options, tmp_path, domain) as processes,

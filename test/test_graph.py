@@ -1,6 +1,8 @@
 """The five nodes as processes, over real topics: what only the whole graph can show."""
 
+import contextlib
 import signal
+import socket
 import sys
 import time
 import types
@@ -12,9 +14,10 @@ import yaml
 
 pytest.importorskip("rclpy")
 
+from graph import domains
 from graph.film import check_limits, develop
 from graph.observer import Observer
-from graph.processes import Processes, free_domain, ros_environment
+from graph.processes import Processes
 from graph.session import session
 from rcl_interfaces.srv import ListParameters
 from rclpy.serialization import deserialize_message
@@ -31,14 +34,6 @@ from plate_sim.world import WorldState
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
 GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}
-
-
-@pytest.fixture(autouse=True)
-def on_this_machine(monkeypatch):
-    """As env.sh does."""
-    for name, value in ros_environment(0).items():
-        if name != "ROS_DOMAIN_ID":
-            monkeypatch.setenv(name, value)
 
 
 def tables(record):
@@ -129,8 +124,7 @@ WRONG_IMAGES = {
 }
 
 
-def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path):
-    domain = free_domain()
+def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     nodes = [node for node in GRAPH.values() if node.on_hardware]
     with (
         Processes(nodes, RunOptions(scenario="sort_4"), tmp_path, domain) as processes,
@@ -179,11 +173,13 @@ WRONG_INPUT = [
 
 
 @pytest.mark.parametrize(("name", "changes", "message"), WRONG_INPUT)
-def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, monkeypatch, name, changes, message):
+def test_wrong_input_is_one_line_and_exit_code_2(
+    tmp_path, domain, monkeypatch, name, changes, message
+):
     (tmp_path / "broken.yaml").write_text(BROKEN)
     monkeypatch.chdir(tmp_path)
     options = RunOptions(**changes)
-    with Processes([GRAPH[name]], options, tmp_path, free_domain()) as processes:
+    with Processes([GRAPH[name]], options, tmp_path, domain) as processes:
         assert processes.wait(name, 30) == 2
         lines = processes.log(name).read_text().splitlines()
         with pytest.raises(GraphError, match=f"{name} ended with exit code 2"):
@@ -195,12 +191,11 @@ def test_wrong_input_is_one_line_and_exit_code_2(tmp_path, monkeypatch, name, ch
 # The list of nodes and their parameters
 
 
-def test_parameters_of_the_file_are_those_of_the_nodes(tmp_path):
+def test_parameters_of_the_file_are_those_of_the_nodes(tmp_path, domain):
     file = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text(encoding="utf-8"))
     given = {key.rsplit("/", 1)[-1]: values["ros__parameters"] for key, values in file.items()}
     assert list(given) == NAMES
     options = RunOptions(rig_file=str(ROOT / "config" / "rig.yaml"))
-    domain = free_domain()
     with (
         Processes(GRAPH.values(), options, tmp_path, domain) as processes,
         Observer(domain, processes.check) as observer,
@@ -310,3 +305,17 @@ def test_each_transport_has_its_nodes():
     given = {node.name: options.parameters(node) for node in listed}
     assert given["driver"]["port"] == given["device"]["link"] == "/tmp/x"
     assert given["simulator"]["driven_by"] == "device"
+
+
+def test_nobody_gets_a_domain_that_is_taken(monkeypatch):
+    monkeypatch.setattr(domains, "DOMAINS", range(102, 106))  # nobody else gets these
+    with contextlib.ExitStack() as stack, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        first = [stack.enter_context(domains.own_domain()) for _ in range(2)]
+        free = sorted({102, 103, 104, 105} - set(first))
+        with contextlib.suppress(OSError):  # a real participant may have it
+            other.bind(("", 7410 + 250 * free[0]))
+        assert stack.enter_context(domains.own_domain()) == free[1]
+        with pytest.raises(RuntimeError, match="all ROS domains from 102 to 105"):
+            stack.enter_context(domains.own_domain())
+    with domains.own_domain():
+        pass

@@ -35,7 +35,6 @@ TICK_S = 1e-3
 MOST_TICKS = 50
 """On a machine that is too busy the board's clock stands still from there on."""
 
-DOMAIN = 1 + (37 * os.getpid() + 5) % 99
 NAMESPACE = f"/serial_node_{os.getpid()}"
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 LIFECYCLE = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
@@ -126,7 +125,7 @@ class Desk:
     def __init__(self, board: Board) -> None:
         self.board = board
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
+        rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -160,7 +159,7 @@ class Desk:
         arguments = [w for p in [*words, *parameters] for w in ("-p", p)]
         self.process = subprocess.Popen(
             [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments],
-            env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"},
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
             text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         return self.process
@@ -410,7 +409,7 @@ def test_the_port_is_for_one_driver(desk):
     words = ["transport:=serial", f"port:={desk.board.port}"]
     second = subprocess.run(
         [*DRIVER, "--ros-args", "-r", "__ns:=/second", *(w for p in words for w in ("-p", p))],
-        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}, capture_output=True, text=True, timeout=30,
+        capture_output=True, text=True, timeout=30,
     )  # fmt: skip
     assert second.returncode == 2
     assert f"error: port is '{desk.board.port}', allowed: a serial port" in second.stderr

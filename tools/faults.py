@@ -28,9 +28,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from graph import gate
+from graph.domains import own_domain
 from graph.film import LimitCheck, check_limits
 from graph.observer import ALL, Observer
-from graph.processes import Processes, free_domain
+from graph.processes import Processes
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -360,10 +361,11 @@ def run_some(
     kinds: list[str], names: list[str], options: RunOptions, logs: Path
 ) -> tuple[list[Row], LimitCheck]:
     """Put faults into one running graph; to cut, with the gate in between."""
-    domain, transport = free_domain(), options.transport
+    transport = options.transport
     graph = options.nodes(load_graph())
     rows = []
     with (
+        own_domain() as domain,
         Observer(domain) as observer,  # without a look at the processes: they are to die
         running(graph, options, logs, domain, gated="cut" in kinds) as processes,
     ):

@@ -24,8 +24,9 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from graph.domains import own_domain
 from graph.film import limit_shares
-from graph.processes import free_domain, ros_environment
+from graph.processes import ros_environment
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
@@ -264,18 +265,18 @@ def main() -> int:
     unknown = [name for name in args.nodes if name not in NODES]
     if unknown:
         parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(NODES)}")
-    os.environ.update(ros_environment(free_domain()))
-    rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
     verdicts = []
-    try:
-        for name in args.nodes or NODES:
-            try:
+    with own_domain() as domain:
+        os.environ.update(ros_environment(domain))
+        rclpy.init(args=["--ros-args", "--disable-external-lib-logs"])
+        try:
+            for name in args.nodes or NODES:
                 verdicts.append(fuzz(name, args.messages, args.seed))
-            except PlateError as error:
-                parser.error(f"{name}: {error}")
-            print(verdicts[-1], flush=True)
-    finally:
-        rclpy.try_shutdown()
+                print(verdicts[-1], flush=True)
+        except PlateError as error:
+            parser.error(str(error))
+        finally:
+            rclpy.try_shutdown()
     if args.json:
         text = json.dumps([vars(v) for v in verdicts], indent=1)
         args.json.write_text(text, encoding="utf-8")

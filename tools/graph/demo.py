@@ -21,13 +21,14 @@ from plate_core.tasks import Scenario, load_scenario
 from plate_driver.transport import check_transport
 from plate_solver.controller import METHODS
 
+from .domains import own_domain
 from .observer import Observer
-from .processes import Interrupted, free_domain, ros_environment, signals_raise
+from .processes import Interrupted, ros_environment, signals_raise
 from .progress import ProgressLine
 from .record import Record
 from .recorder import Recorder
 from .result import judge, summary
-from .session import session
+from .session import Session, session
 
 SILENCE_S = 30.0
 """Longest silence of the planner [s]."""
@@ -53,8 +54,8 @@ class Plan:
     rig : Rig
     out : path
         Where results go.
-    domain : int
-        ROS domain.
+    domain : int, optional
+        ROS domain; if left out, one of its own.
     pictures : bool
     record : bool
         Whether to keep all messages.
@@ -64,7 +65,7 @@ class Plan:
     scenario: Scenario
     rig: Rig
     out: Path
-    domain: int
+    domain: int | None
     pictures: bool
     record: bool
 
@@ -116,16 +117,14 @@ def checked(args: argparse.Namespace) -> Plan:
         lockstep=args.lockstep,
         autostart=False,
     )
-    domain = free_domain() if args.domain is None else args.domain
-    return Plan(options, scenario, load_rig(), args.out, domain, not args.no_pictures, args.record)
+    pictures = not args.no_pictures
+    return Plan(options, scenario, load_rig(), args.out, args.domain, pictures, args.record)
 
 
 def run(plan: Plan) -> int:
     """Run the task from start to end."""
     began = time.monotonic()
     clear(plan.out)
-    for name, value in ros_environment(plan.domain).items():
-        os.environ.setdefault(name, value)
     names = [node.name for node in plan.options.nodes(load_graph())]
     print(
         f"{plan.scenario.description} Method: {plan.options.method}. "
@@ -133,10 +132,10 @@ def run(plan: Plan) -> int:
         f"Starting {', '.join(names)} (the first time they compile: about a minute).",
         flush=True,
     )
-    with session(plan.options, plan.out / "logs", plan.domain) as graph:
+    with running(plan) as graph:
         print(
             f"All {len(graph.nodes)} nodes seen after {time.monotonic() - began:.0f} s. "
-            f"To look on: source env.sh; export ROS_DOMAIN_ID={plan.domain}",
+            f"To look on: source env.sh; export ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
             flush=True,
         )
         with recording(plan, graph.observer):
@@ -154,6 +153,15 @@ def run(plan: Plan) -> int:
     for name in (name for name, code in codes.items() if code):
         print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
     return 1
+
+
+@contextmanager
+def running(plan: Plan) -> Iterator[Session]:
+    """Run the graph, in a domain that programs started by us hear of too."""
+    with own_domain(plan.domain) as domain:
+        os.environ.update(ros_environment(domain))
+        with session(plan.options, plan.out / "logs", domain) as graph:
+            yield graph
 
 
 @contextmanager

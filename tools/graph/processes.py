@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import random
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -21,9 +19,6 @@ PATIENCE_S = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0)
 
 TAIL_LINES = 12
 """Last lines of a log that are shown when a node has failed."""
-
-DOMAINS = range(1, 102)
-"""ROS domains whose ports do not collide with those that Linux hands out itself."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end."""
@@ -68,22 +63,6 @@ def signals_wait() -> Iterator[None]:
             signal.signal(number, handler)
         if pending:
             os.kill(os.getpid(), pending[0])
-
-
-def free_domain() -> int:
-    """Return a ROS domain that nobody on this machine uses.
-
-    The first participant of a domain binds a UDP port of its own (DDSI-RTPS 9.6.1.1: 7410 +
-    250 domain), so a port that can be bound tells that the domain is free.
-    """
-    for domain in random.sample(DOMAINS, len(DOMAINS)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7410 + 250 * domain))
-            except OSError:
-                continue
-            return domain
-    raise GraphError(f"all ROS domains from {DOMAINS[0]} to {DOMAINS[-1]} are in use")
 
 
 def ros_environment(domain: int) -> dict[str, str]:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from plate_core.graph import RunOptions, load_graph
 
+from .domains import own_domain
 from .observer import Observer
-from .processes import Processes, free_domain
+from .processes import Processes
 
 START_S = 180.0
 """Longest wait for the nodes [s]: at their first start they compile."""
@@ -71,7 +72,7 @@ def session(
     logs : path
         Folder for the nodes' logs.
     domain : int, optional
-        ROS domain; a free one if left out.
+        ROS domain; if left out, one of its own.
     pictures : bool
         Whether the observer listens to images.
 
@@ -80,9 +81,9 @@ def session(
     GraphError
         If a node ends or does not appear.
     """
-    domain = free_domain() if domain is None else domain
     nodes = options.nodes(load_graph())
     with (
+        own_domain(domain) as domain,
         Processes(nodes, options, logs, domain) as processes,
         Observer(domain, processes.check, pictures) as observer,
     ):

@@ -1,6 +1,5 @@
 """Diagnostics come by the steady clock, whatever comes in and whatever ROS time does."""
 
-import os
 import time
 
 import pytest
@@ -13,7 +12,6 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from plate_core.ros import DATA, DIAGNOSTICS_PERIOD_S, Diagnostics  # noqa: E402
 from plate_core.status import Finding, Level  # noqa: E402
 
-DOMAIN = 1 + (43 * os.getpid() + 3) % 99
 LONGEST_S = 20.0
 
 
@@ -21,7 +19,7 @@ LONGEST_S = 20.0
 def talker():
     """A node whose simulated clock stands still, and what is heard of it."""
     words = ["--ros-args", "-p", "use_sim_time:=true", "-r", "__ns:=/diagnostics_test"]
-    rclpy.init(args=words, domain_id=DOMAIN)
+    rclpy.init(args=words)
     node, executor, heard = rclpy.create_node("talker"), SingleThreadedExecutor(), []
     executor.add_node(node)
     node.create_subscription(DiagnosticArray, "diagnostics", heard.append, DATA)

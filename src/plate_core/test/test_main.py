@@ -1,6 +1,5 @@
 """run_node: a clean start and a clean stop."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ pytest.importorskip("rclpy")
 PATIENCE_S = 60
 """A bound on what takes a few seconds, more when the machine is busy [s]."""
 
-DOMAIN = 1 + (37 * os.getpid() + 5) % 99
 NODE = """
 import sys, time
 from rclpy.node import Node
@@ -44,7 +42,6 @@ run_node(Talker)
 def start(*words: str) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-c", NODE, *words],
-        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -1,6 +1,5 @@
 """Parameters as data: defaults, values of the command line, changes while the node runs."""
 
-import os
 from dataclasses import dataclass
 
 import pytest
@@ -30,9 +29,7 @@ def _make_node():
 
     def make_node(*assignments: str):
         args = [word for a in assignments for word in ("-p", a)]
-        rclpy.init(
-            args=["--ros-args", *args] if args else [], domain_id=1 + (41 * os.getpid()) % 99
-        )
+        rclpy.init(args=["--ros-args", *args] if args else [])
         nodes.append(rclpy.create_node("parametric"))
         return nodes[-1]
 

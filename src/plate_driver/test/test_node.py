@@ -28,8 +28,7 @@ from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.state import LOOK, OFF  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
-DOMAIN = 1 + (31 * os.getpid() + 17) % 99
-NAMESPACE = f"/driver_test_{os.getpid()}"  # another run may have drawn the same domain
+NAMESPACE = f"/driver_test_{os.getpid()}"
 PERIOD = 0.1
 MS = 1_000_000
 LAST_STAMP = 90_000 * MS
@@ -55,7 +54,7 @@ class Peer:
 
     def __init__(self, *parameters: str) -> None:
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
+        rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -75,7 +74,6 @@ class Peer:
         self.changes = self.node.create_client(ChangeState, "driver/change_state")
         self.asks = self.node.create_client(GetState, "driver/get_state")
         env = os.environ | {
-            "ROS_DOMAIN_ID": str(DOMAIN),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONUNBUFFERED": "1",
         }
@@ -318,7 +316,6 @@ def test_lifecycle(peer):
 def test_wrong_parameter_ends_the_process():
     result = subprocess.run(
         [*DRIVER, "--ros-args", "-p", "transport:=can"],
-        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
         capture_output=True,
         text=True,
         timeout=15,
@@ -340,7 +337,7 @@ def test_wrong_parameter_ends_the_process():
     ],
 )
 def test_wrong_parameters_are_refused_at_start(parameter, message):
-    rclpy.init(args=["--ros-args", "-p", parameter], domain_id=DOMAIN)
+    rclpy.init(args=["--ros-args", "-p", parameter])
     try:
         with pytest.raises(PlateError, match=re.escape(message)):
             DriverNode()
@@ -401,9 +398,8 @@ def test_the_command_line_stops_and_tells(peer):
 
     def plate(*words: str) -> tuple[int, str]:
         code = "from plate_core.ros.command import main; main()"
-        environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)}
         done = subprocess.run(
-            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE], env=environment,
+            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE],
             capture_output=True, text=True, timeout=60,
         )  # fmt: skip
         return done.returncode, done.stdout

@@ -28,8 +28,7 @@ from plate_core.ros import DATA, msg_to_cycle, nanoseconds, parts_to_msg, to_tim
 from plate_solver.node import SolverNode  # noqa: E402
 
 SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
-DOMAIN = 47
-NAMESPACE = f"/solver_test_{os.getpid()}"  # other tests may run in the same domain
+NAMESPACE = f"/solver_test_{os.getpid()}"
 MS = 1_000_000
 MASS, MU = 0.02, 0.25  # of the default rig
 PLACES = np.array([[0.12, 0.05], [-0.15, -0.04]])
@@ -41,7 +40,7 @@ class Peer:
 
     def __init__(self) -> None:
         self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=DOMAIN)
+        rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
@@ -52,7 +51,6 @@ class Peer:
         self.forces = self.node.create_publisher(MultiDOFJointState, "part_forces", DATA)
         self.parameters = self.node.create_client(SetParameters, "solver/set_parameters")
         env = os.environ | {
-            "ROS_DOMAIN_ID": str(DOMAIN),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONUNBUFFERED": "1",
         }
@@ -295,7 +293,7 @@ def test_life_of_a_solver(peer, rig):
     ],
 )
 def test_wrong_parameters_are_refused_at_start(parameter, message):
-    rclpy.init(args=["--ros-args", "-p", parameter], domain_id=DOMAIN)
+    rclpy.init(args=["--ros-args", "-p", parameter])
     try:
         with pytest.raises(PlateError, match=re.escape(message)):
             SolverNode()
