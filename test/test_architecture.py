@@ -3,19 +3,24 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted(path.name for path in (ROOT / "src").iterdir() if path.name.startswith("plate_"))
-STAGES = [name for name in PACKAGES if name != "plate_core"]
-FILES = [
-    path
-    for name in PACKAGES
-    for path in sorted((ROOT / "src" / name / name).rglob("*.py"))
-    if "__pycache__" not in path.parts
-]
+SHARED = "plate_core"
+"""The one package that others may import."""
+
+NOT_YET = {
+    "plate_core",
+    "plate_driver",
+    "plate_planner",
+    "plate_sim",
+    "plate_solver",
+    "plate_vision",
+}
+"""Packages of which others still import names that are not public."""
+
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
 # What a core may import besides the standard library, and the rosdep key that declares it.
 LIBRARIES = {
@@ -29,88 +34,136 @@ LIBRARIES = {
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
 
 
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def files(*patterns: str) -> list[Path]:
+    found = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
+    assert found, patterns
+    return [path for path in found if "__pycache__" not in path.parts]
+
+
+def sources(package: str) -> list[Path]:
+    return files(f"src/{package}/{package}/**/*.py")
+
+
 def label(path: Path) -> str:
-    return str(path.relative_to(ROOT / "src"))
-
-
-def package(path: Path) -> str:
-    return path.relative_to(ROOT / "src").parts[0]
+    return str(path.relative_to(ROOT))
 
 
 def imports(path: Path) -> set[str]:
-    """Full names of all modules that a file imports, also those inside functions."""
-    parents = path.relative_to(ROOT / "src" / package(path)).parent.parts
+    """Full names of all that a file imports, also inside functions: modules, and names in them."""
+    module = path.relative_to(ROOT / "src").parts[1:-1] if path.is_relative_to(ROOT / "src") else ()
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names.add(node.module or "")
-            names.update(f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = parents[: len(parents) - node.level + 1]
+            base = module[: len(module) - node.level + 1] if node.level else ()
             stem = ".".join((*base, *([node.module] if node.module else [])))
-            names.add(stem)
             names.update(f"{stem}.{alias.name}" for alias in node.names)
     return names
 
 
+def roots(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(path)}
+
+
 def may_use_ros(path: Path) -> bool:
-    inside = path.relative_to(ROOT / "src" / package(path) / package(path))
-    return inside.name == "node.py" or (package(path) == "plate_core" and inside.parts[0] == "ros")
+    inside = path.relative_to(ROOT / "src").parts
+    return path.name.endswith("node.py") or inside[:3] == ("plate_core", "plate_core", "ros")
 
 
-def declared(name: str, kinds: str = "exec_") -> set[str]:
-    text = (ROOT / "src" / name / "package.xml").read_text(encoding="utf-8")
+def is_ros(name: str) -> bool:
+    return bool(ROS.fullmatch(name.split(".")[0])) or name.split(".")[:2] == ["plate_core", "ros"]
+
+
+def declared(package: str, kinds: str) -> set[str]:
+    text = (ROOT / "src" / package / "package.xml").read_text(encoding="utf-8")
     return set(re.findall(rf"<(?:{kinds})?depend>([^<]+)</", text))
 
 
-def test_there_is_something_to_check():
-    assert STAGES
-    assert len(FILES) > len(PACKAGES)
+def undeclared(package: str, paths: list[Path], kinds: str, known: dict[str, str]) -> set[str]:
+    """What files import and package.xml does not name."""
+    found = {root for path in paths for root in roots(path)}
+    needed = {known.get(n, n) for n in found if n in {*known, *PACKAGES} or ROS.fullmatch(n)}
+    return needed - declared(package, kinds) - {package}
 
 
-@pytest.mark.parametrize("path", FILES, ids=label)
-def test_only_nodes_import_ros(path):
-    if may_use_ros(path):
-        return
-    ros = {n for n in imports(path) if ROS.fullmatch(n.split(".")[0])}
-    ros |= {n for n in imports(path) if n.split(".")[:2] == ["plate_core", "ros"]}
-    assert not ros, f"{label(path)} imports {sorted(ros)}, allowed only in node.py"
+@cache
+def public(module: str) -> set[str] | None:
+    """The names in `__all__` of a package or of one of its chapters; None: it has no such list."""
+    package, *chapter = module.split(".")
+    place = ROOT / "src" / package / package / Path(*chapter)
+    path = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    if len(chapter) > 1 or not path.exists():
+        return None
+    for node in tree(path).body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return set(ast.literal_eval(node.value))
+    return None
 
 
-@pytest.mark.parametrize("path", FILES, ids=label)
-def test_stages_do_not_import_stages(path):
-    roots = {n.split(".")[0] for n in imports(path)}
-    others = (roots & set(PACKAGES)) - {package(path), "plate_core"}
-    assert not others, f"{label(path)} imports {sorted(others)}, allowed: plate_core"
+def is_public(name: str) -> bool:
+    """Whether others may import this name; nodes are there to be made by others."""
+    stem, _, last = name.rpartition(".")
+    return (
+        name in PACKAGES
+        or name.endswith("node")
+        or stem.endswith("node")
+        or public(name) is not None
+        or last in (public(stem) or ())
+    )
 
 
-@pytest.mark.parametrize("path", FILES, ids=label)
-def test_only_known_libraries(path):
-    roots = {n.split(".")[0] for n in imports(path)}
-    allowed = set(sys.stdlib_module_names) | set(LIBRARIES) | set(PACKAGES)
-    unknown = {n for n in roots - allowed if not ROS.fullmatch(n)}
-    assert not unknown, f"{label(path)} imports {sorted(unknown)}, allowed: {sorted(LIBRARIES)}"
+def test_only_nodes_import_ros():
+    offenders = [
+        f"{label(path)}: {name}"
+        for package in PACKAGES
+        for path in sources(package)
+        if not may_use_ros(path)
+        for name in sorted(filter(is_ros, imports(path)))
+    ]
+    assert not offenders, "ROS is for *node.py and plate_core/ros:\n" + "\n".join(offenders)
 
 
-@pytest.mark.parametrize("name", PACKAGES)
-def test_package_declares_what_it_imports(name):
-    roots = {n.split(".")[0] for p in FILES if package(p) == name for n in imports(p)}
-    needed = {LIBRARIES[root] for root in roots if root in LIBRARIES}
-    needed |= {root for root in roots if ROS.fullmatch(root) or root == "plate_core"}
-    missing = needed - declared(name) - {name}
-    assert not missing, f"package.xml of {name} lacks exec_depend of {sorted(missing)}"
+def test_stages_import_no_other_stage():
+    offenders = [
+        f"{label(path)}: {root}"
+        for package in PACKAGES
+        for path in sources(package)
+        for root in sorted(roots(path) & set(PACKAGES) - {package, SHARED})
+    ]
+    assert not offenders, f"packages import only {SHARED}:\n" + "\n".join(offenders)
 
 
-@pytest.mark.parametrize("name", PACKAGES)
-def test_package_declares_what_its_tests_import(name):
-    """Or `colcon test`, which knows of nothing else, cannot run them."""
-    files = sorted((ROOT / "src" / name / "test").glob("*.py"))
-    roots = {n.split(".")[0] for path in files for n in imports(path)}
-    known = LIBRARIES | TESTED_WITH
-    needed = {known.get(root, root) for root in roots if root in {*known, *PACKAGES}}
-    needed |= {root for root in roots if ROS.fullmatch(root)}
-    missing = needed - declared(name, "exec_|test_") - {name}
-    assert files
-    assert not missing, f"package.xml of {name} lacks test_depend of {sorted(missing)}"
+def test_only_known_libraries_and_package_xml_names_them():
+    """Or `colcon test`, which knows of nothing else, cannot run a package's tests."""
+    known = {*sys.stdlib_module_names, *LIBRARIES, *PACKAGES}
+    offenders = []
+    for package in PACKAGES:
+        code, tests = sources(package), files(f"src/{package}/test/*.py")
+        for path in code:
+            strange = {root for root in roots(path) - known if not ROS.fullmatch(root)}
+            offenders += [f"{label(path)}: {root} is not known" for root in sorted(strange)]
+        for name in sorted(undeclared(package, code, "exec_", LIBRARIES)):
+            offenders.append(f"src/{package}/package.xml: exec_depend of {name} is missing")
+        for name in sorted(undeclared(package, tests, "exec_|test_", LIBRARIES | TESTED_WITH)):
+            offenders.append(f"src/{package}/package.xml: test_depend of {name} is missing")
+    assert not offenders, f"known: {sorted(LIBRARIES)}\n" + "\n".join(offenders)
+
+
+def test_others_import_only_public_names():
+    """Public is what `__all__` of a package or of one of its chapters names."""
+    offenders = [
+        f"{label(path)}: {name}"
+        for path in files(
+            "src/**/*.py", "bench/**/*.py", "tools/**/*.py", "test/*.py", "examples/**/*.py"
+        )
+        for name in sorted(imports(path))
+        if name.split(".")[0] in set(PACKAGES) - NOT_YET
+        and not path.is_relative_to(ROOT / "src" / name.split(".")[0])
+        and not is_public(name)
+    ]
+    assert not offenders, "not in `__all__`:\n" + "\n".join(offenders)
