@@ -52,7 +52,8 @@ def label(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def imports(path: Path) -> set[str]:
+@cache
+def imports(path: Path) -> frozenset[str]:
     """Full names of all that a file imports, also inside functions: modules, and names in them."""
     module = path.relative_to(ROOT / "src").parts[1:-1] if path.is_relative_to(ROOT / "src") else ()
     names: set[str] = set()
@@ -63,7 +64,7 @@ def imports(path: Path) -> set[str]:
             base = module[: len(module) - node.level + 1] if node.level else ()
             stem = ".".join((*base, *([node.module] if node.module else [])))
             names.update(f"{stem}.{alias.name}" for alias in node.names)
-    return names
+    return frozenset(names)
 
 
 def roots(path: Path) -> set[str]:
