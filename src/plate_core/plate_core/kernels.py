@@ -1,0 +1,42 @@
+"""What numba compiles, kept on disk until any source file of the kernel's package changes.
+
+By itself numba looks only at the file that a kernel stands in, not at those from which it has other
+kernels and constants. A kernel uses nothing of other packages.
+"""
+
+import hashlib
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core import caching
+
+__all__ = ["kernel"]
+
+kernel = partial(njit, cache=True)
+"""Decorator of a function that numba compiles: `@kernel`, or with more options of `numba.njit`."""
+
+
+def _stamp(locator: Any) -> Any:
+    package = _outermost(Path(locator._py_file).parent)
+    return _digest(package) if package.name.startswith("plate_") else _numbas_stamp(locator)
+
+
+def _outermost(folder: Path) -> Path:
+    while (folder.parent / "__init__.py").exists():
+        folder = folder.parent
+    return folder
+
+
+@cache
+def _digest(package: Path) -> bytes:
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+# What numba keeps beside compiled code; where it differs, the code is compiled anew.
+_numbas_stamp = caching._SourceFileBackedLocatorMixin.get_source_stamp
+caching._SourceFileBackedLocatorMixin.get_source_stamp = _stamp
