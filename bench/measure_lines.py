@@ -15,7 +15,7 @@ from plate_core import CycleError, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.serial_transport import SerialTransport
 from plate_driver.transport import Condition
-from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 
 BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 LOST = (0.0, 0.01, 0.03, 0.05)
@@ -37,8 +37,8 @@ MODULES = ("serial_line", "serial_loop", "measure_lines")
 
 def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) -> dict[str, Any]:
     """Let a host send a new cycle each period over a line; then stop it a few times."""
-    trouble = Trouble(baud=float(baud), dropped=lost, delay=delay_s)
-    emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, Accidents(trouble))
+    trouble = LineFaults(baud=float(baud), dropped=lost, delay=delay_s)
+    emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, FaultSchedule(trouble))
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, 1, baud=float(baud))
     operator = Operator(transport)
     tables = [shaking(PIECES, size) for size in (5e-4, 6e-4)]

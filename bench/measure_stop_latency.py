@@ -23,9 +23,7 @@ from serial_line import PERIOD_S, shaking
 
 from plate_core import load_rig
 from plate_core.serial_protocol import Reader, Stop, parse
-from plate_sim.device import DeviceLimits, Emulator
-from plate_sim.device.emulator import TICK_US
-from plate_sim.device.terminal import Terminal
+from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
 
 LONGEST_MS = 50.0
 """From call to wire, at most."""
@@ -40,7 +38,7 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
 
     Where it gets no time of a processor itself, the frame was there earlier than that.
     """
-    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), Terminal(link)
+    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
     terminal.plug()
     ready.set()
     began, reader, last, looked = time.monotonic_ns(), Reader(), -1, time.monotonic()

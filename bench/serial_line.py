@@ -17,9 +17,14 @@ from plate_core import PlateCycle, load_rig
 from plate_driver.motor_table import MotorTable, prepare
 from plate_driver.serial_transport import SerialTransport, open_port
 from plate_driver.transport import Condition
-from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
-from plate_sim.device.emulator import TICK_US
-from plate_sim.device.terminal import Terminal
+from plate_sim.device import (
+    TICK_US,
+    DeviceLimits,
+    Emulator,
+    FaultSchedule,
+    LineFaults,
+    PseudoTerminal,
+)
 
 POLL_S = 0.005
 """The driver's."""
@@ -50,7 +55,7 @@ def shaking(knots: int, amplitude: float) -> MotorTable:
 
 def upload_s(knots: int, poll_s: float = POLL_S, baud: float = 921_600.0) -> float:
     """Return the simulated time [s] of an upload to a device that plays."""
-    line = Accidents(Trouble(baud=baud))
+    line = FaultSchedule(LineFaults(baud=baud))
     emulator = Emulator(DeviceLimits.of_rig(load_rig()), 0, line)
     transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, seed=1)
     transport.open()
@@ -79,7 +84,7 @@ def upload_s(knots: int, poll_s: float = POLL_S, baud: float = 921_600.0) -> flo
 
 def serve(link: str, ready: Event, done: Event, late: Any) -> None:
     """Be the device, in real time, until told to end; puts the lateness of its ticks [s]."""
-    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), Terminal(link)
+    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
     terminal.plug()
     ready.set()
     began, lateness = time.monotonic_ns(), []

@@ -21,7 +21,7 @@ from plate_driver.serial_transport import SerialTransport
 from plate_driver.transport import Condition, Order
 from plate_planner import Planner
 from plate_planner.progress import Progress
-from plate_sim.device import Accidents, DeviceLimits, Emulator, Stretch
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 from plate_sim.plate_motion import PlateMotion
 from plate_sim.simulation import Simulation
 from plate_solver import Controller
@@ -145,7 +145,7 @@ class Operator:
 class Loop:
     """A run; `go` plays it to its end."""
 
-    def __init__(self, setup: Setup, rig: Rig, accidents: Accidents) -> None:
+    def __init__(self, setup: Setup, rig: Rig, accidents: FaultSchedule) -> None:
         self.watch = Watch(rig)
         self._rig, self._scenario = rig, load_scenario(setup.scenario)
         self.emulator = Emulator(DeviceLimits.of_rig(rig), setup.seed, accidents, self.watch.see)
@@ -193,7 +193,7 @@ class Loop:
         """Whether the motors are off, or held at home."""
         return self.emulator.device.motion.state in (State.OFF, State.READY)
 
-    def _tick(self) -> list[Stretch]:
+    def _tick(self) -> list[Segment]:
         """Let a millisecond pass for all."""
         stretches = self.emulator.tick()
         self.watch.moved(self.emulator.plate[0])
@@ -217,7 +217,7 @@ class Loop:
             return
         self._sent = [*self._sent[-1:], table.cycle]
 
-    def _followed(self, stretch: Stretch) -> Progress | None:
+    def _followed(self, stretch: Segment) -> Progress | None:
         """Move the parts, look, plan and solve; returns the planner's progress, if it looked."""
         motion = PlateMotion.of_motors(self._rig, stretch.times, stretch.motors)
         self._simulation.run(motion)
@@ -240,13 +240,13 @@ class Loop:
 
 
 def serial_run(
-    setup: Setup, accidents: Accidents | None = None, event: str = "", at: float = 0.0
+    setup: Setup, accidents: FaultSchedule | None = None, event: str = "", at: float = 0.0
 ) -> Ending:
     """Run a task over the serial line.
 
     Parameters
     ----------
-    accidents : Accidents, optional
+    accidents : FaultSchedule, optional
         What goes wrong all the time.
     event : str
         `disconnect`, `reset` or `brown_out`: happens once, ...
@@ -259,4 +259,4 @@ def serial_run(
         if left and loop.emulator.now >= at:
             getattr(loop.emulator, left.pop())()
 
-    return Loop(setup, load_rig(), accidents or Accidents()).go(befall)
+    return Loop(setup, load_rig(), accidents or FaultSchedule()).go(befall)

@@ -12,7 +12,7 @@ from loop import Setup, summary
 from serial_loop import Ending, serial_run
 
 from plate_core import load_rig
-from plate_sim.device import Accidents, Trouble
+from plate_sim.device import FaultSchedule, LineFaults
 
 BAUD = 921_600.0
 
@@ -50,7 +50,7 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "short.yaml"
         path.write_text(yaml.safe_dump(SHORT), encoding="utf-8")
-        line = Accidents(Trouble(baud=BAUD, **trouble))
+        line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
         ending = serial_run(Setup(str(path), seed), line, event, at)
     done = _well(ending)
     told = not done and bool(ending.troubles) and ending.phase in ("stuck", "aborted")
@@ -71,7 +71,7 @@ def path_run(transport: str, scenario: str, seed: int) -> dict[str, Any]:
     if transport == "sim":
         plain = summary(setup, load_rig())
         return row | {key: plain[key] for key in ("success", "dropped", "time_s", "message")}
-    ending = serial_run(setup, Accidents(Trouble(baud=BAUD)))
+    ending = serial_run(setup, FaultSchedule(LineFaults(baud=BAUD)))
     return row | {
         "success": _well(ending), "dropped": ending.dropped, "time_s": ending.time_s,
         "message": ending.text, "kept": ending.verdict.kept, "late": ending.late,

@@ -43,7 +43,8 @@ static void tell_capabilities(Controller *c, uint32_t session)
     *at++ = WINDOW;
     at = put_u16(at, WATCHDOG_US / 1000);
     at = put_f32(put_f32(put_f32(at, limits->stroke_m), limits->speed), limits->accel);
-    at = put_f32(put_f32(put_f32(at, limits->force), limits->lasting), limits->following_m);
+    at = put_f32(put_f32(at, limits->force), limits->continuous_force);
+    at = put_f32(at, limits->following_m);
     at = put_u16(at, HOLD_MS);
     send(c, CAPABILITIES, fields, (size_t)(at - fields));
 }
@@ -57,9 +58,9 @@ static void tell_pulse(Controller *c, const uint8_t host_ns[8])
 }
 
 /* Mean square of a motor's force that it bears for ever [N2]. */
-static float bearable(const Controller *c)
+static float continuous_square(const Controller *c)
 {
-    return c->limits.lasting * c->limits.lasting;
+    return c->limits.continuous_force * c->limits.continuous_force;
 }
 
 /* A value for telemetry: one that is not finite would make the host refuse the whole packet. */
@@ -82,7 +83,7 @@ static void tell_state(Controller *c)
         at = put_f32(at, told(c->measured[m]));
     for (int m = 0; m < MOTORS; m++)
         at = put_f32(at, told(c->accelerations[m]));
-    at = put_f32(put_f32(put_f32(at, hottest / bearable(c)), told(c->following_m)), hal_load());
+    at = put_f32(put_f32(put_f32(at, hottest / continuous_square(c)), told(c->following_m)), hal_load());
     c->following_m = 0;
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
@@ -446,7 +447,7 @@ static bool heat_step(Controller *c, uint32_t dt_us, const Setpoint *at)
         float sum = c->heat[m] + more;
         c->heat_rest[m] = more - (sum - c->heat[m]);
         c->heat[m] = sum;
-        bears = bears && sum <= bearable(c);
+        bears = bears && sum <= continuous_square(c);
     }
     return bears;
 }

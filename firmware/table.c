@@ -130,11 +130,12 @@ static uint8_t check_order(const Table *table, int number)
 /* What only the whole table tells. */
 static uint8_t check_whole(const Table *table, const Limits *limits)
 {
-    float bearable = limits->lasting * limits->lasting * ((float)table_period(table) * TICK_S);
+    float square = limits->continuous_force * limits->continuous_force;
+    float most = square * ((float)table_period(table) * TICK_S);
     if (table->check.crc != table->crc)
         return STATUS_INCOMPLETE;
     for (int m = 0; m < MOTORS; m++)
-        if (!(table->check.heat[m] <= bearable))
+        if (!(table->check.heat[m] <= most))
             return STATUS_LIMIT;
     return STATUS_DONE;
 }

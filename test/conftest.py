@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from desk import running, twin
+from device_orders import running, twin
 from graph.domains import own_domain
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"

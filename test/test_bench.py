@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 import yaml
-from trips import trip
+from short_task import short_task
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {"solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99"}
 
-TINY = trip(0.01, 20)
+TINY = short_task(0.01, 20)
 
 
 def bench(program, *arguments):

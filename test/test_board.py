@@ -4,6 +4,7 @@ commands, what stops it. Ticks are stepped, so that no test depends on how busy 
 import os
 import re
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -28,8 +29,7 @@ from plate_core.serial_protocol import Enable, Fault, State, Status, Stop
 from plate_driver.motor_table import MotorTable
 from plate_driver.serial_transport import SerialTransport, open_port
 from plate_driver.transport import Condition
-from plate_sim.device import DeviceLimits
-from plate_sim.device.limits_header import header, main
+from plate_sim.device import DeviceLimits, c_header
 
 ROOT = Path(__file__).resolve().parents[1]
 BOARD = ROOT / "firmware" / "boards" / "stm32f405"
@@ -81,19 +81,20 @@ def test_limits_in_c_are_those_of_the_rig_file(path):
     assert numbers(text) == expected(limits)
 
 
-def test_limits_header_is_of_the_rig_that_is_named(tmp_path, capsys):
+def test_limits_header_is_of_the_rig_that_is_named(tmp_path):
     rig = yaml.safe_load((ROOT / "config" / "rig.yaml").read_text(encoding="utf-8"))
     rig["limits"] |= {"stroke_m": 0.0071, "following_error_m": 0.00123, "force_n": 1e-3}
     rig["motors"]["motor_3"]["point_m"] = [-0.123, -0.15]
     path = tmp_path / "other.yaml"
     path.write_text(yaml.safe_dump(rig), encoding="utf-8")
-    assert main([str(path)]) == 0
-    text = capsys.readouterr().out
+    command = [sys.executable, "-m", "plate_sim.device.limits_header"]
+    text = subprocess.run([*command, path], capture_output=True, text=True, check=True).stdout
     limits = DeviceLimits.of_rig(load_rig(path))
     assert numbers(text) == expected(limits)
-    assert text == header(limits, "other.yaml")
-    assert main([str(tmp_path / "none.yaml")]) == 2
-    assert "none.yaml" in capsys.readouterr().err
+    assert text == c_header(limits, "other.yaml")
+    done = subprocess.run([*command, tmp_path / "none.yaml"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "none.yaml" in done.stderr
 
 
 @emulated

@@ -22,7 +22,7 @@ from plate_core.ros import cycle_to_msg, to_time  # noqa: E402
 from plate_driver.keeper import Keeper  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.serial_transport import SerialTransport  # noqa: E402
-from plate_sim.device import Accidents, DeviceLimits, Emulator, HungPlate, Trouble  # noqa: E402
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
 
 RIG = load_rig()
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")
@@ -71,8 +71,8 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
     learned, rig_file = tmp_path / "plate.npz", tmp_path / "rig.yaml"
     rig_file.write_text(default_rig_path().read_text(encoding="utf-8") + HUNG, encoding="utf-8")
     sessions = itertools.count(1, 1000)
-    hung, line = load_rig(rig_file), Accidents(Trouble(baud=921_600.0))
-    emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, hung=HungPlate(hung, TICK_S))
+    hung, line = load_rig(rig_file), FaultSchedule(LineFaults(baud=921_600.0))
+    emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, plate=SuspendedPlate(hung, TICK_S))
     monkeypatch.setattr(DriverNode, "_now", lambda self: emulator.now)
     monkeypatch.setattr(Keeper, "start", lambda self: None)  # we look after it, in its time
     monkeypatch.setattr(

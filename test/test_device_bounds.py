@@ -3,7 +3,7 @@ that would ratchet, periods shorter than a tick, ticks that come late, a plate t
 
 import numpy as np
 import pytest
-from desk import (
+from device_orders import (
     BOOT,
     GENTLE,
     HELLO,
@@ -43,8 +43,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     frame,
     table_crc,
 )
-from plate_sim.device import DeviceLimits
-from plate_sim.device.controller import sane
+from plate_sim.device import DeviceLimits, setpoint_allowed
 
 ACCEL = 100.0
 SLACK = 1.002
@@ -281,7 +280,7 @@ def test_a_setpoint_too_far_from_the_last_is_not_commanded(row, most):
     for share, allowed in ((0.999, True), (1.001, False), (-1.001, False), (np.nan, False)):
         at = before.copy()
         at[row, 2] = share * most
-        assert sane(limits, at, before, 1000) is allowed
+        assert setpoint_allowed(limits, at, before, 1000) is allowed
 
 
 def test_a_tick_reads_and_obeys_no_more_than_it_may(device):

@@ -93,7 +93,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         assert until(lambda: sum(map(whole, motions)) > 3)
         played = msg_to_motors(RIG, next(filter(whole, motions)))
         np.testing.assert_allclose(played.knot_pose, cycle.knot_pose, atol=1e-8)
-        # Stretch follows upon stretch.
+        # Segment follows upon stretch.
         ends = [
             nanoseconds(m.header.stamp) + nanoseconds(m.points[-1].time_from_start) for m in motions
         ]

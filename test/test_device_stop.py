@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from desk import (
+from device_orders import (
     BOOT,
     ENABLE,
     GENTLE,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from desk import (
+from device_orders import (
     BOOT,
     ENABLE,
     HELLO,
@@ -38,8 +38,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Stop,
     Telemetry,
 )
-from plate_sim.device import DeviceLimits
-from plate_sim.device.piece import looks, rows
+from plate_sim.device import DeviceLimits, check_pieces, states_of
 
 LIFT, TURN = (0.0, 0.0, 1.0, 1.0), (1.0, -1.0, 0.0, 0.0)
 """Two motors push 2 kg: 1 N for each m/s2. Or they turn it: 0.15 N, and 0.3 N for the others."""
@@ -205,7 +204,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     assert count > 10_000  # setpoints, all bits alike
 
 
-def test_looking_takes_as_long_on_both(program):
+def test_checks_take_as_long_on_both(program):
     """Tables of which pieces need many halvings, with the commit right behind: the tick of its
     answer, too, is the same."""
     firmware, rng = running(program), np.random.default_rng(5)
@@ -222,19 +221,19 @@ def test_looking_takes_as_long_on_both(program):
             for k in knots
             for states in [(k.position, k.velocity, k.acceleration)]
         )
-        found = looks(np.array([k.ticks for k in knots]), rows(list(knots)), limits)
+        found = check_pieces(np.array([k.ticks for k in knots]), states_of(list(knots)), limits)
         frames = uploaded(1, knots, 110, 2)
         text = ordered(*READY, b"".join(frames), 0.1)
         printed = firmware(text)
         assert twin(text) == printed
         status = heard(printed).answers()[110 + len(frames) - 1]
-        seen[status].add(max(look.halvings for look in found))
+        seen[status].add(max(check.halvings for check in found))
     assert max(seen[Status.DONE]) > 24  # more than a tick's work
     assert min(seen[Status.LIMIT]) < 64
 
 
-def test_a_piece_that_is_hard_to_tell_is_refused(program):
-    """Of all motors, and so close to the limit that 64 halvings do not tell."""
+def test_a_piece_that_is_hard_to_decide_is_refused(program):
+    """Of all motors, and so close to the limit that 64 halvings do not decide."""
     firmware = running(program)
     wide = replace(DeviceLimits.of_rig(load_rig()), force=100.0)
     knots = swing(100.2, 0.05, (1.0, 1.0, 1.0, 1.0), 3)
@@ -245,8 +244,8 @@ def test_a_piece_that_is_hard_to_tell_is_refused(program):
         for k in knots
         for states in [(k.position, k.velocity, k.acceleration)]
     )
-    found = looks(np.array([k.ticks for k in knots]), rows(list(knots)), wide)
-    assert max(look.halvings for look in found) == 65
+    found = check_pieces(np.array([k.ticks for k in knots]), states_of(list(knots)), wide)
+    assert max(check.halvings for check in found) == 65
     text = ordered(*READY, upload(1, knots, 110, 2), 0.1)
     printed = firmware(text, "60", "100", "100")
     assert twin(text, "60", "100", "100") == printed

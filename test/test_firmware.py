@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from desk import (
+from device_orders import (
     BOOT,
     COMMIT,
     GENTLE,

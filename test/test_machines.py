@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from trips import trip
+from short_task import short_task
 
 pytest.importorskip("rclpy")
 
 MACHINES = Path(__file__).resolve().parents[1] / "tools" / "machines.py"
 IMAGE_KB = 307
-TINY = trip(0.02, 60)
+TINY = short_task(0.02, 60)
 
 
 def namespaces_work() -> bool:

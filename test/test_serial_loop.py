@@ -10,7 +10,7 @@ import yaml
 
 from plate_core import load_rig
 from plate_core.motion import motor_state
-from plate_sim.device import Accidents, Trouble
+from plate_sim.device import FaultSchedule, LineFaults
 
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")
 TASK = {
@@ -35,17 +35,17 @@ def _bench(monkeypatch):
 @pytest.mark.parametrize(
     ("trouble", "event"),
     [
-        (Trouble(), ""),
-        (Trouble(corrupted=0.005, dropped=0.005, delay=0.02, baud=921_600.0), ""),
-        (Trouble(), "disconnect"),
-        (Trouble(), "reset"),
+        (LineFaults(), ""),
+        (LineFaults(corrupted=0.005, dropped=0.005, delay=0.02, baud=921_600.0), ""),
+        (LineFaults(), "disconnect"),
+        (LineFaults(), "reset"),
     ],
 )
 def test_the_task_goes_on(bench, tmp_path, trouble, event):
     loop, serial_loop = bench
     file = tmp_path / "task.yaml"
     file.write_text(yaml.safe_dump(TASK), encoding="utf-8")
-    accidents = replace(Accidents(trouble), disconnect_s=0.8)
+    accidents = replace(FaultSchedule(trouble), disconnect_s=0.8)
     ending = serial_loop.serial_run(loop.Setup(str(file), 3), accidents, event, 1.5)
     assert (ending.phase, ending.dropped) == ("done", 0), ending.text
     assert ending.verdict.kept

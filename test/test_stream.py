@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from desk import (
+from device_orders import (
     PERIOD_S,
     READY,
     SPEED,

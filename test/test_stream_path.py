@@ -11,7 +11,7 @@ from plate_core.serial_protocol import State
 from plate_driver.motor_table import MotorTable
 from plate_driver.serial_transport import LEAD_S, SerialTransport
 from plate_driver.transport import Condition
-from plate_sim.device import Accidents, DeviceLimits, Emulator, Trouble
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 
 RIG = load_rig()
 BENCH = str(Path(__file__).resolve().parents[1] / "bench")
@@ -33,14 +33,14 @@ def swing(size: float) -> MotorTable:
 class Bench:
     """Transport, line and device; notes each setpoint."""
 
-    def __init__(self, monkeypatch, trouble: Trouble) -> None:
+    def __init__(self, monkeypatch, trouble: LineFaults) -> None:
         monkeypatch.syspath_prepend(BENCH)
         from serial_loop import opened
         from serial_watch import Watch
 
         self.watch = Watch(RIG)
         self.travel: list[float] = []
-        self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, Accidents(trouble), self.see)
+        self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, FaultSchedule(trouble), self.see)
         self.transport = SerialTransport(
             lambda: opened(self.emulator), lambda: self.emulator.now, 1, streams=True
         )
@@ -82,9 +82,9 @@ def _made(monkeypatch):
 @pytest.mark.parametrize(
     "trouble",
     [
-        Trouble(baud=921_600.0),
-        Trouble(dropped=3e-4, corrupted=3e-4, repeated=3e-4, split=0.3, baud=921_600.0),
-        Trouble(delay=0.02),
+        LineFaults(baud=921_600.0),
+        LineFaults(dropped=3e-4, corrupted=3e-4, repeated=3e-4, split=0.3, baud=921_600.0),
+        LineFaults(delay=0.02),
     ],
 )
 def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
@@ -107,7 +107,7 @@ def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
 
 
 def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
-    bench = made(Trouble())
+    bench = made(LineFaults())
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.run(0.4, polls=False)
@@ -124,7 +124,7 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
 
 
 def test_a_line_that_is_away_is_survived(made):
-    bench = made(Trouble())
+    bench = made(LineFaults())
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.emulator.disconnect()
@@ -141,7 +141,7 @@ def test_a_line_that_is_away_is_survived(made):
 
 def test_a_stream_ends_at_rest_when_no_more_cycles_come(made):
     """The host has nothing more to say: no fault, and the next cycle needs no enable."""
-    bench = made(Trouble(baud=921_600.0))
+    bench = made(LineFaults(baud=921_600.0))
     bench.transport.send(swing(0.004), 3)
     bench.run(0.6)
     assert bench.state is State.PLAYING

@@ -11,7 +11,7 @@
      reset      the board starts anew
 
    Arguments, if not those of the default rig: the time constant of the motors' heat [s], their
-   lasting and their peak force [N], the following error that is a fault [m].
+   continuous_force and their peak force [N], the following error that is a fault [m].
    Printed: `at US q1..q4 v1..v4 a1..a4` of each tick that commands, `drive US ON` when current is
    switched, `tx HEX`, and after each `run` `state STATE FAULTS REFUSED STOP`. */
 #include <stdio.h>
@@ -114,7 +114,7 @@ static void tick(Controller *controller)
 /* Of config/rig.yaml: load is what plate_sim's device computes from plate and motors. */
 static const Limits LIMITS = {
     .stroke_m = 0.010f, .speed = 1.0f, .accel = 100.0f,
-    .force = 200.0f, .lasting = 100.0f, .heat_s = 60.0f,
+    .force = 200.0f, .continuous_force = 100.0f, .heat_s = 60.0f,
     .load = {{0.575f, 0.425f, 0.15f, -0.15f}, {0.425f, 0.575f, -0.15f, 0.15f},
              {0.15f, -0.15f, 0.8f, 0.2f}, {-0.15f, 0.15f, 0.2f, 0.8f}},
     .following_m = 0.003f,
@@ -128,7 +128,7 @@ int main(int argc, char **argv)
     if (argc > 1)
         limits.heat_s = strtof(argv[1], NULL);
     if (argc > 2)
-        limits.lasting = strtof(argv[2], NULL);
+        limits.continuous_force = strtof(argv[2], NULL);
     if (argc > 3)
         limits.force = strtof(argv[3], NULL);
     if (argc > 4)

@@ -4,7 +4,7 @@ static const Limits LIMITS = {
     .speed = 1.0f,
     .accel = 100.0f,
     .force = 200.0f,
-    .lasting = 100.0f,
+    .continuous_force = 100.0f,
     .heat_s = 60.0f,
     .load = {
         {0.575f, 0.425f, 0.15f, -0.15f},

@@ -545,7 +545,7 @@ def differing(device: Capabilities, limits: Limits) -> str:
         "speed [m/s]": (device.speed, limits.speed),
         "accel [m/s2]": (device.accel, limits.accel),
         "force [N]": (device.force, limits.force),
-        "continuous force [N]": (device.lasting, limits.continuous_force),
+        "continuous force [N]": (device.continuous_force, limits.continuous_force),
         "following error [m]": (device.following_m, limits.following_error_m),
     }
     wrong = [

@@ -48,7 +48,7 @@ def capabilities(**changes) -> Packet:
     values = {
         "version": 2, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
         "watchdog_ms": 250, "stroke_m": 0.01, "speed": 1.0, "accel": 100.0, "force": 200.0,
-        "lasting": 60.0, "following_m": 0.003, "hold_ms": 10_000,
+        "continuous_force": 60.0, "following_m": 0.003, "hold_ms": 10_000,
     }  # fmt: skip
     return Packet(0, Capabilities(**(values | changes)))
 

@@ -33,8 +33,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     parse,
     table_crc,
 )
-from plate_sim.device import Accidents, DeviceLimits, Emulator, Line, Trouble
-from plate_sim.device.terminal import Terminal
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Line, LineFaults, PseudoTerminal
 from plate_sim.plate_motion import PlateMotion
 
 RIG = load_rig()
@@ -94,7 +93,7 @@ def test_load_is_that_of_the_inertia_and_centre_of_mass_in_the_rig_file(tmp_path
 def test_line_is_as_bad_as_asked():
     data = bytes(range(256)) * 400
     for name, expected in (("dropped", 0.99), ("repeated", 1.01), ("corrupted", 1.0)):
-        line = Line(Trouble(**{name: 0.01}), np.random.default_rng(1))
+        line = Line(LineFaults(**{name: 0.01}), np.random.default_rng(1))
         line.sent(data, 0.0)
         came = line.arrived(0.0)
         assert len(came) / len(data) == pytest.approx(expected, abs=1e-3)
@@ -104,19 +103,19 @@ def test_line_is_as_bad_as_asked():
 
 
 def test_line_takes_its_time():
-    line = Line(Trouble(delay=0.02, baud=10_000), np.random.default_rng(1))
+    line = Line(LineFaults(delay=0.02, baud=10_000), np.random.default_rng(1))
     line.sent(b"12345", 0.0)  # 5 ms
     line.sent(b"6", 0.001)
     assert line.arrived(0.0249) == b""
     assert line.arrived(0.0251) == b"12345"
     assert line.arrived(0.0261) == b"6"
-    split = Line(Trouble(split=1.0), np.random.default_rng(1))
+    split = Line(LineFaults(split=1.0), np.random.default_rng(1))
     split.sent(b"123456", 0.0)
     parts = [split.arrived(t) for t in np.arange(0, 0.01, 1e-4)]
     assert len([part for part in parts if part]) == 2
     assert b"".join(parts) == b"123456"
     with pytest.raises(PlateError, match="dropped is 2, allowed: 0 to 1"):
-        Trouble(dropped=2)
+        LineFaults(dropped=2)
 
 
 def shaking(amplitude: float) -> PlateCycle:
@@ -134,7 +133,7 @@ def shaking(amplitude: float) -> PlateCycle:
 class Host:
     """Says what is told, and heartbeats; keeps what the device says and does."""
 
-    def __init__(self, accidents: Accidents | None = None) -> None:
+    def __init__(self, accidents: FaultSchedule | None = None) -> None:
         self.setpoints: list[np.ndarray | None] = []
         see = lambda now, at: self.setpoints.append(at)  # noqa: E731
         self.emulator = Emulator(LIMITS, 5, accidents, see)
@@ -252,7 +251,7 @@ def test_reset_forgets_all_and_the_plate_glides_home():
 
 
 def test_brown_out_stops_until_somebody_enables():
-    host = Host(replace(Accidents(), brown_out_every=1.5))
+    host = Host(replace(FaultSchedule(), brown_out_every=1.5))
     host.begin()
     assert host.state is State.READY
     host.wait(0.6)
@@ -320,7 +319,7 @@ def test_motion_of_motors_is_checked():
 
 def test_terminal_is_a_serial_port_that_can_be_unplugged(tmp_path):
     link = tmp_path / "port"
-    terminal = Terminal(link)
+    terminal = PseudoTerminal(link)
     terminal.plug()
     port = serial.Serial(str(link), 921_600, timeout=1, exclusive=True)
     port.write(b"\0all\xff bytes\r\n")

@@ -1,20 +1,30 @@
-"""A motor controller that speaks docs/protocol.md: the firmware's twin, its line and its plate."""
+"""The firmware's twin in Python, a motor controller that speaks docs/protocol.md; line and plate.
 
-from .controller import Device
-from .emulator import Accidents, Emulator
-from .hung import HungPlate
-from .limits import DeviceLimits
-from .line import Line, Trouble
-from .played import Recorder, Stretch
+Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone. Files mirror firmware/.
+"""
+
+from .controller import Device, setpoint_allowed
+from .emulator import TICK_US, Emulator
+from .faults import FaultSchedule, LineFaults
+from .limits import DeviceLimits, c_header
+from .piece import check_pieces, states_of
+from .plate import Segment, SuspendedPlate
+from .pty import PseudoTerminal
+from .serial_line import Line
 
 __all__ = [
-    "Accidents",
+    "TICK_US",
     "Device",
     "DeviceLimits",
     "Emulator",
-    "HungPlate",
+    "FaultSchedule",
     "Line",
-    "Recorder",
-    "Stretch",
-    "Trouble",
+    "LineFaults",
+    "PseudoTerminal",
+    "Segment",
+    "SuspendedPlate",
+    "c_header",
+    "check_pieces",
+    "setpoint_allowed",
+    "states_of",
 ]

@@ -37,18 +37,16 @@ from plate_core.serial_protocol import (
     parse,
 )
 
-from .changed import changed
 from .limits import BRAKE_ROOM, SLACK, DeviceLimits
 from .motion import BRAKE_TICKS, REST, Motion
 from .piece import PIECE_WORK
-from .stream import MAX_KNOTS, Stream
-from .table import REST_M, REST_SPEED, Draft
+from .table import MAX_KNOTS, REST_M, REST_SPEED, PendingTable, Stream, changed
 
 WINDOW = 8
 """Messages of knots that may be on their way."""
 
 WATCHDOG_US = 250_000
-TELEMETRY_US, LONGEST_UNTOLD_US = 10_000, 100_000
+TELEMETRY_US, MOST_TELEMETRY_US = 10_000, 100_000
 HOLD_MS = 10_000
 """Longest time that a table is played again."""
 
@@ -56,16 +54,16 @@ TICKS_PER_MS = 100_000
 """Of TICK_S."""
 
 TICK_BYTES, TICK_PACKETS, TICK_WORK = 128, 4, 24
-"""What a tick does at most: bytes read, packets obeyed, work of looking at tables."""
+"""What a tick does at most: bytes read, packets obeyed, work of checking tables."""
 
 MOST_TICK_US = 2_000
-"""A tick that comes later moves the plate on by this much."""
+"""A later tick still moves the plate on by this much only."""
 
 MOST_HEAT_US = 1_000_000
 """Between two ticks."""
 
-ASTRAY_TICKS = 3
-"""With a following error, on end, that are a fault."""
+FOLLOWING_TICKS = 3
+"""Consecutive ticks with too large a following error that are a fault."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class Adding:
 
 @dataclass(frozen=True)
 class Committing:
-    """A Commit that is answered when its table has been looked at."""
+    """A Commit that is answered when its table has been checked."""
 
     sequence: int
     repeats: int
@@ -114,20 +112,20 @@ class Device:
         Newest command that is done in order, and its answer.
     last_stop : tuple of int, or None
         Sequence and kind of the Stop of this session that was answered last.
-    now_us, heard_us, told_us : int
+    now_us, frame_us, telemetry_us : int
         Time now, of the host's last frame, and of the last telemetry [us].
-    draft : Draft, Stream or None
+    pending : PendingTable, Stream or None
         The second buffer.
     adding : Adding or None
     committing : Committing or None
-    heat, heat_rest : (4,)
-        Mean square of each motor's force, of late, and what rounding has left out of it [N2].
+    heat, heat_remainder : (4,)
+        Running mean square of each motor's force, and what rounding has left out of it [N2].
     measured : (2, 4)
         Position and acceleration of the motors.
     follows : bool
-        Whether they were told where to be in the tick before.
-    astray : int
-        Ticks on end with a following error that is a fault.
+        Whether a setpoint was commanded in the tick before.
+    following_ticks : int
+        Consecutive ticks with too large a following error.
     following_m : float32
         Largest following error since the last telemetry [m].
     board : Fault
@@ -148,16 +146,16 @@ class Device:
     answer: Status = Status.DONE
     last_stop: tuple[int, int] | None = None
     now_us: int = 0
-    heard_us: int = 0
-    told_us: int = 0
-    draft: Draft | Stream | None = None
+    frame_us: int = 0
+    telemetry_us: int = 0
+    pending: PendingTable | Stream | None = None
     adding: Adding | None = None
     committing: Committing | None = None
     heat: np.ndarray = field(default_factory=lambda: REST[0])
-    heat_rest: np.ndarray = field(default_factory=lambda: REST[0])
+    heat_remainder: np.ndarray = field(default_factory=lambda: REST[0])
     measured: np.ndarray = field(default_factory=lambda: REST[:2])
     follows: bool = False
-    astray: int = 0
+    following_ticks: int = 0
     following_m: np.float32 = field(default_factory=np.float32)
     board: Fault = Fault.NONE
     load: float = 0.0
@@ -167,7 +165,7 @@ class Device:
     def started(cls, limits: DeviceLimits, boot: int, now_us: int = 0) -> Device:
         """Return a device that has just been switched on."""
         motion = Motion(stops=boot % 2**16)
-        return cls(limits, boot, motion, now_us=now_us, heard_us=now_us, told_us=now_us)
+        return cls(limits, boot, motion, now_us=now_us, frame_us=now_us, telemetry_us=now_us)
 
     def ticked(
         self,
@@ -178,7 +176,7 @@ class Device:
         home_found: bool = True,
         line_idle: bool = True,
     ) -> tuple[Device, bytes, np.ndarray | None]:
-        """Return the device at a later time, what it says, and what it commands.
+        """Return the device at a later time, the bytes it sends, and what it commands.
 
         Parameters
         ----------
@@ -187,13 +185,13 @@ class Device:
         measured : (2, 4)
             Position [m] and acceleration [m/s2] of the motors, float32.
         data : bytes
-            What has come.
+            That have come.
         faults : Fault
             Of the board, now: SUPPLY, HARDWARE.
         home_found : bool
             Whether the search for home ends, if there is one.
         line_idle : bool
-            Whether all that was said is on its way.
+            Whether all that was sent has left.
 
         Returns
         -------
@@ -201,64 +199,65 @@ class Device:
         """
         passed = now_us - self.now_us
         dt_us = min(passed, MOST_TICK_US)
-        device, said, work = changed(self, now_us=now_us)._measured(measured), b"", TICK_WORK
+        device, sent, work = changed(self, now_us=now_us)._measured(measured), b"", TICK_WORK
         if faults != self.board:
-            device = device._watched(faults)
+            device = device._with_faults(faults)
         if data or self.backlog or self.adding is not None:
-            device, said, work = changed(device, backlog=self.backlog + data)._listened(work)
-        if isinstance(device.draft, Draft):
-            device, told = device._looked(device.draft, work)
-            said += told
+            device, sent, work = changed(device, backlog=self.backlog + data)._received(work)
+        if isinstance(device.pending, PendingTable):
+            device, more = device._checked(device.pending, work)
+            sent += more
         motion = device.motion
-        if motion.state is not State.OFF and now_us - device.heard_us > WATCHDOG_US:
+        if motion.state is not State.OFF and now_us - device.frame_us > WATCHDOG_US:
             motion = motion.braked(Fault.HOST_SILENT)
         motion, at = motion.stepped(now_us, dt_us, home_found, measured[0])
         if at is not None:
-            if sane(device.limits, at, motion.commanded, dt_us):
+            if setpoint_allowed(device.limits, at, motion.commanded, dt_us):
                 motion = changed(motion, commanded=at)
             else:
                 motion, at = motion.off(Fault.LIMIT), None
-        heat, rest = device._warmed(min(passed, MOST_HEAT_US), at)
-        if motion.state is not State.OFF and not (heat <= self.limits.bearable).all():
+        heat, remainder = device._heated(min(passed, MOST_HEAT_US), at)
+        if motion.state is not State.OFF and not (heat <= self.limits.continuous_square).all():
             motion = motion.braked(Fault.HEAT)
-        draft = device.draft if motion.playing is device.motion.playing else None  # taken over
+        pending = device.pending if motion.playing is device.motion.playing else None  # taken over
         device = changed(
-            device, motion=motion, heat=heat, heat_rest=rest, draft=draft, follows=at is not None
-        )
-        silent_us = now_us - device.told_us  # a slow line carries less of it, but never none
-        if silent_us >= TELEMETRY_US and (line_idle or silent_us >= LONGEST_UNTOLD_US):
-            device, told = changed(device, told_us=now_us)._say(device._telemetry())
-            device, said = changed(device, following_m=np.float32(0)), said + told
-        return device, said, at
+            device, motion=motion, heat=heat, heat_remainder=remainder, pending=pending,
+            follows=at is not None,
+        )  # fmt: skip
+        silent_us = now_us - device.telemetry_us  # a slow line carries less of it, but never none
+        if silent_us >= TELEMETRY_US and (line_idle or silent_us >= MOST_TELEMETRY_US):
+            device, more = changed(device, telemetry_us=now_us)._sent(device._telemetry())
+            device, sent = changed(device, following_m=np.float32(0)), sent + more
+        return device, sent, at
 
     def _measured(self, measured: np.ndarray) -> Device:
-        """Compare where the motors are with where they were told to be in the tick before."""
+        """Compare where the motors are with what was commanded in the tick before."""
         if not self.follows:
-            return changed(self, measured=measured, astray=0)
+            return changed(self, measured=measured, following_ticks=0)
         error = np.abs(measured[0] - self.motion.commanded[0])
         limit = self.limits.following_m
-        astray = limit > 0 and not (error <= np.float32(limit)).all()
+        too_far = limit > 0 and not (error <= np.float32(limit)).all()
         device = changed(
             self, measured=measured, following_m=np.fmax(self.following_m, np.fmax.reduce(error)),
-            astray=self.astray + 1 if astray else 0,
+            following_ticks=self.following_ticks + 1 if too_far else 0,
         )  # fmt: skip
-        if device.astray < ASTRAY_TICKS:
+        if device.following_ticks < FOLLOWING_TICKS:
             return device
         motion = device.motion.off(Fault.FOLLOWING)
-        return changed(device, motion=motion, astray=0)
+        return changed(device, motion=motion, following_ticks=0)
 
-    def _watched(self, faults: Fault) -> Device:
+    def _with_faults(self, faults: Fault) -> Device:
         """Each fault of the board that appears anew is a stop, also while the motors are off."""
         motion, appeared = self.motion, faults & ~self.board
         if appeared:
             motion = motion.stopped(True, appeared)
         return changed(self, motion=motion, board=faults)
 
-    def _listened(self, work: int) -> tuple[Device, bytes, int]:
+    def _received(self, work: int) -> tuple[Device, bytes, int]:
         """Read and obey what has come, as far as a tick goes; returns the work that is left."""
-        device, said = self, b""
+        device, sent = self, b""
         if device.adding is not None:
-            device, said, work = device._added(device.adding, work)
+            device, sent, work = device._added(device.adding, work)
         data, left, packets = device.backlog, TICK_BYTES, TICK_PACKETS
         while data and left and packets and device.adding is None:
             size = data.find(b"\0", 0, left) + 1 or min(left, len(data))
@@ -267,46 +266,46 @@ class Device:
             device = changed(device, reader=reader)
             for packet in came:
                 device, answer, work = device._obeyed(packet, work)
-                said += answer
-        return changed(device, backlog=data), said, work
+                sent += answer
+        return changed(device, backlog=data), sent, work
 
-    def _looked(self, draft: Draft, work: int) -> tuple[Device, bytes]:
-        """Look at the table that is being filled; answer Commit when all has been looked at."""
+    def _checked(self, pending: PendingTable, work: int) -> tuple[Device, bytes]:
+        """Check the table that is being filled; answer Commit when all has been checked."""
         device = self
-        if not draft.looked_at:
-            draft = draft.looked(self.limits, work)
-            device = changed(self, draft=draft)
+        if not pending.decided:
+            pending = pending.checked(self.limits, work)
+            device = changed(self, pending=pending)
         if self.committing is None:
             return device, b""
         if self.motion.state not in (State.READY, State.PLAYING):
             return device._answered(self.committing, Status.WRONG_STATE)
-        if not draft.looked_at:
+        if not pending.decided:
             return device, b""
         repeats = self.committing.repeats
-        motion = changed(self.motion, waiting=draft.made, next_repeats=repeats)
-        return changed(device, motion=motion)._answered(self.committing, draft.status)
+        motion = changed(self.motion, waiting=pending.made, next_repeats=repeats)
+        return changed(device, motion=motion)._answered(self.committing, pending.status)
 
     def _answered(self, commit: Committing, status: Status) -> tuple[Device, bytes]:
         """Answer a Commit that waits for it."""
         answer = status if self.answered == commit.sequence else self.answer
         device = changed(self, committing=None, answer=answer)
-        return device._say(Acknowledgement(commit.sequence, status))
+        return device._sent(Acknowledgement(commit.sequence, status))
 
-    def _warmed(self, dt_us: int, at: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return heat and its rest after a setpoint, or none.
+    def _heated(self, dt_us: int, at: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return heat and its remainder after a setpoint, or none.
 
         What is added in a tick is little beside the sum, so the rounding error is carried on
         (Kahan 1965).
         """
-        share = np.float32(dt_us) * np.float32(1e-6) / np.float32(self.limits.heat_s)
+        fraction = np.float32(dt_us) * np.float32(1e-6) / np.float32(self.limits.heat_s)
         force = REST[0] if at is None else self.limits.forces(at[2])
-        more = min(share, np.float32(1)) * (force * force - self.heat) + self.heat_rest
+        more = min(fraction, np.float32(1)) * (force * force - self.heat) + self.heat_remainder
         heat = self.heat + more
         return heat, more - (heat - self.heat)
 
-    # What it says
+    # What it sends
 
-    def _say(self, message: Message) -> tuple[Device, bytes]:
+    def _sent(self, message: Message) -> tuple[Device, bytes]:
         data = frame(pack(Packet(self.sent, message)))
         return changed(self, sent=(self.sent + 1) % 2**16), data
 
@@ -314,14 +313,14 @@ class Device:
         limits = self.limits
         return Capabilities(
             VERSION, session, self.boot, MOTORS, MAX_KNOTS, WINDOW, WATCHDOG_US // 1000,
-            limits.stroke_m, limits.speed, limits.accel, limits.force, limits.lasting,
+            limits.stroke_m, limits.speed, limits.accel, limits.force, limits.continuous_force,
             limits.following_m, HOLD_MS,
         )  # fmt: skip
 
     def _telemetry(self) -> Telemetry:
         motion = self.motion
         moving = motion.state is State.PLAYING or (
-            motion.state is State.BRAKING and motion.homeward_us is None
+            motion.state is State.BRAKING and motion.return_us is None
         )
         finite = np.where(np.isfinite(self.measured), self.measured, np.float32(0))
         position, accel = (tuple(row) for row in finite.tolist())
@@ -335,12 +334,12 @@ class Device:
             self.reader.refused % 2**16,
             position,
             accel,
-            float(np.max(self.heat) / self.limits.bearable),
+            float(np.max(self.heat) / self.limits.continuous_square),
             float(self.following_m) if np.isfinite(self.following_m) else 0.0,
             self.load,
         )
 
-    # What it is told
+    # What it receives
 
     def _obeyed(self, data: bytes, work: int) -> tuple[Device, bytes, int]:
         try:
@@ -350,34 +349,34 @@ class Device:
         message, number = packet.message, packet.sequence
         if isinstance(message, Capabilities | Acknowledgement | Pulse | Telemetry):
             return self, b"", work
-        device = changed(self, heard_us=self.now_us)
+        device = changed(self, frame_us=self.now_us)
         if isinstance(message, Knots) and self.session is not None:
             return device._filled(number, message, work)
         if isinstance(message, Hello):
-            device, said = device._greeted(number, message)
+            device, sent = device._greeted(number, message)
         elif isinstance(message, Stop):
-            device, said = device._stopped(number, message.now)
+            device, sent = device._stopped(number, message.now)
         elif isinstance(message, Knots) or self.session is None:
-            device, said = device._say(Acknowledgement(number, Status.NO_SESSION))
+            device, sent = device._sent(Acknowledgement(number, Status.NO_SESSION))
         elif isinstance(message, Heartbeat):
-            device, said = device._say(Pulse(message.host_ns, device.now_us))
+            device, sent = device._sent(Pulse(message.host_ns, device.now_us))
         else:
-            device, said = device._ordered(number, message)
-        return device, said, work
+            device, sent = device._ordered(number, message)
+        return device, sent, work
 
     def _greeted(self, number: int, hello: Hello) -> tuple[Device, bytes]:
         if hello.version != VERSION:
-            return self._say(self._capabilities(0))
+            return self._sent(self._capabilities(0))
         device = self
         if hello.session != self.session:
             motion = self.motion
             if motion.state is not State.OFF:
                 motion = motion.stopped(False, Fault.STOPPED)
             device = changed(
-                self, motion=changed(motion, waiting=None), draft=None, committing=None,
+                self, motion=changed(motion, waiting=None), pending=None, committing=None,
                 session=hello.session, answered=number, answer=Status.DONE, last_stop=None,
             )  # fmt: skip
-        return device._say(device._capabilities(hello.session))
+        return device._sent(device._capabilities(hello.session))
 
     def _stopped(self, number: int, now: int) -> tuple[Device, bytes]:
         """Always done; a repetition of the last one is a stop only where it still ends anything."""
@@ -389,21 +388,21 @@ class Device:
         device = changed(self, motion=motion, last_stop=(number, now))
         if newer(number, self.answered):
             device = changed(device, answered=number, answer=Status.DONE)
-        return device._say(Acknowledgement(number, Status.DONE))
+        return device._sent(Acknowledgement(number, Status.DONE))
 
     def _ordered(
         self, number: int, message: Enable | Home | Begin | Commit
     ) -> tuple[Device, bytes]:
         """Done in order, and once."""
-        device, said = self, b""
+        device, sent = self, b""
         if self.committing is not None and number == self.committing.sequence:
             return self, b""  # it will be answered
         if number == self.answered:
-            return self._say(Acknowledgement(number, self.answer))
+            return self._sent(Acknowledgement(number, self.answer))
         if not newer(number, self.answered):
-            return self._say(Acknowledgement(number, Status.OLD))
+            return self._sent(Acknowledgement(number, Status.OLD))
         if self.committing is not None:
-            device, said = self._answered(self.committing, Status.OLD)
+            device, sent = self._answered(self.committing, Status.OLD)
         if isinstance(message, Enable):
             device, status = device._enabled(message.stop)
         elif isinstance(message, Home):
@@ -414,9 +413,9 @@ class Device:
             device, status = device._committed(number, message)
         device = changed(device, answered=number, answer=status)
         if device.committing is not None:
-            return device, said
-        device, told = device._say(Acknowledgement(number, status))
-        return device, said + told
+            return device, sent
+        device, told = device._sent(Acknowledgement(number, status))
+        return device, sent + told
 
     def _enabled(self, stop: int) -> tuple[Device, Status]:
         motion = self.motion
@@ -436,34 +435,37 @@ class Device:
         return changed(self, motion=motion), Status.DONE
 
     def _begun(self, begin: Begin) -> tuple[Device, Status]:
-        device = changed(self, motion=changed(self.motion, waiting=None), draft=None)
+        device = changed(self, motion=changed(self.motion, waiting=None), pending=None)
         if begin.table == 0 or begin.knots == 1:
             return device, Status.WRONG_TABLE
         if begin.knots == 0:
-            return changed(device, draft=Stream.opened(begin.table)), Status.DONE
+            return changed(device, pending=Stream.opened(begin.table)), Status.DONE
         if begin.knots > MAX_KNOTS:
             return device, Status.TOO_LONG
-        return changed(device, draft=Draft(begin.table, begin.knots, begin.crc)), Status.DONE
+        return changed(
+            device, pending=PendingTable(begin.table, begin.knots, begin.crc)
+        ), Status.DONE
 
     def _stream(self, table: int) -> Stream | None:
         """The stream with a number, while knots may be added to it."""
         playing = self.motion.playing if self.motion.state is State.PLAYING else None
-        for stream in (playing, self.draft):
+        for stream in (playing, self.pending):
             if isinstance(stream, Stream) and stream.table == table:
                 return stream
         return None
 
     def _filled(self, number: int, message: Knots, work: int) -> tuple[Device, bytes, int]:
         """Knots for the table that is open, or for a stream."""
-        draft, end = self.draft, message.first + len(message.knots)
+        pending, end = self.pending, message.first + len(message.knots)
         if self._stream(message.table) is not None:
             return self._added(Adding(number, message), work)
         device, status = self, Status.WRONG_TABLE
-        if isinstance(draft, Draft) and draft.table == message.table and end <= draft.count:
-            draft = draft.filled(message.first, message.knots)
-            device, status = changed(self, draft=draft), Status.DONE
-        device, said = device._say(Acknowledgement(number, status))
-        return device, said, work
+        table = pending if isinstance(pending, PendingTable) else None
+        if table is not None and table.table == message.table and end <= table.count:
+            device = changed(self, pending=table.filled(message.first, message.knots))
+            status = Status.DONE
+        device, sent = device._sent(Acknowledgement(number, status))
+        return device, sent, work
 
     def _added(self, adding: Adding, work: int) -> tuple[Device, bytes, int]:
         """Add a message's knots to its stream, or as many as there is work for."""
@@ -489,9 +491,9 @@ class Device:
                 if status is Status.DONE and len(stream.ticks):
                     left = adding.left
                     if left is None:
-                        look = stream.look(knot, self.limits)
-                        left, work = look.halvings, work - PIECE_WORK
-                        adding = changed(adding, keeps=look.keeps)
+                        check = stream.check(knot, self.limits)
+                        left, work = check.halvings, work - PIECE_WORK
+                        adding = changed(adding, keeps=check.keeps)
                     done = min(left, max(work, 0))
                     work -= done
                     if left > done:
@@ -501,8 +503,8 @@ class Device:
                     adding = changed(adding, left=None)
                 if status is Status.DONE:
                     device = device._extended(stream, *stream.added(knot, time))
-        device, said = changed(device, adding=None)._say(Acknowledgement(adding.sequence, status))
-        return device, said, work
+        device, sent = changed(device, adding=None)._sent(Acknowledgement(adding.sequence, status))
+        return device, sent, work
 
     def _extended(self, stream: Stream, longer: Stream, time: int) -> Device:
         """A stream has become longer: the one that plays, or that in the second buffer."""
@@ -511,16 +513,16 @@ class Device:
             return changed(self, motion=changed(motion, playing=longer, time=time))
         if motion.waiting is not None:
             motion = changed(motion, waiting=longer)
-        return changed(self, draft=longer, motion=motion)
+        return changed(self, pending=longer, motion=motion)
 
     def _committed(self, number: int, commit: Commit) -> tuple[Device, Status]:
-        """Whether the second buffer may be taken over; that of a table remains to be looked at."""
-        motion, draft = self.motion, self.draft
+        """Whether the second buffer may be taken over; that of a table remains to be checked."""
+        motion, pending = self.motion, self.pending
         if motion.state not in (State.READY, State.PLAYING):
             return self, Status.WRONG_STATE
-        if draft is None or draft.table != commit.table:
+        if pending is None or pending.table != commit.table:
             return self, Status.WRONG_TABLE
-        endless = isinstance(draft, Stream)
+        endless = isinstance(pending, Stream)
         if motion.state is State.PLAYING and (endless or isinstance(motion.playing, Stream)):
             return self, Status.WRONG_STATE  # a stream has no end to begin at
         if commit.repeats == 0 or (endless and commit.repeats != 1):
@@ -528,23 +530,23 @@ class Device:
         away = np.abs(motion.commanded[0]) > REST_M
         if motion.state is State.READY and away.any():
             return self, Status.JUMP  # a stream has ended elsewhere: only stop and enable lead home
-        if isinstance(draft, Stream):
-            if len(draft.ticks) < 2 or draft.period_ticks < BRAKE_TICKS:
+        if isinstance(pending, Stream):
+            if len(pending.ticks) < 2 or pending.period_ticks < BRAKE_TICKS:
                 return self, Status.INCOMPLETE  # it must always be able to brake
-            if not draft.begins_home:
+            if not pending.begins_home:
                 return self, Status.JUMP
-            motion = changed(motion, waiting=draft, next_repeats=commit.repeats)
+            motion = changed(motion, waiting=pending, next_repeats=commit.repeats)
             return changed(self, motion=motion), Status.DONE
-        if len(draft.knots) < draft.count:
+        if len(pending.knots) < pending.count:
             return self, Status.INCOMPLETE
-        held = commit.repeats * draft.period_ticks
+        held = commit.repeats * pending.period_ticks
         if commit.repeats > 1 and held > HOLD_MS * TICKS_PER_MS:
             return self, Status.REPEATS
         return changed(self, committing=Committing(number, commit.repeats)), Status.DONE
 
 
-def sane(limits: DeviceLimits, at: np.ndarray, before: np.ndarray, dt_us: int) -> bool:
-    """Tell whether a setpoint may be commanded, also after the one before.
+def setpoint_allowed(limits: DeviceLimits, at: np.ndarray, before: np.ndarray, dt_us: int) -> bool:
+    """Tell whether a setpoint may be commanded after the one before.
 
     A brake adds at most 1.5 (v / Tb)^2 / accel, a tenth, to the table's acceleration; where one
     table follows another both may be as far from rest at home as a table may.

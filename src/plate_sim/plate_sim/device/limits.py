@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +26,8 @@ class DeviceLimits:
     ----------
     stroke_m, speed, accel : float
         [m], [m/s], [m/s2].
-    force, lasting : float
-        Peak and root mean square [N].
+    force, continuous_force : float
+        Peak, and root mean square for ever [N].
     heat_s : float
         Time constant of the winding's heat [s].
     load : (4, 4)
@@ -40,7 +40,7 @@ class DeviceLimits:
     speed: float
     accel: float
     force: float
-    lasting: float
+    continuous_force: float
     heat_s: float
     load: np.ndarray
     following_m: float = 0.0
@@ -58,9 +58,9 @@ class DeviceLimits:
             for name in ("point", "direction")
         )
         share = np.linalg.pinv(np.stack([dx, dy, x * dy - y * dx]))
-        plate, hung = rig.plate, rig.suspension
+        plate, suspension = rig.plate, rig.suspension
         inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-        mass = np.array(mass_matrix(plate.mass_kg, inertia) if hung is None else hung.mass)
+        mass = np.array(suspension.mass if suspension else mass_matrix(plate.mass_kg, inertia))
         # Rounded, so that no rounding error of the inverse decides about a limit.
         load = np.round(share @ mass @ share.T, 9)
         limits = rig.limits
@@ -83,9 +83,9 @@ class DeviceLimits:
         return tuple(np.float32(bound) * SLACK for bound in bounds)
 
     @cached_property
-    def bearable(self) -> np.float32:
-        """Mean square of force that a motor bears for ever [N2]."""
-        return np.float32(self.lasting) * np.float32(self.lasting)
+    def continuous_square(self) -> np.float32:
+        """Continuous limit of a force's mean square [N2]."""
+        return np.float32(self.continuous_force) * np.float32(self.continuous_force)
 
     @cached_property
     def loads(self) -> np.ndarray:
@@ -98,3 +98,33 @@ class DeviceLimits:
         Each is summed from the first motor to the last, as the firmware does.
         """
         return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]
+
+
+def c_header(limits: DeviceLimits, name: str) -> str:
+    """Return the C header that firmware is built with: `LIMITS`, in single precision.
+
+    Parameters
+    ----------
+    limits : DeviceLimits
+    name : str
+        Of the rig file, for those who read the header.
+    """
+    values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
+    lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
+    return "\n".join([
+        f"/* Of {name}, by `python -m plate_sim.device.limits_header`: change that, not this. */",
+        "static const Limits LIMITS = {",
+        *lines,
+        "};",
+        "",
+    ])  # fmt: skip
+
+
+def _literal(value: np.ndarray) -> str:
+    """Return C for an array or a number; the shortest decimals that give the same float."""
+    if value.ndim == 0:
+        return f"{value[()]!s}f"
+    inner = [_literal(part) for part in value]
+    if value.ndim == 1:
+        return "{" + ", ".join(inner) + "}"
+    return "{\n" + "".join(f"        {part},\n" for part in inner) + "    }"

@@ -1,4 +1,4 @@
-"""What the device's motors do: along tables, braking, on their way home (firmware/motion.c)."""
+"""How the device's motors move: along tables, braking, on the way home (firmware/motion.c)."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ import numpy as np
 
 from plate_core.serial_protocol import MOTORS, Fault, State
 
-from .changed import changed
 from .piece import TICK_S
-from .stream import Stream
-from .table import Table
+from .table import Stream, Table, changed
 
 BRAKE_TICKS = 20_000_000
 """Longest brake [TICK_S]: 0.2 s, short, but gentle against the plate's 10 g."""
 
-HOMEWARD_US = 500_000
-HOMEWARD_S = 0.5
-"""Of the way home [s]: for a stroke 0.04 m/s, 0.25 m/s2."""
+RETURN_US, RETURN_S = 500_000, 0.5
+"""Duration of the way home [us], [s]: for a stroke 0.04 m/s, 0.25 m/s2."""
 
 SEARCH_US = 5_000_000
 """Longest search for home [us]."""
@@ -32,7 +29,7 @@ REST.setflags(write=False)
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the motors are in what they do.
+    """What the motors are doing.
 
     Attributes
     ----------
@@ -54,7 +51,7 @@ class Motion:
         Since the brake began, and its length [TICK_S].
     enabled_us : int
         When current was switched on last [us].
-    homeward_us : int or None
+    return_us : int or None
         Since the way home began [us]; None if it has not.
     start : (4,)
         Where the way home begins [m].
@@ -74,7 +71,7 @@ class Motion:
     brake: int = 0
     brake_length: int = 0
     enabled_us: int = 0
-    homeward_us: int | None = None
+    return_us: int | None = None
     start: np.ndarray = field(default_factory=lambda: REST[0])
     commanded: np.ndarray = field(default_factory=lambda: REST)
 
@@ -87,7 +84,7 @@ class Motion:
         """Return the motion with current off, for the reasons given: a stop, if it flowed."""
         stopped = faults and self.state is not State.OFF
         return changed(
-            self, state=State.OFF, faults=self.faults | faults, waiting=None, homeward_us=None,
+            self, state=State.OFF, faults=self.faults | faults, waiting=None, return_us=None,
             stops=(self.stops + 1) % 2**16 if stopped else self.stops,
         )  # fmt: skip
 
@@ -132,14 +129,14 @@ class Motion:
             motion, dt = changed(motion._taken_over(), state=State.PLAYING), 0  # it begins now
         if motion.searches:
             return motion._searched(now_us, home_found), None
-        if motion.state is State.HOMING and motion.homeward_us is None:
+        if motion.state is State.HOMING and motion.return_us is None:
             rest = np.stack([measured, REST[1], REST[2]])
-            motion = changed(motion, commanded=rest, start=measured, homeward_us=0)
+            motion = changed(motion, commanded=rest, start=measured, return_us=0)
         braking = motion.state is State.BRAKING
-        if braking and motion.homeward_us is None and motion.brake == motion.brake_length:
-            motion = changed(motion, start=motion.commanded[0], homeward_us=0)
-        if motion.homeward_us is not None:
-            return motion._homeward(min(motion.homeward_us + dt_us, HOMEWARD_US))
+        if braking and motion.return_us is None and motion.brake == motion.brake_length:
+            motion = changed(motion, start=motion.commanded[0], return_us=0)
+        if motion.return_us is not None:
+            return motion._returned(min(motion.return_us + dt_us, RETURN_US))
         if braking or motion.state is State.PLAYING:
             return motion._played(dt)
         if motion.state is State.READY:
@@ -160,7 +157,7 @@ class Motion:
 
     def _played(self, dt: int) -> tuple[Motion, np.ndarray | None]:
         """Along the table, slower and slower when braking."""
-        dry = self.state is State.PLAYING and self._runs_dry(dt)
+        dry = self.state is State.PLAYING and self._underruns(dt)
         motion = self.braked(Fault.HOST_SILENT) if dry else self
         rate: np.ndarray | None = None
         slowing, step = REST[0, :1], dt
@@ -183,7 +180,7 @@ class Motion:
             at = np.stack([position, speed * rate, accel * (rate * rate) + slowing * speed])
         return motion, at
 
-    def _runs_dry(self, dt: int) -> bool:
+    def _underruns(self, dt: int) -> bool:
         """Whether a stream's last knots are needed for a brake."""
         stream = self.playing
         if not isinstance(stream, Stream) or stream.rests:
@@ -210,16 +207,16 @@ class Motion:
             return changed(motion, state=rests, time=0)  # rest is at its beginning, too
         return motion
 
-    def _homeward(self, homeward_us: int) -> tuple[Motion, np.ndarray | None]:
+    def _returned(self, return_us: int) -> tuple[Motion, np.ndarray | None]:
         """From where the plate stands to home, from rest to rest."""
-        u = np.array([homeward_us], np.float32) / np.float32(HOMEWARD_US)
+        u = np.array([return_us], np.float32) / np.float32(RETURN_US)
         left = 1 - u * u * u * (10 - u * (15 - 6 * u))
-        slope = -30 * u * u * (1 - u) * (1 - u) / np.float32(HOMEWARD_S)
-        bend = -60 * u * (1 - u) * (1 - 2 * u) / np.float32(HOMEWARD_S * HOMEWARD_S)
+        slope = -30 * u * u * (1 - u) * (1 - u) / np.float32(RETURN_S)
+        bend = -60 * u * (1 - u) * (1 - 2 * u) / np.float32(RETURN_S * RETURN_S)
         at = np.stack([left * self.start, slope * self.start, bend * self.start])
-        if homeward_us < HOMEWARD_US:
-            return changed(self, homeward_us=homeward_us), at
-        motion = changed(self, homeward_us=None)
+        if return_us < RETURN_US:
+            return changed(self, return_us=return_us), at
+        motion = changed(self, return_us=None)
         if motion.state is State.BRAKING:
             return motion.off(Fault.NONE), None
         return changed(motion, state=State.READY), at

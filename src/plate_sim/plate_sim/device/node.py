@@ -14,12 +14,11 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_core import load_rig
 from plate_core.ros import DATA, declare, follow, parameter, run_node, to_time, trajectory_to_msg
 
-from .emulator import TICK_US, Accidents, Emulator
-from .hung import HungPlate
+from .emulator import TICK_US, Emulator
+from .faults import FaultSchedule, LineFaults
 from .limits import DeviceLimits
-from .line import Trouble
-from .played import Stretch
-from .terminal import Terminal
+from .plate import Segment, SuspendedPlate
+from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
 """Time between two looks at the port [s]: two ticks of the device."""
@@ -31,7 +30,7 @@ MOST_BEHIND_US = 100_000
 has stood still. A board does not lose time: it would not take a host for silent that was not."""
 
 
-def _share(description: str) -> Any:
+def _fraction(description: str) -> Any:
     return parameter(0.0, description, 0.0, 1.0, live=True)
 
 
@@ -47,10 +46,10 @@ class Options:
     link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
     seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
     baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
-    dropped: float = _share("Bytes that vanish on the line [share].")
-    corrupted: float = _share("Bytes that change on the line [share].")
-    repeated: float = _share("Bytes that come twice [share].")
-    split: float = _share("Transmissions that come in two parts [share].")
+    dropped: float = _fraction("Bytes that vanish on the line [fraction].")
+    corrupted: float = _fraction("Bytes that change on the line [fraction].")
+    repeated: float = _fraction("Bytes that come twice [fraction].")
+    split: float = _fraction("Transmissions that come in two parts [fraction].")
     delay: float = parameter(0.0, "Delay of the line, each way [s].", 0.0, 1.0, live=True)
     disconnect_every: float = _every("Time from one disconnection to the next [s]; 0: none.")
     disconnect_s: float = parameter(2.0, "Length of a disconnection [s].", 0.0, 1e3, live=True)
@@ -58,29 +57,29 @@ class Options:
     brown_out_every: float = _every("Time from one brown-out to the next [s]; 0: none.")
 
     @property
-    def accidents(self) -> Accidents:
+    def schedule(self) -> FaultSchedule:
         """Return what is to go wrong."""
-        line = Trouble(**{f.name: getattr(self, f.name) for f in fields(Trouble)})
-        own = [f.name for f in fields(Accidents) if f.name != "trouble"]
-        return Accidents(line, **{name: getattr(self, name) for name in own})
+        line = LineFaults(**{f.name: getattr(self, f.name) for f in fields(LineFaults)})
+        own = [f.name for f in fields(FaultSchedule) if f.name != "line"]
+        return FaultSchedule(line, **{name: getattr(self, name) for name in own})
 
 
 class DeviceNode(Node):
     """Node `device`: serves a pseudo-terminal, and publishes on `motor_motion` what the motors have
-    done, stretch by stretch, stamped with its start: what the simulated plate follows."""
+    done, segment by segment, stamped with its start: what the simulated plate follows."""
 
     def __init__(self) -> None:
         super().__init__("device")
         options = declare(self, Options)
         self._rig = load_rig(options.rig_file)
-        hung = HungPlate(self._rig, TICK_US * 1e-6) if self._rig.suspension is not None else None
+        plate = SuspendedPlate(self._rig, TICK_US * 1e-6) if self._rig.suspension else None
         limits = DeviceLimits.of_rig(self._rig)
-        self._emulator = Emulator(limits, options.seed, options.accidents, hung=hung)
-        self._terminal = Terminal(options.link)
+        self._emulator = Emulator(limits, options.seed, options.schedule, plate=plate)
+        self._terminal = PseudoTerminal(options.link)
         self._terminal.plug()
         self._motions = self.create_publisher(JointTrajectory, "motor_motion", DATA)
         self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        follow(self, options, lambda new: self._emulator.configure(new.accidents))
+        follow(self, options, lambda new: self._emulator.configure(new.schedule))
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._begin_ns = self.get_clock().now().nanoseconds
         self._steady_ns = time.monotonic_ns()
@@ -109,15 +108,15 @@ class DeviceNode(Node):
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
         emulator.to_device.sent(self._terminal.read(), emulator.now)
         for _ in range(due // TICK_US):
-            for stretch in emulator.tick():
-                self._publish(stretch)
+            for segment in emulator.tick():
+                self._publish(segment)
         self._terminal.write(emulator.to_host.arrived(emulator.now))
 
-    def _publish(self, stretch: Stretch) -> None:
+    def _publish(self, segment: Segment) -> None:
         joints = [motor.name for motor in self._rig.motors]
-        stamp = to_time(self._begin_ns + round(stretch.start * 1e9))
-        q, qd, qdd = stretch.motors.transpose(1, 0, 2)
-        self._motions.publish(trajectory_to_msg(joints, stretch.times, q, qd, qdd, stamp))
+        stamp = to_time(self._begin_ns + round(segment.start * 1e9))
+        q, qd, qdd = segment.motors.transpose(1, 0, 2)
+        self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
 
     def _report(self) -> None:
         device = self._emulator.device
@@ -129,7 +128,7 @@ class DeviceNode(Node):
         values = {
             "state": motion.state.name.lower(),
             "damaged frames": device.reader.refused,
-            "hottest motor": f"{device.heat.max() / device.limits.bearable:.3f}",
+            "hottest motor": f"{device.heat.max() / device.limits.continuous_square:.3f}",
             "latest tick [ms]": f"{late_ms:.1f}",
             "clock stood still [ms]": f"{self._lost_ms:.0f}",
         }

@@ -1,7 +1,7 @@
-"""Whether pieces of a spline keep the limits, and what it costs to tell (firmware/piece.c).
+"""The pieces between knots: their quintics, and whether they keep the limits (firmware/piece.c).
 
-All in the order and the single precision of the firmware, so that both come to the same answer in
-the same tick.
+All in the order and the single precision of the firmware, so that both play the same bits and come
+to the same answer in the same tick.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ TICK_S = np.float32(1e-8)
 """Unit of a knot's time [s]."""
 
 HALVINGS = 12
-"""Of a curve until its hull tells whether a limit is kept: it closes in by 4 each time."""
+"""Most halvings of a curve until its hull decides about a limit: it closes in by 4 each time."""
 
 MOST_HALVINGS = 64
-"""Of all curves of a piece."""
+"""Most halvings of all curves of a piece."""
 
 PIECE_WORK = 8
-"""Work of looking at a piece, beside its halvings, which are 1 each."""
+"""Work of checking a piece, beside its halvings, which are 1 each."""
 
 
 @dataclass(frozen=True)
-class Look:
-    """What looking at a piece gives.
+class PieceCheck:
+    """What checking a piece gives.
 
     Attributes
     ----------
     halvings : int
-        Of its curves, until the answer is clear.
+        Of its curves, until the answer is certain.
     keeps : bool
         Whether the limits of motion and force are kept.
     heat : (4,)
@@ -46,11 +46,10 @@ class Look:
     heat: np.ndarray
 
 
-def rows(knots: list[Knot]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, speed and acceleration of knots, each (k, 4), float32."""
+def states_of(knots: list[Knot]) -> np.ndarray:
+    """Return position, speed and acceleration of k knots (3, k, 4), float32."""
     states = [(knot.position, knot.velocity, knot.acceleration) for knot in knots]
-    q, v, a = np.array(states, np.float32).transpose(1, 0, 2)
-    return q, v, a
+    return np.array(states, np.float32).transpose(1, 0, 2)
 
 
 def lengths(ticks: np.ndarray) -> np.ndarray:
@@ -58,16 +57,14 @@ def lengths(ticks: np.ndarray) -> np.ndarray:
     return np.asarray(np.diff(ticks).astype(np.float32) * TICK_S)
 
 
-def looks(
-    ticks: np.ndarray, states: tuple[np.ndarray, np.ndarray, np.ndarray], limits: DeviceLimits
-) -> list[Look]:
-    """Look at the pieces between k + 1 knots.
+def check_pieces(ticks: np.ndarray, states: np.ndarray, limits: DeviceLimits) -> list[PieceCheck]:
+    """Check the pieces between k + 1 knots against the limits.
 
     Parameters
     ----------
     ticks : (k + 1,)
         Rising [TICK_S].
-    states : three times (k + 1, 4)
+    states : (3, k + 1, 4)
         Position, speed and acceleration of the motors, float32.
     """
     h = lengths(ticks)[:, None]
@@ -84,9 +81,37 @@ def looks(
         for k in range(len(h)):
             halvings, keeps = int(count[k]), bool(certain[k]) and count[k] <= MOST_HALVINGS
             if not keeps:
-                halvings = _until_told([points[:, k] for points in curves], limits.bounds)
-            found.append(Look(halvings, keeps, heat[k]))
+                halvings = _halvings_to_refusal([points[:, k] for points in curves], limits.bounds)
+            found.append(PieceCheck(halvings, keeps, heat[k]))
     return found
+
+
+def coefficients(ticks: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Return the pieces' quintics and their first two derivatives by s = t/h, highest power first.
+
+    Returns
+    -------
+    (6, k, 3, 4)
+        Float32 [m].
+    """
+    h = lengths(ticks)[:, None]
+    half = np.float32(0.5)
+    q, v, a = states
+    c0, c1, c2 = q[:-1], h * v[:-1], half * h * h * a[:-1]
+    # What the left end's Taylor polynomial misses at the right end
+    dp = q[1:] - c0 - c1 - c2
+    dv = h * v[1:] - c1 - 2 * c2
+    da = h * h * a[1:] - 2 * c2
+    c3 = 10 * dp - 4 * dv + half * da
+    c4 = -15 * dp + 7 * dv - da
+    c5 = 6 * dp - 3 * dv + half * da
+    no = np.zeros_like(c0)
+    powers = [
+        [c5, c4, c3, c2, c1, c0],
+        [no, 5 * c5, 4 * c4, 3 * c3, 2 * c2, c1],
+        [no, no, 20 * c5, 12 * c4, 6 * c3, 2 * c2],
+    ]
+    return np.array(powers).transpose(1, 2, 0, 3)
 
 
 def _hulls(h: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> list[np.ndarray]:
@@ -139,7 +164,7 @@ def _halved(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _count(points: np.ndarray, bound: np.float32, count: np.ndarray, certain: np.ndarray) -> None:
     """Add to `count` the halvings of curves (n, k, 4) of k pieces; clear `certain` where a piece
-    passes the bound, or cannot be told."""
+    passes the bound, or may."""
     opened = ~(np.abs(points) <= bound).all(axis=0)  # also what is not finite
     if not opened.any():
         return
@@ -156,19 +181,19 @@ def _count(points: np.ndarray, bound: np.float32, count: np.ndarray, certain: np
             return
 
 
-def _until_told(curves: list[np.ndarray], bounds: tuple[np.float32, ...]) -> int:
-    """Halvings of a piece that does not keep its limits, in the firmware's order."""
+def _halvings_to_refusal(curves: list[np.ndarray], bounds: tuple[np.float32, ...]) -> int:
+    """Halvings after which a piece that breaks a limit is refused, in the firmware's order."""
     opened: list[tuple[np.ndarray, np.float32, int]] = []
 
-    def look(points: np.ndarray, bound: np.float32, halvings: int) -> None:
+    def open_curve(points: np.ndarray, bound: np.float32, halvings: int) -> None:
         if not (np.abs(points) <= bound).all():
             opened.append((points, bound, halvings))
 
     for motor in range(curves[0].shape[1]):
         for points, bound in zip(curves[:3], bounds[:3], strict=True):
-            look(points[:, motor], bound, HALVINGS)
+            open_curve(points[:, motor], bound, HALVINGS)
     for motor in range(curves[0].shape[1]):
-        look(curves[3][:, motor], bounds[3], HALVINGS)
+        open_curve(curves[3][:, motor], bounds[3], HALVINGS)
     halvings = 0
     while True:
         points, bound, left = opened.pop()
@@ -177,5 +202,5 @@ def _until_told(curves: list[np.ndarray], bounds: tuple[np.float32, ...]) -> int
         if halvings > MOST_HALVINGS or left == 0 or not inside:
             return halvings
         first, second = _halved(points)
-        look(second, bound, left - 1)
-        look(first, bound, left - 1)
+        open_curve(second, bound, left - 1)
+        open_curve(first, bound, left - 1)

@@ -165,7 +165,7 @@ class Twin:
     """What firmware/host/host.c is, with the device in Python; collects what it prints."""
 
     def __init__(self, *arguments: str) -> None:
-        names = ("heat_s", "lasting", "force", "following_m")
+        names = ("heat_s", "continuous_force", "force", "following_m")
         changes = dict(zip(names, map(float, arguments), strict=False))
         self.device = Device.started(replace(DeviceLimits.of_rig(load_rig()), **changes), BOOT)
         self.lines: list[str] = []

@@ -8,7 +8,7 @@ import pytest
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import motor_state
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
-from plate_sim.device import HungPlate
+from plate_sim.device import SuspendedPlate
 from plate_sim.drive import PlateState
 from plate_sim.suspension import motor_record, realise
 
@@ -39,7 +39,7 @@ def test_sensors_tell_what_the_simulated_plate_does(bandwidth):
             MASS, DAMPING, STIFFNESS, (0, 0, 1), (1.15, 0.85, 1.15, 0.85), bandwidth
         ),
     )
-    plate, state, cycle = HungPlate(hung, TICK_S), PlateState.at_rest(), swinging(0.1)
+    plate, state, cycle = SuspendedPlate(hung, TICK_S), PlateState.at_rest(), swinging(0.1)
     t = TICK_S * np.arange(1, 101)
     q, qd, qdd = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
     start = motor_state(RIG, cycle.pose(0), cycle.twist(0), cycle.accel(0))

@@ -12,7 +12,7 @@ from plate_core import PlateError
 READ_BYTES = 65_536
 
 
-class Terminal:
+class PseudoTerminal:
     """A pseudo-terminal that can be pulled out and put in again.
 
     Parameters

@@ -3,7 +3,7 @@
 from typing import Any
 
 
-def trip(way_m: float, time_limit_s: float) -> dict[str, Any]:
+def short_task(way_m: float, time_limit_s: float) -> dict[str, Any]:
     """Return a scenario: one part goes along x."""
     path = {
         "class": "black",

@@ -8,10 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.rig import homography, to_home
+from plate_core.rig import homography, project, to_home
 
-from .outlines import DISCS, Outline, prepare
-from .raster import draw_parts, draw_plate, expose, image_slopes, pixel_places
+from .raster import DISCS, Outline, Sprites, draw_parts, draw_plate, expose, outlines_of
 
 BACKGROUND, PLATE = 60.0, 220.0
 """Grey values of the room and the plate at full light."""
@@ -20,7 +19,7 @@ GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
 """Grey values of the parts at full light, by class."""
 
 SHADING = 0.10
-"""Share of the light that is missing in the image's corners."""
+"""Fraction of the light that is missing in the image's corners."""
 
 NOISE = 2.0
 """Default standard deviation of a pixel's noise [grey values]."""
@@ -90,7 +89,7 @@ class Camera:
         self._to_image = homography(rig)
         height, width = rig.camera.height_px, rig.camera.width_px
         self._light = _light(width, height)
-        self._places = self._look().reshape(height, width, 2)
+        self._places = self._pixel_places().reshape(height, width, 2)
         corners = np.array(rig.camera.corners_px)
         self._scale = float(np.linalg.norm(corners[1] - corners[0]) / rig.plate.length_m)
         inside = np.min(rig.plate.half - np.abs(self._places), axis=2).ravel()
@@ -100,7 +99,7 @@ class Camera:
         self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
         self._canvas = np.empty_like(self._empty)
         self._outline: Sequence[Outline | None] | None = None
-        self._polygons = DISCS
+        self._outlines = DISCS
 
     def render(
         self,
@@ -158,15 +157,14 @@ class Camera:
         expose(canvas.ravel(), bank, self._noise, image.ravel())
         return image
 
-    def _look(self) -> np.ndarray:
+    def _pixel_places(self) -> np.ndarray:
         """Return the places (n, 2) [m, plate_home] that the pixels look at, row by row."""
         camera = self._rig.camera
         v, u = np.mgrid[: camera.height_px, : camera.width_px].astype(float)
         pixel = np.stack([u.ravel(), v.ravel()], axis=1)
         if self._lens is not None:
             pixel = self._lens.straighten(pixel)
-        places = pixel_places(np.linalg.inv(self._to_image), pixel)
-        return np.nan_to_num(places, nan=FAR)
+        return np.nan_to_num(project(np.linalg.inv(self._to_image), pixel), nan=FAR)
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
         """Return positions (s, M, 2) [m], at least two, over the exposure."""
@@ -194,9 +192,9 @@ class Camera:
     ) -> None:
         """Draw parts, and then the marks on those that are discs."""
         if outline is not self._outline:
-            self._polygons = DISCS if outline is None else prepare(outline)
+            self._outlines = DISCS if outline is None else outlines_of(outline)
             self._outline = outline
-        edges, pieces, first, reach = self._polygons
+        first, reach = self._outlines.first, self._outlines.reach
         if outline is None:
             first, reach = np.zeros(len(grey) + 1, np.int64), np.zeros(len(grey))
         if len(reach) != len(grey):
@@ -211,11 +209,9 @@ class Camera:
             radius = np.append(radius, MARK_RADIUS * radius[disc])
             turn = np.concatenate([turn, turn[disc]])
             first = np.append(first, np.full(there.shape[1], first[-1]))
-        window, scale, copies = self._windows(path, radius)
-        draw_parts(
-            canvas, self._light, self._places, window, scale, copies, path, radius, turn, grey,
-            edges, pieces, first,
-        )  # fmt: skip
+        sprites = Sprites(*self._windows(path, radius), path, radius, turn, grey)
+        outlines = self._outlines._replace(first=first)
+        draw_parts(canvas, self._light, self._places, sprites, outlines)
 
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
@@ -223,8 +219,10 @@ class Camera:
         """Return where parts are in the image: rows and columns (n, 4), pixels per metre (n,), and
         how many positions are averaged (n,)."""
         middle = 0.5 * (path[0] + path[-1])
-        seen, slopes = np.empty(middle.shape), np.empty((len(middle), 2, 2))
-        image_slopes(self._to_image, middle, seen, slopes)
+        seen = project(self._to_image, middle)
+        depth = middle @ self._to_image[2, :2] + self._to_image[2, 2]
+        slopes = self._to_image[:2, :2] - seen[:, :, None] * self._to_image[2, :2]
+        slopes = slopes / depth[:, None, None]
         if self._lens is not None:
             slopes = self._lens.slopes(seen) @ slopes
             seen = self._lens.bend(seen)
@@ -258,7 +256,7 @@ class Camera:
         copies = int(_copies(np.array(travel * self._scale), EDGE_STEP_PX))
         draw_plate(
             canvas.ravel(), self._light.ravel(), self._places.reshape(-1, 2), pixels, poses, copies,
-            travel, self._rig.plate.half, self._scale, BACKGROUND, PLATE,
+            travel, self._rig.plate.half, self._scale, (BACKGROUND, PLATE),
         )  # fmt: skip
 
 
@@ -292,7 +290,7 @@ def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
 
 
 def _light(width: int, height: int) -> np.ndarray:
-    """Share of full light (height, width), float32: less by `SHADING` in the corners."""
+    """Fraction of full light (height, width), float32: less by `SHADING` in the corners."""
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2

@@ -1,0 +1,172 @@
+"""The device's plate: what its motors have done, segment by segment, and what its flexures do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plate_core import Rig
+from plate_core.motion import quintic_pieces
+from plate_core.serial_protocol import MOTORS, TICK_S, State
+
+from ..drive import PlateState
+from ..plate_motion import PlateMotion
+from ..suspension import realise
+from .motion import Motion
+from .table import Stream, Table
+
+SEGMENT_S = 0.1
+"""Length of a segment while no table plays [s]: one image is taken in each."""
+
+COAST_RATE = 60.0
+"""Of a plate without current, which its flexures bring home, critically damped [1/s]."""
+
+EVERY = 4
+"""Ticks between two knots of a segment that is no whole table."""
+
+STATE, INPUT = 10, 9
+"""Pose, twist and the motors' forces; a setpoint of the plate: pose, twist, acceleration."""
+
+SCALE = 1e-6
+"""Of the unit motions [m, m/s, ...]: far within what any plate can do."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """What the motors did from one image to the next.
+
+    Attributes
+    ----------
+    start : float
+        On the device's clock [s].
+    times : (k + 1,)
+        Since then [s].
+    motors : (k + 1, 3, 4)
+        Travel [m], speed [m/s] and acceleration [m/s2]; quintics between.
+    table : int
+        Number of the table that was played as a whole; 0 if none was.
+    """
+
+    start: float
+    times: np.ndarray
+    motors: np.ndarray
+    table: int = 0
+
+    @property
+    def end(self) -> float:
+        """On the device's clock [s]."""
+        return self.start + float(self.times[-1])
+
+
+class Recorder:
+    """Follows a device tick by tick.
+
+    A segment ends where a table begins or begins again; while none plays, after `SEGMENT_S`.
+    Without current the flexures bring the plate home.
+    """
+
+    def __init__(self, now: float = 0.0) -> None:
+        self._start = now
+        self._ticks: list[tuple[float, np.ndarray]] = [(now, np.zeros((3, MOTORS)))]
+        self._whole: Table | None = None  # that has played since the segment began
+        self._play: tuple[int, int] | None = None
+
+    @property
+    def plate(self) -> np.ndarray:
+        """Position, speed and acceleration of the motors (3, 4) now."""
+        return self._ticks[-1][1]
+
+    def coasted(self, dt: float) -> np.ndarray:
+        """Return the motors' state (3, 4) after `dt` [s] without current."""
+        place, speed, _ = self.plate
+        push = speed + COAST_RATE * place
+        fade = np.exp(-COAST_RATE * dt)
+        place, speed = (place + push * dt) * fade, (speed - COAST_RATE * push * dt) * fade
+        return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
+
+    def followed(self, now: float, motion: Motion, at: np.ndarray | None) -> list[Segment]:
+        """Return the segments that have ended by `now` [s], when `at` was commanded."""
+        done = []
+        table = motion.playing if motion.state is State.PLAYING else None
+        if isinstance(table, Stream):
+            table = None  # it has no cycles
+        play = (id(table), motion.played) if table is not None else None
+        if table is not None and play != self._play:
+            done = self._cut(now - motion.time * TICK_S, table)
+            self._whole = table
+        elif table is None:
+            self._whole = None
+        self._play = play
+        state = self.coasted(now - self._ticks[-1][0]) if at is None else at.astype(float)
+        self._ticks.append((now, state))
+        if self._whole is None and now - self._start >= SEGMENT_S:
+            done += self._cut(now, None)
+        return done
+
+    def _cut(self, when: float, following: Table | None) -> list[Segment]:
+        """End the segment at a time [s], where a table begins, or none."""
+        start, ticks, last = self._start, self._ticks, self._whole
+        end = ticks[-1][1] if following is None else following.states[:, 0].astype(float)
+        self._start, self._ticks = when, [(when, end)]
+        if when <= start:
+            return []
+        if last is not None and abs(when - start - last.period) < 1e-9:
+            states = last.states.transpose(1, 0, 2).astype(float)
+            return [Segment(start, last.times, states, last.table)]
+        inner = [tick for tick in ticks[1:] if start + 1e-4 < tick[0] < when - 1e-4]
+        kept = [ticks[0], *inner[EVERY - 1 :: EVERY], (when, end)]
+        times = np.array([t - start for t, _ in kept])
+        return [Segment(start, times, np.stack([state for _, state in kept]))]
+
+
+class SuspendedPlate:
+    """The plate of `plate_sim.drive` in steps of one tick.
+
+    Plate and drive are linear, so a tick is one matrix: found from `realise`, column by column. The
+    motors' levers are those at home.
+
+    Parameters
+    ----------
+    rig : Rig
+        With a suspension.
+    tick_s : float
+        [s].
+    """
+
+    def __init__(self, rig: Rig, tick_s: float) -> None:
+        self._state = np.zeros(STATE)
+        self._last = np.zeros(INPUT)
+        columns = np.eye(STATE + 2 * INPUT) * SCALE
+        self._tick = np.stack([_after(rig, tick_s, column) for column in columns], 1) / SCALE
+        self._levers = np.array(
+            [
+                [dx, dy, x * dy - y * dx]
+                for (x, y), (dx, dy) in ((motor.point, motor.direction) for motor in rig.motors)
+            ]
+        )
+        self._share = np.linalg.pinv(self._levers)
+
+    def moved(self, setpoint: np.ndarray) -> np.ndarray:
+        """Let a tick pass, during which the motors are led to a setpoint (3, 4).
+
+        Returns
+        -------
+        (2, 4)
+            Travel [m] and acceleration [m/s2] that the motors' sensors tell at its end.
+        """
+        wanted = (setpoint @ self._share.T).ravel()
+        after = self._tick @ np.concatenate([self._state, self._last, wanted])
+        self._state, self._last = after[:STATE], wanted
+        missed = after[[0, 1, 2, -3, -2, -1]] - wanted[[0, 1, 2, 6, 7, 8]]
+        return np.asarray(setpoint[::2] + missed.reshape(2, 3) @ self._levers.T)
+
+
+def _after(rig: Rig, tick_s: float, before: np.ndarray) -> np.ndarray:
+    """State and acceleration (13,) of the plate a tick after a state, led between two setpoints."""
+    pose, twist, force = before[:3], before[3:6], before[6:STATE]
+    ends = before[STATE:].reshape(2, 3, 3)
+    times = np.array([0.0, tick_s])
+    command = PlateMotion(times, quintic_pieces(times, ends[:, 0], ends[:, 1], ends[:, 2]))
+    motion, end = realise(rig, PlateState(pose, twist, force), command)
+    return np.concatenate([end.pose, end.twist, end.force, motion.accel(tick_s)[0]])

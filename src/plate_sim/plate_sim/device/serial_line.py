@@ -1,0 +1,72 @@
+"""A serial line, one way, with its faults."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .faults import LineFaults
+
+BITS_PER_BYTE = 10
+"""On a UART: with start and stop bit."""
+
+SPLIT_S = 0.004
+"""Longest pause between the two parts of a transmission that is split [s]."""
+
+
+class Line:
+    """A serial line in one direction; time is an argument.
+
+    Parameters
+    ----------
+    faults : LineFaults
+    rng : Generator
+        Decides what goes wrong.
+    """
+
+    def __init__(self, faults: LineFaults, rng: np.random.Generator) -> None:
+        self.faults = faults
+        self._rng = rng
+        self._way: list[tuple[float, bytes]] = []
+        self._free_at = float("-inf")  # when the last byte has come
+
+    def sent(self, data: bytes, now: float) -> None:
+        """Put bytes on the line at a time [s]."""
+        if not data:
+            return
+        for late, part in self._split(data):
+            start = max(now + self.faults.delay + late, self._free_at)
+            baud = self.faults.baud
+            self._free_at = start + (len(part) * BITS_PER_BYTE / baud if baud else 0.0)
+            self._way.append((self._free_at, self._damaged(part)))
+
+    def idle(self, now: float) -> bool:
+        """Tell whether all that was sent is on its way, but for the delay."""
+        return self._free_at - self.faults.delay <= now
+
+    def arrived(self, now: float) -> bytes:
+        """Take what has come by a time [s]."""
+        came = b"".join(data for at, data in self._way if at <= now)
+        if came or (self._way and self._way[0][0] <= now):
+            self._way = [item for item in self._way if item[0] > now]
+        return came
+
+    def cut(self) -> None:
+        """Lose what is on the line."""
+        self._way, self._free_at = [], float("-inf")
+
+    def _split(self, data: bytes) -> list[tuple[float, bytes]]:
+        if len(data) < 2 or self._rng.random() >= self.faults.split:
+            return [(0.0, data)]
+        cut = int(self._rng.integers(1, len(data)))
+        return [(0.0, data[:cut]), (float(self._rng.uniform(0, SPLIT_S)), data[cut:])]
+
+    def _damaged(self, data: bytes) -> bytes:
+        faults = self.faults
+        if not (faults.dropped or faults.corrupted or faults.repeated):
+            return data
+        values = np.frombuffer(data, np.uint8)
+        drawn = self._rng.random((3, len(values)))
+        other = self._rng.integers(1, 256, len(values), dtype=np.uint8)
+        values = np.where(drawn[0] < faults.corrupted, values ^ other, values)
+        count = np.where(drawn[1] < faults.dropped, 0, 1 + (drawn[2] < faults.repeated))
+        return np.repeat(values, count).tobytes()
