@@ -145,10 +145,10 @@ class Operator:
 class Loop:
     """A run; `go` plays it to its end."""
 
-    def __init__(self, setup: Setup, rig: Rig, accidents: FaultSchedule) -> None:
+    def __init__(self, setup: Setup, rig: Rig, schedule: FaultSchedule) -> None:
         self.watch = Watch(rig)
         self._rig, self._scenario = rig, load_scenario(setup.scenario)
-        self.emulator = Emulator(DeviceLimits.of_rig(rig), setup.seed, accidents, self.watch.see)
+        self.emulator = Emulator(DeviceLimits.of_rig(rig), setup.seed, schedule, self.watch.see)
         self.transport = SerialTransport(
             lambda: opened(self.emulator), lambda: self.emulator.now, seed=setup.seed
         )
@@ -240,13 +240,13 @@ class Loop:
 
 
 def serial_run(
-    setup: Setup, accidents: FaultSchedule | None = None, event: str = "", at: float = 0.0
+    setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
 ) -> Ending:
     """Run a task over the serial line.
 
     Parameters
     ----------
-    accidents : FaultSchedule, optional
+    schedule : FaultSchedule, optional
         What goes wrong all the time.
     event : str
         `disconnect`, `reset` or `brown_out`: happens once, ...
@@ -259,4 +259,4 @@ def serial_run(
         if left and loop.emulator.now >= at:
             getattr(loop.emulator, left.pop())()
 
-    return Loop(setup, load_rig(), accidents or FaultSchedule()).go(befall)
+    return Loop(setup, load_rig(), schedule or FaultSchedule()).go(befall)
