@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from harness import cpu_time
 
-from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.motor_table import prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
@@ -147,10 +147,10 @@ class Moment:
         Since the first image [s].
     world : WorldState
         True parts.
-    parts : PartSet
+    parts : Parts
         As seen.
-    asked : PartSet
-        As asked of the solver.
+    wanted : Wanted
+        Of the solver.
     answer : Answer
         Cycle to run next.
     progress : Progress
@@ -172,8 +172,8 @@ class Moment:
 
     time: float
     world: WorldState
-    parts: PartSet
-    asked: PartSet
+    parts: Parts
+    wanted: Wanted
     answer: Answer
     progress: Progress
     image: np.ndarray
@@ -207,9 +207,9 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         if image is not None:
             at_work = cpu_time()
             tracker = look(vision, tracker, image, t)
-            state, asked, progress = planner.plan(state, tracker.parts, t)
+            state, wanted, progress = planner.plan(state, tracker.parts, t)
             began = cpu_time()
-            answer = controller.answer(asked, playback.cycle)
+            answer = controller.answer(wanted, playback.cycle)
             solve_s = cpu_time() - began
             table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
             newest = table.cycle
@@ -218,7 +218,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
             turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
             yield Moment(
-                t, world, tracker.parts, asked, answer, progress, image, solve_s, step_s,
+                t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
                 fitted.usage.worst, simulation.used, error, turned,
             )  # fmt: skip
             if progress.ended:
@@ -231,14 +231,14 @@ def _true_error(
     scenario: Scenario,
     rig: Rig,
     state: PlannerState,
-    parts: PartSet,
+    parts: Parts,
     world: WorldState,
     t: float,
 ) -> np.ndarray:
     """Distance (P,) [m] of the true parts from their references or places, once these count."""
     task, true = scenario.task, world.position
     if isinstance(task, AssembleTask) and len(true):
-        names = PartSet.make(world.ids, true)
+        names = Parts.make(world.ids, true)
         distance = Assembly(task, rig).distance(names)
         return distance[~np.isnan(distance)]
     if isinstance(task, PoseTask) and len(true):
@@ -256,7 +256,7 @@ def _true_error(
 
 
 def _true_turn_error(
-    scenario: Scenario, rig: Rig, state: PlannerState, parts: PartSet, world: WorldState
+    scenario: Scenario, rig: Rig, state: PlannerState, parts: Parts, world: WorldState
 ) -> np.ndarray:
     """What is missing to the angles (P,) [rad] of the true parts, in a task of poses."""
     if not isinstance(scenario.task, PoseTask):
@@ -265,12 +265,12 @@ def _true_turn_error(
     return np.abs(Poser(scenario.task, rig).errors(state.pose, true)[1])
 
 
-def _named(parts: PartSet, wanted: tuple[str, ...], world: WorldState) -> PartSet:
+def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
     """Return the true parts that are seen as those wanted, by the names of these."""
     ids = [name for name in wanted if name in parts.ids]
     seen = parts.position[[parts.ids.index(name) for name in ids]]
     rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
-    return PartSet.make(tuple(ids), world.position[rows], angle=world.angle[rows])
+    return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
 
 
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:

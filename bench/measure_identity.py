@@ -10,7 +10,7 @@ import numpy as np
 from harness import Result, Table
 from loop import Moment, Setup, run
 
-from plate_core import PartSet, load_rig, part_class
+from plate_core import Parts, load_rig, part_class
 from plate_core.tasks import load_scenario
 from plate_planner import PlannerOptions, SortOptions
 from plate_sim.dirt import CLEAN, Dirt
@@ -64,7 +64,7 @@ class Identities:
     )
     closest: float = np.inf
 
-    def take(self, parts: PartSet, names: tuple[str, ...], position: np.ndarray) -> None:
+    def take(self, parts: Parts, names: tuple[str, ...], position: np.ndarray) -> None:
         """Compare what is seen with true parts `names` at `position` (M, 2) [m]."""
         self.count["frames"] += 1
         self._passes(names, position)

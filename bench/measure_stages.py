@@ -118,7 +118,7 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         clock.lap("vision")
         state, _, _ = planner.plan(state, tracker.parts, moment.time)
         clock.lap("planner")
-        answer = controller.answer(moment.asked, running)
+        answer = controller.answer(moment.wanted, running)
         clock.lap("solver")
         table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9))
         clock.lap("driver")

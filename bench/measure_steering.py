@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from harness import Result, Table, cpu_time
 
-from plate_core import PartSet, PlateCycle, Rig, load_rig
+from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
 from plate_sim import simulate
 from plate_solver import Controller
 
@@ -105,7 +105,7 @@ def scene(
     ids = tuple(f"black_{i}" for i in range(len(position)))
     for number in range(CYCLES + 1):
         began = cpu_time()
-        answer = controller.answer(PartSet.make(ids, position, drift), running)
+        answer = controller.answer(Wanted.make(Parts.make(ids, position, drift)), running)
         milliseconds.append(1e3 * (cpu_time() - began))
         run = simulate(running, position, velocity, rig.friction.mu, rig.friction.gravity)
         if number:

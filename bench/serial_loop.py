@@ -231,10 +231,10 @@ class Loop:
         self._late += 0 < stretch.table == self._table
         self._table = stretch.table
         self._tracker = look(self._vision, self._tracker, image, now)
-        self._state, asked, progress = self._planner.plan(self._state, self._tracker.parts, now)
+        self._state, wanted, progress = self._planner.plan(self._state, self._tracker.parts, now)
         # As the solver's node: the cycle that was sent last is the one that runs now.
         running = self._sent[-1] if self._sent else PlateCycle.rest(IDLE_PERIOD)
-        answer = self._controller.answer(asked, running)
+        answer = self._controller.answer(wanted, running)
         self._answers.append((self.emulator.now + ANSWER_S, answer.cycle))
         return progress
 

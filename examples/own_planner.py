@@ -8,8 +8,8 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 
-from plate_core import PartSet, load_rig
-from plate_core.ros import DATA, msg_to_parts, parts_to_msg, run_node, seconds
+from plate_core import Wanted, load_rig
+from plate_core.ros import DATA, msg_to_parts, run_node, seconds, wanted_to_msg
 
 RATE, FASTEST = 1.0, 0.012
 """Asked drift for each metre to go [1/s], and at most [m/s]."""
@@ -29,15 +29,13 @@ class OwnPlanner(Node):
         period = now - self._seen_at if self._seen_at is not None else 0.1  # one image a cycle
         self._seen_at = now
 
-        wanted = np.zeros((len(parts), 2))
-        wanted[:, 1] = np.clip(-RATE * parts.position[:, 1], -FASTEST, FASTEST)
-        force = (
-            self._rig.parts.mass_kg * (wanted - parts.velocity) / max(period, 1e-3)
-        )  # F = m dv/T
+        drift = np.zeros((len(parts), 2))
+        drift[:, 1] = np.clip(-RATE * parts.position[:, 1], -FASTEST, FASTEST)
+        force = self._rig.parts.mass_kg * (drift - parts.velocity) / max(period, 1e-3)  # F = m dv/T
         tolerance = np.zeros_like(force)
         tolerance[:, 0] = self._rig.force_unit  # along x it may do what it likes
-        asked = PartSet.make(parts.ids, parts.position, parts.velocity, force, tolerance)
-        self._forces.publish(parts_to_msg(asked, msg.header.stamp))
+        wanted = Wanted.make(parts, force, tolerance)
+        self._forces.publish(wanted_to_msg(wanted, msg.header.stamp))
 
 
 if __name__ == "__main__":

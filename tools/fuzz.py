@@ -31,14 +31,14 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PartSet, PlateCycle, PlateError, Rig, load_rig
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.ros import (
     array_to_image,
     cycle_to_msg,
     motors_to_msg,
     msg_to_motors,
-    parts_to_msg,
     to_time,
+    wanted_to_msg,
 )
 
 NODES = {
@@ -93,7 +93,8 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half
     force = rng.choice([0.003, 0.03], p=[0.95, 0.05]) * rng.normal(size=(count, 2))
-    parts = PartSet.make(ids, place, 0.01 * rng.normal(size=(count, 2)), force=force)
+    parts = Parts.make(ids, place, 0.01 * rng.normal(size=(count, 2)))
+    wanted = Wanted.make(parts, force)
     size_px = (rig.camera.height_px, rig.camera.width_px)
     if rng.random() < 0.9:  # a whole image takes 20 ms to spoil
         size_px = (int(rng.integers(1, 64)), int(rng.integers(1, 64)))
@@ -101,7 +102,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     message = cycle_to_msg(cycle, stamp)
     if rng.random() < 0.5:
         message = motors_to_msg(rig, cycle, stamp)
-    right = (message, parts_to_msg(parts, stamp), array_to_image(pixels, stamp))
+    right = (message, wanted_to_msg(wanted, stamp), array_to_image(pixels, stamp))
     return {type(msg): serialize_message(msg) for msg in right}
 
 

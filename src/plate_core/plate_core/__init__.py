@@ -6,18 +6,19 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError
 from .motion import PlateCycle
-from .parts import PartSet, part_class
+from .parts import Parts, Wanted, part_class
 from .rig import Rig, load_rig
 
 __all__ = [
     "CycleError",
     "FrameError",
-    "PartSet",
+    "Parts",
     "PlateCycle",
     "PlateError",
     "Rig",
     "RigError",
     "ScenarioError",
+    "Wanted",
     "load_rig",
     "part_class",
 ]

@@ -1,15 +1,15 @@
-"""PartSet: the parts on the plate, as they travel from stage to stage."""
+"""The parts on the plate, and what is wanted of them, as they travel from stage to stage."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 
 @dataclass(frozen=True)
-class PartSet:
-    """Parts in plate_home at one instant, and what is asked of them.
+class Parts:
+    """Parts in plate_home at one instant.
 
     Attributes
     ----------
@@ -17,31 +17,22 @@ class PartSet:
         Such as `black_3`: class and number.
     position : (M, 2)
         Centres [m].
-    angle : (M,)
-        Orientation [rad], counter-clockwise.
     velocity : (M, 2)
         Drift over the last cycles [m/s].
-    force : (M, 2)
-        Wanted mean force over a cycle [N]; zero where nothing is asked.
-    tolerance : (M, 2)
-        Any force within +-tolerance [N] of `force` is as good.
-    torque : (M,)
-        Wanted mean torque over a cycle [N m]; zero where any turning will do.
+    angle : (M,)
+        Orientation [rad], counter-clockwise.
     spin : (M,)
         Turning over the last cycles [rad/s].
-    grip : (M,)
+    friction_limit : (M,)
         Greatest friction on it [N], mu m g; 0 where no more is known than the rig's facts.
     """
 
     ids: tuple[str, ...]
     position: np.ndarray
-    angle: np.ndarray
     velocity: np.ndarray
-    force: np.ndarray
-    tolerance: np.ndarray
-    torque: np.ndarray
-    grip: np.ndarray
+    angle: np.ndarray
     spin: np.ndarray
+    friction_limit: np.ndarray
 
     @classmethod
     def make(
@@ -49,38 +40,69 @@ class PartSet:
         ids: tuple[str, ...],
         position: np.ndarray,
         velocity: np.ndarray | None = None,
-        force: np.ndarray | None = None,
-        tolerance: np.ndarray | None = None,
-        torque: np.ndarray | None = None,
         angle: np.ndarray | None = None,
-        grip: np.ndarray | None = None,
         spin: np.ndarray | None = None,
-    ) -> PartSet:
-        """Build a set; what is missing is zero."""
-        count = len(ids)
-
-        def pairs(array: np.ndarray | None) -> np.ndarray:
-            return np.zeros((count, 2)) if array is None else np.array(array, float).reshape(-1, 2)
-
-        def column(array: np.ndarray | None) -> np.ndarray:
-            return np.zeros(count) if array is None else np.array(array, float).reshape(-1)
-
+        friction_limit: np.ndarray | None = None,
+    ) -> Parts:
+        """Build it; what is missing is zero."""
+        pair, single = (len(ids), 2), (len(ids),)
         return cls(
             tuple(ids),
-            pairs(position),
-            column(angle),
-            pairs(velocity),
-            pairs(force),
-            pairs(tolerance),
-            column(torque),
-            column(grip),
-            column(spin),
+            _filled(position, pair),
+            _filled(velocity, pair),
+            _filled(angle, single),
+            _filled(spin, single),
+            _filled(friction_limit, single),
         )
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    def take(self, rows: np.ndarray | list[int]) -> Parts:
+        """Return the parts in these rows (K,)."""
+        index = np.array(rows, dtype=int)
+        arrays = [getattr(self, field.name)[index] for field in fields(self)[1:]]
+        return Parts(tuple(self.ids[i] for i in index), *arrays)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of parts over the next cycle.
+
+    Attributes
+    ----------
+    parts : Parts
+        The parts in question, M of them.
+    force : (M, 2)
+        Mean force over a cycle [N]; zero where nothing is asked.
+    tolerance : (M, 2)
+        Any force within +-tolerance [N] of `force` is as good.
+    torque : (M,)
+        Mean torque over a cycle [N m]; zero where any turning will do.
+    """
+
+    parts: Parts
+    force: np.ndarray
+    tolerance: np.ndarray
+    torque: np.ndarray
+
+    @classmethod
+    def make(
+        cls,
+        parts: Parts,
+        force: np.ndarray | None = None,
+        tolerance: np.ndarray | None = None,
+        torque: np.ndarray | None = None,
+    ) -> Wanted:
+        """Build it; what is missing is zero."""
+        pair, single = (len(parts), 2), (len(parts),)
+        return cls(parts, _filled(force, pair), _filled(tolerance, pair), _filled(torque, single))
+
 
 def part_class(part_id: str) -> str:
     """Return the class of a part id: `black` of `black_3`."""
     return part_id.rsplit("_", 1)[0]
+
+
+def _filled(array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    return np.zeros(shape) if array is None else np.array(array, float).reshape(shape)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core import CycleError, PartSet, PlateCycle, PlateError, load_rig
+from plate_core import CycleError, Parts, PlateCycle, PlateError, Wanted, load_rig
 from plate_core.rig import Lens, to_image
 
 pytest.importorskip("rclpy")
@@ -32,18 +32,12 @@ def cycle() -> PlateCycle:
     return PlateCycle.from_knots(np.linspace(0, 0.1, 9), *knots)
 
 
-def parts() -> PartSet:
-    rng = np.random.default_rng(1)
-    arrays = {
-        name: rng.uniform(-0.2, 0.2, (3, 2))
-        for name in ("position", "velocity", "force", "tolerance")
-    }
-    return PartSet.make(
-        ("black_1", "white_1", "white_2"),
-        **arrays,
-        torque=rng.normal(size=3),
-        angle=np.array([-3.0, 0, 3]),
-    )
+def wanted() -> Wanted:
+    position, velocity, force, tolerance = np.random.default_rng(1).uniform(-0.2, 0.2, (4, 3, 2))
+    spin, friction, torque = np.random.default_rng(2).uniform(0, 1, (3, 3))
+    ids, angle = ("black_1", "white_1", "white_2"), np.array([-3.0, 0, 3])
+    parts = Parts.make(ids, position, velocity, angle, spin, friction)
+    return Wanted.make(parts, force, tolerance, torque)
 
 
 def test_stamps():
@@ -71,15 +65,27 @@ def test_motors_there_and_back():
 
 
 def test_parts_there_and_back():
-    msg = over_the_wire(convert.parts_to_msg(parts(), STAMP))
-    back = convert.msg_to_parts(msg)
-    assert back.ids == parts().ids
-    for name in ("position", "velocity", "force", "tolerance", "torque", "angle"):
-        np.testing.assert_allclose(getattr(back, name), getattr(parts(), name), atol=1e-12)
+    sent = wanted()
+    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP)))
+    assert back.parts.ids == sent.parts.ids
+    for name in ("position", "velocity", "angle", "spin", "friction_limit"):
+        found, right = getattr(back.parts, name), getattr(sent.parts, name)
+        np.testing.assert_allclose(found, right, atol=1e-12)
+    for name in ("force", "tolerance", "torque"):
+        np.testing.assert_allclose(getattr(back, name), getattr(sent, name), atol=1e-12)
+
+
+def test_twist_and_wrench_may_be_left_out():
+    msg = convert.wanted_to_msg(wanted(), STAMP)
+    msg.twist, msg.wrench = [], []
+    back = convert.msg_to_wanted(over_the_wire(msg))
+    np.testing.assert_array_equal(back.parts.position, wanted().parts.position)
+    assert not np.any(back.parts.velocity)
+    assert not np.any(back.force)
 
 
 def test_no_parts():
-    nothing = PartSet.make((), np.zeros((0, 2)))
+    nothing = Parts.make((), np.zeros((0, 2)))
     back = convert.msg_to_parts(over_the_wire(convert.parts_to_msg(nothing, STAMP)))
     assert len(back) == 0
     assert back.position.shape == (0, 2)
@@ -156,10 +162,10 @@ def test_wrong_cycles(change, message):
     ],
 )
 def test_wrong_parts(change, message):
-    msg = convert.parts_to_msg(parts(), STAMP)
+    msg = convert.wanted_to_msg(wanted(), STAMP)
     change(msg)
     with pytest.raises(PlateError, match=message):
-        convert.msg_to_parts(msg)
+        convert.msg_to_wanted(msg)
 
 
 def test_camera_info_tells_where_points_are_seen():

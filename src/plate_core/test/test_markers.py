@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from plate_core import PartSet, PlateCycle, load_rig
+from plate_core import Parts, PlateCycle, Wanted, load_rig
 from plate_core.ros import centres_to_msg, forces_to_msg, scene_to_msg, to_time
 
 STAMP = to_time(7)
@@ -17,7 +17,7 @@ STAMP = to_time(7)
 def test_scene_over_the_wire():
     rig = load_rig()
     position, velocity = [[0.1, -0.05], [0.0, 0.02]], [[0.01, 0.0], [0.0, -0.02]]
-    parts = PartSet.make(("black_1", "bolt_2"), np.array(position), np.array(velocity))
+    parts = Parts.make(("black_1", "bolt_2"), np.array(position), np.array(velocity))
     trails = {"black_1": [(0.09, -0.05), (0.1, -0.05)], "bolt_2": [(0.0, 0.02)]}
     msg = scene_to_msg(rig, parts, trails, np.array([0.001, 0.0, 0.1]), STAMP)
     msg = deserialize_message(serialize_message(msg), MarkerArray)
@@ -39,9 +39,9 @@ def test_scene_over_the_wire():
 
 
 def test_nothing_to_draw():
-    rig, nothing = load_rig(), PartSet.make((), np.empty((0, 2)))
+    rig, nothing = load_rig(), Parts.make((), np.empty((0, 2)))
     assert len(scene_to_msg(rig, nothing, {}, np.zeros(3), STAMP).markers) == 1
-    assert forces_to_msg(rig, nothing, STAMP).markers == []
+    assert forces_to_msg(rig, Wanted.make(nothing), STAMP).markers == []
 
 
 def test_centres_of_a_plate_that_swings_about_a_point():

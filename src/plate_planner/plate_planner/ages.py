@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import PartSet
+from plate_core import Parts
 
 from .estimation import Belief
 from .plate_log import PlateLog
@@ -79,9 +79,7 @@ class Ages:
         """The belief at that age."""
         return self.beliefs[self.best]
 
-    def see(
-        self, log: PlateLog, parts: PartSet, t: float, friction_accel: float, most: int
-    ) -> Ages:
+    def see(self, log: PlateLog, parts: Parts, t: float, friction_accel: float, most: int) -> Ages:
         """Take in the parts of an image with stamp t [s]; see `Belief.see`."""
         beliefs = tuple(
             belief.see(log, parts, t - age, friction_accel, most)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PartSet, Rig
+from plate_core import Parts, Rig
 from plate_core.tasks import AssembleTask
 
 from .places import approach_drift, assign, hold_back, paces, pass_by
@@ -48,17 +48,17 @@ class Assembly:
     task: AssembleTask
     rig: Rig
 
-    def distance(self, parts: PartSet) -> np.ndarray:
+    def distance(self, parts: Parts) -> np.ndarray:
         """How far each part (M,) is from its place [m]; NaN for a part that has none."""
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
-    def request(self, parts: PartSet, period: float, options: AssembleOptions) -> DriftRequest:
+    def request(self, parts: Parts, period: float, options: AssembleOptions) -> DriftRequest:
         """Return the drift wanted of each part.
 
         Parameters
         ----------
-        parts : PartSet
+        parts : Parts
             Parts as seen, M of them; one without a place is only kept clear of the edges.
         period : float
             Length of a cycle [s]: the request acts one cycle after `parts` was seen.
@@ -82,7 +82,7 @@ class Assembly:
         wanted = pass_by(position, wanted, self.rig.parts.radius_m)
         return hold_back(position, aim, self.rig.plate.half, wanted, rate)
 
-    def _aim(self, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
+    def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""
         place = np.array(self.task.place)
         row = assign(self.task.labels, place, parts)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from plate_core import PartSet, part_class
+from plate_core import Parts, part_class
 
 UNMATCHED = ""
 """Stands for the id of a path without a part."""
@@ -17,7 +17,7 @@ WRONG_CLASS_M = 1e3
 
 
 def match_paths(
-    labels: Sequence[str], target: np.ndarray, parts: PartSet, reach_m: float = np.inf
+    labels: Sequence[str], target: np.ndarray, parts: Parts, reach_m: float = np.inf
 ) -> tuple[str, ...]:
     """Match parts to paths of their class so that the sum of squared distances is least.
 
@@ -27,7 +27,7 @@ def match_paths(
         Class of the part that each path wants.
     target : (P, 2)
         Where the part of each path should be [m, plate_home].
-    parts : PartSet
+    parts : Parts
         The parts on offer.
     reach_m : float
         Pairs further apart than this are not matched [m].
@@ -53,7 +53,7 @@ def rematch_paths(
     match: tuple[str, ...],
     labels: Sequence[str],
     target: np.ndarray,
-    parts: PartSet,
+    parts: Parts,
     reach_m: float,
 ) -> tuple[str, ...]:
     """Give paths whose part is not seen a new part, if an unknown one of its class is near.
@@ -64,7 +64,7 @@ def rematch_paths(
     spare = [i for i, part_id in enumerate(parts.ids) if part_id not in match]
     if not open_paths or not spare:
         return match
-    offer = PartSet.make(tuple(parts.ids[i] for i in spare), parts.position[spare])
+    offer = parts.take(spare)
     found = match_paths([labels[k] for k in open_paths], target[open_paths], offer, reach_m)
     result = list(match)
     for k, part_id in zip(open_paths, found, strict=True):

@@ -15,7 +15,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from plate_core import PartSet, PlateCycle
+from plate_core import Parts, PlateCycle
 
 from .plate_log import PlateLog
 
@@ -88,14 +88,14 @@ class Belief:
         """Friction of each part (M,) over the rig's."""
         return np.exp(self.mean[:, 4])
 
-    def parts(self, log: PlateLog, t: float, friction_accel: float, mass: float) -> PartSet:
+    def parts(self, log: PlateLog, t: float, friction_accel: float, mass: float) -> Parts:
         """Return the parts where they are at a later time t [s]."""
         place = carried(log, self.mean, self.time, t, friction_accel)[:, :2]
-        grip = mass * friction_accel * self.friction
-        return PartSet.make(self.ids, place, self.drift, grip=grip)
+        limit = mass * friction_accel * self.friction
+        return Parts.make(self.ids, place, self.drift, friction_limit=limit)
 
     def see(
-        self, log: PlateLog, parts: PartSet, time: float, friction_accel: float, most: int
+        self, log: PlateLog, parts: Parts, time: float, friction_accel: float, most: int
     ) -> Belief:
         """Take in the parts of an image taken at `time` [s].
 

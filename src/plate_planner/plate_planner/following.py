@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core import PartSet, Rig
+from plate_core import Parts, Rig
 from plate_core.tasks import FollowTask
 
 from .assignment import UNMATCHED, match_paths, rematch_paths
@@ -90,7 +90,7 @@ class Follower:
         time = state.path_time(t)
         return np.array([path.position(time) for path in self.paths])
 
-    def begin(self, parts: PartSet, start: float) -> FollowState:
+    def begin(self, parts: Parts, start: float) -> FollowState:
         """Match parts to paths; the references leave at `start` [s]."""
         disturbance = Disturbance.none(len(self.paths))
         state = FollowState(began=start, anchor=start, disturbance=disturbance)
@@ -99,7 +99,7 @@ class Follower:
     def measure(
         self,
         state: FollowState,
-        parts: PartSet,
+        parts: Parts,
         t: float,
         start: float,
         short: np.ndarray,
@@ -129,7 +129,7 @@ class Follower:
     def observe(
         self,
         state: FollowState,
-        parts: PartSet,
+        parts: Parts,
         t: float,
         ahead: np.ndarray,
         start: float,
@@ -164,7 +164,7 @@ class Follower:
         time = state.path_time(t)
         return max(max(path.duration - time, 0) * path.speed for path in self.paths)
 
-    def errors(self, state: FollowState, parts: PartSet, t: float) -> np.ndarray:
+    def errors(self, state: FollowState, parts: Parts, t: float) -> np.ndarray:
         """Distance of each part (M,) from its reference [m]; 0 for a part without one."""
         result = np.zeros(len(parts))
         path, part = self._rows(state, parts)
@@ -175,11 +175,11 @@ class Follower:
         """Whether all references have come to the end of their last lap."""
         return state.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
-    def missing(self, state: FollowState, parts: PartSet) -> tuple[str, ...]:
+    def missing(self, state: FollowState, parts: Parts) -> tuple[str, ...]:
         """Ids of the parts that have a path and are not seen."""
         return tuple(i for i in state.match if i not in parts.ids and i != UNMATCHED)
 
-    def problem(self, state: FollowState, parts: PartSet, t: float, options: FollowOptions) -> str:
+    def problem(self, state: FollowState, parts: Parts, t: float, options: FollowOptions) -> str:
         """Say which part is too far off its path; empty if none is, or it is too early to say."""
         if t - state.began < options.settle_s:
             return ""
@@ -195,7 +195,7 @@ class Follower:
     def request(
         self,
         state: FollowState,
-        parts: PartSet,
+        parts: Parts,
         ahead: np.ndarray,
         start: float,
         period: float,
@@ -238,14 +238,14 @@ class Follower:
         along = np.array([path.heading(time) for path in self.paths])
         return np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
 
-    def _rows(self, state: FollowState, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
+    def _rows(self, state: FollowState, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Rows of paths, and of the parts that are seen on them: two index arrays (K,)."""
         row = {part_id: i for i, part_id in enumerate(parts.ids)}
         pairs = [(k, row[i]) for k, i in enumerate(state.match) if i in row]
         rows = np.array(pairs, dtype=int).reshape(-1, 2)
         return rows[:, 0], rows[:, 1]
 
-    def _keep_on_plate(self, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
+    def _keep_on_plate(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Intervals (M, 2) [m/s] that leave a part free in the middle of the plate."""
         speed = max(path.speed for path in self.task.paths)
         columns = [

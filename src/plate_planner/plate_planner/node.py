@@ -33,9 +33,9 @@ from plate_core.ros import (
     msg_to_parts,
     nanoseconds,
     parameter,
-    parts_to_msg,
     run_node,
     seconds,
+    wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
 from plate_core.tasks import load_scenario
@@ -191,15 +191,15 @@ class PlannerNode(Node):
         except PlateError as error:
             # Still answered, so that the loop goes on; the plate rests meanwhile.
             self._warn(str(error))
-            self._ask(parts_to_msg(NOTHING, stamp))
+            self._ask(wanted_to_msg(NOTHING, stamp))
             return
         sorted_before = -1 if self._progress is None else self._progress.parts_sorted
-        self._state, asked, self._progress = self._planner.plan(self._state, parts, seconds(stamp))
+        self._state, wanted, self._progress = self._planner.plan(self._state, parts, seconds(stamp))
         if self._stood_still():
-            asked = NOTHING  # these parts are long gone from where they were
-        self._ask(parts_to_msg(asked, stamp))
+            wanted = NOTHING  # these parts are long gone from where they were
+        self._ask(wanted_to_msg(wanted, stamp))
         if self._markers.get_subscription_count():
-            self._markers.publish(forces_to_msg(self._rig, asked, stamp))
+            self._markers.publish(forces_to_msg(self._rig, wanted, stamp))
         self._report()
         if self._progress.parts_sorted != sorted_before:
             self._diagnostics.publish()  # in lockstep a task may be over within a report's period

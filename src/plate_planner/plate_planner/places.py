@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plate_core import PartSet
+from plate_core import Parts
 
 from .assignment import UNMATCHED, match_paths
 from .requests import DriftRequest
@@ -28,7 +28,7 @@ EDGE = 0.93
 nearer to them."""
 
 
-def assign(labels: tuple[str, ...], place: np.ndarray, parts: PartSet) -> np.ndarray:
+def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarray:
     """Assign parts to places (P, 2) [m] of their class: least sum of squared distances.
 
     Returns

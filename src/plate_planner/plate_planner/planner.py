@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core import PartSet, PlateCycle, Rig
+from plate_core import Parts, PlateCycle, Rig, Wanted
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
 from plate_core.tasks import check_scenario as check
 
@@ -25,7 +25,7 @@ from .sorting import Sorter, SortOptions
 from .task import NEARER_M, Findings, Phase, TaskLimits, TaskState, begin, judge, started, stopped
 from .watch import Watch, missing_parts, on_plate
 
-NOTHING = PartSet.make((), np.zeros((0, 2)))
+NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
 
 
@@ -78,7 +78,7 @@ class PlannerState:
         The last request.
     known : tuple of str
         Ids in the last image with all parts.
-    answer : (PartSet, Progress) or None
+    answer : (Wanted, Progress) or None
         Answer to the last image, given again when the same image comes again.
     """
 
@@ -89,7 +89,7 @@ class PlannerState:
     pose: PoseState = field(default_factory=PoseState)
     asked: Asked = field(default_factory=Asked)
     known: tuple[str, ...] = ()
-    answer: tuple[PartSet, Progress] | None = None
+    answer: tuple[Wanted, Progress] | None = None
 
     @property
     def period(self) -> float:
@@ -176,14 +176,14 @@ class Planner:
         return replace(state, watch=state.watch.hear(cycle, arrival))
 
     def plan(
-        self, state: PlannerState, parts: PartSet, t: float
-    ) -> tuple[PlannerState, PartSet, Progress]:
+        self, state: PlannerState, parts: Parts, t: float
+    ) -> tuple[PlannerState, Wanted, Progress]:
         """Answer one image.
 
         Parameters
         ----------
         state : PlannerState
-        parts : PartSet
+        parts : Parts
             Parts as vision saw them.
         t : float
             Stamp of the image [s]. The same stamp again gives the same answer again; an earlier
@@ -192,8 +192,8 @@ class Planner:
         Returns
         -------
         state : PlannerState
-        asked : PartSet
-            The same parts with force and tolerance [N]; no parts when nothing is asked.
+        wanted : Wanted
+            Of the same parts; of none when nothing is asked.
         progress : Progress
         """
         if state.answer is not None and t == state.clock.stamp:
@@ -204,13 +204,13 @@ class Planner:
         turns = isinstance(self.scenario.task, PoseTask)  # the watch takes parts for points
         inside = on_plate(parts if turns else state.watch.parts, self.rig)
         state, view = self._advance(state, inside, t)
-        asked = NOTHING
+        wanted = NOTHING
         if state.task.active and view.request is not None and len(inside):
-            asked, state = self._ask(state, inside, view.request, t)
+            wanted, state = self._ask(state, inside, view.request, t)
         progress = self._progress(state, len(inside), view, t)
-        return replace(state, answer=(asked, progress)), asked, progress
+        return replace(state, answer=(wanted, progress)), wanted, progress
 
-    def _advance(self, state: PlannerState, parts: PartSet, t: float) -> tuple[PlannerState, View]:
+    def _advance(self, state: PlannerState, parts: Parts, t: float) -> tuple[PlannerState, View]:
         """Bring the task up to date."""
         missing = missing_parts(self.scenario, state.known, parts)
         again = set(state.known) == set(parts.ids) <= set(state.watch.seen.ids)
@@ -240,7 +240,7 @@ class Planner:
         return Follower(task, self.rig)
 
     def _sort(
-        self, sorter: Sorter, state: PlannerState, parts: PartSet, missing: tuple[str, ...]
+        self, sorter: Sorter, state: PlannerState, parts: Parts, missing: tuple[str, ...]
     ) -> View:
         to_go = sorter.to_go(parts)
         count = int(np.sum(to_go == 0))
@@ -251,7 +251,7 @@ class Planner:
         return View(found, sorter.request(parts, state.period, self.options.sort), count)
 
     def _assemble(
-        self, assembly: Assembly, state: PlannerState, parts: PartSet, missing: tuple[str, ...]
+        self, assembly: Assembly, state: PlannerState, parts: Parts, missing: tuple[str, ...]
     ) -> View:
         distance = assembly.distance(parts)  # NaN for a part that has no place
         error = distance[~np.isnan(distance)]
@@ -266,7 +266,7 @@ class Planner:
         self,
         poser: Poser,
         state: PlannerState,
-        parts: PartSet,
+        parts: Parts,
         missing: tuple[str, ...],
         t: float,
         begins: bool,
@@ -284,7 +284,7 @@ class Planner:
         return replace(state, pose=pose), View(found, request, count, distance)
 
     def _follow(
-        self, follower: Follower, state: PlannerState, parts: PartSet, t: float, begins: bool
+        self, follower: Follower, state: PlannerState, parts: Parts, t: float, begins: bool
     ) -> tuple[PlannerState, View]:
         period, options, follow = state.period, self.options.follow, state.follow
         start = state.next_start
@@ -314,8 +314,8 @@ class Planner:
         return replace(state, follow=follow), View(found, request, 0, error)
 
     def _ask(
-        self, state: PlannerState, parts: PartSet, request: DriftRequest, t: float
-    ) -> tuple[PartSet, PlannerState]:
+        self, state: PlannerState, parts: Parts, request: DriftRequest, t: float
+    ) -> tuple[Wanted, PlannerState]:
         """Put a request into forces, and remember the drift that they lead to."""
         task, period = self.scenario.task, state.period
         kinds = {SortTask: "sort", AssembleTask: "assemble", PoseTask: "pose", FollowTask: "follow"}
@@ -328,7 +328,7 @@ class Planner:
         poser, torque = self._rules, np.zeros(len(parts))
         if isinstance(poser, Poser):
             torque = poser.torque(state.pose, parts, period)
-        return replace(parts, force=force, tolerance=tolerance, torque=torque), state
+        return Wanted(parts, force, tolerance, torque), state
 
     def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:
         rms, most = state.follow.rms_error_m, state.follow.max_error_m

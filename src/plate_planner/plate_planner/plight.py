@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from plate_core import PartSet, Rig
+from plate_core import Parts, Rig
 
 from .requests import Asked
 
 
-def plight_of(asked: Asked, rig: Rig, parts: PartSet, short: np.ndarray) -> str:
+def plight_of(asked: Asked, rig: Rig, parts: Parts, short: np.ndarray) -> str:
     """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
     if not len(parts):
         return ""

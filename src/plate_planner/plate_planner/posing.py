@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import PartSet, Rig
+from plate_core import Parts, Rig
 from plate_core.tasks import PoseTask
 
 from .assignment import UNMATCHED, match_paths
@@ -71,7 +71,7 @@ class Poser:
     task: PoseTask
     rig: Rig
 
-    def begin(self, parts: PartSet) -> PoseState:
+    def begin(self, parts: Parts) -> PoseState:
         """Give each part a pose of its class: one with a place to the nearest, as far as that goes;
         then the others, each where it is."""
         stays = np.array([pose.place is None for pose in self.task.poses])
@@ -79,14 +79,14 @@ class Poser:
         match = np.full(len(stays), UNMATCHED, dtype=object)
         for rows in (np.flatnonzero(~stays), np.flatnonzero(stays)):
             free = [k for k, part_id in enumerate(parts.ids) if part_id not in match]
-            left = PartSet.make(tuple(parts.ids[k] for k in free), parts.position[free])
+            left = parts.take(free)
             labels = tuple(self.task.poses[row].label for row in rows)
             match[rows] = match_paths(labels, place[rows], left)
         for row in np.flatnonzero(stays & (match != UNMATCHED)):
             place[row] = parts.position[parts.ids.index(match[row])]
         return PoseState(tuple(match), place)
 
-    def errors(self, state: PoseState, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
+    def errors(self, state: PoseState, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Distance from its place [m] and angle still to turn [rad] of each part (M,); 0 for one
         without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
@@ -95,14 +95,14 @@ class Poser:
         angle[part] = _wrapped(self._angles[pose] - parts.angle[part])
         return distance, angle
 
-    def count(self, state: PoseState, parts: PartSet) -> int:
+    def count(self, state: PoseState, parts: Parts) -> int:
         """How many parts are in their poses."""
         distance, angle = self.errors(state, parts)
         there = distance <= self.task.tolerance_m
         there &= np.abs(angle) <= self.task.tolerance_rad
         return int(np.count_nonzero(there[self._rows(state, parts)[1]]))
 
-    def problem(self, state: PoseState, parts: PartSet) -> str:
+    def problem(self, state: PoseState, parts: Parts) -> str:
         """Say which part is too far from where it was to stay; empty if none is."""
         distance, _ = self.errors(state, parts)
         pose, part = self._rows(state, parts)
@@ -121,7 +121,7 @@ class Poser:
     def request(
         self,
         state: PoseState,
-        parts: PartSet,
+        parts: Parts,
         ahead: np.ndarray,
         period: float,
         options: PoseOptions,
@@ -143,7 +143,7 @@ class Poser:
         state = replace(state, ids=parts.ids, spin=spin)
         return state, DriftRequest(drift, drift)
 
-    def torque(self, state: PoseState, parts: PartSet, period: float) -> np.ndarray:
+    def torque(self, state: PoseState, parts: Parts, period: float) -> np.ndarray:
         """Mean torques over a cycle (M,) [N m] that lead from the present turning to the wanted."""
         inertia = self.rig.parts.mass_kg * self.rig.parts.radius_m**2 / 2
         return np.asarray(inertia * (state.spin - parts.spin) / period)
@@ -152,7 +152,7 @@ class Poser:
     def _angles(self) -> np.ndarray:
         return np.array([pose.angle for pose in self.task.poses])
 
-    def _rows(self, state: PoseState, parts: PartSet) -> tuple[np.ndarray, np.ndarray]:
+    def _rows(self, state: PoseState, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Rows of poses, and of the parts that are seen and have them: two index arrays (K,)."""
         row = {part_id: i for i, part_id in enumerate(parts.ids)}
         pairs = [(k, row[i]) for k, i in enumerate(state.match) if i in row]

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import PartSet, Rig
+from plate_core import Parts, Rig
 
 FRESH = 1.5
 """A request is what the present cycle does if it is at most this many periods old."""
@@ -67,7 +67,7 @@ class Asked:
     stamp: float = -np.inf
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def places(self, parts: PartSet, t: float, period: float) -> np.ndarray:
+    def places(self, parts: Parts, t: float, period: float) -> np.ndarray:
         """Where parts (M, 2) [m] seen at t [s] are a cycle later, if they do as they were asked.
 
         Parts that were not asked go on drifting.

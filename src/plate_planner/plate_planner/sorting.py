@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core import PartSet, Rig, part_class
+from plate_core import Parts, Rig, part_class
 from plate_core.tasks import Bin, Side, SortTask
 
 from .bins import inside, outline_distance, slots
@@ -78,7 +78,7 @@ class Sorter:
     task: SortTask
     rig: Rig
 
-    def to_go(self, parts: PartSet) -> np.ndarray:
+    def to_go(self, parts: Parts) -> np.ndarray:
         """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
         goal = self.task.goal_fraction * self.rig.plate.half
         sign = self._signs(parts)
@@ -93,12 +93,12 @@ class Sorter:
             result[rows] = np.where(inside(point, corner), 0, away)
         return result
 
-    def request(self, parts: PartSet, period: float, options: SortOptions) -> DriftRequest:
+    def request(self, parts: Parts, period: float, options: SortOptions) -> DriftRequest:
         """Return the drift wanted of each part.
 
         Parameters
         ----------
-        parts : PartSet
+        parts : Parts
             Parts as seen, M of them.
         period : float
             Length of a cycle [s]: the request acts one cycle after `parts` was seen.
@@ -130,7 +130,7 @@ class Sorter:
 
     def _to_slots(
         self,
-        parts: PartSet,
+        parts: Parts,
         position: np.ndarray,
         pace: np.ndarray,
         request: DriftRequest,
@@ -141,9 +141,8 @@ class Sorter:
         low, high, aim = request.low.copy(), request.high.copy(), position.copy()
         binned = np.zeros(len(parts), dtype=bool)
         for rows, corner, slot in self._binned(parts):
-            names = tuple(parts.ids[i] for i in rows)
-            mine = PartSet.make(names, parts.position[rows])
-            label = part_class(names[0])
+            mine = parts.take(rows)
+            label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
             room = outline_distance(place, corner).min() - radius
             wanted = approach_drift(
@@ -160,13 +159,13 @@ class Sorter:
             np.where(rows, wanted.low, request.low), np.where(rows, wanted.high, request.high)
         )
 
-    def _signs(self, parts: PartSet) -> np.ndarray:
+    def _signs(self, parts: Parts) -> np.ndarray:
         """Signs (M, 2) of the sides where parts belong; 0 where they may be anywhere."""
         sides = {k: v for k, v in self.task.regions.items() if isinstance(v, Side)}
         signs = [(s.x, s.y) if (s := sides.get(part_class(i))) else (0, 0) for i in parts.ids]
         return np.array(signs, dtype=float).reshape(-1, 2)
 
-    def _binned(self, parts: PartSet) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _binned(self, parts: Parts) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Rows of parts that belong in each bin, the bin's corners (n, 2), its slots (k, 2)."""
         label = np.array([part_class(i) for i in parts.ids])
         found = [(np.flatnonzero(label == name), *bin_) for name, bin_ in self._bins.items()]

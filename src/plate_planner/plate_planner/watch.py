@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import PartSet, PlateCycle, Rig, part_class
+from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.tasks import Scenario
 
 from .ages import Ages
@@ -28,7 +28,7 @@ class Watch:
         mu g of the rig [m/s2], and of a part [kg].
     stamp : float
         Of the last image [s].
-    seen : PartSet
+    seen : Parts
         As vision saw them.
     log : PlateLog
     ages : Ages
@@ -38,7 +38,7 @@ class Watch:
     friction_accel: float
     mass: float
     stamp: float = 0.0
-    seen: PartSet = field(default_factory=lambda: PartSet.make((), np.zeros((0, 2))))
+    seen: Parts = field(default_factory=lambda: Parts.make((), np.zeros((0, 2))))
     log: PlateLog = field(default_factory=PlateLog)
     ages: Ages = field(default_factory=lambda: Ages.known(0.0))
 
@@ -46,7 +46,7 @@ class Watch:
         """Take in a cycle that was sent to the plate, and when [s, the time of the stamps]."""
         return replace(self, log=self.log.hear(cycle, arrival))
 
-    def look(self, parts: PartSet, t: float) -> Watch:
+    def look(self, parts: Parts, t: float) -> Watch:
         """Take in one image: its parts and its stamp [s]."""
         log = self.log.advance(t)
         ages = self.ages.see(log, parts, t, self.friction_accel, COAST)
@@ -58,7 +58,7 @@ class Watch:
         return self.ages.belief
 
     @property
-    def parts(self) -> PartSet:
+    def parts(self) -> Parts:
         """The parts at the stamp; as they were seen, as long as the plate's motion is not known."""
         if not self.log.known:
             return self.seen
@@ -83,22 +83,15 @@ class Watch:
         return carried(self.log, state, self.belief.time, self.log.end, self.friction_accel)[:, :2]
 
 
-def on_plate(parts: PartSet, rig: Rig) -> PartSet:
+def on_plate(parts: Parts, rig: Rig) -> Parts:
     """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
     keep = np.all(np.abs(parts.position) <= rig.plate.half, axis=1)
     if np.all(keep):
         return parts
-    return PartSet.make(
-        tuple(i for i, k in zip(parts.ids, keep, strict=True) if k),
-        position=parts.position[keep],
-        velocity=parts.velocity[keep],
-        angle=parts.angle[keep],
-        grip=parts.grip[keep],
-        spin=parts.spin[keep],
-    )
+    return parts.take(np.flatnonzero(keep))
 
 
-def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: PartSet) -> tuple[str, ...]:
+def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
     """Name the parts of the scenario that are not there, by id where it is `known`."""
     there = Counter(part_class(i) for i in parts.ids)
     names: list[str] = []
@@ -113,6 +106,6 @@ def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: PartSet) ->
 
 def warm_up() -> None:
     """Compile the motion model before the first image comes."""
-    part = PartSet.make(("part_1",), np.zeros((1, 2)))
+    part = Parts.make(("part_1",), np.zeros((1, 2)))
     watch = Watch(1.0, 1.0).look(part, 0.0).hear(PlateCycle.rest(0.1), 0.0)
     watch.look(part, 0.1).ahead(part.ids)

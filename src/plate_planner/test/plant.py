@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 
-from plate_core import PartSet, load_rig
+from plate_core import Parts, Wanted, load_rig
 from plate_core.tasks import start_positions
 
 RIG = load_rig()
@@ -32,25 +32,25 @@ class Plant:
         self.coming = np.zeros_like(self.position)
         self.disturbance = disturbance
 
-    def seen(self) -> PartSet:
-        return PartSet.make(self.ids, self.position, self.drift)
+    def seen(self) -> Parts:
+        return Parts.make(self.ids, self.position, self.drift)
 
-    def step(self, asked: PartSet) -> None:
+    def step(self, asked: Wanted) -> None:
         noise = self.disturbance * self.rng.normal(size=self.drift.shape)
         answer = self.answer(asked) + noise
         self.drift, self.coming = self.coming, answer
         self.position = self.position + T * self.drift
 
-    def answer(self, asked: PartSet) -> np.ndarray:
+    def answer(self, asked: Wanted) -> np.ndarray:
         """Return the drift wanted, as far as parts are named; parts that are not come to rest."""
         drift = np.zeros_like(self.position)
-        for i, part_id in enumerate(asked.ids):
+        for i, part_id in enumerate(asked.parts.ids):
             row = self.ids.index(part_id)
             drift[row] = self.drift[row] + asked.force[i] * T / MASS
         return drift
 
 
-def ready(planner, parts: PartSet, t=0.0):
+def ready(planner, parts: Parts, t=0.0):
     """Return the state of a planner that has seen the parts one cycle before t, and was started."""
     state, _, _ = planner.plan(planner.initial(), parts, t - T)
     return planner.start(state)
@@ -66,6 +66,6 @@ def run(planner, plant, cycles=2000, t=0.0, state=None):
     return state, asked, progress
 
 
-def without(parts: PartSet, *gone: str) -> PartSet:
+def without(parts: Parts, *gone: str) -> Parts:
     keep = [i for i, part_id in enumerate(parts.ids) if part_id not in gone]
-    return PartSet.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
+    return parts.take(keep)

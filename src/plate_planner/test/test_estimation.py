@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core import PartSet, PlateCycle
+from plate_core import Parts, PlateCycle
 from plate_planner.ages import Ages
 from plate_planner.estimation import CAMERA_M, carried
 from plate_planner.plate_log import PlateLog
@@ -55,7 +55,7 @@ class World:
     def seen(self, age=0.0, names=None):
         names = names or tuple(f"black_{i + 1}" for i in range(len(self.place)))
         place = self.ago(age) + self.noise * self.rng.normal(size=self.place.shape)
-        return PartSet.make(names, place)
+        return Parts.make(names, place)
 
 
 def watched(world, cycles, age=0.0, told=0.0, edit=lambda k, parts: parts):
@@ -80,7 +80,7 @@ def test_it_finds_friction_and_the_place_at_the_stamp(age):
     if age:  # without the filter they would be where they were half a cycle ago
         assert np.median(raw[10:]) > 10 * np.median(errors[10:])
     assert watch.belief.friction == pytest.approx(friction, rel=0.04)
-    assert watch.parts.grip == pytest.approx(friction * ACCEL * MASS, rel=0.04)
+    assert watch.parts.friction_limit == pytest.approx(friction * ACCEL * MASS, rel=0.04)
 
 
 @pytest.mark.parametrize("age", [0.0, 0.013, 0.1])
@@ -119,7 +119,7 @@ def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
 
     def edit(k, parts):
         keep = [0, 2] if k in gone else [0, 1, 2]
-        return PartSet.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
+        return Parts.make(tuple(parts.ids[i] for i in keep), parts.position[keep])
 
     for k, (watch, truth) in enumerate(watched(World(3, 0.9), 20, edit=edit)):
         if gone[0] <= k < gone[0] + COAST:
@@ -132,7 +132,7 @@ def test_a_part_that_is_missed_is_carried_on_and_given_up_in_the_end():
 
 def test_a_part_put_down_in_mid_task_is_known_at_once_and_soon_well():
     def edit(k, parts):
-        return parts if k >= 8 else PartSet.make(parts.ids[:2], parts.position[:2])
+        return parts if k >= 8 else Parts.make(parts.ids[:2], parts.position[:2])
 
     for k, (watch, truth) in enumerate(watched(World(3, [1.0, 1.0, 0.8]), 24, edit=edit)):
         assert len(watch.parts) == (3 if k >= 8 else 2)
@@ -154,7 +154,7 @@ def test_a_part_that_is_pushed_is_where_it_is_seen():
 
 
 def test_parts_stay_where_no_motion_is_known():
-    watch = Watch(ACCEL, MASS).look(PartSet.make(("black_1",), np.array([[0.1, 0.0]])), 3.0)
+    watch = Watch(ACCEL, MASS).look(Parts.make(("black_1",), np.array([[0.1, 0.0]])), 3.0)
     assert watch.ahead(("black_1",)) is None
     assert watch.parts.position == pytest.approx(np.array([[0.1, 0.0]]))
 

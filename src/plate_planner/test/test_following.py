@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plant import RIG, Plant, T, run
 
-from plate_core import PartSet
+from plate_core import Parts
 from plate_core.tasks import load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.following import Follower
@@ -51,7 +51,7 @@ def test_references_wait_for_a_part_that_stays_behind_and_then_it_is_stuck():
     assert progress.text.startswith("stuck after ")
     assert "no nearer to the goal for 30 s; black_" in progress.text
     assert "asked for (" in progress.text
-    assert len(asked) == 0
+    assert len(asked.parts) == 0
 
 
 def test_a_part_pushed_far_off_its_path_ends_the_task():
@@ -61,7 +61,7 @@ def test_a_part_pushed_far_off_its_path_ends_the_task():
     plant.position[1] += [0.0, 0.04]
     _, asked, progress = planner.plan(state, plant.seen(), 5.0)
     assert progress.text == "stuck after 5.0 s: black_2 is 40.0 mm off its path, allowed: 30 mm"
-    assert len(asked) == 0
+    assert len(asked.parts) == 0
 
 
 class Weak(Plant):
@@ -105,11 +105,11 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(share, pac
     state = follower.begin(plant.seen(), 0.0)
     short = np.array([share * 0.04, 0.0])
     for k, pace in enumerate(paces):
-        seen = PartSet.make(plant.ids, follower.reference(state, k * T))  # no error at all as yet
+        seen = Parts.make(plant.ids, follower.reference(state, k * T))  # no error at all as yet
         state = follower.measure(state, seen, k * T, (k + 1) * T, short, FollowOptions())
         assert state.paces[1] == pytest.approx(pace)
     for k in range(2, 12):
-        seen = PartSet.make(plant.ids, follower.reference(state, k * T))
+        seen = Parts.make(plant.ids, follower.reference(state, k * T))
         state = follower.measure(state, seen, k * T, (k + 1) * T, 0 * short, FollowOptions())
     assert state.paces[1] == 1.0
 

@@ -16,8 +16,8 @@ from std_srvs.srv import Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import PartSet, PlateCycle, PlateError, load_rig  # noqa: E402
-from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_parts, parts_to_msg, to_time  # noqa: E402
+from plate_core import Parts, PlateCycle, PlateError, load_rig  # noqa: E402
+from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_wanted, parts_to_msg, to_time  # noqa: E402
 from plate_planner.node import PlannerNode  # noqa: E402
 
 IDS = ("black_1", "black_2", "grey_1", "grey_2")
@@ -105,10 +105,10 @@ class Graph:
         """Publish parts and return the planner's answer."""
         count = len(self.forces)
         stamp = to_time(round(stamp_s * 1e9))
-        self.parts.publish(parts_to_msg(PartSet.make(ids, position), stamp))
+        self.parts.publish(parts_to_msg(Parts.make(ids, position), stamp))
         self.until(lambda: len(self.forces) > count)
         assert self.forces[-1].header.stamp == stamp
-        return msg_to_parts(self.forces[-1])
+        return msg_to_wanted(self.forces[-1])
 
     def close(self):
         self.executor.shutdown()
@@ -132,7 +132,7 @@ def graph():
 
 def test_a_task_from_start_to_done(graph):
     graph = graph()
-    assert graph.image(100.0, APART).ids == ()  # idle images are answered too
+    assert graph.image(100.0, APART).parts.ids == ()  # idle images are answered too
     answer = graph.call("start")
     assert (answer.success, answer.message) == (
         True,
@@ -141,13 +141,13 @@ def test_a_task_from_start_to_done(graph):
     refused = graph.call("start")
     assert (refused.success, refused.message) == (False, "sort_4 is running; call stop first")
     asked = graph.image(100.1, APART)
-    assert asked.ids == IDS
+    assert asked.parts.ids == IDS
     assert np.all(asked.force[:2, 0] < 0)
     assert np.all(asked.force[2:, 0] > 0)
     assert np.all(asked.tolerance > 0)
     for k in range(2, 8):
         asked = graph.image(100.0 + 0.1 * k, SORTED)
-    assert asked.ids == ()
+    assert asked.parts.ids == ()
     graph.until(lambda: graph.states[-1] == "done")
     assert graph.states == ["idle", "running", "done"]
     graph.until(
@@ -163,12 +163,12 @@ def test_a_task_from_start_to_done(graph):
 
 def test_stop_says_what_was_stopped(graph):
     graph = graph(autostart=True)
-    assert graph.image(0.0, APART).ids == ()
+    assert graph.image(0.0, APART).parts.ids == ()
     graph.until(lambda: graph.states[-1] == "running")
-    assert graph.image(0.1, APART).ids == IDS
+    assert graph.image(0.1, APART).parts.ids == IDS
     answer = graph.call("stop")
     assert (answer.success, answer.message) == (True, "sort_4 stopped, was running")
-    assert graph.image(0.2, APART).ids == ()
+    assert graph.image(0.2, APART).parts.ids == ()
     aborted = "aborted after 0.0 s: stopped"
     graph.until(lambda: graph.states[-1] == aborted)
     assert graph.call("stop").message == f"sort_4 stopped, was {aborted}"
@@ -233,7 +233,7 @@ def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, state):
         DiagnosticStatus.ERROR,
         f"{aborted}; driver: {state}",
     )
-    assert graph.image(0.5, APART).ids == ()
+    assert graph.image(0.5, APART).parts.ids == ()
 
 
 def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
@@ -289,7 +289,7 @@ def test_without_parts_the_task_ends_without_any_image(silenced):
 
 def test_the_same_image_again_and_again_is_no_news(silenced):
     def again():
-        silenced.parts.publish(parts_to_msg(PartSet.make(IDS, APART), to_time(200_000_000)))
+        silenced.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(200_000_000)))
         silenced.executor.spin_once(timeout_sec=0.01)
         return silenced.states[-1] != "running"
 
@@ -346,7 +346,9 @@ def test_forces_are_drawn_for_those_who_look(graph):
     graph.until(lambda: len(drawn) >= 4)
     unit = load_rig().force_unit
     assert np.abs(asked.force).max() > 0.01 * unit
-    for marker, place, force in zip(drawn[-1].markers, asked.position, asked.force, strict=True):
+    for marker, place, force in zip(
+        drawn[-1].markers, asked.parts.position, asked.force, strict=True
+    ):
         assert (marker.ns, marker.header.frame_id) == ("forces", "plate_home")
         tail, tip = marker.points
         assert (tail.x, tail.y) == tuple(place)
@@ -356,9 +358,9 @@ def test_forces_are_drawn_for_those_who_look(graph):
 def test_a_wrong_message_is_answered_with_rest(graph):
     graph = graph(autostart=True)
     graph.image(0.0, APART)
-    assert graph.image(0.1, APART * [np.nan, 1]).ids == ()
-    assert graph.image(0.2, APART, ("black_1", "black_1", "grey_1", "grey_2")).ids == ()
-    assert graph.image(0.3, APART).ids == IDS
+    assert graph.image(0.1, APART * [np.nan, 1]).parts.ids == ()
+    assert graph.image(0.2, APART, ("black_1", "black_1", "grey_1", "grey_2")).parts.ids == ()
+    assert graph.image(0.3, APART).parts.ids == IDS
 
 
 def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):

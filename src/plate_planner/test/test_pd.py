@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core import PartSet, load_rig
+from plate_core import Parts, load_rig
 from plate_planner.pd import pd_drift
 from plate_planner.requests import Asked, DriftRequest
 
@@ -29,7 +29,7 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
         seen = x + noise * rng.normal(size=x.shape)
         v = (seen - seen_before) / T
         wanted = pd_drift(
-            asked.places(PartSet.make(("black_1",), seen, v), t, T),
+            asked.places(Parts.make(("black_1",), seen, v), t, T),
             reference(t + T),
             reference(t + 2 * T),
             T,
@@ -95,7 +95,7 @@ def test_the_drift_asked_for_is_bounded_in_magnitude_not_in_direction():
 
 
 def test_parts_that_were_not_asked_go_on_drifting():
-    parts = PartSet.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
+    parts = Parts.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
     asked = Asked(("a_2",), np.full((1, 2), 0.03), 1.0)
     assert asked.places(parts, 1.0 + T, T) == pytest.approx(np.array([[0.001] * 2, [0.003] * 2]))
     too_old = asked.places(parts, 1.0 + 2 * T, T)

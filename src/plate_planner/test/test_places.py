@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core import PartSet, load_rig
+from plate_core import Parts, load_rig
 from plate_core.tasks import AssembleTask
 from plate_planner.assembling import AssembleOptions, Assembly
 from plate_planner.places import LOOSE, approach_drift, assign, hold_back, paces, pass_by
@@ -69,7 +69,7 @@ def test_drift_towards_an_edge_is_cut_off_but_a_place_near_it_is_reached():
 
 
 def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
-    parts = PartSet.make(
+    parts = Parts.make(
         ("grey_1", "red_1", "black_1", "black_2"),
         np.array([[0.0, 0.0], [0.0, 0.1], [0.1, 0.0], [0.0, 0.01]]),
     )
@@ -85,7 +85,7 @@ def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
 
 
 def test_nobody_is_asked_nothing():
-    nobody = PartSet.make((), np.zeros((0, 2)))
+    nobody = Parts.make((), np.zeros((0, 2)))
     assembly = Assembly(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
     assert assembly.request(nobody, 0.1, AssembleOptions()).low.shape == (0, 2)
     assert assembly.distance(nobody).shape == (0,)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plant import RIG, Plant, T, ready, run, without
 
-from plate_core import PartSet, PlateCycle, ScenarioError, part_class
+from plate_core import Parts, PlateCycle, ScenarioError, part_class
 from plate_core.tasks import Bin, Side, SortTask, load_scenario
 from plate_planner import Planner
 
@@ -22,7 +22,7 @@ def test_it_sorts(name):
     assert progress.parts_sorted == progress.parts_total == scenario.count
     assert np.all(plant.position[:, 0] * side > 0.6 * RIG.plate.half[0])
     assert np.all(np.abs(plant.position) < 0.9 * RIG.plate.half)
-    assert len(asked) == 0  # nothing is asked of anyone once it is done
+    assert len(asked.parts) == 0  # nothing is asked of anyone once it is done
 
 
 def test_sorted_parts_stay_sorted_while_others_are_on_their_way():
@@ -43,7 +43,7 @@ def test_the_hold_time_has_passed_when_it_is_done():
     scenario = load_scenario("sort_4")
     planner = Planner(RIG, scenario)
     x = np.array([[-0.2, -0.05], [-0.2, 0.05], [0.2, -0.05], [0.2, 0.05]])
-    parts = PartSet.make(("black_1", "black_2", "grey_1", "grey_2"), x)
+    parts = Parts.make(("black_1", "black_2", "grey_1", "grey_2"), x)
     state = ready(planner, parts)
     phases = []
     for k in range(7):
@@ -67,7 +67,7 @@ def test_it_assembles(seed):
     assert sorted(nearest) == list(range(8))  # each place has one part, of its class
     assert [scenario.task.labels[k] for k in nearest] == [part_class(i) for i in plant.ids]
     assert np.max(np.min(distance, axis=1)) <= scenario.task.tolerance_m
-    assert len(asked) == 0
+    assert len(asked.parts) == 0
 
 
 BINS = {
@@ -104,7 +104,7 @@ def test_idle_asks_nothing_of_anyone():
     scenario = load_scenario("sort_4")
     planner = Planner(RIG, scenario)
     _, asked, progress = planner.plan(planner.initial(), Plant(scenario).seen(), 0.0)
-    assert (len(asked), progress.phase, progress.parts_seen) == (0, "idle", 4)
+    assert (len(asked.parts), progress.phase, progress.parts_seen) == (0, "idle", 4)
 
 
 def test_stop_aborts_and_start_begins_anew():
@@ -113,9 +113,9 @@ def test_stop_aborts_and_start_begins_anew():
     state, _, progress = run(planner, plant, cycles=20)
     assert progress.time_s == pytest.approx(1.9)
     state, asked, progress = planner.plan(planner.stop(state), plant.seen(), 2.0)
-    assert (len(asked), progress.text) == (0, "aborted after 1.9 s: stopped")
+    assert (len(asked.parts), progress.text) == (0, "aborted after 1.9 s: stopped")
     state, asked, progress = planner.plan(planner.start(state), plant.seen(), 2.1)
-    assert (len(asked), progress.phase, progress.time_s) == (4, "running", 0.0)
+    assert (len(asked.parts), progress.phase, progress.time_s) == (4, "running", 0.0)
 
 
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
@@ -126,9 +126,9 @@ def test_the_clock_waits_until_the_same_parts_are_seen_twice(name):
     glare = replace(plant.seen(), ids=("black_9", *plant.ids[1:]))
     for t, parts in ((0.0, without(plant.seen(), "black_1")), (4.8, glare), (4.9, plant.seen())):
         state, asked, progress = planner.plan(state, parts, t)
-        assert (len(asked), progress.phase, progress.time_s) == (0, "running", 0.0)
+        assert (len(asked.parts), progress.phase, progress.time_s) == (0, "running", 0.0)
     state, asked, progress = planner.plan(state, plant.seen(), 5.0)
-    assert (len(asked), progress.time_s) == (scenario.count, 0.0)
+    assert (len(asked.parts), progress.time_s) == (scenario.count, 0.0)
     state, asked, progress = planner.plan(state, plant.seen(), 5.1)
     assert progress.time_s == pytest.approx(0.1)
 
@@ -141,16 +141,16 @@ def test_a_part_that_is_only_carried_on_is_not_seen_twice():
         state = planner.hear(state, PlateCycle.rest(T), (k - 1) * T)
         parts = without(plant.seen(), "black_1") if k % 2 else plant.seen()
         state, asked, progress = planner.plan(state, parts, k * T)
-        assert (progress.parts_seen, len(asked)) == (2, 0 if k < 2 else 2)
+        assert (progress.parts_seen, len(asked.parts)) == (2, 0 if k < 2 else 2)
 
 
 def test_parts_that_never_come_are_named():
     planner = Planner(RIG, load_scenario("sort_4"))
     state = planner.start(planner.initial())
-    nobody = PartSet.make((), np.zeros((0, 2)))
+    nobody = Parts.make((), np.zeros((0, 2)))
     for t in (0.0, 10.0, 10.1):
         state, asked, progress = planner.plan(state, nobody, t)
-        assert len(asked) == 0
+        assert len(asked.parts) == 0
     expected = "aborted: 2 of 2 black parts, 2 of 2 grey parts not seen within 10 s of start"
     assert progress.text == expected
 
@@ -169,18 +169,18 @@ def test_a_lost_part_is_named_and_the_others_go_on_meanwhile(name, fallen):
     for k in range(5, 16):
         state, asked, progress = planner.plan(state, parts, k * T)
         assert progress.phase == "running"
-        assert set(asked.ids) == set(plant.ids) - {"black_2"}
+        assert set(asked.parts.ids) == set(plant.ids) - {"black_2"}
     state, asked, progress = planner.plan(state, parts, 16 * T)
     assert progress.text == "lost part after 1.6 s: black_2"
-    assert len(asked) == 0
+    assert len(asked.parts) == 0
 
 
 def test_no_part_at_all_is_answered_with_nothing():
     scenario = load_scenario("sort_4")
     plant, planner = Plant(scenario), Planner(RIG, scenario)
     state, _, _ = run(planner, plant, cycles=5)
-    state, asked, progress = planner.plan(state, PartSet.make((), np.zeros((0, 2))), 5 * T)
-    assert (len(asked), progress.phase, progress.parts_seen) == (0, "running", 0)
+    state, asked, progress = planner.plan(state, Parts.make((), np.zeros((0, 2))), 5 * T)
+    assert (len(asked.parts), progress.phase, progress.parts_seen) == (0, "running", 0)
 
 
 @pytest.mark.parametrize("name", ["sort_4", "follow_2"])
@@ -216,7 +216,7 @@ def test_time_going_back_begins_a_running_task_again():
     assert progress.time_s == pytest.approx(4.9)
     fresh = Plant(scenario)
     state, asked, progress = planner.plan(state, fresh.seen(), 0.0)
-    assert (len(asked), progress.phase, progress.time_s) == (2, "running", 0.0)
+    assert (len(asked.parts), progress.phase, progress.time_s) == (2, "running", 0.0)
     assert progress.period_s == pytest.approx(T)
     _, _, progress = run(planner, fresh, t=0.0, state=state)
     assert progress.text == "done"
@@ -229,7 +229,7 @@ def test_time_going_back_leaves_a_finished_task_finished():
     plant = Plant(scenario)
     state, _, _ = run(planner, plant, t=1000.0)
     state, asked, progress = planner.plan(state, Plant(scenario).seen(), 0.0)
-    assert (progress.phase, len(asked)) == ("done", 0)
+    assert (progress.phase, len(asked.parts)) == ("done", 0)
 
 
 def test_the_same_input_gives_the_same_output_to_the_last_bit():

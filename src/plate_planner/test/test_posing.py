@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import PartSet, load_rig
+from plate_core import Parts, load_rig
 from plate_core.tasks import Pose, PoseTask
 from plate_planner.posing import PoseOptions, Poser
 
@@ -20,7 +20,7 @@ def task(*poses):
 
 def parts(place, angle, labels=None):
     names = labels or tuple(f"black_{k + 1}" for k in range(len(place)))
-    return PartSet.make(names, np.array(place), angle=np.array(angle))
+    return Parts.make(names, np.array(place), angle=np.array(angle))
 
 
 def test_poses_with_a_place_go_to_the_nearest_and_the_others_stay():

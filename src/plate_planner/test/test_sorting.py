@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import PartSet, ScenarioError, load_rig
+from plate_core import Parts, ScenarioError, load_rig
 from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
 from plate_planner.bins import check_bins, inside, outline_distance, slots
 from plate_planner.sorting import Sorter, SortOptions
@@ -19,7 +19,7 @@ TINY = 1e-9
 
 def interval(part_id: str, x: float, y: float = 0.0, options: SortOptions = OPTIONS):
     """Return low, high (2,) in multiples of drift_max for one part at shares of the half sides."""
-    parts = PartSet.make((part_id,), np.array([[x, y]]) * HALF)
+    parts = Parts.make((part_id,), np.array([[x, y]]) * HALF)
     request = Sorter(TASK, RIG).request(parts, 0.1, options)
     return request.low[0] / options.drift_max, request.high[0] / options.drift_max
 
@@ -79,7 +79,7 @@ def test_intervals_are_never_empty_and_never_lead_off_the_plate():
     ids = (*(f"{'black' if i % 2 else 'grey'}_{i}" for i in range(12)), "red_1")
     for _ in range(200):
         position = rng.uniform(-HALF, HALF, (13, 2))
-        parts = PartSet.make(ids, position, 0.01 * rng.normal(size=(13, 2)))
+        parts = Parts.make(ids, position, 0.01 * rng.normal(size=(13, 2)))
         request = Sorter(TASK, RIG).request(parts, 0.1, OPTIONS)
         assert np.all(request.low <= request.high + TINY)
         ahead = position + 0.1 * parts.velocity
@@ -95,8 +95,8 @@ def test_the_mirror_image_asks_for_the_mirror_image():
     swapped = tuple(
         i.replace("black", "x").replace("grey", "black").replace("x", "grey") for i in ids
     )
-    request = Sorter(TASK, RIG).request(PartSet.make(ids, position), 0.1, OPTIONS)
-    mirror = Sorter(TASK, RIG).request(PartSet.make(swapped, position * [-1, 1]), 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(Parts.make(ids, position), 0.1, OPTIONS)
+    mirror = Sorter(TASK, RIG).request(Parts.make(swapped, position * [-1, 1]), 0.1, OPTIONS)
     assert mirror.low[:, 0] == pytest.approx(-request.high[:, 0])
     assert mirror.low[:, 1] == pytest.approx(request.low[:, 1])
 
@@ -108,7 +108,7 @@ def test_a_class_without_a_goal_is_only_kept_on_the_plate():
     low, high = interval("red_1", -0.9, 0.9)
     assert low == pytest.approx([1, -1])
     assert high == pytest.approx([1, -1])
-    parts = PartSet.make(("red_1",), np.array([[0.29, 0]]))
+    parts = Parts.make(("red_1",), np.array([[0.29, 0]]))
     assert np.isnan(Sorter(TASK, RIG).to_go(parts)[0])
 
 
@@ -116,7 +116,7 @@ def pair(gap_x: float, gap_y: float, left="grey_1", right="black_1", options=OPT
     """Request for two parts this far apart, in radii."""
     r = RIG.parts.radius_m
     position = np.array([[-gap_x / 2 * r, -gap_y / 2 * r], [gap_x / 2 * r, gap_y / 2 * r]])
-    return Sorter(TASK, RIG).request(PartSet.make((left, right), position), 0.1, options)
+    return Sorter(TASK, RIG).request(Parts.make((left, right), position), 0.1, options)
 
 
 def test_parts_that_would_meet_dodge_along_y():
@@ -138,7 +138,7 @@ def test_dodging_begins_and_ends_gradually():
 
 def test_the_edge_comes_before_dodging():
     position = np.array([[-0.01, 0.9 * HALF[1]], [0.01, 0.9 * HALF[1] - 0.01]])
-    request = Sorter(TASK, RIG).request(PartSet.make(("grey_1", "black_1"), position), 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(Parts.make(("grey_1", "black_1"), position), 0.1, OPTIONS)
     assert request.high[0, 1] == pytest.approx(-0.01)  # back from the edge, though upper
 
 
@@ -168,7 +168,7 @@ def test_others_are_left_alone(request_):
     ],
 )
 def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, share, expected):
-    parts = PartSet.make((part_id,), np.array([[share * HALF[0], 0.0]]))
+    parts = Parts.make((part_id,), np.array([[share * HALF[0], 0.0]]))
     assert (Sorter(TASK, RIG).to_go(parts)[0] == 0) == expected
 
 
@@ -182,7 +182,7 @@ def test_a_corner_wants_both_axes_and_top_is_left_turned_round():
     sorter = Sorter(task, RIG)
     ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
     points = shares((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.9, 0.7), (0.0, 0.0))
-    parts = PartSet.make(ids, points)
+    parts = Parts.make(ids, points)
     short = [0, 0.3 * HALF[1], np.hypot(0.9 * HALF[0], 0.4 * HALF[1]), 0, 0.6 * HALF[1]]
     assert sorter.to_go(parts) == pytest.approx(np.array(short))
     low, high = (x / OPTIONS.drift_max for x in vars(sorter.request(parts, 0.1, OPTIONS)).values())
@@ -195,8 +195,8 @@ def test_a_corner_wants_both_axes_and_top_is_left_turned_round():
     right = Sorter(SortTask({"grey": Side(1, 0)}, 0.6, 0.5), square)
     point = np.array([[0.05, 0.06], [0.03, 0.09], [-0.2, -0.27]])
     names = ("grey_1", "grey_2", "grey_3")
-    a = up.request(PartSet.make(names, point), 0.1, OPTIONS)
-    b = right.request(PartSet.make(names, point[:, ::-1]), 0.1, OPTIONS)
+    a = up.request(Parts.make(names, point), 0.1, OPTIONS)
+    b = right.request(Parts.make(names, point[:, ::-1]), 0.1, OPTIONS)
     assert a.low == pytest.approx(b.low[:, ::-1])
     assert a.high == pytest.approx(b.high[:, ::-1])
 
@@ -207,7 +207,7 @@ BIN = Bin(((-0.2, -0.1), (-0.05, -0.1), (-0.05, -0.02), (-0.12, 0.04), (-0.2, -0
 def test_distance_to_a_bin_is_zero_within_and_to_the_outline_without():
     sorter = Sorter(SortTask({"black": BIN}, 0.0, 0.5), RIG)
     points = [(-0.1, -0.06), (0.05, -0.06), (-0.12, 0.05), (-0.2, -0.13), (-0.23, -0.14)]
-    parts = PartSet.make(tuple(f"black_{i}" for i in range(5)), np.array(points))
+    parts = Parts.make(tuple(f"black_{i}" for i in range(5)), np.array(points))
     assert sorter.to_go(parts) == pytest.approx(np.array([0, 0.1, 0.01, 0.03, 0.05]))
 
 
@@ -232,5 +232,5 @@ def test_a_bin_too_small_for_its_parts_is_refused():
 
 
 def test_no_parts_no_request():
-    request = Sorter(TASK, RIG).request(PartSet.make((), np.zeros((0, 2))), 0.1, OPTIONS)
+    request = Sorter(TASK, RIG).request(Parts.make((), np.zeros((0, 2))), 0.1, OPTIONS)
     assert request.low.shape == request.high.shape == (0, 2)

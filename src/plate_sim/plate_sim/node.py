@@ -15,7 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PartSet, PlateCycle, PlateError, load_rig
+from plate_core import Parts, PlateCycle, PlateError, load_rig
 from plate_core.motion import CycleUsage
 from plate_core.ros import (
     DATA,
@@ -338,7 +338,7 @@ class SimulatorNode(Node):
             self._clocks.publish(ClockMsg(clock=stamp))
         on = state.on_plate
         ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
-        truth = PartSet.make(
+        truth = Parts.make(
             ids, state.position[on], state.velocity[on], angle=state.angle[on], spin=state.spin[on]
         )
         self._truths.publish(parts_to_msg(truth, stamp))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import PartSet, PlateCycle, PlateError, Rig
+from plate_core import PlateCycle, PlateError, Rig, Wanted
 
 from .refine import STEP, after
 from .rotations import RotationSolver
@@ -118,23 +118,24 @@ class Controller:
         for solver in self._solvers.values():
             solver.reset()
 
-    def answer(self, parts: PartSet, running: PlateCycle | None) -> Answer:
+    def answer(self, wanted: Wanted, running: PlateCycle | None) -> Answer:
         """Return the cycle to run after the one that is running now.
 
         Parameters
         ----------
-        parts : PartSet
-            Parts as the camera saw them at the start of the running cycle, and the forces wanted.
+        wanted : Wanted
+            What is wanted of parts, as the camera saw them at the start of the running cycle.
         running : PlateCycle, optional
             The cycle that runs now; None if the plate is at rest.
         """
+        parts = wanted.parts
         if not len(parts):
             self._velocity.clear()
             self._spin.clear()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
-        period = solver.steering_period(len(parts), int(np.count_nonzero(parts.torque)))
-        goal = self._goal(parts, running, period)
+        period = solver.steering_period(len(parts), int(np.count_nonzero(wanted.torque)))
+        goal = self._goal(wanted, running, period)
         asked = goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_SHARE if np.any(goal.tolerance) else EXACT_SHARE
@@ -178,13 +179,14 @@ class Controller:
         rms = float(np.sqrt(np.mean(error**2)))
         return Answer(solution.cycle, solution, solution.message, rms, asked, share)
 
-    def _goal(self, parts: PartSet, running: PlateCycle | None, period: float) -> Goal:
+    def _goal(self, wanted: Wanted, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
+        parts = wanted.parts
         start = np.array([self._velocity.get(name, np.zeros(2)) for name in parts.ids])
         position, velocity = parts.position, np.zeros_like(start)
-        grip = parts.grip / self._rig.parts.mass_kg
-        friction = np.where(grip > 0, grip, self._rig.friction.accel)
-        turns = self._turns(parts, period)
+        known = parts.friction_limit / self._rig.parts.mass_kg
+        friction = np.where(known > 0, known, self._rig.friction.accel)
+        turns = self._turns(wanted, period)
         if running is not None and turns is not None:
             position, velocity, _, spin = after_discs(
                 running, position, start, turns.spin, turns.radius, friction, STEP
@@ -195,12 +197,12 @@ class Controller:
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
         gain = period / self._rig.parts.mass_kg
-        wanted = (parts.velocity + gain * parts.force) * period
-        tolerance = gain * parts.tolerance * period
+        displacement = (parts.velocity + gain * wanted.force) * period
+        tolerance = gain * wanted.tolerance * period
         # What leads off the plate is not asked for, so it does not keep the others waiting.
         edge = self._rig.plate.half - self._rig.parts.radius_m
-        low = np.clip(wanted - tolerance, -edge - position, edge - position)
-        high = np.clip(wanted + tolerance, -edge - position, edge - position)
+        low = np.clip(displacement - tolerance, -edge - position, edge - position)
+        high = np.clip(displacement + tolerance, -edge - position, edge - position)
         return Goal(
             position=position,
             velocity=velocity,
@@ -210,16 +212,16 @@ class Controller:
             turns=turns,
         )
 
-    def _turns(self, parts: PartSet, period: float) -> Turns | None:
+    def _turns(self, wanted: Wanted, period: float) -> Turns | None:
         """Return what is to become of the angles, with the spins at the start of the running
         cycle; None where no torque is asked."""
-        if not np.any(parts.torque):
+        if not np.any(wanted.torque):
             return None
         radius = self._rig.parts.radius_m
         inertia = self._rig.parts.mass_kg * radius**2 / 2
-        turn = (parts.spin + period / inertia * parts.torque) * period
-        spin = np.array([self._spin.get(name, 0.0) for name in parts.ids])
-        return Turns(spin, np.where(parts.torque != 0, turn, np.nan), radius)
+        turn = (wanted.parts.spin + period / inertia * wanted.torque) * period
+        spin = np.array([self._spin.get(name, 0.0) for name in wanted.parts.ids])
+        return Turns(spin, np.where(wanted.torque != 0, turn, np.nan), radius)
 
     def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""

@@ -13,7 +13,7 @@ from sensor_msgs.msg import MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import PartSet, PlateCycle, PlateError, load_rig
+from plate_core import Parts, PlateCycle, PlateError, Wanted, load_rig
 from plate_core.ros import (
     DATA,
     NEWEST,
@@ -22,7 +22,7 @@ from plate_core.ros import (
     cycle_to_msg,
     declare,
     follow,
-    msg_to_parts,
+    msg_to_wanted,
     nanoseconds,
     parameter,
     run_node,
@@ -119,7 +119,7 @@ class SolverNode(Node):
         self._input = self._input.heard(time.monotonic())
         self._tally.messages += 1
         try:
-            parts = msg_to_parts(msg)
+            wanted = msg_to_wanted(msg)
         except PlateError as error:
             self._refuse(f"part_forces refused, no new cycle: {error}")
             return
@@ -133,7 +133,7 @@ class SolverNode(Node):
         if newest == stamp_ns:
             self._cycles.publish(cycle_to_msg(self._sent[-1].cycle, msg.header.stamp))
             return
-        cycle = self._answer(parts, stamp_ns)
+        cycle = self._answer(wanted, stamp_ns)
         self._cycles.publish(cycle_to_msg(cycle, msg.header.stamp))
         if self._markers.get_subscription_count():
             self._markers.publish(centres_to_msg(self._rig, cycle, msg.header.stamp))
@@ -145,10 +145,10 @@ class SolverNode(Node):
         self._tally.why = text
         self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
 
-    def _answer(self, parts: PartSet, stamp_ns: int) -> PlateCycle:
+    def _answer(self, wanted: Wanted, stamp_ns: int) -> PlateCycle:
         began = time.monotonic()
         try:
-            answer = self._controller.answer(parts, self._running(stamp_ns))
+            answer = self._controller.answer(wanted, self._running(stamp_ns))
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
         took = time.monotonic() - began
@@ -156,7 +156,7 @@ class SolverNode(Node):
             # This process has stood still: the parts are long gone from where the answer has them.
             return self._rest(f"the answer took {took:.1f} s, allowed: {self._timeout_s:g} s")
         self._count["answers"] += 1
-        self._last, self._parts = answer, parts.position
+        self._last, self._parts = answer, wanted.parts.position
         if answer.solution is not None:
             self._tally.solve_ms.append(1e3 * took)
             self._tally.errors.append((answer.error_m, answer.asked_m))
@@ -222,17 +222,16 @@ class SolverNode(Node):
 def warm_up(controller: Controller, half: np.ndarray) -> None:
     """Compile, and make the tables of guesses, before the first image comes."""
     chosen = controller.method
-    turned = PartSet.make(("part_0",), np.zeros((1, 2)), torque=np.array([1e-6]))
+    turned = Wanted.make(Parts.make(("part_0",), np.zeros((1, 2))), torque=np.array([1e-6]))
     for controller.method in ("rotations", "sinusoids"):
         controller.answer(turned, PlateCycle.rest(IDLE_PERIOD))
     for count in (2, 4, 6):
         angle = 2 * np.pi * np.arange(count) / count
         place = 0.5 * half * np.column_stack([np.cos(angle), np.sin(angle)])
-        parts = PartSet.make(
-            tuple(f"part_{i}" for i in range(count)), place, force=1e-4 * np.ones((count, 2))
-        )
+        parts = Parts.make(tuple(f"part_{i}" for i in range(count)), place)
+        pushed = Wanted.make(parts, 1e-4 * np.ones((count, 2)))
         for controller.method in ("rotations", "sinusoids"):
-            controller.answer(parts, PlateCycle.rest(IDLE_PERIOD))
+            controller.answer(pushed, PlateCycle.rest(IDLE_PERIOD))
     controller.method = chosen
     controller.reset()
 

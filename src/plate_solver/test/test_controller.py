@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plate_core import PartSet, PlateCycle, PlateError
+from plate_core import Parts, PlateCycle, PlateError, Wanted
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
@@ -35,14 +35,9 @@ class Loop:
         period = self.period or 0.1
         force = (wanted - self.drift) * self.rig.parts.mass_kg / period
         allowed = np.full_like(force, tolerance * self.rig.parts.mass_kg / period)
-        parts = PartSet.make(
-            tuple(self.ids[i] for i in order),
-            self.position[order],
-            velocity=self.drift[order],
-            force=force[order],
-            tolerance=allowed[order],
-        )
-        self.answer = self.controller.answer(parts, None if blind else self.running)
+        parts = Parts.make(self.ids, self.position, self.drift).take(order)
+        asked = Wanted.make(parts, force[order], allowed[order])
+        self.answer = self.controller.answer(asked, None if blind else self.running)
         self.pass_cycle()
         return self.drift
 
@@ -105,11 +100,11 @@ def test_velocities_belong_to_ids_whatever_their_order(rig, scene):
 def test_force_times_time_over_mass_is_the_change_of_drift(rig):
     position = np.array([[0.1, 0.04]])
     controller = Controller(rig)
-    period = controller.answer(PartSet.make(("a",), position), None).cycle.period
+    period = controller.answer(Wanted.make(Parts.make(("a",), position)), None).cycle.period
     controller.reset()
     force, drift = np.array([[2.5e-3, -1e-3]]), np.array([[-0.004, -0.004]])
-    parts = PartSet.make(("a",), position, velocity=drift, force=force)
-    answer = controller.answer(parts, None)
+    wanted = Wanted.make(Parts.make(("a",), position, drift), force)
+    answer = controller.answer(wanted, None)
     assert answer.cycle.period == period
     run = simulate(answer.cycle, position, np.zeros((1, 2)), rig.friction.mu)
     moved = (run.position[-1] - position) / period
@@ -124,7 +119,7 @@ def test_no_parts_no_motion(rig, scene, method):
     _, position = scene(0, 2)
     loop = Loop(rig, Controller(rig, method), position)
     loop.step(np.full((2, 2), 0.005))
-    answer = loop.controller.answer(PartSet.make((), np.zeros((0, 2))), loop.running)
+    answer = loop.controller.answer(Wanted.make(Parts.make((), np.zeros((0, 2)))), loop.running)
     assert np.all(answer.cycle.knot_pose == 0)
     assert answer.cycle.starts_at_rest
     assert answer.solution is None

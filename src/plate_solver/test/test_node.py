@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from plate_core import PartSet, PlateCycle, PlateError
+from plate_core import Parts, PlateCycle, PlateError, Wanted
 from plate_core.motion import usage
 from plate_sim import simulate
 
@@ -24,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, msg_to_cycle, nanoseconds, parts_to_msg, to_time  # noqa: E402
+from plate_core.ros import DATA, msg_to_cycle, nanoseconds, to_time, wanted_to_msg  # noqa: E402
 from plate_solver.node import SolverNode  # noqa: E402
 
 SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
@@ -85,8 +85,8 @@ class Peer:
         ), self.end()
         assert self.process.poll() is None, self.process.communicate()[0]
 
-    def send(self, parts: PartSet, stamp_ns: int) -> None:
-        self.forces.publish(parts_to_msg(parts, to_time(stamp_ns)))
+    def send(self, wanted: Wanted, stamp_ns: int) -> None:
+        self.forces.publish(wanted_to_msg(wanted, to_time(stamp_ns)))
 
     def answers(self, stamp_ns: int) -> list[JointTrajectory]:
         return [m for m in self.cycles if nanoseconds(m.header.stamp) == stamp_ns]
@@ -97,8 +97,8 @@ class Peer:
         assert found, f"no answer to stamp {stamp_ns}"
         return self.answers(stamp_ns)[-1]
 
-    def ask(self, parts: PartSet, stamp_ns: int) -> PlateCycle:
-        self.send(parts, stamp_ns)
+    def ask(self, wanted: Wanted, stamp_ns: int) -> PlateCycle:
+        self.send(wanted, stamp_ns)
         return msg_to_cycle(self.answer(stamp_ns))
 
     def set_method(self, value: str):
@@ -171,8 +171,8 @@ class Plate:
         """One image, its answer, one cycle of the plate."""
         period = self.running.period if self.running else 0.1
         force = (WANTED - self.drift) * MASS / period
-        parts = PartSet.make(("a_1", "a_2"), self.position, self.drift, force)
-        answer = self.peer.ask(parts, self.stamp_ns)
+        wanted = Wanted.make(Parts.make(("a_1", "a_2"), self.position, self.drift), force)
+        answer = self.peer.ask(wanted, self.stamp_ns)
         if self.running:
             run = simulate(self.running, self.position, self.velocity, MU)
             self.drift = (run.position[-1] - self.position) / self.running.period
@@ -203,7 +203,7 @@ def test_life_of_a_solver(peer, rig):
     # The same stamp again is answered again, alike: the first answer may have been missed.
     last_ns = nanoseconds(peer.cycles[-1].header.stamp)
     first = msg_to_cycle(peer.answer(last_ns))
-    other = PartSet.make(("a_1",), [[0.0, 0.1]], force=[[1e-3, 0.0]])
+    other = Wanted.make(Parts.make(("a_1",), [[0.0, 0.1]]), [[1e-3, 0.0]])
     peer.send(other, last_ns)
     again = msg_to_cycle(peer.answer(last_ns, count=2))
     np.testing.assert_array_equal(again.knot_pose, first.knot_pose)
@@ -229,17 +229,18 @@ def test_life_of_a_solver(peer, rig):
 
     # Nothing asked: the plate rests.
     stamp_ns = plate.stamp_ns
-    rest = peer.ask(PartSet.make((), np.zeros((0, 2))), stamp_ns)
+    rest = peer.ask(Wanted.make(Parts.make((), np.zeros((0, 2)))), stamp_ns)
     assert np.all(rest.knot_pose == 0)
     assert rest.starts_at_rest
 
     # Messages that make no sense are not answered, and the solver goes on.
     count = len(peer.cycles)
-    whole = PartSet.make(("a_1", "a_2"), PLACES, force=1e-4 * np.ones((2, 2)))
+    parts = Parts.make(("a_1", "a_2"), PLACES)
+    whole = Wanted.make(parts, 1e-4 * np.ones((2, 2)))
     refused = [
-        PartSet.make(("a_1", "a_2"), PLACES * [np.nan, 1]),
-        PartSet.make(("a_1", "a_2"), PLACES, force=np.full((2, 2), np.nan)),
-        PartSet.make(("a_1", "a_1"), PLACES),
+        Wanted.make(Parts.make(("a_1", "a_2"), PLACES * [np.nan, 1])),
+        Wanted.make(parts, np.full((2, 2), np.nan)),
+        Wanted.make(Parts.make(("a_1", "a_1"), PLACES)),
     ]
     peer.until(lambda: False, 1.1)  # so that diagnostics tell of these alone
     for number, bad in enumerate(refused, 1):
@@ -268,7 +269,7 @@ def test_life_of_a_solver(peer, rig):
     np.testing.assert_array_equal(again, first)
 
     # A torque is served: see test_turning.
-    spun = peer.ask(PartSet.make(("z_1",), PLACES[:1], torque=[2e-6]), fresh.stamp_ns)
+    spun = peer.ask(Wanted.make(Parts.make(("z_1",), PLACES[:1]), torque=[2e-6]), fresh.stamp_ns)
     assert np.any(spun.knot_pose != 0)
 
     # Nobody asks: the values are old.

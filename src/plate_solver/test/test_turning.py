@@ -3,10 +3,12 @@
 Truth is the simulator's disc, which integrates friction over its whole area and shares no code.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from plate_core import PartSet, PlateCycle, load_rig
+from plate_core import Parts, PlateCycle, Wanted, load_rig
 from plate_core.motion import usage
 from plate_sim.world import WorldState, run_cycle
 from plate_solver import Controller
@@ -109,15 +111,12 @@ def test_a_part_turns_in_place(method, place):
     world = WorldState.at_rest(("a_1",), np.array([place]))
     spin, before, furthest = np.zeros(1), world, 0.0
     for _ in range(40):
-        wanted = 0.6
         drift = -0.5 * (world.position - place) / running.period
         now = (world.position - before.position) / running.period
         force = RIG.parts.mass_kg * np.clip(drift - now, -0.02, 0.02) / running.period
-        torque = INERTIA * (wanted - spin) / running.period
-        parts = PartSet.make(
-            world.ids, world.position, now, force, torque=torque, angle=world.angle, spin=spin
-        )
-        answer = controller.answer(parts, running)
+        torque = INERTIA * (0.6 - spin) / running.period
+        parts = Parts.make(world.ids, world.position, now, world.angle, spin)
+        answer = controller.answer(Wanted.make(parts, force, torque=torque), running)
         assert usage(RIG, answer.cycle).worst <= 1 + 1e-9
         before, world = world, run_cycle(world, running, RIG, model="bodies")
         spin = (world.angle - before.angle) / running.period
@@ -129,9 +128,10 @@ def test_a_part_turns_in_place(method, place):
 
 def test_without_torque_parts_are_points():
     controller = Controller(RIG)
-    parts = PartSet.make(("a_1",), np.zeros((1, 2)), force=[[1e-3, 0]], spin=[2.0])
-    plain = PartSet.make(("a_1",), np.zeros((1, 2)), force=[[1e-3, 0]])
-    cycle = controller.answer(parts, None).cycle
+    parts = Parts.make(("a_1",), np.zeros((1, 2)))
+    plain = Wanted.make(parts, [[1e-3, 0]])
+    turning = Wanted.make(replace(parts, spin=np.array([2.0])), [[1e-3, 0]])
+    cycle = controller.answer(turning, None).cycle
     np.testing.assert_array_equal(
         cycle.knot_pose, Controller(RIG).answer(plain, None).cycle.knot_pose
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from plate_core import PartSet
+from plate_core import Parts
 
 from .errors import OptionError, TrackError
 
@@ -154,10 +154,10 @@ class Tracker:
     given: Mapping[str, int] = field(default_factory=dict)
 
     @property
-    def parts(self) -> PartSet:
+    def parts(self) -> Parts:
         """The parts seen in the last image that are confirmed."""
         seen = [track for track in self.tracks if track.missed == 0 and track.number]
-        return PartSet.make(
+        return Parts.make(
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
             velocity=np.array([track.velocity for track in seen]),

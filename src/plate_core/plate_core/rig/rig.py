@@ -48,7 +48,7 @@ class Friction:
 
 
 @dataclass(frozen=True)
-class Parts:
+class PartFacts:
     """The parts: round, all alike; mass [kg] and radius [m]."""
 
     mass_kg: float
@@ -115,7 +115,7 @@ class Rig:
 
     plate: Plate
     friction: Friction
-    parts: Parts
+    parts: PartFacts
     limits: Limits
     motors: tuple[Motor, ...]
     camera: Camera
@@ -226,8 +226,8 @@ def _friction(fields: Fields) -> Friction:
     return friction
 
 
-def _parts(fields: Fields) -> Parts:
-    parts = Parts(
+def _parts(fields: Fields) -> PartFacts:
+    parts = PartFacts(
         mass_kg=fields.number("mass_kg", 1e-6, 10), radius_m=fields.number("radius_m", 1e-4, 1)
     )
     fields.finish()

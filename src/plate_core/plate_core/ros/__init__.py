@@ -13,12 +13,14 @@ from .convert import (
     msg_to_knots,
     msg_to_motors,
     msg_to_parts,
+    msg_to_wanted,
     nanoseconds,
     parts_to_msg,
     pose_to_msg,
     seconds,
     to_time,
     trajectory_to_msg,
+    wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics
 from .lifecycle import SafeLifecycleNode, logged
@@ -52,6 +54,7 @@ __all__ = [
     "msg_to_knots",
     "msg_to_motors",
     "msg_to_parts",
+    "msg_to_wanted",
     "nanoseconds",
     "parameter",
     "parts_to_msg",
@@ -61,4 +64,5 @@ __all__ = [
     "seconds",
     "to_time",
     "trajectory_to_msg",
+    "wanted_to_msg",
 ]

@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import PartSet
+from ..parts import Parts, Wanted
 from ..rig import Camera, Rig
 
 FRAME = "plate_home"
@@ -39,38 +39,45 @@ def to_time(nanosec: int) -> Time:
     return Time(sec=int(nanosec // 1_000_000_000), nanosec=int(nanosec % 1_000_000_000))
 
 
-def parts_to_msg(parts: PartSet, stamp: Time) -> MultiDOFJointState:
-    """Return parts as a message.
+def parts_to_msg(parts: Parts, stamp: Time) -> MultiDOFJointState:
+    """Return parts as a message, with nothing wanted of them; see `wanted_to_msg`."""
+    return wanted_to_msg(Wanted.make(parts), stamp)
+
+
+def wanted_to_msg(wanted: Wanted, stamp: Time) -> MultiDOFJointState:
+    """Return parts and what is wanted of them as a message.
 
     wrench.force.x and .y are the wanted mean force [N], torque.z the wanted torque [N m]. A planar
     part feels no torque about x or y: torque.x and torque.y carry the tolerance of force.x and
-    force.y [N]. Nor is it lifted: force.z is its grip, the greatest friction on it [N].
+    force.y [N]. Nor is it lifted: force.z is the greatest friction on it [N].
     """
+    parts = wanted.parts
     msg = MultiDOFJointState(header=Header(stamp=stamp, frame_id=FRAME))
     msg.joint_names = list(parts.ids)
     for i in range(len(parts)):
         transform, twist, wrench = Transform(), Twist(), Wrench()
-        transform.translation.x = float(parts.position[i, 0])
-        transform.translation.y = float(parts.position[i, 1])
+        transform.translation.x, transform.translation.y = parts.position[i].tolist()
         transform.rotation.z = float(np.sin(parts.angle[i] / 2))
         transform.rotation.w = float(np.cos(parts.angle[i] / 2))
-        twist.linear.x = float(parts.velocity[i, 0])
-        twist.linear.y = float(parts.velocity[i, 1])
+        twist.linear.x, twist.linear.y = parts.velocity[i].tolist()
         twist.angular.z = float(parts.spin[i])
-        wrench.force.x = float(parts.force[i, 0])
-        wrench.force.y = float(parts.force[i, 1])
-        wrench.force.z = float(parts.grip[i])
-        wrench.torque.x = float(parts.tolerance[i, 0])
-        wrench.torque.y = float(parts.tolerance[i, 1])
-        wrench.torque.z = float(parts.torque[i])
+        wrench.force.x, wrench.force.y = wanted.force[i].tolist()
+        wrench.force.z = float(parts.friction_limit[i])
+        wrench.torque.x, wrench.torque.y = wanted.tolerance[i].tolist()
+        wrench.torque.z = float(wanted.torque[i])
         msg.transforms.append(transform)
         msg.twist.append(twist)
         msg.wrench.append(wrench)
     return msg
 
 
-def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
-    """Return the parts of a message; twist and wrench may be left out.
+def msg_to_parts(msg: MultiDOFJointState) -> Parts:
+    """Return the parts of a message, whatever is wanted of them; errors as `msg_to_wanted`."""
+    return msg_to_wanted(msg).parts
+
+
+def msg_to_wanted(msg: MultiDOFJointState) -> Wanted:
+    """Return the parts of a message and what is wanted of them; twist and wrench may be left out.
 
     Raises
     ------
@@ -78,40 +85,38 @@ def msg_to_parts(msg: MultiDOFJointState) -> PartSet:
         If lengths disagree, a name is given twice, or a value is not finite or beyond `MOST`.
     """
     count = len(msg.joint_names)
-    for name, items in (
-        ("transforms", msg.transforms),
-        ("twist", msg.twist),
-        ("wrench", msg.wrench),
-    ):
+    for name in ("transforms", "twist", "wrench"):
+        items = getattr(msg, name)
         if len(items) != count and (items or name == "transforms"):
             raise PlateError(f"parts: {len(items)} {name} for {count} names, allowed: as many")
     if len(set(msg.joint_names)) != count:
         raise PlateError(f"parts: a name is given twice in {list(msg.joint_names)}")
-    parts = PartSet.make(
-        tuple(msg.joint_names),
-        position=np.array([(t.translation.x, t.translation.y) for t in msg.transforms]),
-        angle=np.array([2 * np.arctan2(t.rotation.z, t.rotation.w) for t in msg.transforms]),
-        velocity=np.array([(t.linear.x, t.linear.y) for t in msg.twist]) if msg.twist else None,
-        force=np.array([(w.force.x, w.force.y) for w in msg.wrench]) if msg.wrench else None,
-        tolerance=np.array([(w.torque.x, w.torque.y) for w in msg.wrench]) if msg.wrench else None,
-        torque=np.array([w.torque.z for w in msg.wrench]) if msg.wrench else None,
-        grip=np.array([w.force.z for w in msg.wrench]) if msg.wrench else None,
-        spin=np.array([t.angular.z for t in msg.twist]) if msg.twist else None,
-    )
-    columns = np.column_stack(
-        [
-            parts.position, parts.angle, parts.velocity, parts.spin, parts.force, parts.tolerance,
-            parts.torque, parts.grip,
-        ]
-    )  # fmt: skip
-    sane = np.max(np.abs(columns), axis=1, initial=0.0) <= MOST  # not so where one is NaN
-    if not np.all(sane):
-        row = int(np.argmin(sane))
-        value = columns[row][int(np.argmin(np.abs(columns[row]) <= MOST))]
-        raise PlateError(
-            f"parts: {parts.ids[row]} has a value of {value:g}, allowed: up to {MOST:g}"
+    rows = [
+        (
+            *(at.translation.x, at.translation.y),
+            2 * np.arctan2(at.rotation.z, at.rotation.w),
+            *(twist.linear.x, twist.linear.y, twist.angular.z),
+            *(wrench.force.x, wrench.force.y, wrench.force.z),
+            *(wrench.torque.x, wrench.torque.y, wrench.torque.z),
         )
-    return parts
+        for at, twist, wrench in zip(
+            msg.transforms, msg.twist or count * [Twist()], msg.wrench or count * [Wrench()],
+            strict=True,
+        )
+    ]  # fmt: skip
+    columns = np.array(rows, dtype=float).reshape(count, 12)
+    sane = np.abs(columns) <= MOST  # not so where it is NaN
+    if not np.all(sane):
+        row, column = np.argwhere(~sane)[0]
+        raise PlateError(
+            f"parts: {msg.joint_names[row]} has a value of {columns[row, column]:g}, "
+            f"allowed: up to {MOST:g}"
+        )
+    position, angle, velocity, spin, force, friction, tolerance, torque = np.split(
+        columns, [2, 3, 5, 6, 8, 9, 11], axis=1
+    )
+    parts = Parts.make(tuple(msg.joint_names), position, velocity, angle, spin, friction)
+    return Wanted.make(parts, force, tolerance, torque)
 
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:

@@ -11,7 +11,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ..motion import PlateCycle
-from ..parts import PartSet, part_class
+from ..parts import Parts, Wanted, part_class
 from ..rig import Rig
 from .convert import FRAME, pose_to_msg
 
@@ -52,7 +52,7 @@ ORANGE, PLATE, VELOCITY, FORCE = (
 
 def scene_to_msg(
     rig: Rig,
-    parts: PartSet,
+    parts: Parts,
     trails: Mapping[str, Sequence[tuple[float, float]]],
     pose: np.ndarray,
     stamp: Time,
@@ -62,7 +62,7 @@ def scene_to_msg(
     Parameters
     ----------
     rig : Rig
-    parts : PartSet
+    parts : Parts
     trails : mapping of str to sequence of (x, y)
         By part where it was [m, plate_home], oldest first.
     pose : (3,)
@@ -94,10 +94,11 @@ def scene_to_msg(
     return MarkerArray(markers=markers)
 
 
-def forces_to_msg(rig: Rig, parts: PartSet, stamp: Time) -> MarkerArray:
+def forces_to_msg(rig: Rig, wanted: Wanted, stamp: Time) -> MarkerArray:
     """Return the wanted forces as arrows."""
-    ends = parts.position + FORCE_M / rig.force_unit * parts.force
-    pairs = enumerate(zip(parts.position, ends, strict=True))
+    starts = wanted.parts.position
+    ends = starts + FORCE_M / rig.force_unit * wanted.force
+    pairs = enumerate(zip(starts, ends, strict=True))
     return MarkerArray(
         markers=[_arrow("forces", i, place, end, FORCE, stamp) for i, (place, end) in pairs]
     )
