@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench charts clean workspace
+.PHONY: help setup demo test lint format bench charts docs clean workspace
 
 ENTER := . ./env.sh &&
 # Everything that is type-checked
@@ -40,6 +40,10 @@ bench: workspace ## Measure: out/bench/NAME.json [ARGS=...]
 charts: workspace ## Measure and draw: out/report/index.html, docs/results.md [ARGS='--quick' or '--draw']
 	@$(ENTER) python -m pip --disable-pip-version-check install -q -r requirements-bench.txt && \
 	    exec python bench/charts.py $(ARGS)
+
+docs: workspace ## Build the site, guide and API: out/site/docs/index.html
+	@$(ENTER) python -m pip --disable-pip-version-check install -q -r requirements-docs.txt && \
+	    python -m sphinx -q -W --keep-going -c docs . out/site && echo out/site/docs/index.html
 
 clean: ## Remove everything that set-up made; results in out/ stay
 	rm -rf .venv build install log .numba_cache .mypy_cache .pytest_cache .ruff_cache

@@ -65,7 +65,7 @@ foundation() {
     "$venv/bin/python" -c "import sys; print('$ros', sys.prefix, sys.base_prefix, sys.version)" 2>/dev/null || true
 }
 
-requirements_key() { cat requirements*.txt constraints.txt | sha256sum; }
+requirements_key() { cat requirements.txt requirements-jazzy.txt constraints.txt | sha256sum; }
 
 # requirements-jazzy.txt without the lines whose module (after the #) is there already
 missing_requirements() {

@@ -24,7 +24,7 @@ class Fiducials:
     Attributes
     ----------
     dictionary : str
-        Set of markers, by OpenCV's name without DICT_, such as 4X4_50.
+        Set of markers, by OpenCV's name without `DICT_`, such as 4X4_50.
     side_m : float
         Side of the black square [m].
     numbers : (n,) tuple of int

@@ -99,8 +99,8 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
     Raises
     ------
     ScenarioError
-        Names the class, the point and the greatest |x| and |y| allowed for a part's centre; or the
-        two places that are too near each other.
+        Names the class, the point and the greatest `|x|` and `|y|` allowed for a part's centre; or
+        the two places that are too near each other.
     """
     room = rig.plate.half - rig.parts.radius_m
     points = [(g.label, "position", p) for g in scenario.parts for p in g.position or ()]
