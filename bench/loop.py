@@ -31,8 +31,7 @@ from plate_sim.simulation import Simulation
 from plate_sim.world import WorldState
 from plate_solver import Controller
 from plate_solver.controller import METHODS, Answer
-from plate_vision.tracking import Tracker
-from plate_vision.vision import look, make_vision
+from plate_vision import Tracker, make_vision, observe
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers that make an answer take longer, and better."""
@@ -206,7 +205,7 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
         image = simulation.look()
         if image is not None:
             at_work = cpu_time()
-            tracker = look(vision, tracker, image, t)
+            tracker = observe(vision, tracker, image, t)
             state, wanted, progress = planner.plan(state, tracker.parts, t)
             began = cpu_time()
             answer = controller.answer(wanted, playback.cycle)

@@ -15,8 +15,7 @@ from plate_core.tasks import load_scenario
 from plate_planner import PlannerOptions, SortOptions
 from plate_sim.dirt import CLEAN, Dirt
 from plate_sim.simulation import Simulation
-from plate_vision.tracking import Tracker
-from plate_vision.vision import look, make_vision
+from plate_vision import Tracker, make_vision, observe
 
 FRAMES, DIRTY_FRAMES = 10_000, 2_000
 """Images of the clean world and of each of the others."""
@@ -126,7 +125,7 @@ def drift_noise(seconds: float) -> dict[str, Any]:
     for k in range(int(seconds * STILL_RATE)):
         image = simulation.look()
         if image is not None:
-            tracker = look(vision, tracker, image, k / STILL_RATE)
+            tracker = observe(vision, tracker, image, k / STILL_RATE)
             drift.append(tracker.parts.velocity)
     still = 1e3 * np.array(drift[1:])  # the first image knows no drift
     return {

@@ -21,7 +21,7 @@ from plate_driver.motor_table import prepare
 from plate_planner import Planner
 from plate_sim import Camera, part_greys, run_cycle
 from plate_solver import Controller
-from plate_vision import Tracker, look, make_vision
+from plate_vision import Tracker, make_vision, observe
 
 PARTS = (1, 2, 4, 6, 8, 10, 16)
 IMAGES = 40
@@ -114,7 +114,7 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         clock.start()
         camera.render(world.position, grey, rng, world.velocity)
         clock.lap("camera")
-        tracker = look(vision, tracker, moment.image, moment.time)
+        tracker = observe(vision, tracker, moment.image, moment.time)
         clock.lap("vision")
         state, _, _ = planner.plan(state, tracker.parts, moment.time)
         clock.lap("planner")

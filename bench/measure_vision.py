@@ -85,11 +85,11 @@ def make_finders(rig: Rig) -> dict[str, Finder]:
     """Return our detector and its peers, ready to run."""
     vision = make_vision(rig)
     mask = np.zeros((rig.camera.height_px, rig.camera.width_px), np.uint8)
-    cv2.fillConvexPoly(mask, np.round(vision.region_px).astype(np.int32), 255)
+    cv2.fillConvexPoly(mask, np.round(vision.region.outline_px).astype(np.int32), 255)
     area = np.pi * vision.options.radius_px**2
 
     def ours(image: np.ndarray) -> np.ndarray:
-        found = detect(image, vision.options, vision.region_px)
+        found = detect(image, vision.options, vision.region)
         return np.column_stack([found["x_px"], found["y_px"]])
 
     def contours(image: np.ndarray) -> np.ndarray:

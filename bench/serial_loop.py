@@ -25,8 +25,7 @@ from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 from plate_sim.plate_motion import PlateMotion
 from plate_sim.simulation import Simulation
 from plate_solver import Controller
-from plate_vision.tracking import Tracker
-from plate_vision.vision import look, make_vision
+from plate_vision import Tracker, make_vision, observe
 
 ANSWER_S = 0.05
 """From an image to the driver [s]: what detector, planner and solver take together, and margin."""
@@ -230,7 +229,7 @@ class Loop:
         self._images += 1
         self._late += 0 < stretch.table == self._table
         self._table = stretch.table
-        self._tracker = look(self._vision, self._tracker, image, now)
+        self._tracker = observe(self._vision, self._tracker, image, now)
         self._state, wanted, progress = self._planner.plan(self._state, self._tracker.parts, now)
         # As the solver's node: the cycle that was sent last is the one that runs now.
         running = self._sent[-1] if self._sent else PlateCycle.rest(IDLE_PERIOD)

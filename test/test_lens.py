@@ -8,7 +8,7 @@ import pytest
 from plate_core import load_rig
 from plate_core.rig import Lens
 from plate_sim import Camera, part_greys
-from plate_vision import Tracker, look, make_vision
+from plate_vision import Tracker, make_vision, observe
 
 DISTORTIONS = [
     (0.0, 0.0, 0.0, 0.0, 0.0),
@@ -31,7 +31,7 @@ def test_parts_are_seen_where_they_are(distortion):
         rng = np.random.default_rng(seed)
         position = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(-2e-3, 2e-3, (24, 2))
         image = camera.render(position, part_greys(["black", "grey"] * 12), rng)
-        parts = look(vision, Tracker(), image, 0.0).parts
+        parts = observe(vision, Tracker(), image, 0.0).parts
         assert len(parts.ids) == 24
         gap = np.linalg.norm(parts.position[:, None] - position, axis=2)
         assert sorted(gap.argmin(axis=1).tolist()) == list(range(24))

@@ -23,7 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"detector = {NAME}.node:main",
-            f"calibrate = {NAME}.calibrate_camera:main",
+            f"calibrate = {NAME}.camera.calibrate_camera:main",
         ]
     },
 )

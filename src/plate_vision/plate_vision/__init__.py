@@ -1,11 +1,14 @@
-"""Finds parts in camera images and measures their positions and drift."""
+"""Finds parts in camera images and measures their positions and drift.
 
-from .calibration import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig
-from .detection import BRIGHT, CLASSES, DETECTION, METHODS, detect
+The names below are for all; the chapters `camera`, `plate`, `discs` and `shapes` have the rest.
+"""
+
+from .camera import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig
+from .detection import BRIGHT, CLASSES, DETECTION, METHODS, DetectorOptions, detect
 from .errors import CalibrationError, ImageError, OptionError, TrackError
-from .options import DetectorOptions
+from .plate import Region, make_region
 from .tracking import Tracker, TrackerOptions
-from .vision import Vision, look, make_vision
+from .vision import Vision, make_vision, observe
 
 __all__ = [
     "BRIGHT",
@@ -18,6 +21,7 @@ __all__ = [
     "ImageError",
     "Lens",
     "OptionError",
+    "Region",
     "TrackError",
     "Tracker",
     "TrackerOptions",
@@ -26,6 +30,7 @@ __all__ = [
     "calibrate_by_matrix",
     "calibrate_by_rig",
     "detect",
-    "look",
+    "make_region",
     "make_vision",
+    "observe",
 ]

@@ -1,17 +1,30 @@
-"""Find parts in an image of the plate, or in a photograph."""
+"""Find parts in an image of the plate, or in a photograph.
+
+The way of an image: the plate's region is known, its light is fitted, seeds are found, marks are
+painted over, parts are measured, and judged.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from .discs import MAX_MISFIT, find_discs
-from .errors import ImageError, OptionError
-from .measure import Discs
-from .options import DetectorOptions
-from .outlines import Outlines, find_outlines
-from .region import Region, region_of
+from .camera import grey_levels
+from .discs import (
+    RIM_PX,
+    crowded,
+    find_seeds,
+    fit_discs,
+    mark_angles,
+    measure_alone,
+    paint_over,
+)
+from .errors import ImageError, OptionError, check_ranges
+from .plate import SEAM_PX, Region, fit_light, make_region
+from .shapes import find_outlines
 
 CLASSES = ("black", "grey")
 """The labels of parts darker than the plate, darkest first."""
@@ -38,17 +51,65 @@ DETECTION = np.dtype(
 seen: of its longest side with x, 0 to pi; of a disc that of its mark, 0 without one; class;
 confidence, 0 to 1; how it was measured."""
 
+MAX_MISFIT = 0.2
+"""Largest deviation of a part from an evenly dark disc."""
+
+BLUR_PX = 1.5
+"""Reach [px] of a part's blurred edge: how near a neighbour's pixels may come to a window."""
+
 MIN_ALIKE = 3
 """Parts of like size from which on their size is taken as known."""
 
 ALIKE = 0.12
-"""Largest deviation from the middle radius, as a share of it, of parts that are alike."""
+"""Largest relative deviation from the median radius of parts that are alike."""
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """What is known of the parts before they are seen.
+
+    Attributes
+    ----------
+    radius_px : float
+        Radius of a part [px], 3 to 200.
+    radius_tolerance : float
+        Greatest relative deviation from it, 0.05 to 0.6.
+    threshold : float
+        Fraction of the bare plate's brightness below which a pixel belongs to a part, 0.1 to 0.95.
+    class_threshold : float
+        Fraction of the bare plate's brightness below which a part is black, above which grey, 0.05
+        to 0.95.
+    min_plate_grey : float
+        Darkest plate that is believed [grey levels], 1 to 255: below that the light is off.
+    margin_px : float
+        How far outside the region a part's centre may be [px], 0 to 10: for errors of the
+        calibration. Only pixels inside the region are looked at, so of a part that is 2 px further
+        out too little is seen. A plate that is displaced by more needs another region.
+    """
+
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "radius_px": (3.0, 200.0),
+        "radius_tolerance": (0.05, 0.6),
+        "threshold": (0.1, 0.95),
+        "class_threshold": (0.05, 0.95),
+        "min_plate_grey": (1.0, 255.0),
+        "margin_px": (0.0, 10.0),
+    }
+    radius_px: float = 8.0
+    radius_tolerance: float = 0.2
+    threshold: float = 0.8
+    class_threshold: float = 0.4
+    min_plate_grey: float = 60.0
+    margin_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, self.RANGES)
 
 
 def detect(
     image: np.ndarray,
     options: DetectorOptions | None = None,
-    region_px: np.ndarray | None = None,
+    region: Region | np.ndarray | None = None,
     size: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Find parts in one image.
@@ -63,12 +124,11 @@ def detect(
         Grey levels. Of a colour image the middle channel is used: green, in either order.
     options : DetectorOptions, optional
         What a part looks like; None if that is not known.
-    region_px : (4, 2) or (4, n, 2), optional
-        Corners of the plate in the image [px], in order around it; or, where a lens bends the
-        edges, points of each edge from its first corner to just before the next. The whole image
-        if None. The centre of the first pixel is (0, 0), x to the right, y down.
+    region : Region, or (4, 2) or (4, n, 2), optional
+        Where the plate is: prepared by `make_region`, which takes longer than the detection; or
+        what that takes. The whole image if None.
     size : callable, optional
-        Gives for image points (n, 2) [px] the radius that a part has there, as a share (n,) of the
+        Gives for image points (n, 2) [px] the radius that a part has there, relative (n,) to the
         options' radius. Everywhere 1 if None.
 
     Returns
@@ -81,68 +141,90 @@ def detect(
     ImageError
         If the image is not uint8, has another shape, or the region is no quadrilateral in it.
     """
-    grey = _grey(image)
-    region = region_of(grey.shape[0], grey.shape[1], region_px)
-    if options is None:
-        return _survey(grey, region)
-    return _from_discs(find_discs(grey, region, options, size), options)
+    grey = grey_levels(image)
+    size_px = (grey.shape[1], grey.shape[0])
+    if not isinstance(region, Region):
+        region = make_region(size_px, region)
+    elif region.size_px != size_px:
+        raise ImageError(f"image: size is {size_px} px, allowed: {region.size_px} px, the region's")
+    return _detect_any(grey, region) if options is None else _discs(grey, region, options, size)
 
 
-def _survey(grey: np.ndarray, region: Region) -> np.ndarray:
+def _discs(
+    grey: np.ndarray,
+    region: Region,
+    options: DetectorOptions,
+    size: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> np.ndarray:
+    """Return parts of a known radius, as `detect` does, each measured in the cheapest way.
+
+    One that stands alone is measured by moments, the others by a fit that knows of their
+    neighbours.
+    """
+    radius = options.radius_px
+    plate = fit_light(grey, region, options.min_plate_grey)
+    seeds = np.empty((0, 2))
+    if plate is not None:
+        seeds = find_seeds(plate, region.box, options.threshold, radius)
+    if plate is None or not len(seeds):
+        return np.empty(0, DETECTION)
+    plate, marks = paint_over(plate, seeds, radius)
+    alone = ~crowded(seeds, 2 * radius + RIM_PX + BLUR_PX)
+    alone &= region.depth(*seeds.T) - SEAM_PX >= radius + RIM_PX + 1
+    discs, alone = measure_alone(plate, seeds, radius, alone)
+    if not np.all(alone):
+        discs[~alone] = fit_discs(plate, seeds[~alone], radius)
+    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    expected = radius if size is None else radius * size(centre)
+    is_part = (
+        (np.abs(discs["radius_px"] / expected - 1) <= options.radius_tolerance)
+        & (discs["darkness"] > 1 - options.threshold)
+        & (discs["misfit"] < MAX_MISFIT)
+        & (region.depth(*centre.T) >= -options.margin_px)
+    )
+    parts = np.zeros(len(discs), DETECTION)
+    for name in ("x_px", "y_px", "radius_px"):
+        parts[name] = discs[name]
+    parts["angle_rad"] = mark_angles(marks, centre)
+    parts["label"] = np.where(1 - discs["darkness"] < options.class_threshold, *CLASSES)
+    parts["confidence"] = 1 - discs["misfit"] / MAX_MISFIT
+    parts["method"] = np.where(alone, METHODS[0], METHODS[1])
+    return parts[is_part]
+
+
+def _detect_any(grey: np.ndarray, region: Region) -> np.ndarray:
     """Return the parts of an image (H, W) of which nothing is known."""
     x0, y0, x1, y1 = region.box
     outlines = find_outlines(np.ascontiguousarray(grey[y0:y1, x0:x1]))
-    outlines = outlines.select(region.depth(*(outlines.centre + (x0, y0)).T) > outlines.radius)
+    outlines["x_px"] += x0
+    outlines["y_px"] += y0
+    outlines = outlines[region.depth(outlines["x_px"], outlines["y_px"]) > outlines["radius_px"]]
+    bright = bool(np.any(outlines["contrast"] > 0))  # all are brighter, or all darker
     options = _if_alike(outlines)
     if options is not None:
-        bright = bool(np.mean(outlines.contrast) > 0)
-        again = _from_discs(find_discs(255 - grey if bright else grey, region, options), options)
-        if len(again) >= len(outlines.radius):
+        again = _discs(255 - grey if bright else grey, region, options)
+        if len(again) >= len(outlines):
             if bright:
                 again["label"] = BRIGHT
             return again
-    found = np.zeros(len(outlines.radius), DETECTION)
-    found["x_px"], found["y_px"] = (outlines.centre + (x0, y0)).T
-    found["radius_px"], found["angle_rad"] = outlines.radius, outlines.angle
-    share = 1 + outlines.contrast / np.maximum(outlines.background, 1)
-    found["label"] = np.where(share < DetectorOptions.class_threshold, *CLASSES)
-    found["label"][outlines.contrast > 0] = BRIGHT
-    found["confidence"], found["method"] = outlines.confidence, METHODS[2]
-    return found
+    parts = np.zeros(len(outlines), DETECTION)
+    for name in ("x_px", "y_px", "radius_px", "angle_rad", "confidence"):
+        parts[name] = outlines[name]
+    brightness = 1 + outlines["contrast"] / np.maximum(outlines["background"], 1)
+    parts["label"] = np.where(brightness < DetectorOptions.class_threshold, *CLASSES)
+    parts["label"][outlines["contrast"] > 0] = BRIGHT
+    parts["method"] = METHODS[2]
+    return parts
 
 
-def _if_alike(outlines: Outlines) -> DetectorOptions | None:
+def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
     """Return what round parts look like if they all have one size; None if not."""
-    if len(outlines.radius) < MIN_ALIKE or not np.all(outlines.disc):
+    if len(outlines) < MIN_ALIKE or not np.all(outlines["round"]):
         return None
-    radius = float(np.median(outlines.radius))
-    if np.max(np.abs(outlines.radius / radius - 1)) > ALIKE:
+    radius = float(np.median(outlines["radius_px"]))
+    if np.max(np.abs(outlines["radius_px"] / radius - 1)) > ALIKE:
         return None
     try:
         return DetectorOptions(radius_px=radius)
     except OptionError:
         return None
-
-
-def _from_discs(discs: Discs, options: DetectorOptions) -> np.ndarray:
-    """Return discs as parts."""
-    found = np.zeros(len(discs.radius), DETECTION)
-    found["x_px"], found["y_px"] = discs.centre.T
-    found["radius_px"] = discs.radius
-    found["angle_rad"] = discs.angle
-    found["label"] = np.where(1 - discs.darkness < options.class_threshold, *CLASSES)
-    found["confidence"] = 1 - discs.misfit / MAX_MISFIT
-    found["method"] = np.where(discs.fitted, METHODS[1], METHODS[0])
-    return found
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    """Return the grey levels (H, W) of an image; refuse what is no image."""
-    image = np.asarray(image)
-    if image.dtype != np.uint8:
-        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
-    if image.ndim == 3 and image.shape[2] == 3:
-        image = image[:, :, 1]
-    if image.ndim != 2 or image.size == 0:
-        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
-    return image

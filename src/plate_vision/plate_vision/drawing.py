@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from .lens_fit import LensFit
+from .camera.boards import LensFit
 
 COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80, 255))
 """Blue, green, red of classes, in the order of their names."""
@@ -30,7 +30,7 @@ def draw_detections(
     point_px: np.ndarray,
     radius_px: np.ndarray,
     ahead_px: np.ndarray,
-    region_px: np.ndarray,
+    outline_px: np.ndarray,
 ) -> np.ndarray:
     """Return a copy in colour (H, W, 3) with parts outlined, named, and arrows of their velocity.
 
@@ -46,11 +46,11 @@ def draw_detections(
         Radii [px].
     ahead_px : (M, 2)
         Where they will be after `ARROW_S` [px].
-    region_px : (4, 2) or (4, n, 2)
-        Outline of the plate [px].
+    outline_px : (n, 2)
+        Around the plate [px].
     """
     picture = np.array(image) if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    outline = _fixed(region_px.reshape(-1, 2))
+    outline = _fixed(outline_px)
     cv2.polylines(picture, [outline], True, PLATE_COLOUR, 1, cv2.LINE_AA, SHIFT)
     classes = sorted({name.rsplit("_", 1)[0] for name in ids})
     for name, point, radius, ahead in zip(ids, point_px, radius_px, ahead_px, strict=True):
@@ -73,7 +73,7 @@ def draw_errors(fit: LensFit) -> np.ndarray:
     """Return a picture (H, W, 3) of the errors of all corners, much enlarged, by picture."""
     width, height = fit.size_px
     picture = np.full((height, width, 3), 255, np.uint8)
-    for number, ((_, place), error) in enumerate(zip(fit.sights, fit.errors, strict=True)):
+    for number, ((_, place), error) in enumerate(zip(fit.corners, fit.errors, strict=True)):
         colour = COLOURS[number % len(COLOURS)]
         for start, end in zip(_fixed(place), _fixed(place + ERROR_SCALE * error), strict=True):
             cv2.circle(picture, start.tolist(), 2 << SHIFT, colour, -1, cv2.LINE_AA, SHIFT)

@@ -1,5 +1,7 @@
 """Errors of this package that a user can act on."""
 
+from collections.abc import Mapping
+
 from plate_core import PlateError
 
 
@@ -17,3 +19,11 @@ class OptionError(PlateError):
 
 class TrackError(PlateError):
     """Measurements cannot be followed: wrong shape, or values that are not finite."""
+
+
+def check_ranges(options: object, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse options of which a value is out of its range."""
+    for name, (low, high) in ranges.items():
+        value = getattr(options, name)
+        if not low <= value <= high:
+            raise OptionError(f"{name} is {value}, allowed: {low:g} to {high:g}")

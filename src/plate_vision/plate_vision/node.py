@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -34,24 +35,16 @@ from plate_core.ros import (
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
-from .calibration import Lens
-from .camera_file import load_camera
+from .camera import LENS_MODELS, Lens, decode, decode_file, load_lens, read_pictures, rig_of_picture
+from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections
-from .encodings import decode, decode_file
 from .errors import CalibrationError, ImageError
-from .light import light_problem
-from .options import DetectorOptions
-from .pictures import read_pictures, rig_of_picture
+from .plate import PlateLocation, light_problem
 from .tracking import Tracker, TrackerOptions
-from .vision import HOME, check_image, look, make_vision, warm_up
-from .watching import Watch, watch
+from .vision import HOME, follow_plate, make_vision, observe, warm_up
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
-
-LENS_MODELS = ("plumb_bob", "rational_polynomial")
-"""Distortion models of sensor_msgs/CameraInfo that the core understands."""
-
 
 SOURCES = ("topic", "file")
 """Where images come from."""
@@ -61,6 +54,11 @@ TRAIL = 100
 
 TRANSPORTS = ("raw", "compressed")
 """Of image_transport those that are understood."""
+
+
+def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text: str) -> Any:
+    """Return the field of a live parameter that is one of the core's options."""
+    return parameter(getattr(kind, name), text, *kind.RANGES[name], live=True)
 
 
 @dataclass(frozen=True)
@@ -79,88 +77,52 @@ class DetectorParameters:
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no image comes for longer [s]", 0.1, 3600.0
     )
     bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
-    threshold: float = parameter(
-        DetectorOptions.threshold,
-        "Share of the bare plate's brightness below which a pixel belongs to a part [-]",
-        0.1,
-        0.95,
-        live=True,
+    threshold: float = _option(
+        DetectorOptions,
+        "threshold",
+        "Fraction of the bare plate's brightness below which a pixel belongs to a part [-]",
     )
-    class_threshold: float = parameter(
-        DetectorOptions.class_threshold,
-        "Share of the bare plate's brightness below which a part is black, above grey [-]",
-        0.05,
-        0.95,
-        live=True,
+    class_threshold: float = _option(
+        DetectorOptions,
+        "class_threshold",
+        "Fraction of the bare plate's brightness below which a part is black, above grey [-]",
     )
-    radius_tolerance: float = parameter(
-        DetectorOptions.radius_tolerance,
-        "Greatest deviation from the rig's part radius [radii]",
-        0.05,
-        0.6,
-        live=True,
+    radius_tolerance: float = _option(
+        DetectorOptions, "radius_tolerance", "Greatest deviation from the rig's part radius [radii]"
     )
-    min_plate_grey: float = parameter(
-        DetectorOptions.min_plate_grey,
-        "Darkest plate that is believed [grey levels]",
-        1.0,
-        255.0,
-        live=True,
+    min_plate_grey: float = _option(
+        DetectorOptions, "min_plate_grey", "Darkest plate that is believed [grey levels]"
     )
-    margin_px: float = parameter(
-        DetectorOptions.margin_px,
-        "How far outside the plate a part's centre may be [px]",
-        0.0,
-        10.0,
-        live=True,
+    margin_px: float = _option(
+        DetectorOptions, "margin_px", "How far outside the plate a part's centre may be [px]"
     )
-    gate_m: float = parameter(
-        TrackerOptions.gate_m,
+    gate_m: float = _option(
+        TrackerOptions,
+        "gate_m",
         "Greatest distance between where a part is expected and found, per image [m]",
-        0.001,
-        1.0,
-        live=True,
     )
-    max_missed: int = parameter(
-        TrackerOptions.max_missed,
+    max_missed: int = _option(
+        TrackerOptions,
+        "max_missed",
         "Images in a row that a part may be missed before its id is given up",
-        0,
-        1000,
-        live=True,
     )
-    confirm: int = parameter(
-        TrackerOptions.confirm,
+    confirm: int = _option(
+        TrackerOptions,
+        "confirm",
         "Images in a row in which a new part must be seen before it gets an id",
-        1,
-        100,
-        live=True,
     )
-    velocity_frames: int = parameter(
-        TrackerOptions.velocity_frames,
-        "Images over which the drift is taken",
-        1,
-        100,
-        live=True,
+    velocity_frames: int = _option(
+        TrackerOptions, "velocity_frames", "Images over which the drift is taken"
     )
 
     def detector(self) -> DetectorOptions:
-        """Return the options of the detection."""
-        return DetectorOptions(
-            threshold=self.threshold,
-            class_threshold=self.class_threshold,
-            radius_tolerance=self.radius_tolerance,
-            min_plate_grey=self.min_plate_grey,
-            margin_px=self.margin_px,
-        )
+        """Return the options of the detection; the radius is the rig's."""
+        names = DetectorOptions.RANGES.keys() - {"radius_px"}
+        return DetectorOptions(**{name: getattr(self, name) for name in names})
 
     def tracker(self) -> TrackerOptions:
         """Return the options of the tracking."""
-        return TrackerOptions(
-            gate_m=self.gate_m,
-            max_missed=self.max_missed,
-            confirm=self.confirm,
-            velocity_frames=self.velocity_frames,
-        )
+        return TrackerOptions(**{name: getattr(self, name) for name in TrackerOptions.RANGES})
 
 
 @dataclass
@@ -194,15 +156,14 @@ class DetectorNode(Node):
             self._open(values)
         if values.camera_file:
             size = self._rig.camera
-            self._lens = load_camera(values.camera_file, (size.width_px, size.height_px)).lens
+            self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
         self._vision = make_vision(self._rig, values.detector(), self._lens)
         warm_up(self._vision)
-        has_markers = self._rig.fiducials is not None
-        self._watch = Watch(self._rig, self._lens) if has_markers else None
+        self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
         self._follow = follow(self, values, self._retune)
         self._parts = self.create_publisher(MultiDOFJointState, "parts", DATA)
-        if self._watch is not None:
+        if self._location is not None:
             self._poses = self.create_publisher(PoseStamped, "plate_pose", DATA)
         self._drawings = self.create_publisher(Image, "detections_image", IMAGE)
         self._markers = self.create_publisher(MarkerArray, "markers", DATA)
@@ -242,7 +203,7 @@ class DetectorNode(Node):
     def _on_file(self, msg: CompressedImage) -> None:
         self._hear()
         try:
-            image = decode_file(msg.data, msg.format, self._bits, self._vision.size_px)
+            image = decode_file(msg.data, msg.format, self._bits, self._vision.region.size_px)
         except PlateError as error:
             self._refuse("image_raw/compressed", error)
             return
@@ -293,9 +254,9 @@ class DetectorNode(Node):
     def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
         began = time.perf_counter()
         try:
-            if self._watch is not None:
-                image = self._see_plate(self._watch, image, stamp)
-            self._tracker = look(self._vision, self._tracker, image, seconds(stamp))
+            if self._location is not None:
+                image = self._find_plate(self._location, image, stamp)
+            self._tracker = observe(self._vision, self._tracker, image, seconds(stamp))
         except PlateError as error:
             self._refuse(topic, error)
             return
@@ -318,7 +279,7 @@ class DetectorNode(Node):
             calibration.to_image(parts.position),
             self._rig.parts.radius_m * calibration.scale(parts.position),
             calibration.to_image(parts.position + ARROW_S * parts.velocity),
-            self._vision.region_px,
+            self._vision.region.outline_px,
         )
 
     def _scene(self, stamp: Time) -> MarkerArray:
@@ -329,28 +290,30 @@ class DetectorNode(Node):
         }
         for name, (x, y) in zip(parts.ids, parts.position.tolist(), strict=True):
             self._trails[name].append((x, y))
-        plate = self._watch.plate if self._watch is not None else None
-        pose = HOME if plate is None else plate.pose
-        return scene_to_msg(self._rig, parts, self._trails, pose, stamp)
+        pose = None if self._location is None else self._location.pose
+        return scene_to_msg(self._rig, parts, self._trails, HOME if pose is None else pose, stamp)
 
-    def _see_plate(self, state: Watch, image: np.ndarray, stamp: Time) -> np.ndarray:
+    def _unknown_location(self) -> PlateLocation | None:
+        """Return that of a plate with markers before the first image; None if it has none."""
+        has_markers = self._rig.fiducials is not None
+        return PlateLocation(self._rig, self._lens) if has_markers else None
+
+    def _find_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
         """Find the plate by its markers; returns the image without them."""
-        check_image(image, self._vision)
-        state, self._vision, image = watch(state, image, self._vision, self._vision.options)
-        self._watch = state
-        if state.plate is not None:
-            self._poses.publish(pose_to_msg(state.plate.pose, stamp))
-        if state.problem:
-            self._warn(state.problem)
-            self._tally.problem = state.problem
+        location, self._vision, image = follow_plate(location, self._vision, image)
+        self._location = location
+        if location.pose is not None:
+            self._poses.publish(pose_to_msg(location.pose, stamp))
+        if location.problem:
+            self._warn(location.problem)
+            self._tally.problem = location.problem
         return image
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget all parts, and where home is: numbers begin at 1 again with the next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
         self._tracker = Tracker(self._tracker.options)
-        if self._watch is not None:
-            self._watch = Watch(self._rig, self._lens)
+        self._location = self._unknown_location()
         response.success = True
         self.get_logger().info(response.message)
         return response
@@ -394,10 +357,9 @@ class DetectorNode(Node):
             return
         self._lens_message = content  # judged once, not with every image
         try:
-            self._lens = lens_of(msg, self._vision.size_px)
+            self._lens = lens_of(msg, self._vision.region.size_px)
             self._vision = make_vision(self._rig, self._vision.options, self._lens)
-            if self._watch is not None:
-                self._watch = Watch(self._rig, self._lens)
+            self._location = self._unknown_location()
         except PlateError as error:
             self.get_logger().warning(f"camera_info ignored: {error}")
 
@@ -422,9 +384,10 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
         )
     if msg.k[0] == 0:
         return None
-    if any(msg.d) and msg.distortion_model not in LENS_MODELS:
+    models = sorted(set(LENS_MODELS.values()))
+    if any(msg.d) and msg.distortion_model not in models:
         raise CalibrationError(
-            f"distortion_model is {msg.distortion_model!r}, allowed: {', '.join(LENS_MODELS)}"
+            f"distortion_model is {msg.distortion_model!r}, allowed: {', '.join(models)}"
         )
     distortion = np.array(msg.d, dtype=float) if len(msg.d) else np.zeros(5)
     return Lens(np.array(msg.k, dtype=float).reshape(3, 3), distortion)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from plate_core import Parts
 
-from .errors import OptionError, TrackError
+from .errors import TrackError, check_ranges
 
 
 @dataclass(frozen=True)
@@ -35,22 +36,19 @@ class TrackerOptions:
         0.014 mm over the cycle. More images smooth and delay it.
     """
 
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "gate_m": (0.001, 1.0),
+        "max_missed": (0, 1000),
+        "confirm": (1, 100),
+        "velocity_frames": (1, 100),
+    }
     gate_m: float = 0.02
     max_missed: int = 5
     confirm: int = 2
     velocity_frames: int = 1
 
     def __post_init__(self) -> None:
-        ranges = {
-            "gate_m": (0.001, 1.0),
-            "max_missed": (0, 1000),
-            "confirm": (1, 100),
-            "velocity_frames": (1, 100),
-        }
-        for name, (low, high) in ranges.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise OptionError(f"{name} is {value}, allowed: {low:g} to {high:g}")
+        check_ranges(self, self.RANGES)
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ class Tracker:
         )
 
 
-def step(
+def update(
     tracker: Tracker,
     stamp: float,
     position: np.ndarray,

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from plate_core import PlateError, Rig
+from plate_core import Rig
 from plate_core.rig import to_home
 
-from .calibration import Calibration, Lens, calibrate_by_rig
-from .detection import detect
+from .camera.lens import Calibration, Lens, calibrate_by_rig
+from .detection import DetectorOptions, detect
 from .errors import ImageError
-from .options import DetectorOptions
-from .tracking import Tracker, step
+from .plate.home import PlateLocation, locate_plate
+from .plate.region import Region, make_region
+from .tracking import Tracker, update
 
 HOME = np.zeros(3)
 """The plate at rest."""
@@ -35,10 +35,8 @@ class Vision:
     ----------
     calibration : Calibration
         Between image and plate_home.
-    region_px : (4, 2) or (4, n, 2)
-        The plate's corners in the image [px]; points of its edges if a lens bends them.
-    size_px : (int, int)
-        Width and height of the images [px].
+    region : Region
+        Where the plate is in the image.
     options : DetectorOptions
         What a part looks like.
     radius : float
@@ -46,13 +44,12 @@ class Vision:
     """
 
     calibration: Calibration
-    region_px: np.ndarray
-    size_px: tuple[int, int]
+    region: Region
     options: DetectorOptions
     radius: float
 
     def size(self, point_px: np.ndarray) -> np.ndarray:
-        """Radius (n,) of a part seen at points (n, 2) [px], as a share of the options' radius."""
+        """Radius (n,) of a part seen at points (n, 2) [px], relative to the options' radius."""
         scale = self.calibration.scale(self.calibration.to_home(point_px))
         return np.asarray(self.radius * scale / self.options.radius_px)
 
@@ -62,7 +59,7 @@ def make_vision(
     options: DetectorOptions | None = None,
     lens: Lens | None = None,
     calibration: Calibration | None = None,
-    pose: np.ndarray = HOME,
+    pose: np.ndarray | None = None,
 ) -> Vision:
     """Take camera, plate and the parts' radius from a rig.
 
@@ -76,33 +73,36 @@ def make_vision(
         That of camera_info; the rig's if None.
     calibration : Calibration, optional
         Lens and plate_home, if they are not those of the rig.
-    pose : (3,)
-        Of the plate [m, m, rad], plate_home.
+    pose : (3,), optional
+        Of the plate [m, m, rad], plate_home; at home if None.
+
+    Raises
+    ------
+    PlateError
+        If the plate is not in the image, or its parts are too small or large in it.
     """
     if calibration is None:
         calibration = calibrate_by_rig(rig, lens)
-    corners = to_home(pose, rig.plate.corners)
-    region_px = calibration.to_image(corners)
+    corners = to_home(HOME if pose is None else pose, rig.plate.corners)
+    outline_px = calibration.to_image(corners)
     places = np.zeros((1, 2))
     if calibration.lens is not None:
-        share = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
+        along = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
         sides = np.roll(corners, -1, axis=0) - corners
-        places = np.concatenate(
-            [places, (corners[:, None] + share * sides[:, None]).reshape(-1, 2)]
-        )
-        region_px = calibration.to_image(places[1:]).reshape(4, EDGE_POINTS, 2)
+        edges = (corners[:, None] + along * sides[:, None]).reshape(-1, 2)
+        places = np.concatenate([places, edges])
+        outline_px = calibration.to_image(edges).reshape(4, EDGE_POINTS, 2)
     scale = calibration.scale(places)
     radius_px = rig.parts.radius_m * float(np.sqrt(scale.min() * scale.max()))
     return Vision(
         calibration,
-        region_px,
-        (rig.camera.width_px, rig.camera.height_px),
+        make_region((rig.camera.width_px, rig.camera.height_px), outline_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
         rig.parts.radius_m,
     )
 
 
-def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> Tracker:
+def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> Tracker:
     """Find the parts of one image and follow them: the answer is the result's `parts`.
 
     Parameters
@@ -123,28 +123,61 @@ def look(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> T
     """
     check_image(image, vision)
     size = None if vision.calibration.lens is None else vision.size
-    found = detect(image, vision.options, vision.region_px, size)
+    found = detect(image, vision.options, vision.region, size)
     centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
     centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
-    return step(tracker, stamp, centre, found["label"], _angles(vision, found, centre_px))
+    return update(tracker, stamp, centre, found["label"], _angles(vision, found, centre_px))
 
 
-def three_discs(vision: Vision) -> np.ndarray:
-    """Return an image (H, W) uint8 of two discs that touch and a third, amid the region."""
-    width, height = vision.size_px
-    image = np.full((height, width), BRIGHT, np.uint8)
-    radius = vision.options.radius_px
-    middle = np.mean(np.reshape(vision.region_px, (-1, 2)), axis=0)
-    for place in (-1, 1, 5):
-        x, y = np.rint(middle + [place * radius, 0]).astype(int)
-        cv2.circle(image, (int(x), int(y)), round(radius), DARK, thickness=-1)
-    return image
+def follow_plate(
+    location: PlateLocation, vision: Vision, image: np.ndarray
+) -> tuple[PlateLocation, Vision, np.ndarray]:
+    """Find a plate with markers in an image: before `observe`, which is then called with what is
+    returned.
+
+    Parameters
+    ----------
+    location : PlateLocation
+        Where the plate was.
+    vision : Vision
+        With which parts were looked for in the last image.
+    image : (H, W) or (H, W, 3) uint8
+
+    Returns
+    -------
+    PlateLocation
+    Vision
+        With the plate's region where it is now.
+    image
+        Without the markers, which could be taken for parts.
+
+    Raises
+    ------
+    PlateError
+        As `locate_plate`, and if the image has another size.
+    """
+    check_image(image, vision)
+    now, image = locate_plate(location, image)
+    if now.region_pose is not location.region_pose:
+        vision = make_vision(now.rig, vision.options, calibration=now.home, pose=now.region_pose)
+    return now, vision, image
 
 
 def warm_up(vision: Vision) -> None:
     """Compile what parts need, also such as touch, before the first image comes."""
-    with suppress(PlateError):  # a camera that sees too little of the plate is told of later
-        look(vision, Tracker(), three_discs(vision), 0.0)
+    observe(vision, Tracker(), three_discs(vision), 0.0)
+
+
+def three_discs(vision: Vision) -> np.ndarray:
+    """Return an image (H, W) uint8 of two discs that touch and a third, amid the region."""
+    width, height = vision.region.size_px
+    image = np.full((height, width), BRIGHT, np.uint8)
+    radius = vision.options.radius_px
+    middle = np.mean(vision.region.outline_px, axis=0)
+    for place in (-1, 1, 5):
+        x, y = np.rint(middle + [place * radius, 0]).astype(int)
+        cv2.circle(image, (int(x), int(y)), round(radius), DARK, thickness=-1)
+    return image
 
 
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:
@@ -160,10 +193,10 @@ def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndar
 
 def check_image(image: np.ndarray, vision: Vision) -> None:
     """Refuse images that are not of the rig's size."""
-    width, height = vision.size_px
+    width, height = vision.region.size_px
     if image.shape[:2] != (height, width):
-        seen = " x ".join(str(n) for n in reversed(image.shape[:2]))
+        size = " x ".join(str(n) for n in reversed(image.shape[:2]))
         raise ImageError(
-            f"image: size is {seen} px, allowed: {width} x {height} px, the size in the rig file "
+            f"image: size is {size} px, allowed: {width} x {height} px, the size in the rig file "
             "for which its corners_px hold"
         )

@@ -205,7 +205,7 @@ class MarkedPlate:
     def _print(self, discs):
         import cv2
 
-        from plate_vision.markers import draw_marker
+        from plate_vision.camera import draw_marker
 
         texture = np.full((round(0.3 * self.PER_M), round(0.6 * self.PER_M)), PLATE, np.uint8)
         side = round(self.SIDE * self.PER_M)

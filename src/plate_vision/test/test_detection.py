@@ -362,8 +362,8 @@ def test_wrong_images_are_refused(image):
     ids=["three", "in line", "crossed", "nan", "tiny", "outside"],
 )
 def test_wrong_regions_are_refused(region):
-    with pytest.raises(ImageError, match=r"region_px: .*allowed: "):
-        detect(np.full((480, 640), 200, np.uint8), region_px=np.array(region))
+    with pytest.raises(ImageError, match=r"region: .*allowed: "):
+        detect(np.full((480, 640), 200, np.uint8), region=np.array(region))
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_vision.encodings import ENCODINGS, MOST_PIXELS, decode, decode_file
-from plate_vision.errors import ImageError
+from plate_vision import ImageError
+from plate_vision.camera import decode, decode_file
+from plate_vision.camera.encodings import ENCODINGS, MOST_PIXELS
 
 WIDTH, HEIGHT = 12, 8
 

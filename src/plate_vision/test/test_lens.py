@@ -9,9 +9,8 @@ import pytest
 
 from plate_core import load_rig
 from plate_core.rig import Lens
-from plate_vision import ImageError, Tracker, detect, look, make_vision
-from plate_vision.calibration import Lens as SeenLens
-from plate_vision.region import check_region, make_region
+from plate_vision import ImageError, Tracker, detect, make_region, make_vision, observe
+from plate_vision import Lens as SeenLens
 
 TURN = np.array([3.09, 0.006, 0.003])
 """Of plate_home in the camera's frame: rotation vector [rad]."""
@@ -70,7 +69,7 @@ def places():
 
 
 def errors(rig, image, position, label):
-    parts = look(make_vision(rig), Tracker(), image, 0.0).parts
+    parts = observe(make_vision(rig), Tracker(), image, 0.0).parts
     assert len(parts.ids) == len(position)
     nearest = np.argmin(np.linalg.norm(parts.position[:, None] - position, axis=2), axis=0)
     assert sorted(nearest.tolist()) == list(range(len(position)))
@@ -99,7 +98,7 @@ def test_the_lens_matters(rng):
     rig = rig_of("barrel")
     image = frame_of("barrel", places(), ["black"] * 40, rng)
     without = make_vision(replace(rig, camera=replace(rig.camera, lens=None)))
-    parts = look(without, Tracker(), image, 0.0).parts
+    parts = observe(without, Tracker(), image, 0.0).parts
     gap = np.linalg.norm(parts.position[:, None] - places(), axis=2).min(axis=1)
     assert gap.max() > 2e-3
 
@@ -118,20 +117,20 @@ def test_expected_size_holds_everywhere(name, rng):
     rig = rig_of(name)
     vision = make_vision(rig)
     image = frame_of(name, places(), ["black"] * 40, rng, noise=0)
-    found = detect(image, vision.options, vision.region_px, vision.size)
+    found = detect(image, vision.options, vision.region, vision.size)
     centre = np.stack([found["x_px"], found["y_px"]], axis=1)
     assert len(found) == 40
     assert np.allclose(
         found["radius_px"] / vision.options.radius_px, vision.size(centre), rtol=0.02
     )
     narrow = replace(vision.options, radius_tolerance=0.05)
-    assert len(detect(image, narrow, vision.region_px, vision.size)) == 40
+    assert len(detect(image, narrow, vision.region, vision.size)) == 40
 
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_region_follows_the_bent_edges(name):
     rig = rig_of(name)
-    region = make_region(480, 640, check_region(make_vision(rig).region_px))
+    region = make_vision(rig).region
     t = np.linspace(-0.999, 0.999, 101)[:, None]
     corners = rig.plate.corners
     bulge = 0.0
@@ -157,9 +156,9 @@ def test_camera_info_goes_before_the_rig_file():
 
 
 def test_wrong_edges_are_refused():
-    edges = np.array(make_vision(rig_of("mild")).region_px)
+    edges = make_vision(rig_of("mild")).region.outline_px.reshape(4, -1, 2).copy()
     edges[2, 3] = np.nan
-    with pytest.raises(ImageError, match="region_px: not all points are finite"):
-        detect(np.zeros((480, 640), np.uint8), region_px=edges)
-    with pytest.raises(ImageError, match="region_px: got"):
-        detect(np.zeros((480, 640), np.uint8), region_px=edges[:3])
+    with pytest.raises(ImageError, match="region: not all points are finite"):
+        make_region((640, 480), edges)
+    with pytest.raises(ImageError, match="region: got"):
+        make_region((640, 480), edges[:3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_vision import OptionError, Tracker, TrackerOptions, TrackError
-from plate_vision.tracking import step
+from plate_vision.tracking import update
 
 DT = 0.05
 
@@ -14,7 +14,7 @@ def follow(frames, options=None, dt=DT):
     tracker = Tracker(options or TrackerOptions())
     answers = []
     for k, (position, label) in enumerate(frames):
-        tracker = step(tracker, k * dt, np.array(position, float), label)
+        tracker = update(tracker, k * dt, np.array(position, float), label)
         answers.append(tracker.parts)
     return answers
 
@@ -55,7 +55,7 @@ def test_ids_stay_over_1000_frames(rng):
                 heading[i] += np.pi / 2
         order = rng.permutation(count)
         seen = position[order] + 1e-5 * rng.standard_normal((count, 2))
-        tracker = step(tracker, k * DT, seen, label[order])
+        tracker = update(tracker, k * DT, seen, label[order])
         parts = tracker.parts
         gap = np.linalg.norm(parts.position[:, None] - position[None], axis=2)
         assert gap.min(axis=1).max() < 1e-4
@@ -160,7 +160,7 @@ def test_ids_stay_when_a_crowd_is_missed_and_specks_come(rng):
         places = np.concatenate(
             [position[here] + 2e-5 * rng.standard_normal((len(here), 2)), specks]
         )
-        tracker = step(tracker, k * DT, places, ["grey"] * len(places))
+        tracker = update(tracker, k * DT, places, ["grey"] * len(places))
         for name, place in zip(tracker.parts.ids, tracker.parts.position, strict=True):
             true = int(np.argmin(np.linalg.norm(position - place, axis=1)))
             if np.linalg.norm(position[true] - place) < 1e-3:
@@ -186,24 +186,24 @@ def test_velocity_is_the_drift_over_the_last_frames(frames):
 def test_velocity_with_uneven_stamps():
     tracker = Tracker()
     for stamp in (10.0, 10.03, 10.2, 10.25):
-        tracker = step(tracker, stamp, [[0.02 * stamp, 0.0]], ["grey"])
+        tracker = update(tracker, stamp, [[0.02 * stamp, 0.0]], ["grey"])
         if stamp > 10:
             assert np.allclose(tracker.parts.velocity, [[0.02, 0]])
 
 
 def test_same_stamp_gives_the_same_answer():
-    tracker = step(Tracker(), 1.0, [[0.0, 0.0]], ["grey"])
-    tracker = step(tracker, 1.05, [[0.001, 0.0]], ["grey"])
-    again = step(tracker, 1.05, [[0.001, 0.0]], ["grey"])
+    tracker = update(Tracker(), 1.0, [[0.0, 0.0]], ["grey"])
+    tracker = update(tracker, 1.05, [[0.001, 0.0]], ["grey"])
+    again = update(tracker, 1.05, [[0.001, 0.0]], ["grey"])
     assert again is tracker
     assert again.parts.velocity.tolist() == tracker.parts.velocity.tolist() != [[0, 0]]
 
 
 def test_earlier_stamp_starts_anew():
-    tracker = step(Tracker(), 5.0, [[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
-    tracker = step(tracker, 5.05, [[0.1, 0.0]], ["grey"])
+    tracker = update(Tracker(), 5.0, [[0.0, 0.0], [0.1, 0.0]], ["grey", "grey"])
+    tracker = update(tracker, 5.05, [[0.1, 0.0]], ["grey"])
     assert tracker.parts.ids == ("grey_2",)
-    tracker = step(tracker, 0.05, [[0.1, 0.0]], ["grey"])
+    tracker = update(tracker, 0.05, [[0.1, 0.0]], ["grey"])
     assert tracker.parts.ids == ("grey_1",)
     assert tracker.parts.velocity.tolist() == [[0, 0]]
     assert len(tracker.tracks) == 1
@@ -211,9 +211,9 @@ def test_earlier_stamp_starts_anew():
 
 def test_a_step_leaves_the_old_state_as_it_was():
     position = np.array([[0.0, 0.0]])
-    first = step(Tracker(), 0.0, position, ["grey"])
+    first = update(Tracker(), 0.0, position, ["grey"])
     before = first.parts
-    step(first, DT, position + 0.01, ["grey"])
+    update(first, DT, position + 0.01, ["grey"])
     position += 1
     assert np.array_equal(first.parts.position, before.position)
     assert first.parts.ids == before.ids
@@ -221,9 +221,9 @@ def test_a_step_leaves_the_old_state_as_it_was():
 
 def test_a_long_pause_throws_nothing_away():
     """A part at rest is found again where it was, even though it drifted before."""
-    tracker = step(Tracker(), 0.0, [[0.0, 0.0]], ["grey"])
-    tracker = step(tracker, DT, [[0.0005, 0.0]], ["grey"])
-    tracker = step(tracker, 60.0, [[0.0005, 0.0]], ["grey"])
+    tracker = update(Tracker(), 0.0, [[0.0, 0.0]], ["grey"])
+    tracker = update(tracker, DT, [[0.0005, 0.0]], ["grey"])
+    tracker = update(tracker, 60.0, [[0.0005, 0.0]], ["grey"])
     assert tracker.parts.ids == ("grey_1",)
 
 
@@ -239,7 +239,7 @@ def test_a_long_pause_throws_nothing_away():
 )
 def test_wrong_measurements_are_refused(stamp, position, label):
     with pytest.raises(TrackError, match="allowed: "):
-        step(Tracker(), stamp, position, label)
+        update(Tracker(), stamp, position, label)
 
 
 @pytest.mark.parametrize(

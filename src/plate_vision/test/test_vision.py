@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import load_rig
-from plate_vision import DetectorOptions, ImageError, Tracker, look, make_vision
+from plate_vision import DetectorOptions, ImageError, Tracker, make_vision, observe
 from plate_vision.vision import three_discs
 
 DT = 0.05
@@ -18,7 +18,7 @@ def vision():
 def test_radius_and_region_come_from_the_rig(vision):
     rig = load_rig()
     assert vision.options.radius_px == pytest.approx(7.9, abs=0.1)  # 8 mm, 1 px is about 1 mm
-    assert np.allclose(vision.region_px, rig.camera.corners_px, rtol=0, atol=1e-9)
+    assert np.allclose(vision.region.outline_px, rig.camera.corners_px, rtol=0, atol=1e-9)
     assert make_vision(rig, DetectorOptions(threshold=0.7)).options.threshold == 0.7
 
 
@@ -33,7 +33,7 @@ def test_drifting_parts(vision, draw, rng):
     for k in range(6):
         position = start + drift * k * DT
         image = draw(vision.calibration.to_image(position), label, rng, radius=7.9)
-        tracker = look(vision, tracker, image, 100.0 + k * DT)
+        tracker = observe(vision, tracker, image, 100.0 + k * DT)
         parts = tracker.parts
         assert parts.ids == ids
         assert np.abs(parts.position - position[order]).max() < 5e-5
@@ -42,24 +42,24 @@ def test_drifting_parts(vision, draw, rng):
 
 
 def test_empty_and_dark_images_are_answered(vision, draw, rng):
-    tracker = look(vision, Tracker(), draw([], [], rng), 0.0)
+    tracker = observe(vision, Tracker(), draw([], [], rng), 0.0)
     assert tracker.parts.ids == ()
-    tracker = look(vision, tracker, np.zeros((480, 640), np.uint8), DT)
+    tracker = observe(vision, tracker, np.zeros((480, 640), np.uint8), DT)
     assert tracker.parts.ids == ()
 
 
 def test_same_frames_give_the_same_bits(vision, draw, rng):
     frame = draw([[100.0, 200.0], [116.0, 200.0]], ["black", "grey"], rng)
-    a, b = (look(vision, Tracker(), frame, 0.0).parts for _ in range(2))
+    a, b = (observe(vision, Tracker(), frame, 0.0).parts for _ in range(2))
     assert a.ids == b.ids
     assert a.position.tobytes() == b.position.tobytes()
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (640, 480), (481, 640, 3), (1, 1), (640,)])
 def test_another_size_is_refused(vision, draw, rng, shape):
-    tracker = look(vision, Tracker(), draw([], [], rng), 0.0)
+    tracker = observe(vision, Tracker(), draw([], [], rng), 0.0)
     with pytest.raises(ImageError, match=r"size is .* allowed: 640 x 480 px"):
-        look(vision, tracker, np.full(shape, 200, np.uint8), DT)
+        observe(vision, tracker, np.full(shape, 200, np.uint8), DT)
 
 
 def test_drift_of_still_parts_is_small(draw, rng):
@@ -69,7 +69,7 @@ def test_drift_of_still_parts_is_small(draw, rng):
     apart = [p for i, p in enumerate(place) if all(np.hypot(*(p - q)) > 25 for q in place[:i])][:10]
     for k in range(40):
         frame = draw(apart, ["black", "grey"] * 5, rng, radius=7.9)
-        tracker = look(vision, tracker, frame, k / 30)
+        tracker = observe(vision, tracker, frame, k / 30)
         drift.append(tracker.parts.velocity)
     drift = np.array(drift[1:])
     assert drift.shape == (39, 10, 2)
@@ -78,7 +78,7 @@ def test_drift_of_still_parts_is_small(draw, rng):
 
 
 def test_what_is_compiled_first_has_parts_that_touch_and_one_that_does_not(vision):
-    parts = look(vision, Tracker(), three_discs(vision), 0.0).parts
+    parts = observe(vision, Tracker(), three_discs(vision), 0.0).parts
     x = np.sort(parts.position[:, 0])
     radius = load_rig().parts.radius_m
     assert np.diff(x) == pytest.approx([2 * radius, 4 * radius], abs=0.15 * radius)

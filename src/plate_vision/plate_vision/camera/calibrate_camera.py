@@ -15,15 +15,13 @@ import numpy as np
 
 from plate_core import PlateError, load_rig
 
-from .boards import Board, draw_board, find_corners
-from .calibration import Lens, rig_lens
-from .camera_file import CameraFile, load_camera, save_camera
-from .drawing import draw_errors
-from .errors import CalibrationError
-from .fiducials import find_home
-from .lens_fit import LensFit, Sight, fit_lens
+from ..drawing import draw_errors
+from ..errors import CalibrationError
+from ..plate.home import find_home
+from .boards import Board, Corners, LensFit, draw_board, find_corners, fit_lens
+from .files import load_lens, read_pictures, save_lens
+from .lens import rig_lens
 from .markers import draw_marker
-from .pictures import read_pictures
 
 PRINT_DPI = 300
 """Resolution of what is printed [dots per inch]."""
@@ -87,27 +85,29 @@ def _make_board(args: argparse.Namespace) -> Board:
 
 def _lens(args: argparse.Namespace) -> None:
     board = _make_board(args)
-    sights: list[Sight] = []
+    seen: list[Corners] = []
     size_px = None
     for name, picture in read_pictures(args.pictures):
         here = (picture.shape[1], picture.shape[0])
         if size_px not in (None, here):
             raise CalibrationError(f"{name}: {here} px, allowed: {size_px} px as the one before")
         size_px = here
-        sight = find_corners(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
-        print(f"{name}: {0 if sight is None else len(sight[0])} of {len(board.corners)} corners")
-        if sight is not None:
-            sights.append(sight)
+        corners = find_corners(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), board)
+        print(
+            f"{name}: {0 if corners is None else len(corners[0])} of {len(board.corners)} corners"
+        )
+        if corners is not None:
+            seen.append(corners)
     if size_px is None:
         raise CalibrationError(f"{args.pictures}: no pictures in it, allowed: JPEG, PNG or a video")
-    fit = fit_lens(board, sights, size_px)
-    save_camera(args.out, CameraFile(args.name, size_px, fit.lens))
+    fit = fit_lens(board, seen, size_px)
+    save_lens(args.out, args.name, size_px, fit.lens)
     cv2.imwrite(str(args.errors), draw_errors(fit))
-    print(_told(fit))
+    print(_summary(fit))
     print(f"{args.out}: camera_info file; {args.errors}: errors of the corners")
 
 
-def _told(fit: LensFit) -> str:
+def _summary(fit: LensFit) -> str:
     matrix, spread = fit.lens.matrix, fit.deviation
     values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *fit.lens.distortion]
     names = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
@@ -150,7 +150,7 @@ def _home(args: argparse.Namespace) -> None:
     rig = load_rig(args.rig_file)
     if rig.fiducials is None:
         raise CalibrationError("rig file: fiducials are missing, allowed: a file with that section")
-    lens: Lens | None = rig_lens(rig) if args.camera is None else load_camera(args.camera).lens
+    lens = rig_lens(rig) if args.camera is None else load_lens(args.camera)
     corners = []
     for name, picture in read_pictures(args.pictures):
         calibration, error = find_home(picture, rig.fiducials, lens)

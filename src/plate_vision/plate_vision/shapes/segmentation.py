@@ -6,12 +6,10 @@ it as a compact, convex patch is a part, all brighter or all darker, whichever d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import cv2
 import numpy as np
 
-from .brightness import quadratic
+from ..plate.region import quadratic
 
 BORDER = 0.05
 """Width of the border that shows mostly background, as a share of the image's shorter side."""
@@ -62,60 +60,48 @@ ROUND = 0.95
 """From this 4 pi area / length2 on a hull is a disc: a regular octagon has 0.948."""
 
 
-@dataclass(frozen=True)
-class Outlines:
-    """Parts found by their outlines.
-
-    Attributes
-    ----------
-    centre : (n, 2)
-        Of the area, x, y [px].
-    radius : (n,)
-        Of the disc of the same area [px].
-    angle : (n,)
-        Of the longest side's direction [rad], 0 to pi, counter-clockwise as seen; 0 for discs.
-    contrast : (n,)
-        Difference from the background around it [grey levels], negative if darker.
-    background : (n,)
-        Grey levels behind it.
-    disc : (n,) bool
-        Whether it is round.
-    confidence : (n,)
-        0 to 1: how much of the hull is filled, less for little contrast.
-    """
-
-    centre: np.ndarray
-    radius: np.ndarray
-    angle: np.ndarray
-    contrast: np.ndarray
-    background: np.ndarray
-    disc: np.ndarray
-    confidence: np.ndarray
-
-    def select(self, index: np.ndarray) -> Outlines:
-        """Return some of the parts."""
-        return Outlines(*(getattr(self, f.name)[index] for f in fields(self)))
+OUTLINE = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("angle_rad", "f8"),
+        ("contrast", "f8"),
+        ("background", "f8"),
+        ("round", "?"),
+        ("confidence", "f8"),
+    ]
+)
+"""A part found by its outline: centre of its area [px]; radius of the disc of the same area [px];
+direction of the longest side, 0 to pi, counter-clockwise as seen, 0 for discs; difference from the
+background around it [grey levels], negative if darker; grey levels behind it; whether it is a disc;
+confidence, 0 to 1: how much of the hull is filled, less for little contrast."""
 
 
-def find_outlines(grey: np.ndarray) -> Outlines:
-    """Find compact, convex patches in an image (H, W) uint8 that differ from its background."""
+def find_outlines(grey: np.ndarray) -> np.ndarray:
+    """Find compact, convex patches (n,) OUTLINE in an image (H, W) uint8 that differ from its
+    background."""
     factor = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
     if factor > 1:
         size = (max(grey.shape[1] // factor, 1), max(grey.shape[0] // factor, 1))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX)
     learned = learn_background(smooth)
-    best: list[tuple[float, ...]] = []
-    behind = np.empty(0)
-    if learned is not None:
-        background, sigma = learned
-        both = [_of_sign(sign * (smooth - background), sigma, sign) for sign in (1.0, -1.0)]
-        best = max(both, key=_contrast)
-        behind = np.array([background[round(row[1]), round(row[0])] for row in best])
-    x, y, radius, angle, contrast, compact, confidence = np.array(best).reshape(-1, 7).T
+    if learned is None:
+        return np.empty(0, OUTLINE)
+    background, sigma = learned
+    both = [_of_sign(sign * (smooth - background), sigma, sign) for sign in (1.0, -1.0)]
+    # The higher contrast is that of parts, the lower that of shadows.
+    found = max(
+        both, key=lambda found: float(np.median(np.abs(found["contrast"]))) if len(found) else 0.0
+    )
+    column, row = np.rint([found["x_px"], found["y_px"]]).astype(int)
+    found["background"] = background[row, column]
     # The middle of the first pixel is 0 in the small image, and (factor - 1) / 2 in the large one.
-    centre = factor * np.stack([x, y], axis=1) + 0.5 * (factor - 1)
-    return Outlines(centre, factor * radius, angle, contrast, behind, compact > ROUND, confidence)
+    for name in ("x_px", "y_px"):
+        found[name] = factor * found[name] + 0.5 * (factor - 1)
+    found["radius_px"] *= factor
+    return found
 
 
 def learn_background(image: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -163,16 +149,16 @@ def _spread(values: np.ndarray) -> float:
     return max(1.4826 * float(np.median(np.abs(values))), MIN_SIGMA)
 
 
-def _of_sign(height: np.ndarray, sigma: float, sign: float) -> list[tuple[float, ...]]:
-    """Return x, y, radius, angle, contrast, compactness, confidence of patches of one sign.
+def _of_sign(height: np.ndarray, sigma: float, sign: float) -> np.ndarray:
+    """Return patches (n,) OUTLINE of one sign, the background left out.
 
     `height` (H, W) is how far the image rises above the background: positive for parts.
     """
     threshold = _otsu(np.maximum(height, 0))
     if threshold is None:
-        return []
+        return np.empty(0, OUTLINE)
     slopes = np.gradient(height)
-    found: list[tuple[float, ...]] = []
+    found: list[tuple[float | bool, ...]] = []
     for outline in _patches(height > threshold):
         shape = _shape(outline)
         if shape is None or shape[2] < SOLID[0] or _touches(outline, height.shape):
@@ -195,13 +181,8 @@ def _of_sign(height: np.ndarray, sigma: float, sign: float) -> list[tuple[float,
             continue
         angle = 0.0 if compact > ROUND else _angle(outline)
         confidence = solid * min(1.0, contrast / (2 * CONTRAST_SIGMA * sigma))
-        found.append((*centre, radius, angle, sign * contrast, compact, confidence))
-    return found
-
-
-def _contrast(found: list[tuple[float, ...]]) -> float:
-    """Return the middle contrast of what was found: that of parts is more than that of shadows."""
-    return float(np.median([abs(row[4]) for row in found])) if found else 0.0
+        found.append((*centre, radius, angle, sign * contrast, 0, compact > ROUND, confidence))
+    return np.array(found, OUTLINE)
 
 
 def _fall(slopes: list[np.ndarray], outline: np.ndarray, centre: tuple[float, float]) -> float:

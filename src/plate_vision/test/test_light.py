@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
-from plate_vision.brightness import bare, fit_brightness
-from plate_vision.region import check_region, make_region
+from plate_vision import make_region
+from plate_vision.plate import fit_light
+from plate_vision.plate.light import bare
 
 X_PX, Y_PX = np.meshgrid(np.arange(40, 600, 20), np.arange(110, 380, 20))
 
 
 @pytest.fixture
 def region(corners_px):
-    return make_region(480, 640, check_region(corners_px))
+    return make_region((640, 480), corners_px)
 
 
 def truth(x, y):
@@ -19,9 +20,9 @@ def truth(x, y):
     return 220 * (1 + 0.05 * (2 * x / 639 - 1) - 0.03 * (2 * y / 479 - 1))
 
 
-def seen(light):
+def seen(plate):
     """The fitted brightness at the same pixels."""
-    return np.vectorize(lambda x, y: bare(light, x, y))(X_PX, Y_PX)
+    return np.vectorize(lambda x, y: bare(plate.light, x, y))(X_PX, Y_PX)
 
 
 @pytest.mark.parametrize("count", [0, 100])
@@ -30,16 +31,16 @@ def test_parts_do_not_darken_the_plate(draw, region, rng, count):
     centre = np.stack([X_PX.ravel(), Y_PX.ravel()], axis=1)
     centre = centre[rng.permutation(len(centre))[:count]]
     frame = draw(centre, ["grey"] * count, rng)
-    light = fit_brightness(frame, region, 60)
-    assert np.abs(seen(light) - truth(X_PX, Y_PX)).max() < 0.6
+    plate = fit_light(frame, region, 60)
+    assert np.abs(seen(plate) - truth(X_PX, Y_PX)).max() < 0.6
 
 
 def test_the_room_does_not_darken_the_plate(draw, rng):
     """Also if nobody says where the plate is."""
-    light = fit_brightness(draw([], [], rng), make_region(480, 640, None), 60)
-    assert np.abs(seen(light) - truth(X_PX, Y_PX)).max() < 1.5
+    plate = fit_light(draw([], [], rng), make_region((640, 480)), 60)
+    assert np.abs(seen(plate) - truth(X_PX, Y_PX)).max() < 1.5
 
 
 def test_no_light_no_plate(draw, region, rng):
-    assert fit_brightness(draw([], [], rng, light=0.2), region, 60) is None
-    assert fit_brightness(np.zeros((480, 640), np.uint8), region, 0) is None
+    assert fit_light(draw([], [], rng, light=0.2), region, 60) is None
+    assert fit_light(np.zeros((480, 640), np.uint8), region, 0) is None

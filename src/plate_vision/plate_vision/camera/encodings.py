@@ -7,7 +7,7 @@ import struct
 import cv2
 import numpy as np
 
-from .errors import ImageError
+from ..errors import ImageError
 
 BAYER = {
     "bayer_rggb": cv2.COLOR_BayerBG2BGR,  # OpenCV's names are those of the second row and column
@@ -165,6 +165,25 @@ def decode_file(
         pixels = to_8_bits(pixels, bits)
     kind = ENCODINGS.get(form.split(";")[0].strip(), ("", 1))[0]
     return to_colour(pixels, kind) if kind in BAYER and pixels.ndim == 2 else pixels
+
+
+def grey_levels(image: np.ndarray) -> np.ndarray:
+    """Return the grey levels (H, W) of an image (H, W) or (H, W, 3) uint8: of colours the middle
+    channel, green in either order.
+
+    Raises
+    ------
+    ImageError
+        If the image is not uint8, or has another shape.
+    """
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
+    if image.ndim == 3 and image.shape[2] == 3:
+        image = image[:, :, 1]
+    if image.ndim != 2 or image.size == 0:
+        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+    return np.ascontiguousarray(image)
 
 
 def check_size(width: int, height: int) -> None:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .brightness import bare, solve
-from .measure import CORE, MIN_DARKNESS, RIM_PX, Discs
+from ..plate.light import LitPlate, bare, solve
+from .measure import CORE, DISC, MIN_DARKNESS, RIM_PX
 
 EDGE_PX = (0.4, 0.8, 3.0)
 """Least, first and greatest half width [px] of a disc's edge, where its cover rises from 0 to 1 as
@@ -34,47 +34,26 @@ SIZE = 5
 """Unknowns of a disc: x, y, radius, half width of the edge [px], darkness."""
 
 
-def fit_discs(
-    grey: np.ndarray,
-    light: np.ndarray,
-    usable: np.ndarray,
-    seeds: np.ndarray,
-    radius_px: float,
-) -> Discs:
-    """Measure discs, neighbours among them.
-
-    Parameters
-    ----------
-    grey : (H, W) uint8
-        Image [grey levels].
-    light : (9,)
-        The bare plate, of `fit_brightness`.
-    usable : (H, W) bool
-        Pixels that show the plate.
-    seeds : (n, 2)
-        First guesses of the centres [px].
-    radius_px : float
-        First guess of the radius [px].
-    """
+def fit_discs(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> np.ndarray:
+    """Measure discs (n,) DISC, neighbours among them, from first guesses of their centres (n, 2)
+    [px] and of the radius [px]."""
     state = np.empty((len(seeds), SIZE))
     state[:, :2], state[:, 2], state[:, 3] = seeds, radius_px, EDGE_PX[1]
-    misfit = _fit_all(grey, light, usable, state, radius_px)
-    count = len(seeds)
-    one, none = np.ones(count, bool), np.zeros(count)
-    return Discs(state[:, :2], state[:, 2], state[:, 4], misfit, one, none)
+    discs = np.zeros(len(seeds), DISC)
+    discs["misfit"] = _fit_all(plate, state, radius_px)
+    discs["x_px"], discs["y_px"], discs["radius_px"], _, discs["darkness"] = state.T
+    return discs
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fit_all(
-    grey: np.ndarray, light: np.ndarray, usable: np.ndarray, state: np.ndarray, radius: float
-) -> np.ndarray:
+def _fit_all(plate: LitPlate, state: np.ndarray, radius: float) -> np.ndarray:
     """Fit `state` (n, SIZE), a first guess but for the darkness; return misfits (n,)."""
     count = len(state)
     reach = int(np.ceil(radius + RIM_PX))
     pixels = np.empty((count, 3, (2 * reach + 1) ** 2), np.float32)  # x, y, darkness
     length = np.zeros(count, np.int64)
     for k in range(count):
-        length[k] = _gather(grey, light, usable, state[k, :2], radius, pixels[k])
+        length[k] = _gather(plate, state[k, :2], radius, pixels[k])
         state[k, 4] = _first_darkness(pixels[k], length[k], state[k], radius)
     seeds = state[:, :2].copy()
     near = (2 * radius + 2 * RIM_PX) ** 2
@@ -109,15 +88,9 @@ def _fit_all(
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _gather(
-    grey: np.ndarray,
-    light: np.ndarray,
-    usable: np.ndarray,
-    seed: np.ndarray,
-    radius: float,
-    pixels: np.ndarray,
-) -> int:
-    """List the usable pixels around a seed: x, y from it [px], darkness; return how many."""
+def _gather(plate: LitPlate, seed: np.ndarray, radius: float, pixels: np.ndarray) -> int:
+    """List the usable pixels around a seed: x, y [px], darkness; return how many."""
+    grey, light, usable = plate
     height, width = grey.shape
     x0, y0 = int(np.rint(seed[0])), int(np.rint(seed[1]))
     reach = int(np.ceil(radius + RIM_PX))

@@ -1,17 +1,14 @@
-"""The brightness of the bare plate: a smooth surface fitted to the pixels that show no part."""
+"""The light on the plate: its brightness where no part lies, a smooth surface; and what is wrong
+with it."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from .region import SEAM_PX, Region
-
-SAMPLES = 1200
-"""Pixels looked at, on a regular grid: the fitted surface is then good to 0.15 grey levels at
-2 levels of noise, and the fit takes a tenth of the detection of a hundred parts."""
+from .region import Region, Samples
 
 BRIGHT_PERCENTILE = 75.0
 """First guess of the plate's brightness: right as long as parts cover less than 3/4 of it."""
@@ -29,10 +26,40 @@ RIDGE = 1e-9
 MIN_SHARE = 0.1
 """Least share of the pixels looked at that must be plate."""
 
+DARK_SHARE, BURNT_SHARE = 95, 50
+"""Share of an image [%] below whose brightness there is too little light: a twentieth may be lamps
+and glare; or too much: a plate that is burnt out fills more than half of the image."""
+
+BURNT_GREY = 254
+"""Grey level from which a pixel may have been any brighter."""
+
+EVERY = 8
+"""Of the image every eighth row and column is looked at for these."""
+
+
+class LitPlate(NamedTuple):
+    """An image, and by what parts are told from the plate in it: what the kernels take.
+
+    Attributes
+    ----------
+    grey : (H, W) uint8
+        Grey levels.
+    light : (9,) float32
+        The bare plate's brightness, as `bare` takes it: a to f [grey levels] of
+        a + b u + c v + d u2 + e u v + f v2; the image point [px] where u = v = 0; one over the
+        length [px] of one unit of u and v.
+    usable : (H, W) bool
+        Pixels that show the plate, clear of its edge.
+    """
+
+    grey: np.ndarray
+    light: np.ndarray
+    usable: np.ndarray
+
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
-    """Brightness of the bare plate [grey levels] at a pixel; `light` is of `fit_brightness`."""
+    """Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`."""
     u = (np.float32(x_px) - light[6]) * light[8]
     v = (np.float32(y_px) - light[7]) * light[8]
     return (
@@ -42,8 +69,8 @@ def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
     )
 
 
-def fit_brightness(grey: np.ndarray, region: Region, min_grey: float) -> np.ndarray | None:
-    """Fit the bare plate's brightness: a + b u + c v + d u2 + e u v + f v2.
+def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:
+    """Fit the bare plate's brightness to the pixels of an image that show no part.
 
     Parameters
     ----------
@@ -56,23 +83,42 @@ def fit_brightness(grey: np.ndarray, region: Region, min_grey: float) -> np.ndar
 
     Returns
     -------
-    (9,) float32 or None
-        What `bare` takes: a to f [grey levels]; the image point [px] where u = v = 0; one over the
-        length [px] of one unit of u and v. None if there is no bright plate.
+    LitPlate or None
+        None if there is no bright plate.
     """
-    rows, columns, design, place = _samples(region)
-    if rows.size == 0:
+    samples = region.samples
+    surface = _fit(grey, samples, float(min_grey)) if len(samples.rows) else ()
+    if not len(surface):
         return None
-    coefficients = _fit(grey, rows, columns, design, float(min_grey))
-    return np.concatenate([coefficients, place]) if len(coefficients) else None
+    return LitPlate(grey, np.concatenate([surface, samples.place]), region.usable)
+
+
+def light_problem(image: np.ndarray, min_grey: float) -> str | None:
+    """Return what is wrong with the light of an image (H, W) or (H, W, 3) uint8, or None.
+
+    `min_grey` is the darkest plate that is believed [grey levels].
+    """
+    sample = image[::EVERY, ::EVERY]
+    grey = sample if sample.ndim == 2 else sample[:, :, 1]
+    bright, middle = np.percentile(grey, (DARK_SHARE, BURNT_SHARE))
+    if bright < min_grey:
+        return (
+            f"{DARK_SHARE} % of the image is darker than {bright:.0f} grey levels, allowed: "
+            f"a plate of {min_grey:g} at least (is the light on, the lens open?)"
+        )
+    if middle >= BURNT_GREY:
+        return (
+            f"half of the image is burnt out ({middle:.0f} grey levels), allowed: less than "
+            f"{BURNT_GREY} (expose for a shorter time)"
+        )
+    return None
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _fit(
-    grey: np.ndarray, rows: np.ndarray, columns: np.ndarray, design: np.ndarray, min_grey: float
-) -> np.ndarray:
-    """Return the coefficients (6,) of the surface through the plate's pixels among those looked at
-    (K,), `design` is (6, K); empty if there is no bright plate."""
+def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
+    """Return the coefficients (6,) of the surface through those of the samples that show the bare
+    plate; empty if there is no bright plate."""
+    rows, columns, design = samples.rows, samples.columns, samples.design
     count, nothing = len(rows), np.empty(0, np.float32)
     value, levels = np.empty(count, np.float32), np.zeros(256, np.int64)
     for i in range(count):
@@ -144,23 +190,3 @@ def solve(normal: np.ndarray, right: np.ndarray) -> None:
         for k in range(i + 1, size):
             right[i] -= normal[i, k] * right[k]
         right[i] /= normal[i, i]
-
-
-def quadratic(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the terms (n, 6) of a quadratic surface at places u, v (n,)."""
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
-
-
-@lru_cache(maxsize=16)
-def _samples(region: Region) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return rows (K,), columns (K,) and design (6, K) of the pixels looked at; then the last three
-    numbers of `fit_brightness`."""
-    x0, y0, x1, y1 = region.box
-    step = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / SAMPLES)))
-    rows, columns = np.mgrid[y0 + step // 2 : y1 : step, x0 + step // 2 : x1 : step]
-    inside = region.depth(columns, rows) >= SEAM_PX
-    rows, columns = rows[inside], columns[inside]
-    place = 0.5 * (x0 + x1), 0.5 * (y0 + y1), 2 / max(x1 - x0, y1 - y0)
-    u, v = (columns - place[0]) * place[2], (rows - place[1]) * place[2]
-    design = np.ascontiguousarray(quadratic(u, v).T.astype(np.float32))
-    return rows, columns, design, np.array(place, np.float32)

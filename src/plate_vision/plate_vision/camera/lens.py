@@ -7,18 +7,24 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plate_core import Rig
+from plate_core import PlateError, Rig
+from plate_core.rig import project
 
-from .errors import CalibrationError, ImageError
-from .region import check_quadrilateral
+from ..errors import CalibrationError
 
 MAX_CONDITION = 1e10
 """Condition number of a homography above which points cannot be mapped back: a useful camera has
 1e3 to 1e7, depending on the units."""
 
-LENS_PARAMETERS = (4, 5, 8)
-"""Numbers of distortion parameters that are understood: OpenCV's plumb bob (k1, k2, p1, p2[, k3])
-and rational polynomial (the same and k4, k5, k6)."""
+MIN_AREA_PX2 = 100.0
+"""Smallest plate in an image [px2]: below that no part of a useful size fits."""
+
+SLENDER = 1e-4
+"""Least area of four points of the plate, over their extent squared."""
+
+LENS_MODELS = {4: "plumb_bob", 5: "plumb_bob", 8: "rational_polynomial"}
+"""Distortion models of sensor_msgs/CameraInfo by their number of parameters: k1, k2, p1, p2[, k3];
+the rational polynomial has k4, k5, k6 too."""
 
 CORRECTIONS = 2
 """Times that what OpenCV's straightening leaves is taken off: each leaves a hundredth of it."""
@@ -53,16 +59,16 @@ class Lens:
                 "allowed: more than 0"
             )
         count = np.size(self.distortion)
-        if count not in LENS_PARAMETERS:
+        if count not in LENS_MODELS:
             raise CalibrationError(
-                f"lens distortion: {count} values, allowed: {', '.join(map(str, LENS_PARAMETERS))}"
+                f"lens distortion: {count} values, allowed: {', '.join(map(str, LENS_MODELS))}"
             )
         _finite(self.distortion, (count,), "lens distortion")
 
     def straighten(self, point_px: np.ndarray) -> np.ndarray:
         """Return where points (M, 2) [px] would be without distortion (M, 2) [px]."""
         point_px = _points(point_px)
-        if not len(point_px):
+        if not len(point_px) or not np.any(self.distortion):
             return point_px
         first = straight = self._unbend(point_px)
         for _ in range(CORRECTIONS):
@@ -99,7 +105,7 @@ class Calibration:
     home_from_image : (3, 3)
         Its inverse.
     lens : Lens, optional
-        If given, the homographies are those of the straightened image.
+        One that bends; the homographies are then those of the straightened image.
     """
 
     image_from_home: np.ndarray
@@ -110,11 +116,11 @@ class Calibration:
         """Map image points (M, 2) [px] to plate_home (M, 2) [m]."""
         if self.lens is not None:
             point_px = self.lens.straighten(point_px)
-        return _apply(self.home_from_image, point_px)
+        return project(self.home_from_image, point_px)
 
     def to_image(self, point: np.ndarray) -> np.ndarray:
         """Map points of plate_home (M, 2) [m] to the image (M, 2) [px]."""
-        straight = _apply(self.image_from_home, point)
+        straight = project(self.image_from_home, point)
         return straight if self.lens is None else self.lens.bend(straight)
 
     def disc_centres(self, point_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
@@ -179,22 +185,10 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
     CalibrationError
         If either four points are not the corners of a convex quadrilateral.
     """
-    corners = _finite(corners, (4, 2), "corners")
-    try:
-        corners_px = check_quadrilateral(np.asarray(corners_px, dtype=float), "corners_px")
-    except ImageError as error:
-        raise CalibrationError(str(error)) from None
-    # Of the plate only the shape matters: 1000 units across, the same check serves.
-    across = max(float(np.ptp(corners, axis=0).max()), 1e-9)
-    try:
-        check_quadrilateral((corners - corners.mean(axis=0)) * (1000 / across), "corners")
-    except ImageError:
-        raise CalibrationError(
-            f"corners: got {corners.tolist()} m, allowed: four corners in order around a convex "
-            "quadrilateral, no three of them in line"
-        ) from None
-    if lens is not None and not np.any(lens.distortion):
-        lens = None
+    corners_px = check_quadrilateral(corners_px, "corners_px", CalibrationError)
+    corners = np.asarray(corners, dtype=float)
+    least = SLENDER * float(np.max(np.ptp(corners, axis=0), initial=0)) ** 2
+    corners = check_quadrilateral(corners, "corners", CalibrationError, "m", least)
     if lens is not None:
         corners_px = lens.straighten(corners_px)
     rows, values = [], []
@@ -203,6 +197,41 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
         values += [u, v]
     solution = np.linalg.solve(np.array(rows), np.array(values))
     return calibrate_by_matrix(np.append(solution, 1.0).reshape(3, 3), lens)
+
+
+def check_quadrilateral(
+    polygon: np.ndarray,
+    name: str,
+    error: type[PlateError],
+    unit: str = "px",
+    least: float = MIN_AREA_PX2,
+) -> np.ndarray:
+    """Return a polygon (4, 2) if it is convex, and its area is no less than the least one.
+
+    Raises
+    ------
+    error
+        If not: the message says what is wrong.
+    """
+    polygon = np.asarray(polygon, dtype=float)
+    if polygon.shape != (4, 2) or not np.all(np.isfinite(polygon)):
+        raise error(f"{name}: got {polygon.tolist()}, allowed: four finite pairs (x, y) in {unit}")
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    turns = cross(sides, np.roll(sides, -1, axis=0))
+    if not (np.all(turns > 0) or np.all(turns < 0)):
+        raise error(
+            f"{name}: got {polygon.tolist()} {unit}, allowed: four corners in order around a "
+            "convex quadrilateral, no three of them in line"
+        )
+    area = 0.5 * abs(float(np.sum(cross(polygon, np.roll(polygon, -1, axis=0)))))
+    if area < least:
+        raise error(f"{name}: spans {area:.3g} {unit}2, allowed: at least {least:.3g} {unit}2")
+    return polygon
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the z components (n,) of the cross products of planar vectors (n, 2)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -> Calibration:
@@ -220,7 +249,8 @@ def calibrate_by_matrix(image_from_home: np.ndarray, lens: Lens | None = None) -
             f"homography: condition number is {condition:.3g}, allowed: below {MAX_CONDITION:g} "
             "(points could not be mapped back)"
         )
-    return Calibration(matrix, np.linalg.inv(matrix), lens)
+    bends = lens is not None and np.any(lens.distortion)
+    return Calibration(matrix, np.linalg.inv(matrix), lens if bends else None)
 
 
 def calibrate_by_rig(rig: Rig, lens: Lens | None = None) -> Calibration:
@@ -232,11 +262,6 @@ def rig_lens(rig: Rig) -> Lens | None:
     """Return the lens that the rig file gives, if it does."""
     lens = rig.camera.lens
     return None if lens is None else Lens(lens.matrix, np.array(lens.distortion))
-
-
-def _apply(matrix: np.ndarray, point: np.ndarray) -> np.ndarray:
-    mapped = _points(point) @ matrix[:, :2].T + matrix[:, 2]
-    return mapped[:, :2] / mapped[:, 2:]
 
 
 def _points(point: np.ndarray) -> np.ndarray:

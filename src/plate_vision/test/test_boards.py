@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from plate_vision import CalibrationError, Lens
-from plate_vision.boards import Board, draw_board, find_corners
-from plate_vision.lens_fit import fit_lens
+from plate_vision.camera import Board, draw_board, find_corners, fit_lens
 
 MATRIX = np.array([[620.0, 0, 331.0], [0, 610.0, 236.0], [0, 0, 1]])
 BENT = [-0.22, 0.06, 0.0008, -0.0006, 0.0]

@@ -11,7 +11,7 @@ from math import pi
 import numpy as np
 from numba import njit
 
-from .brightness import bare
+from ..plate.light import LitPlate, bare
 from .measure import CORE
 
 RADIUS = 0.3
@@ -39,24 +39,19 @@ ROUNDS = 4
 """Times that the centre is taken again, in the window round the last one."""
 
 
-def angles(mark: np.ndarray, disc: np.ndarray) -> np.ndarray:
+def mark_angles(mark: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Return the directions (n,) [rad, counter-clockwise as seen] of marks (n, 2) [px] from the
     centres (n, 2) [px] of their parts; 0 where the mark is NaN."""
-    dx, dy = (mark - disc).T
+    dx, dy = (mark - centre).T
     return np.nan_to_num(np.arctan2(-dy, dx))
 
 
-def paint_over(
-    grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius_px: float
-) -> tuple[np.ndarray, np.ndarray]:
+def paint_over(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> tuple[LitPlate, np.ndarray]:
     """Find marks, and paint them over.
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Image [grey levels].
-    light : (9,)
-        The bare plate, of `fit_brightness`.
+    plate : LitPlate
     seeds : (n, 2)
         Places within a pixel or two of the parts' centres [px].
     radius_px : float
@@ -64,23 +59,24 @@ def paint_over(
 
     Returns
     -------
-    grey : (H, W) uint8
-        The image as if the parts had no marks; the same one if they have none.
-    mark : (n, 2)
+    LitPlate
+        As if the parts had no marks; the same one if they have none.
+    (n, 2)
         Centres of the marks, x, y [px]; NaN for a part without one.
     """
     found, level = np.full((len(seeds), 2), np.nan), np.zeros((len(seeds), 2))
-    _find(grey, light, seeds, float(radius_px), found, level)
+    _find(plate, seeds, float(radius_px), found, level)
     marked = np.isfinite(found[:, 0])
     if np.any(marked):
-        grey = grey.copy()
-        _paint(grey, found[marked], level[marked], REACH * RADIUS * radius_px)
-    return grey, found
+        plate = plate._replace(grey=plate.grey.copy())
+        _paint(plate.grey, found[marked], level[marked], REACH * RADIUS * radius_px)
+    return plate, found
 
 
 @njit(cache=True, error_model="numpy")
-def _find(grey, light, seeds, radius, found, level):
+def _find(plate, seeds, radius, found, level):
     """Fill the places of marks (n, 2) [px], and the grey of their parts and their contrasts."""
+    grey, light, _ = plate
     height, width = grey.shape
     mark = RADIUS * radius
     reach = REACH * mark
@@ -96,13 +92,13 @@ def _find(grey, light, seeds, radius, found, level):
                     count += 1
         if count == 0:
             continue
-        plate, darkest, lightest = bare(light, u, v), np.min(core[:count]), np.max(core[:count])
-        if lightest - darkest < CONTRAST * (plate - lightest):
+        empty, darkest, lightest = bare(light, u, v), np.min(core[:count]), np.max(core[:count])
+        if lightest - darkest < CONTRAST * (empty - lightest):
             continue  # whatever the median is
         part = np.median(core[:count])
         darkest, lightest = darkest - part, lightest - part
         contrast = lightest if lightest > -darkest else darkest
-        if abs(contrast) < CONTRAST * (plate - part):
+        if abs(contrast) < CONTRAST * (empty - part):
             continue
         x, y, mass = 0.0, 0.0, 0.0
         for turn in range(ROUNDS):

@@ -5,12 +5,10 @@ Darkness is 1 - grey / bare plate: 0 on the plate, the same all over a part what
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-
 import numpy as np
 from numba import njit
 
-from .brightness import bare
+from ..plate.light import LitPlate, bare
 
 RIM_PX = 3.0
 """Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
@@ -34,48 +32,23 @@ levels. Otherwise the empty rim of the window would make the centre's error half
 MIN_DARKNESS = 0.05
 """Darkness below which a fitted disc is a shadow, no part; keeps the division by it harmless."""
 
-
-@dataclass(frozen=True)
-class Discs:
-    """Measured discs.
-
-    Attributes
-    ----------
-    centre : (n, 2)
-        x, y [px].
-    radius : (n,)
-        Of the disc of the same darkness and area [px].
-    darkness : (n,)
-        1 - grey / bare plate, mean over the inner part.
-    misfit : (n,)
-        How far from an evenly dark disc: 0 for a perfect one, about 1 for something else.
-    fitted : (n,) bool
-        Whether measured by a fit, not by moments.
-    angle : (n,)
-        Of its mark [rad], counter-clockwise as seen; 0 without one.
-    """
-
-    centre: np.ndarray
-    radius: np.ndarray
-    darkness: np.ndarray
-    misfit: np.ndarray
-    fitted: np.ndarray
-    angle: np.ndarray
-
-    def select(self, index: np.ndarray) -> Discs:
-        """Return some of the discs."""
-        return Discs(*(getattr(self, f.name)[index] for f in fields(self)))
-
-    def join(self, other: Discs) -> Discs:
-        """Return these and the others."""
-        return Discs(
-            *(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
-        )
+DISC = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("darkness", "f8"),
+        ("misfit", "f8"),
+    ]
+)
+"""A measured disc: centre; radius, that of a disc of the same darkness and area; mean darkness of
+its inner part; how far it is from an evenly dark disc: 0 for a perfect one, about 1 for something
+else."""
 
 
 def measure_alone(
-    grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius_px: float
-) -> tuple[Discs, np.ndarray]:
+    plate: LitPlate, seeds: np.ndarray, radius_px: float, alone: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Measure discs that have their surroundings to themselves, by moments of darkness.
 
     With m the darkness and d the distance from the centre, a disc of radius r has
@@ -83,32 +56,37 @@ def measure_alone(
 
     Parameters
     ----------
-    grey : (H, W) uint8
-        Image [grey levels].
-    light : (9,)
-        The bare plate, of `fit_brightness`.
+    plate : LitPlate
     seeds : (n, 2)
         First guesses of the centres [px].
     radius_px : float
         First guess of the radius [px].
+    alone : (n,) bool
+        Which to measure: those with no other near.
 
     Returns
     -------
-    Discs
+    (n,) DISC
     (n,) bool
-        Whether there is something else beside it, or the image's border: the measurement is then
-        wrong.
+        Which of them are right: there is nothing else beside them, nor the image's border.
     """
-    row = _moments(grey, light, np.rint(seeds).astype(np.int64), radius_px)
-    fitted, angle = np.zeros(len(seeds), bool), np.zeros(len(seeds))
-    discs = Discs(row[:, :2], row[:, 2], row[:, 3], row[:, 4], fitted, angle)
-    return discs, row[:, 5] > RIM_DIRT_PX2 * discs.darkness
+    discs, dirt = np.zeros(len(seeds), DISC), np.full(len(seeds), np.inf)
+    _moments(plate, np.rint(seeds).astype(np.int64), radius_px, alone, discs, dirt)
+    return discs, dirt <= RIM_DIRT_PX2 * discs["darkness"]
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _moments(grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius: float) -> np.ndarray:
-    """Return x, y, radius [px], darkness, misfit, and the dark area [px2] of the rim, infinite at
-    the image's border: (n, 6), from round windows at seeds (n, 2)."""
+def _moments(
+    plate: LitPlate,
+    seeds: np.ndarray,
+    radius: float,
+    alone: np.ndarray,
+    discs: np.ndarray,
+    dirt: np.ndarray,
+) -> None:
+    """Fill discs (n,) that are alone from round windows at seeds (n, 2), and the dark area (n,)
+    [px2] in the rims of the windows; leave those at the image's border as they are."""
+    grey, light, _ = plate
     height, width = grey.shape
     reach = int(radius + RIM_PX)
     side = np.arange(-reach, reach + 1)
@@ -124,11 +102,9 @@ def _moments(grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius: flo
     outer, clear = np.float32((radius + RIM_PX) ** 2), np.float32((radius + RIM_CLEAR_PX) ** 2)
     core, noise, zero = np.float32((CORE * radius) ** 2), np.float32(NOISE), np.float32(0)
     level = np.empty(size, np.float32)
-    rows = np.zeros((len(seeds), 6))
-    rows[:, 5] = np.inf
     for k in range(len(seeds)):
         x0, y0 = seeds[k]
-        if min(x0, y0) < reach or x0 + reach >= width or y0 + reach >= height:
+        if not alone[k] or min(x0, y0) < reach or x0 + reach >= width or y0 + reach >= height:
             continue
         i = 0
         for row in range(y0 - reach, y0 + reach + 1):
@@ -154,9 +130,9 @@ def _moments(grey: np.ndarray, light: np.ndarray, seeds: np.ndarray, radius: flo
         darkness = max(inner / pixels, np.float32(MIN_DARKNESS))
         area = mass / (np.pi * darkness)
         misfit = abs(2 * (wide / mass - right**2 - down**2) / area - 1)
-        rows[k, 0], rows[k, 1], rows[k, 2] = x0 + right, y0 + down, np.sqrt(area)
-        rows[k, 3], rows[k, 4], rows[k, 5] = darkness, misfit, rim
-    return rows
+        disc = discs[k]
+        disc.x_px, disc.y_px, disc.radius_px = x0 + right, y0 + down, np.sqrt(area)
+        disc.darkness, disc.misfit, dirt[k] = darkness, misfit, rim
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,13 +1,15 @@
-"""Chessboards and ChArUco boards: drawn, and their corners found in pictures."""
+"""Chessboards and ChArUco boards: drawn, found in pictures, and a camera's lens from those."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from .errors import CalibrationError
+from ..errors import CalibrationError
+from .lens import Lens
 from .markers import draw_marker, find_markers
 
 REFINE_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
@@ -25,6 +27,20 @@ LEAST_CORNERS = 6
 NEAR = 4
 """Markers from whose corners the place of one between them is predicted, so that a lens that bends
 is no matter."""
+
+
+LEAST_PICTURES = 5
+"""Pictures that are needed: three tell K in principle, in noise more are wanted."""
+
+WORST_ERROR_PX = 1.0
+"""Root mean square of the errors above which a lens is refused: good pictures leave 0.1 to 0.3."""
+
+LEAST_COVER = 0.5
+"""Share of the image's width and height that the corners of all pictures should span: beyond them
+the lens is a guess."""
+
+Corners = tuple[np.ndarray, np.ndarray]
+"""Of one picture: which (n,) of a board's corners are seen, and where (n, 2) [px]."""
 
 
 @dataclass(frozen=True)
@@ -157,15 +173,112 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
-    room = side * (REFINE_SHARE if board.marker_m == 0 else _room(board))
-    window = round(float(np.clip(room, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
+    reach = side * (REFINE_SHARE if board.marker_m == 0 else _clear_width(board))
+    window = round(float(np.clip(reach, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
     refined = cv2.cornerSubPix(
         grey, points.reshape(-1, 1, 2), (window, window), (-1, -1), REFINE_STEPS
     )
     return np.asarray(refined, dtype=float).reshape(-1, 2)
 
 
-def _room(board: Board) -> float:
+def _clear_width(board: Board) -> float:
     """Width of the white between corners and markers, over a square's side: no marker may be seen
     in the window."""
     return min(REFINE_SHARE, 0.5 * (1 - board.marker_m / board.square_m))
+
+
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """The result.
+
+    Attributes
+    ----------
+    lens : Lens
+        With k1, k2, p1, p2, k3.
+    size_px : (int, int)
+        Width and height of the pictures.
+    error_px : float
+        Root mean square distance of corners from where the lens has them.
+    errors : tuple of (n, 2)
+        By picture: corners seen less computed [px].
+    corners : tuple
+        By picture: which corners, and where they are seen [px].
+    deviation : (9,)
+        Standard deviations of fx, fy, cx, cy [px], k1, k2, p1, p2, k3 that the errors entail.
+    cover : (float, float)
+        Share of the image's width and height that the corners span.
+    """
+
+    lens: Lens
+    size_px: tuple[int, int]
+    error_px: float
+    errors: tuple[np.ndarray, ...]
+    corners: tuple[Corners, ...]
+    deviation: np.ndarray
+    cover: tuple[float, float]
+
+    @property
+    def warning(self) -> str | None:
+        """What should be done better, or None."""
+        if min(self.cover) < LEAST_COVER:
+            return (
+                f"the board was seen in {self.cover[0]:.0%} of the width and {self.cover[1]:.0%} "
+                f"of the height, better: {LEAST_COVER:.0%} or more (hold it into the corners)"
+            )
+        return None
+
+
+def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) -> LensFit:
+    """Find the lens from what was seen of a board.
+
+    Parameters
+    ----------
+    board : Board
+    seen : sequence of Corners
+        By picture.
+    size_px : (int, int)
+        Width and height of the pictures.
+
+    Raises
+    ------
+    CalibrationError
+        If there are too few pictures, they do not tell the lens, or do not agree.
+    """
+    if len(seen) < LEAST_PICTURES:
+        raise CalibrationError(
+            f"board seen in {len(seen)} pictures, allowed: at least {LEAST_PICTURES}, from "
+            "different sides (is the number of squares right?)"
+        )
+    corners = np.column_stack([board.corners, np.zeros(len(board.corners))]).astype(np.float32)
+    points = [corners[which] for which, _ in seen]
+    places = [np.asarray(place, dtype=np.float32).reshape(-1, 1, 2) for _, place in seen]
+    try:
+        answer = cv2.calibrateCameraExtended(points, places, size_px, np.eye(3), np.zeros(5))
+    except cv2.error as error:
+        raise CalibrationError(
+            f"no lens fits what was seen ({error.err}), allowed: boards seen from different sides"
+        ) from None
+    _, matrix, bend, turns, moves, deviation = answer[:6]
+    bend = np.ravel(bend)[:5]
+    errors = tuple(
+        place - cv2.projectPoints(point, turn, move, matrix, bend)[0].reshape(-1, 2)
+        for point, (_, place), turn, move in zip(points, seen, turns, moves, strict=True)
+    )
+    everything = np.concatenate(errors)
+    error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
+    spread = np.ravel(deviation)[:9]
+    if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
+        raise CalibrationError(
+            f"corners are {error_px:.3g} px from where the lens has them, allowed: "
+            f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers right?)"
+        )
+    if spread[0] > 0.05 * matrix[0, 0]:
+        raise CalibrationError(
+            f"focal length is {matrix[0, 0]:.0f} +- {spread[0]:.0f} px, allowed: 5 % (tilt the "
+            "board against the camera, by 20 to 40 degrees, to all sides)"
+        )
+    width, height = np.ptp(np.concatenate([place for _, place in seen]), axis=0) / size_px
+    return LensFit(
+        Lens(np.asarray(matrix, dtype=float), bend.astype(float)), size_px, error_px, errors,
+        tuple(seen), spread, (float(width), float(height)),
+    )  # fmt: skip

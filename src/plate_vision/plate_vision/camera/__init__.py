@@ -1,0 +1,43 @@
+"""The camera: pixels of any encoding, its lens, boards and markers to find that, and its files.
+
+Others use the names below; `calibrate_camera` is the program `calibrate`.
+"""
+
+from .boards import Board, LensFit, draw_board, find_corners, fit_lens
+from .encodings import decode, decode_file, grey_levels
+from .files import load_lens, read_pictures, rig_of_picture, save_lens
+from .lens import (
+    LENS_MODELS,
+    Calibration,
+    Lens,
+    calibrate,
+    calibrate_by_matrix,
+    calibrate_by_rig,
+    rig_lens,
+)
+from .markers import draw_marker, find_markers, square_corners
+
+__all__ = [
+    "LENS_MODELS",
+    "Board",
+    "Calibration",
+    "Lens",
+    "LensFit",
+    "calibrate",
+    "calibrate_by_matrix",
+    "calibrate_by_rig",
+    "decode",
+    "decode_file",
+    "draw_board",
+    "draw_marker",
+    "find_corners",
+    "find_markers",
+    "fit_lens",
+    "grey_levels",
+    "load_lens",
+    "read_pictures",
+    "rig_lens",
+    "rig_of_picture",
+    "save_lens",
+    "square_corners",
+]
