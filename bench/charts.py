@@ -9,24 +9,20 @@ rests on has changed, or it was a quick one and --quick is not given.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from chart import Chart, Data
-from charts_forces import force_map, inversion, learning, rotations
-from charts_loop import control, tracking
-from charts_solver import options, solver, steering
-from charts_stability import STABILITY
-from charts_world import cost, sim, vision
-from digest import code_of
-from harness import ROOT, optional
-from plot import save_picture
-from results import FOLDER, write_results
-from run import MEASUREMENTS, run_all
-
+from harness import ROOT, is_done, optional, read, run_all
 from plate_core import PlateError
+from report.chart import Chart, Data
+from report.forces import force_map, inversion, learning, rotations
+from report.loop import control, tracking
+from report.plot import save_picture
+from report.results import FOLDER, write_results
+from report.solver import options, solver, steering
+from report.stability import STABILITY
+from report.world import cost, sim, vision
 
 CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (force_map, ("force_map",)),
@@ -82,7 +78,7 @@ def made(data: Data) -> Iterator[Chart]:
 
 def draw(charts: list[Chart], data: Data, docs: Path, page: Path) -> None:
     """Write pictures and tables, the text that shows them, and the page."""
-    from report import csv_text, write_report  # needs plotly
+    from report.page import csv_text, write_report  # needs plotly
 
     folder = docs / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -92,22 +88,6 @@ def draw(charts: list[Chart], data: Data, docs: Path, page: Path) -> None:
     write_results(docs / "results.md", data, charts)
     write_report(page, data, charts)
     print(f"{docs / 'results.md'}\n{page}")
-
-
-def is_done(folder: Path, name: str, quick: bool) -> bool:
-    """Whether a measurement is there, at least as thorough as wanted, of the code as it is."""
-    there = read(folder, [name]).get(name)
-    return there is not None and there["quick"] <= quick and there.get("code") == code_of(name)
-
-
-def read(folder: Path, names: list[str] | None = None) -> Data:
-    """Read measurements that are there."""
-    files = {name: folder / f"{name}.json" for name in names or MEASUREMENTS}
-    return {
-        name: json.loads(path.read_text(encoding="utf-8"))
-        for name, path in files.items()
-        if path.exists()
-    }
 
 
 def arguments() -> argparse.Namespace:

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from loop import Setup, summary, with_settings
-from spread import cluster, processes, spread
 
+from harness import cluster, parallel, processes
+from harness.loop import Setup, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
 
@@ -54,7 +54,7 @@ def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[d
         return
     place = processes(args.workers) if args.scheduler is None else cluster(args.scheduler)
     with place as pool:
-        yield from spread(pool, summary, [(setup, rig) for setup in setups], _note)
+        yield from parallel(pool, summary, [(setup, rig) for setup in setups], _note)
 
 
 def _note(text: str) -> None:
@@ -129,7 +129,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--workers", type=int, default=1, help="processes (1)")
-    place.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: see spread.py")
+    place.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: harness/pool.py")
     args = parser.parse_args()
     if args.workers < 1:
         parser.error(f"--workers is {args.workers}, allowed: 1 or more")

@@ -15,11 +15,11 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from harness import ROOT
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from harness import ROOT
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_sim.bodies import run_bodies

@@ -58,7 +58,7 @@ def shaking() -> PlateCycle:
 @pytest.fixture(name="port_of")
 def _port_of(monkeypatch):
     monkeypatch.syspath_prepend(BENCH)
-    from serial_loop import opened
+    from harness.serial import opened
 
     yield opened
     for name in ("loop", "serial_loop", "serial_watch"):

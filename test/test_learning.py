@@ -13,7 +13,7 @@ from plate_driver.motor_table import prepare
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 
-from measure_learning import Plate, error, hung, wanted
+from stages.learning import Plate, error, hung, wanted
 
 RIG = load_rig()
 HUNG = hung(RIG)

@@ -17,7 +17,7 @@ from PIL import Image
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 sys.path.insert(0, str(BENCH))
 
-from chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front  # noqa: E402
+from report.chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front  # noqa: E402
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -99,7 +99,7 @@ def chart():
 def every_kind(chart, tmp_path_factory):
     """A page with that chart."""
     pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
-    from report import write_report
+    from report.page import write_report
 
     path = tmp_path_factory.mktemp("page") / "index.html"
     write_report(path, {}, [chart])
@@ -181,7 +181,7 @@ def test_a_page_that_cannot_draw_is_noticed(every_kind):
 
 
 def test_every_kind_of_panel_is_drawn_as_a_picture(chart, tmp_path):
-    from plot import save_picture
+    from report.plot import save_picture
 
     save_picture(chart, tmp_path / "one.png")
     with Image.open(tmp_path / "one.png") as picture:
@@ -211,7 +211,7 @@ def test_every_chart_has_a_picture_and_its_rows(drawn):
 
 
 def test_a_measurement_that_is_there_is_not_made_again(drawn):
-    from charts import is_done
+    from harness import is_done
 
     assert is_done(drawn / "bench", QUICK, quick=True)
     assert not is_done(drawn / "bench", QUICK, quick=False)

@@ -24,8 +24,8 @@ TASK = {
 @pytest.fixture(name="bench")
 def _bench(monkeypatch):
     monkeypatch.syspath_prepend(BENCH)
-    import loop
-    import serial_loop
+    from harness import loop
+    from harness import serial as serial_loop
 
     yield loop, serial_loop
     for name in ("loop", "serial_line", "serial_loop", "serial_watch"):
@@ -57,7 +57,7 @@ def test_the_task_goes_on(bench, tmp_path, trouble, event):
 
 
 def verdict(*setpoints):
-    from serial_watch import Watch
+    from harness.judge import Watch
 
     watch = Watch(load_rig())
     for k, at in enumerate(setpoints):
@@ -101,11 +101,10 @@ def test_the_judge_sees_a_jump(bench):
 def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(bench):
     """It is not silent for so long that the link fails: the device alone has noticed."""
     _, serial_loop = bench
-    from serial_line import shaking
-
     from plate_core.serial_protocol import Fault, State
     from plate_driver.serial_transport import SerialTransport
     from plate_sim.device import DeviceLimits, Emulator
+    from stages.upload import shaking
 
     emulator = Emulator(DeviceLimits.of_rig(load_rig()))
     host = [0.0]  # its clock stands still while it is held up

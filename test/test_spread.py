@@ -3,6 +3,7 @@
 import pickle
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,9 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 @pytest.fixture(name="module")
 def _module(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCH))
-    import spread
+    from harness import pool
 
-    return spread
+    return pool
 
 
 def late(seconds, value):
@@ -34,7 +35,7 @@ class Nobody(Executor):
 
     def submit(self, *_):
         future = Future()
-        future.set_exception(ModuleNotFoundError("No module named 'loop'"))
+        future.set_exception(ModuleNotFoundError("No module named 'harness'"))
         return future
 
 
@@ -49,7 +50,7 @@ def test_results_come_in_order_whoever_is_first(module):
     notes = []
     work = [(0.2, "a"), (0.0, "b"), (0.1, "c"), (0.0, "d")]
     with ThreadPoolExecutor(4) as pool:
-        results = list(module.spread(pool, late, work, notes.append))
+        results = list(module.parallel(pool, late, work, notes.append))
     assert results == ["a", "b", "c", "d"]
     assert [note.split(" in ")[0] for note in notes] == [f"{i} of 4 done" for i in (1, 2, 3, 4)]
     assert notes[-1].endswith("about 0 s left")
@@ -57,24 +58,26 @@ def test_results_come_in_order_whoever_is_first(module):
 
 def test_a_refused_run_is_told_and_ends_the_work(module):
     with ThreadPoolExecutor(1) as pool:
-        results = module.spread(pool, late, [(0.0, 1)], [].append)
+        results = module.parallel(pool, late, [(0.0, 1)], [].append)
         assert list(results) == [1]
         with pytest.raises(PlateError, match="run 0 refused"):
-            list(module.spread(pool, refuse, [(0.0, i) for i in range(9)], [].append))
+            list(module.parallel(pool, refuse, [(0.0, i) for i in range(9)], [].append))
 
 
 def test_what_is_left_is_not_started_when_nobody_wants_it(module):
     started = []
     with ThreadPoolExecutor(1) as pool:
         work = [(0.01, i) for i in range(50)]
-        results = module.spread(pool, lambda s, i: started.append(late(s, i)), work, [].append)
+        results = module.parallel(pool, lambda s, i: started.append(late(s, i)), work, [].append)
         next(results)
         results.close()
     assert 1 <= len(started) < 50
 
 
 def test_an_interrupted_measurement_goes_on(module, tmp_path):
-    started, path, work = [], tmp_path / "runs.jsonl", [(i,) for i in range(5)]
+    from harness import Cache
+
+    started, path, work = [], tmp_path / "runs.jsonl", {str(i): (i,) for i in range(5)}
 
     def run(i):
         if i == 3 and len(started) < 5:
@@ -84,22 +87,21 @@ def test_an_interrupted_measurement_goes_on(module, tmp_path):
 
     with ThreadPoolExecutor(1) as pool:
         with pytest.raises(PlateError, match="interrupted"):
-            list(module.resumed(pool, run, work, path))
+            module.resumed(pool, run, work, Cache(path, "code"))
         assert len(path.read_text().splitlines()) == 3
         started[:] = [None] * 5
-        rows = list(module.resumed(pool, run, work, path))
+        rows = module.resumed(pool, run, work, Cache(path, "code"))
         assert started[5:] == [3, 4]
         assert rows == [{"value": i / 3} for i in range(5)]
-        # Of other code nothing counts.
-        list(module.resumed(pool, run, work[:1], path, ("harness",)))
+        module.resumed(pool, run, {"0": (0,)}, Cache(path, "other code"))
         assert started[5:] == [3, 4, 0]
 
 
 def test_workers_without_our_code_are_told_of(module):
     with pytest.raises(
-        PlateError, match=r"lack code \(No module named 'loop'\), expected: the same"
+        PlateError, match=r"lack code \(No module named 'harness'\), expected: the same"
     ):
-        list(module.spread(Nobody(), late, [(0.0, 1)], [].append))
+        list(module.parallel(Nobody(), late, [(0.0, 1)], [].append))
 
 
 def test_a_worker_with_other_code_refuses(module):
@@ -111,23 +113,29 @@ def test_a_worker_with_other_code_refuses(module):
         module._checked("sources 0", (late, (0.0, 5)))
 
 
-def test_the_fingerprint_is_that_of_the_sources(module, monkeypatch, tmp_path):
-    for name in module.SOURCES:
+def test_the_digest_is_that_of_the_sources(module, monkeypatch, tmp_path):
+    from harness import cache
+
+    for name in cache.PACKAGES:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"NAME = {name!r}\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(module, "find_spec", _fresh(tmp_path))
+    # Also those that have been imported from elsewhere.
+    found = lambda name: PathFinder.find_spec(name, [str(tmp_path)])  # noqa: E731
+    monkeypatch.setattr(cache, "find_spec", found)
     marks = []
     for text in ("X = 1\n", "X = 1\n", "X = 2\n"):
         (tmp_path / "plate_sim" / "part.py").write_text(text)
-        module.fingerprint.cache_clear()
+        cache.code_of.cache_clear()
+        cache.code_of_packages.cache_clear()
         marks.append(module.fingerprint())
-    module.fingerprint.cache_clear()
+    cache.code_of.cache_clear()
+    cache.code_of_packages.cache_clear()
     assert marks[0] == marks[1] != marks[2]
 
 
-def _fresh(folder):
-    """Find modules in a folder, also those that have been imported from elsewhere."""
-    from importlib.machinery import PathFinder
+def test_a_module_depends_on_what_it_imports(module):
+    from harness.cache import own_files
 
-    return lambda name: PathFinder.find_spec(name, [str(folder)])
+    names = {"/".join(path.parts[-2:]) for path in own_files("tasks.control")}
+    assert {"tasks/control.py", "tasks/runs.py", "harness/loop.py"} <= names
+    assert "tasks/serial.py" not in names

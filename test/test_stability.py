@@ -11,16 +11,12 @@ from plate_solver.library import Library
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 
-import map_gamma
-import map_harmonics
-import map_latency
-import map_separation
-import map_stick
-import map_suspension
-from chart import Panel
-from charts_stability import chart_of
-from measure_stability import MAPS, cells, grids, nearness, sample
-from stability_map import Grid, StabilityMap, crossing
+from harness import Cache
+from maps import gamma, harmonics, latency, separation, stick, suspension
+from maps.grid import Grid, StabilityMap, crossing
+from maps.stability import MAPS, cells, grids, nearness, sample
+from report.chart import Panel
+from report.stability import chart_of
 
 
 @pytest.fixture(scope="module")
@@ -37,79 +33,79 @@ def test_crossing_is_where_a_line_passes_the_level():
 @pytest.mark.parametrize("grid", [(12, 6), (24, 13), (48, 26)])
 def test_two_parts_are_parted_down_to_the_spacing_of_centres(rig, grid):
     library = Library.around(rig.plate.half, *grid)
-    predicted = map_separation.least_separation(rig, grid[0] * grid[1])
-    separation = predicted * np.geomspace(0.5, 2, 7)
-    force = [map_separation.guaranteed(rig, library, d, 8) for d in separation]
-    observed = crossing(separation.tolist(), force, map_separation.LEVEL)
+    predicted = separation.least_separation(rig, grid[0] * grid[1])
+    distance = predicted * np.geomspace(0.5, 2, 7)
+    force = [separation.guaranteed(rig, library, d, 8) for d in distance]
+    observed = crossing(distance.tolist(), force, separation.LEVEL)
     assert observed == pytest.approx(predicted, rel=0.25)
     assert force[0] == pytest.approx(force[2] / np.sqrt(2.52), rel=0.3)  # falls with the distance
 
 
-@pytest.mark.parametrize("harmonics", [2, 3])
-def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, harmonics):
-    most = map_harmonics.most_parts(harmonics)
+@pytest.mark.parametrize("number", [2, 3])
+def test_harmonics_serve_as_many_parts_as_they_have_numbers(rig, number):
+    most = harmonics.most_parts(number)
     parts = [most - 1, most, most + 1]
-    share = [map_harmonics.solved(rig, m, harmonics, 5, restarts=60) for m in parts]
+    share = [harmonics.solved(rig, m, number, 5, restarts=60) for m in parts]
     assert share[0] >= 0.6
     assert share[1] > 0
     assert share[2] == 0
 
 
 def test_one_harmonic_serves_nobody(rig):
-    assert map_harmonics.most_parts(1) == 0
-    assert map_harmonics.solved(rig, 1, 1, 3, restarts=10) == 0
+    assert harmonics.most_parts(1) == 0
+    assert harmonics.solved(rig, 1, 1, 3, restarts=10) == 0
 
 
 @pytest.mark.parametrize("force", [0.0, 0.1, 0.2])
 def test_a_part_never_rests_above_the_predicted_shaking_ratio(rig, force):
-    predicted = map_stick.least_gamma(force)
-    below, above = (map_stick.resting_share(rig, force, s * predicted) for s in (0.9, 1.1))
-    assert below > 2 * map_stick.LEVEL
+    predicted = stick.least_gamma(force)
+    below, above = (stick.resting_share(rig, force, s * predicted) for s in (0.9, 1.1))
+    assert below > 2 * stick.LEVEL
     assert above == 0
 
 
 def test_dry_friction_of_den_hartog():
-    assert map_stick.least_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
+    assert stick.least_gamma(0.0) == pytest.approx(np.sqrt(1 + np.pi**2 / 4))
 
 
 def test_the_overtone_gives_the_force_that_is_asked():
     t = (np.arange(200_000) + 0.5) * 2 * np.pi / 200_000
     for force in (0.05, 0.2, 0.33):
-        u = np.sin(t) + map_stick.overtone(force) * np.cos(2 * t)
+        u = np.sin(t) + stick.overtone(force) * np.cos(2 * t)
         assert np.mean(np.sign(u)) == pytest.approx(force, abs=1e-4)
 
 
 @pytest.mark.parametrize("parts", [1, 3])
 def test_averages_hold_above_the_predicted_shaking_ratio(rig, parts):
-    cases = map_gamma.motions(rig, parts, 4)
-    predicted = map_gamma.least_gamma(rig, cases)
+    cases = gamma.motions(rig, parts, 4)
+    predicted = gamma.least_gamma(rig, cases)
     ratio = predicted * np.array([0.25, 0.5, 1, 2])
     error = [
-        float(np.median([map_gamma.error(rig, map_gamma.scaled(c, r), p) / f for c, p, f in cases]))
+        float(np.median([gamma.error(rig, gamma.scaled(c, r), p) / f for c, p, f in cases]))
         for r in ratio
     ]
-    assert 0.5 * predicted < crossing(ratio.tolist(), error, map_gamma.LEVEL) < 1.25 * predicted
+    assert 0.5 * predicted < crossing(ratio.tolist(), error, gamma.LEVEL) < 1.25 * predicted
     cycle, position, _ = cases[0]
-    first = map_gamma.first_order(rig, cycle, position) / 1000
-    at_1000 = map_gamma.error(rig, map_gamma.scaled(cycle, 1000), position)
+    first = gamma.first_order(rig, cycle, position) / 1000
+    at_1000 = gamma.error(rig, gamma.scaled(cycle, 1000), position)
     assert at_1000 == pytest.approx(first, rel=0.05)
 
 
 def test_the_loop_swings_up_from_the_predicted_latency_on(rig):
-    linear = map_latency.LinearLoop(rig)
+    linear = latency.LinearLoop(rig)
     for friction in (1.0, 1.4):
         margin = linear.delay_margin(friction)
         ages = margin * np.array([0.6, 1.0, 1.4])
         error = [
-            1e3 * np.mean([map_latency.Loop(rig, seed).run(friction, age) for seed in (1, 2)])
+            1e3 * np.mean([latency.Loop(rig, seed).run(friction, age) for seed in (1, 2)])
             for age in ages
         ]
-        observed = crossing(ages.tolist(), error, map_latency.LEVEL_MM)
+        observed = crossing(ages.tolist(), error, latency.LEVEL_MM)
         assert observed == pytest.approx(margin, rel=0.4)
 
 
 def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig):
-    linear = map_latency.LinearLoop(rig)
+    linear = latency.LinearLoop(rig)
     assert linear.response(1.0, 1.0)[0, 0] == pytest.approx(1.0, abs=0.1)
     assert linear.growth(1.0, 0.0) < 0.6
     assert linear.growth(1.0, 1.0) > 1
@@ -117,12 +113,12 @@ def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig):
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])
 def test_a_plate_that_hangs_stiffer_than_predicted_does_nearly_as_commanded(rig, method, parts):
-    cycle = map_suspension.motions(rig, method, parts, 1)[0]
-    predicted = map_suspension.least_frequency(rig, [cycle])
+    cycle = suspension.motions(rig, method, parts, 1)[0]
+    predicted = suspension.least_frequency(rig, [cycle])
     stiffness = predicted * np.geomspace(0.7, 1.4, 4)
-    error = [map_suspension.realised_error(rig, cycle, hz) for hz in stiffness]
-    assert error[0] > map_suspension.LEVEL > error[-1]
-    assert crossing(stiffness.tolist(), error, map_suspension.LEVEL) == pytest.approx(
+    error = [suspension.realised_error(rig, cycle, hz) for hz in stiffness]
+    assert error[0] > suspension.LEVEL > error[-1]
+    assert crossing(stiffness.tolist(), error, suspension.LEVEL) == pytest.approx(
         predicted, rel=0.2
     )
 
@@ -131,8 +127,8 @@ def test_the_predicted_error_of_one_harmonic_is_its_transmissibility_less_one(ri
     t = np.linspace(0, 0.1, 64, endpoint=False)
     pose = np.column_stack([1e-3 * np.sin(2 * np.pi * 10 * t), 0 * t, 0 * t])
     cycle = PlateCycle.from_samples(0.1, pose)
-    r, z = 10 / 50, map_suspension.DAMPING
-    assert map_suspension.predicted_error(rig, cycle, 50.0) == pytest.approx(
+    r, z = 10 / 50, suspension.DAMPING
+    assert suspension.predicted_error(rig, cycle, 50.0) == pytest.approx(
         abs(1 / (1 - r**2 + 2j * z * r) - 1), rel=1e-3
     )
 
@@ -176,5 +172,6 @@ def test_a_map_is_kept_and_not_measured_again(tmp_path):
     labels = dict.fromkeys(("title", "x_label", "y_label", "z_label", "line_label"), "")
     one = StabilityMap("stick", level=0.0, measure=measured, bounds=(0, 1), **labels)
     for quick in (True, True, False, True):
-        assert grids(one, quick, tmp_path / "kept.jsonl") == [Grid("", [1.0], [2.0], [[3.0]])]
+        cache = Cache(tmp_path / "kept.jsonl", "code")
+        assert grids(one, quick, cache) == [Grid("", [1.0], [2.0], [[3.0]])]
     assert calls == [True, False]

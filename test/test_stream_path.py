@@ -35,8 +35,8 @@ class Bench:
 
     def __init__(self, monkeypatch, trouble: LineFaults) -> None:
         monkeypatch.syspath_prepend(BENCH)
-        from serial_loop import opened
-        from serial_watch import Watch
+        from harness.judge import Watch
+        from harness.serial import opened
 
         self.watch = Watch(RIG)
         self.travel: list[float] = []

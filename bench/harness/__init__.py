@@ -1,0 +1,46 @@
+"""What all measurements stand on: fair races, results and their files, a cache, parallel runs.
+
+`harness.loop` is the closed loop without ROS, `harness.serial` its transport over a serial line.
+"""
+
+from harness.cache import Cache
+from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all
+from harness.pool import cluster, parallel, processes, resumed
+from harness.race import LEAST_ROUNDS, Race, cpu_time, race
+from harness.result import (
+    ROOT,
+    Result,
+    Table,
+    missing_peer,
+    optional,
+    rounded,
+    shown,
+    text_table,
+    write,
+)
+
+__all__ = [
+    "LEAST_ROUNDS",
+    "LONG",
+    "MEASUREMENTS",
+    "ROOT",
+    "Cache",
+    "Race",
+    "Result",
+    "Table",
+    "cluster",
+    "cpu_time",
+    "is_done",
+    "missing_peer",
+    "optional",
+    "parallel",
+    "processes",
+    "race",
+    "read",
+    "resumed",
+    "rounded",
+    "run_all",
+    "shown",
+    "text_table",
+    "write",
+]

@@ -1,0 +1,101 @@
+"""What is measured already: results in a file, and a digest of the code that they rest on."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from harness.result import ROOT
+
+PACKAGES = (
+    "plate_core", "plate_driver", "plate_planner", "plate_sim", "plate_solver", "plate_vision",
+)  # fmt: skip
+"""What every measurement depends on, as it is installed."""
+
+BENCH = Path(__file__).resolve().parents[1]
+
+
+class Cache:
+    """Results by key, each kept as soon as it is there: a measurement cut short goes on.
+
+    Parameters
+    ----------
+    path : Path
+        Lines of JSON with `code`, `key` and `value`.
+    code : str
+        Digest of what the results depend on; those of other code count for nothing.
+    """
+
+    def __init__(self, path: Path, code: str) -> None:
+        self._path, self._code = path, code
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        found = [json.loads(line) for line in lines]
+        self._values = {line["key"]: line["value"] for line in found if line["code"] == code}
+
+    @classmethod
+    def of(cls, module: str) -> Cache:
+        """Return the cache of a module of this folder: `out/bench/cache/MODULE.jsonl`."""
+        return cls(ROOT / f"out/bench/cache/{module}.jsonl", code_of(module))
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def __getitem__(self, key: str) -> Any:
+        return self._values[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._values[key] = value
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"code": self._code, "key": key, "value": value}) + "\n")
+
+
+@lru_cache
+def code_of(module: str) -> str:
+    """Return a digest of all that a module of this folder depends on.
+
+    That is `config`, our packages as they are installed, and the files of this folder that the
+    module imports, itself among them.
+    """
+    digest = hashlib.sha256(code_of_packages().encode())
+    for path in sorted(own_files(module)):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@lru_cache
+def code_of_packages() -> str:
+    """Return a digest of `config` and of our packages."""
+    digest = hashlib.sha256()
+    files = sorted((ROOT / "config").rglob("*.yaml"))
+    for name in PACKAGES:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(f"no module {name}")
+        files += sorted(Path(spec.origin).parent.rglob("*.py"))
+    for file in files:
+        digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def own_files(module: str) -> set[Path]:
+    """Return the files of this folder that a module of it imports, itself among them."""
+    found: set[Path] = set()
+    waiting = [module]
+    while waiting:
+        stem = BENCH / waiting.pop().replace(".", "/")
+        for path in (stem.with_suffix(".py"), stem / "__init__.py"):
+            if path in found or not path.exists():
+                continue
+            found.add(path)
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    waiting += [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom) and node.module:
+                    waiting += [node.module, *(f"{node.module}.{a.name}" for a in node.names)]
+    return found

@@ -1,0 +1,313 @@
+"""The closed loop without ROS: the same cores as the nodes, composed in one process.
+
+Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. Where an
+image is missed, the plate repeats what it did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from harness.race import cpu_time
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
+from plate_driver.motor_table import prepare
+from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
+from plate_planner.assembling import Assembly
+from plate_planner.following import Follower
+from plate_planner.planner import PlannerState
+from plate_planner.posing import Poser
+from plate_planner.progress import Progress
+from plate_sim.camera import NOISE
+from plate_sim.dirt import CLEAN, Dirt
+from plate_sim.ladder import check_model
+from plate_sim.models import AUTO
+from plate_sim.playback import Playback, next_playback
+from plate_sim.simulation import Simulation
+from plate_sim.world import WorldState
+from plate_solver import Controller
+from plate_solver.controller import METHODS, Answer
+from plate_vision import Tracker, make_vision, observe
+
+EFFORT = ("iterations", "restarts")
+"""Options of the solvers that make an answer take longer, and better."""
+
+HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
+"""Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
+node's."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One run: what is to be done, by which method, in which world.
+
+    Attributes
+    ----------
+    scenario : str
+        Name or path.
+    seed : int
+        Of scattered parts, image noise and the solver's restarts.
+    method : str
+        A key of `METHODS`.
+    noise : float
+        Image noise [grey levels].
+    mu_scale : float
+        True friction over the rig's.
+    model : str
+        Of the simulator's parts.
+    dirt : Dirt
+        Of the world.
+    planner : PlannerOptions
+    image_age_s : float or None
+        What the planner takes the images' latency to be [s]; None: it finds out.
+    effort : mapping of str to int
+        `iterations`, `restarts` of the solver, where `Controller`'s own are not wanted.
+    """
+
+    scenario: str
+    seed: int = 0
+    method: str = "sinusoids"
+    noise: float = NOISE
+    mu_scale: float = 1.0
+    model: str = AUTO
+    dirt: Dirt = CLEAN
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+    image_age_s: float | None = None
+    effort: Mapping[str, Any] = field(default_factory=dict)
+
+
+def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
+    """Return the setup with settings `key=value` of the command line.
+
+    Keys are fields of `Setup`, `Dirt`, `SortOptions` and `FollowOptions`, and `EFFORT`.
+
+    Raises
+    ------
+    PlateError
+        If a key is unknown or a value does not fit.
+    """
+    sort, follow, dirt = setup.planner.sort, setup.planner.follow, setup.dirt
+    for key, text in settings.items():
+        try:
+            if key == "method":
+                setup = replace(setup, method=_method(text))
+            elif key == "model":
+                setup = replace(setup, model=check_model(text))
+            elif key in ("noise", "mu_scale", "image_age_s"):
+                setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
+            elif key in EFFORT:
+                setup = replace(setup, effort={**setup.effort, key: int(text)})
+            elif key == "blur":
+                dirt = replace(dirt, blur=_flag(key, text))
+            elif key in {f.name for f in fields(Dirt)}:
+                dirt = replace(dirt, **{key: float(text)})  # type: ignore[arg-type]
+            elif key in {f.name for f in fields(SortOptions)}:
+                sort = replace(sort, **{key: float(text)})
+            elif key in {f.name for f in fields(FollowOptions)}:
+                follow = replace(follow, **{key: float(text)})
+            else:
+                raise KeyError(key)
+        except KeyError:
+            known = ["method", "model", "noise", "mu_scale", "image_age_s", *EFFORT]
+            known += [f.name for kind in (Dirt, SortOptions, FollowOptions) for f in fields(kind)]
+            names = ", ".join(dict.fromkeys(known))
+            raise PlateError(f"setting {key!r}, allowed: {names}") from None
+        except PlateError:
+            raise
+        except ValueError:
+            raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
+    planner = replace(setup.planner, sort=sort, follow=follow)
+    return replace(setup, dirt=dirt, planner=planner)
+
+
+def _flag(key: str, text: str) -> bool:
+    if text not in ("true", "false"):
+        raise PlateError(f"setting {key} is {text!r}, allowed: true or false")
+    return text == "true"
+
+
+def _method(name: str) -> str:
+    if name not in METHODS:
+        raise PlateError(f"setting method is {name!r}, allowed: {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What there is to know at the start of one cycle, for judging and drawing.
+
+    Attributes
+    ----------
+    time : float
+        Since the first image [s].
+    world : WorldState
+        True parts.
+    parts : Parts
+        As seen.
+    wanted : Wanted
+        Of the solver.
+    answer : Answer
+        Cycle to run next.
+    progress : Progress
+    image : (H, W)
+        What the camera saw.
+    solve_s : float
+        Time of the cores that the answer took [s].
+    step_s : float
+        And from the image to the motors' table [s].
+    limit_share : float
+        Greatest share of a limit that the motors' table uses.
+    models : mapping of str to int
+        Cycles so far by the model that the simulator used.
+    error_m : (P,)
+        True distance of each seen part from its reference or place [m]; empty when sorting.
+    turn_error : (P,)
+        What is missing to its angle [rad], in a task of poses.
+    """
+
+    time: float
+    world: WorldState
+    parts: Parts
+    wanted: Wanted
+    answer: Answer
+    progress: Progress
+    image: np.ndarray
+    solve_s: float
+    step_s: float
+    limit_share: float
+    models: Mapping[str, int]
+    error_m: np.ndarray
+    turn_error: np.ndarray
+
+
+def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
+    """Run the loop until the task has ended; yields every cycle with an image."""
+    rig = rig or load_rig()
+    scenario = load_scenario(setup.scenario)
+    simulation = Simulation(
+        rig, scenario, setup.seed, setup.dirt, noise=setup.noise, mu_scale=setup.mu_scale,
+        model=setup.model,
+    )  # fmt: skip
+    vision, tracker = make_vision(rig), Tracker()
+    planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
+    state = planner.start(planner.initial())
+    controller = Controller(rig, setup.method, setup.seed, **setup.effort)
+    playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None
+    t = 0.0
+    while True:
+        playback = next_playback(playback, newest, HOLD_CYCLES, IDLE_PERIOD)
+        newest = None
+        world = simulation.state
+        image = simulation.look()
+        if image is not None:
+            at_work = cpu_time()
+            tracker = observe(vision, tracker, image, t)
+            state, wanted, progress = planner.plan(state, tracker.parts, t)
+            began = cpu_time()
+            answer = controller.answer(wanted, playback.cycle)
+            solve_s = cpu_time() - began
+            table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
+            newest = table.cycle
+            state = planner.hear(state, answer.cycle, t)
+            step_s = cpu_time() - at_work
+            error = _true_error(scenario, rig, state, tracker.parts, world, t)
+            turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
+            yield Moment(
+                t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
+                fitted.usage.worst, simulation.used, error, turned,
+            )  # fmt: skip
+            if progress.ended:
+                return
+        simulation.run(playback.cycle)
+        t += playback.cycle.period
+
+
+def _true_error(
+    scenario: Scenario,
+    rig: Rig,
+    state: PlannerState,
+    parts: Parts,
+    world: WorldState,
+    t: float,
+) -> np.ndarray:
+    """Distance (P,) [m] of the true parts from their references or places, once these count."""
+    task, true = scenario.task, world.position
+    if isinstance(task, AssembleTask) and len(true):
+        names = Parts.make(world.ids, true)
+        distance = Assembly(task, rig).distance(names)
+        return distance[~np.isnan(distance)]
+    if isinstance(task, PoseTask) and len(true):
+        return Poser(task, rig).errors(state.pose, _named(parts, state.pose.match, world))[0]
+    if not isinstance(task, FollowTask) or not state.follow.match or not len(true):
+        return np.zeros(0)
+    reference = Follower(task, rig).reference(state.follow, t)
+    seen = dict(zip(parts.ids, parts.position, strict=True))
+    errors = []
+    for k, name in enumerate(state.follow.match):
+        if name in seen:
+            nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
+            errors.append(np.linalg.norm(true[nearest] - reference[k]))
+    return np.array(errors)
+
+
+def _true_turn_error(
+    scenario: Scenario, rig: Rig, state: PlannerState, parts: Parts, world: WorldState
+) -> np.ndarray:
+    """What is missing to the angles (P,) [rad] of the true parts, in a task of poses."""
+    if not isinstance(scenario.task, PoseTask):
+        return np.zeros(0)
+    true = _named(parts, state.pose.match, world)
+    return np.abs(Poser(scenario.task, rig).errors(state.pose, true)[1])
+
+
+def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
+    """Return the true parts that are seen as those wanted, by the names of these."""
+    ids = [name for name in wanted if name in parts.ids]
+    seen = parts.position[[parts.ids.index(name) for name in ids]]
+    rows = [int(np.argmin(np.sum((world.position - place) ** 2, axis=1))) for place in seen]
+    return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
+
+
+def summary(setup: Setup, rig: Rig) -> dict[str, object]:
+    """Run the loop and return the row that `bench/closed_loop.py` prints."""
+    solve_s, step_s, shares, errors, misses, asks = [], [], [], [], [], []
+    task = load_scenario(setup.scenario).task
+    for moment in run(setup, rig):
+        if moment.answer.solution is not None:
+            solve_s.append(moment.solve_s)
+            step_s.append(moment.step_s)
+            misses.append(moment.answer.error_m)
+            asks.append(moment.answer.asked_m)
+        shares.append(moment.limit_share)
+        errors.append(moment.error_m)
+    all_along = isinstance(task, FollowTask | PoseTask)
+    error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
+    turned = np.degrees(np.max(moment.turn_error, initial=0.0))
+    cycles = max(1, sum(moment.models.values()))
+    milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
+    steps = 1e3 * np.array(step_s[1:] or [0.0])
+    return {
+        "scenario": setup.scenario,
+        "seed": setup.seed,
+        "method": setup.method,
+        "success": moment.progress.phase == "done" and moment.world.dropped == 0,
+        "message": moment.progress.text,
+        "time_s": round(moment.progress.time_s, 3),
+        "dropped": moment.world.dropped,
+        "parts": len(moment.world.ids),
+        "rms_error_m": float(np.sqrt(np.mean(error**2))) if len(error) else None,
+        "max_error_m": float(np.max(error)) if len(error) else None,
+        "turn_error_deg": float(turned) if isinstance(task, PoseTask) else None,
+        "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
+        "solve_ms_median": float(np.median(milliseconds)),
+        "solve_ms_p99": float(np.percentile(milliseconds, 99)),
+        "step_ms_median": float(np.median(steps)),
+        "step_ms_p99": float(np.percentile(steps, 99)),
+        "limit_share_max": float(np.max(shares)),
+        "gamma": round(rig.gamma, 2),
+        "models": {name: round(n / cycles, 3) for name, n in sorted(moment.models.items())},
+    }

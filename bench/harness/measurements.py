@@ -1,0 +1,106 @@
+"""Every measurement by its name, and how they are run one after the other."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from harness.cache import code_of
+from harness.result import write
+
+ABOUT = {
+    "stages": {
+        "sim": "Parts on a shaken plate: error and speed of the simulator",
+        "bodies": "A disc that slides and turns: error and speed, beside scipy",
+        "force_map": "Average friction over a cycle: time and error",
+        "solver": "Plate motions for wanted average forces, from a cold start",
+        "vision": "Finding discs in an image: time, misses, error of the centres",
+        "camera": "The simulated camera: time for one image, error of the centres",
+        "stages": "What each stage of the loop costs for one image",
+    },
+    "maps": {
+        "stability": "Stability maps: where methods fail, and where theory says so",
+    },
+    "tasks": {
+        "control": "The closed loop with more and less time for the solver",
+        "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
+        "closed_loop": "Whole tasks in the closed loop",
+    },
+}
+"""Chapter of this folder -> its modules with `measure(quick)`, and what they are about."""
+
+MEASUREMENTS = {
+    name: (f"{chapter}.{name}", about)
+    for chapter, modules in ABOUT.items()
+    for name, about in modules.items()
+}
+"""Name -> module and what it is about."""
+
+LONG = {"tasks"}
+"""Hours: measured only by name."""
+
+EXPECTED_S = {
+    "sim": 160.0, "bodies": 25.0, "force_map": 20.0, "solver": 60.0, "rotations": 40.0,
+    "inversion": 30.0,
+    "steering": 20.0, "options": 90.0, "vision": 60.0, "stages": 60.0, "control": 180.0,
+    "tracking": 360.0, "learning": 10.0,
+}  # fmt: skip
+"""How long those of the charts take where they have never been run: two cores of today [s]."""
+
+
+def run_all(names: Iterable[str], quick: bool, out: Path) -> None:
+    """Run measurements one after the other; tells of each how far the work is, and writes it."""
+    names = list(names)
+    expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
+    began = time.perf_counter()
+    for number, name in enumerate(names, 1):
+        module, about = MEASUREMENTS[name]
+        left = sum(expected.get(n, 0.0) for n in names[number - 1 :])
+        print(
+            f"[{number}/{len(names)}, {clock(time.perf_counter() - began)}"
+            + (f", about {clock(left)} left" if left else "")
+            + f"] {name:12s} {about} ... ",
+            end="", flush=True,
+        )  # fmt: skip
+        start = time.perf_counter()
+        code = code_of(module)
+        result = importlib.import_module(module).measure(quick)
+        seconds = time.perf_counter() - start
+        write(out / f"{name}.json", name, about, quick, seconds, code, result)
+        print(f"{seconds:.1f} s", flush=True)
+
+
+def last_seconds(out: Path, name: str, quick: bool) -> float | None:
+    """Return how long a measurement took the last time [s], if it was as thorough."""
+    path = out / f"{name}.json"
+    if path.exists():
+        there = json.loads(path.read_text(encoding="utf-8"))
+        if there["quick"] == quick:
+            return float(there["seconds"])
+    return None if quick else EXPECTED_S.get(name)
+
+
+def clock(seconds: float) -> str:
+    """Return a time as minutes and seconds."""
+    return f"{seconds // 60:.0f}:{seconds % 60:02.0f}"
+
+
+def is_done(folder: Path, name: str, quick: bool) -> bool:
+    """Whether a measurement is there, at least as thorough as wanted, of the code as it is."""
+    there = read(folder, [name]).get(name)
+    code = code_of(MEASUREMENTS[name][0])
+    return there is not None and there["quick"] <= quick and there.get("code") == code
+
+
+def read(folder: Path, names: Iterable[str] = tuple(MEASUREMENTS)) -> dict[str, dict[str, Any]]:
+    """Read measurements that are there, by name."""
+    files = {name: folder / f"{name}.json" for name in names}
+    return {
+        name: json.loads(path.read_text(encoding="utf-8"))
+        for name, path in files.items()
+        if path.exists()
+    }

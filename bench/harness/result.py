@@ -1,0 +1,144 @@
+"""What a measurement gives: tables and sentences, and the file that they end in."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+import platform
+import subprocess
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pymunk", "mujoco")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of one measurement.
+
+    Attributes
+    ----------
+    key : str
+        Name by which charts find it.
+    title, note : str
+        For readers.
+    columns : mapping of str to str
+        Key of a row -> heading with unit.
+    rows : list of dict
+    """
+
+    key: str
+    title: str
+    columns: Mapping[str, str]
+    rows: list[dict[str, Any]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a measurement gives: tables, sentences that sum them up, raw samples for charts."""
+
+    tables: list[Table]
+    summary: list[str]
+    samples: list[dict[str, Any]] = field(default_factory=list)
+
+
+def optional(name: str) -> Any:
+    """Return a module, or None if it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+def missing_peer(name: str) -> str:
+    """Say how to get a peer that is not there."""
+    return f"{name}: peer not installed: pip install -r requirements-bench.txt"
+
+
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Round floats to significant digits, in nested lists and dicts too; NaN becomes None."""
+    if isinstance(value, Mapping):
+        return {key: rounded(item, digits) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(item, digits) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def machine() -> dict[str, Any]:
+    """What the figures depend on: processor count, threads, versions."""
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return {
+        "cpus": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2),
+        "blas_threads": os.environ.get("OPENBLAS_NUM_THREADS", "not set"),
+        "python": platform.python_version(),
+        **versions,
+    }
+
+
+def commit() -> str:
+    """Return the name of the commit that is checked out; empty without git."""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def write(
+    path: Path, name: str, about: str, quick: bool, seconds: float, code: str, result: Result
+) -> None:
+    """Write a measurement's JSON file, whole or not at all; `code` is a digest of what was run."""
+    content = {
+        "name": name,
+        "about": about,
+        "quick": quick,
+        "seconds": round(seconds, 1),
+        "commit": commit(),
+        "code": code,
+        "machine": machine(),
+        **asdict(result),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_suffix(".draft")
+    draft.write_text(json.dumps(rounded(content), indent=1) + "\n", encoding="utf-8")
+    draft.replace(path)
+
+
+def shown(value: Any) -> str:
+    """Return a cell's text."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
+    return str(value)
+
+
+def text_table(table: Mapping[str, Any]) -> Iterable[str]:
+    """Yield the lines of a table (as in the JSON file) for a terminal."""
+    columns = table["columns"]
+    cells = [[shown(row.get(key)) for key in columns] for row in table["rows"]]
+    heads = list(columns.values())
+    widths = [max([len(head), *(len(row[i]) for row in cells)]) for i, head in enumerate(heads)]
+    yield table["title"]
+    for row in [heads, *cells]:
+        yield "  " + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True))

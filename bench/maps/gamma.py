@@ -1,0 +1,131 @@
+"""Where forces that are right on average are wrong in motion, by shaking ratio and parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from maps.grid import Grid, StabilityMap, grid
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import simulate
+from plate_solver import SinusoidSolver, average_force
+from stages.requests import scatter
+
+PARTS = (1, 2, 3, 4, 6, 8)
+GAMMAS = np.geomspace(5, 1280, 13)
+FORCE = 0.1
+"""Greatest component of a request [mu m g]."""
+
+REQUESTS = 8
+"""Random requests for each number of parts."""
+
+SEED = 83
+SHORT_S = 0.001
+"""Length of a cycle: so short that the plate's travel, which averages leave out too, is none
+of the error. How far averages hold depends on the shaking ratio only, not on the time."""
+
+FREE_M, FREE_MPS = 1.0, 100.0
+"""Stroke and speed that do not bind."""
+
+SAMPLES = 4096
+
+TOLERANCE = 1e-4
+"""Of the simulated displacement, over that by full friction."""
+
+LEVEL = 0.3
+"""Error of the force, over the request."""
+
+
+def motions(rig: Rig, parts: int, count: int) -> list[tuple[PlateCycle, np.ndarray, float]]:
+    """Return motions that meet random requests on average, parts (M, 2) [m], and the requests.
+
+    Motions are scaled to a shaking ratio of 1; requests are given by their root mean square.
+    """
+    limits = replace(rig.limits, stroke_m=FREE_M, speed=FREE_MPS)
+    free = replace(rig, limits=limits)
+    solver = SinusoidSolver(free, period=SHORT_S, restarts=20)
+    rng, found = np.random.default_rng([SEED, parts]), []
+    for _ in range(count):
+        position, force = scatter(rig, parts, rng), rng.uniform(-FORCE, FORCE, (parts, 2))
+        solver.reset()
+        cycle = scaled(solver.solve(position, force).cycle, 1 / rig.gamma)
+        found.append((cycle, position, float(np.sqrt(np.mean(force**2)))))
+    return found
+
+
+def scaled(cycle: PlateCycle, size: float) -> PlateCycle:
+    """Return a motion with all amplitudes scaled: the average forces at rest stay the same."""
+    return PlateCycle.from_knots(
+        cycle.times, size * cycle.knot_pose, size * cycle.knot_twist, size * cycle.knot_accel
+    )
+
+
+def error(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
+    """Return by how much the simulated force on parts from rest is not its average [mu m g]."""
+    still, friction = np.zeros_like(position), rig.friction
+    unit = friction.accel * cycle.period**2
+    run = simulate(
+        cycle, position, still, friction.mu, friction.gravity, tolerance=TOLERANCE * unit
+    )
+    got = run.velocity[-1] / (friction.accel * cycle.period)
+    return float(np.sqrt(np.mean((got - average_force(cycle, position)) ** 2)))
+
+
+def first_order(rig: Rig, cycle: PlateCycle, position: np.ndarray) -> float:
+    """Return the same as theory has it at a great shaking ratio: it falls as 1/Gamma.
+
+    With n(t) the direction of slip w(t) of a part that is held, a free part gains by then the
+    velocity v(t) = mu g (n integrated), which turns the slip: n changes by -(v - (n.v) n)/|w|. The
+    mean of that is the force's change. As |w| goes with Gamma mu g T/(2 pi h), h the harmonic, it
+    is some 2 pi h/Gamma.
+    """
+    t = (np.arange(SAMPLES) + 0.5) * cycle.period / SAMPLES
+    twist, missed = cycle.twist(t), []
+    for x, y in position:
+        slip = np.column_stack([twist[:, 0] - y * twist[:, 2], twist[:, 1] + x * twist[:, 2]])
+        size = np.hypot(*slip.T)[:, None]
+        n = slip / size
+        gained = rig.friction.accel * np.cumsum(n, axis=0) * cycle.period / SAMPLES
+        across = gained - np.sum(n * gained, axis=1, keepdims=True) * n
+        missed.append(np.mean(across / size, axis=0))
+    return float(np.sqrt(np.mean(np.square(missed))))
+
+
+def least_gamma(rig: Rig, cases: list[tuple[PlateCycle, np.ndarray, float]]) -> float:
+    """Return the shaking ratio above which averages hold to the level, by first order (median)."""
+    return float(np.median([first_order(rig, c, p) / asked for c, p, asked in cases])) / LEVEL
+
+
+def measure(quick: bool) -> list[Grid]:
+    """Measure all cells."""
+    rig = load_rig()
+    parts, gammas = (PARTS[1:4:2], GAMMAS[::3]) if quick else (PARTS, GAMMAS)
+    cases = [motions(rig, m, 3 if quick else REQUESTS) for m in parts]
+    z = [
+        [
+            float(np.median([error(rig, scaled(c, gamma), p) / asked for c, p, asked in mine]))
+            for mine in cases
+        ]
+        for gamma in gammas
+    ]
+    return [grid(parts, gammas, z, parts, [least_gamma(rig, mine) for mine in cases])]
+
+
+MAP = StabilityMap(
+    key="gamma",
+    title="Averages fail: shaking ratio and number of parts",
+    x_label="parts",
+    y_label="shaking ratio Γ = greatest acceleration/(µg)",
+    z_label="force missed over force asked for",
+    line_label="theory, first order in 1/Γ: the velocity that parts gain within a cycle",
+    level=LEVEL,
+    measure=measure,
+    bounds=(0.0, 1.5),
+    log="y",
+    steps=True,
+    finding="A motion whose forces are right on average pushes parts wrongly unless the plate "
+    "shakes much harder than a rig can: that is why what runs is solved on the cycle map.",
+    note=f"Over one cycle, from rest; median of {REQUESTS} random requests up to {FORCE:g} µmg on "
+    "each axis, as many harmonics as the solver takes. The default rig has Γ = 40.8.",
+)

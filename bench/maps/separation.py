@@ -1,0 +1,87 @@
+"""Method A: how near two parts may be, by the number of centres of rotation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maps.grid import Grid, StabilityMap, grid
+from plate_core import Rig, load_rig
+from plate_solver.library import REACH, Library
+from plate_solver.manipulability import manipulability
+
+LEVEL = 0.1
+"""Guaranteed force that counts as enough [mu m g]: what sorting asks of ten parts."""
+
+GRIDS = ((4, 2), (6, 3), (8, 4), (12, 6), (17, 9), (24, 13), (30, 16), (48, 26))
+"""Centres along and across the plate; 30 x 16 is the solver's library."""
+
+SEPARATIONS_M = 1e-3 * np.geomspace(1, 200, 13)
+
+SEED = 81
+PAIRS = 15
+"""Random pairs for each cell."""
+
+
+def spacing(rig: Rig, centres: int) -> float:
+    """Return the distance between neighbours [m] of so many centres, spread as in the library."""
+    sides = 2 * np.multiply(REACH, rig.plate.half)
+    return float(np.sqrt(np.prod(sides) / centres))
+
+
+def least_separation(rig: Rig, centres: float, force: float = LEVEL) -> float:
+    """Return the separation [m] below which two parts cannot be guaranteed a force [mu m g].
+
+    A centre at the distance r from both pulls them along directions that differ by the angle
+    between its arms, d sin(b)/r. Half the difference is what parts them, d sin(2 b)/(4 r) of it
+    along the line that joins them: d/(4 r) at best. What pulls both alike is undone by a centre
+    on the other side, which parts them just as well. Centres that near are at r = h, the
+    spacing. Hence force = d/(4 h), as long as d < h. (Section 3.1.5 of the paper says only that
+    near parts are hard.)
+    """
+    return 4 * force * spacing(rig, int(centres))
+
+
+def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> float:
+    """Return the guaranteed force [mu m g] of two parts: the median of random places."""
+    rng = np.random.default_rng(SEED)
+    forces = []
+    for _ in range(pairs):
+        angle, middle = rng.uniform(0, 2 * np.pi), rng.uniform(-0.6, 0.6, 2) * rig.plate.half
+        arm = separation / 2 * np.array([np.cos(angle), np.sin(angle)])
+        forces.append(
+            manipulability(rig, np.array([middle - arm, middle + arm]), library).guaranteed
+        )
+    return float(np.median(forces))
+
+
+def measure(quick: bool) -> list[Grid]:
+    """Measure all cells."""
+    rig = load_rig()
+    spread = GRIDS[::3] if quick else GRIDS
+    separations = SEPARATIONS_M[::2] if quick else SEPARATIONS_M
+    centres = [columns * rows for columns, rows in spread]
+    libraries = [Library.around(rig.plate.half, *sides) for sides in spread]
+    z = [
+        [guaranteed(rig, library, d, 4 if quick else PAIRS) for library in libraries]
+        for d in separations
+    ]
+    line = np.geomspace(centres[0], centres[-1], 20).round()
+    least = [1e3 * least_separation(rig, n) for n in line]
+    return [grid(centres, 1e3 * separations, z, line, least)]
+
+
+MAP = StabilityMap(
+    key="separation",
+    title="Parts too near: distance of two parts and number of centres, Method A",
+    x_label="centres of rotation",
+    y_label="distance of the two parts [mm]",
+    z_label="force guaranteed in every direction [µmg]",
+    line_label=f"theory: distance = 4 · {LEVEL:g} · spacing of the centres",
+    level=LEVEL,
+    measure=measure,
+    bounds=(0.0, 0.4),
+    log="xy",
+    finding="Two parts that are nearer to each other than centres of rotation are cannot be pushed "
+    "apart: the force that is guaranteed falls with their distance. A denser library helps.",
+    note=f"Median of {PAIRS} random pairs. A unit of force has a mean square over parts of one.",
+)

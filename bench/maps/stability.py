@@ -1,0 +1,95 @@
+"""Stability maps: where methods fail, over two parameters each, and where theory says they do."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, rounded
+from maps import gamma, harmonics, latency, separation, stick, suspension
+from maps.grid import Grid, StabilityMap, crossing
+
+MAPS: dict[str, StabilityMap] = {
+    module.MAP.key: module.MAP
+    for module in (separation, harmonics, gamma, latency, stick, suspension)
+}
+"""Every map, by its key; each is in `maps/KEY.py`."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure all maps."""
+    tables, summary, samples = [], [], []
+    for one in MAPS.values():
+        found = grids(one, quick, Cache.of(f"maps.{one.key}"))
+        columns = {"panel": "panel"} if len(found) > 1 else {}
+        columns |= {"x": one.x_label, "y": one.y_label, "z": one.z_label}
+        rows = [row for grid in found for row in cells(grid)]
+        tables.append(Table(one.key, one.title, columns, rows, one.note))
+        samples += [sample(one, grid) for grid in found]
+        summary.append(f"{one.title}. {nearness([s for s in samples if s['key'] == one.key])}")
+    return Result(tables, summary, samples)
+
+
+def grids(one: StabilityMap, quick: bool, cache: Cache) -> list[Grid]:
+    """Return a map's grids, from the cache or by measuring them."""
+    key = f"{one.key}, quick" if quick else one.key
+    if key not in cache:
+        cache[key] = rounded([asdict(grid) for grid in one.measure(quick)])
+    return [Grid(**grid) for grid in cache[key]]
+
+
+def cells(grid: Grid) -> list[dict[str, Any]]:
+    """Return a row for each cell."""
+    return [
+        {"panel": grid.title, "x": x, "y": y, "z": z}
+        for y, row in zip(grid.y, grid.z, strict=True)
+        for x, z in zip(grid.x, row, strict=True)
+    ]
+
+
+def sample(one: StabilityMap, grid: Grid) -> dict[str, Any]:
+    """Return all that a chart of a map needs.
+
+    Keys: `key`, labels, `level`, `log`; `panel`; `x`, `y` and `z`, a row for each y; `line_x` and
+    `line_y`, the theory's line; `observed` and `predicted`, y of the border for each x, None where
+    there is none.
+    """
+    names = ("key", "title", "x_label", "y_label", "z_label", "line_label", "level", "log")
+    observed, predicted = borders(one, grid)
+    return {
+        **{name: getattr(one, name) for name in names},
+        **{("panel" if key == "title" else key): value for key, value in asdict(grid).items()},
+        "observed": [None if np.isnan(y) else y for y in observed],
+        "predicted": [None if np.isnan(y) else y for y in predicted],
+    }
+
+
+def borders(one: StabilityMap, grid: Grid) -> tuple[list[float], list[float]]:
+    """Return y of the border for each x: observed and predicted; NaN where there is none."""
+    place = np.log(grid.y) if "y" in one.log else np.array(grid.y)
+    columns = np.array(grid.z, dtype=float).T
+    observed = [crossing(place.tolist(), column.tolist(), one.level) for column in columns]
+    if "y" in one.log:
+        observed = np.exp(observed).tolist()
+    along = np.log if "x" in one.log else np.asarray
+    predicted = np.interp(along(grid.x), along(grid.line_x), grid.line_y, left=np.nan, right=np.nan)
+    return observed, predicted.tolist()
+
+
+def nearness(samples: list[dict[str, Any]]) -> str:
+    """Say how near the measured borders of a map's grids are to the predicted ones."""
+    pairs = [
+        (o, p)
+        for one in samples
+        for o, p in zip(one["observed"], one["predicted"], strict=True)
+        if o is not None and p is not None
+    ]
+    if not pairs:
+        return "No border is measured where one is predicted."
+    off = np.abs(np.log([o / p for o, p in pairs]))
+    return (
+        f"Measured and predicted border differ by {100 * np.expm1(np.median(off)):.0f} % "
+        f"(median of {len(pairs)} places), {100 * np.expm1(np.max(off)):.0f} % at most."
+    )

@@ -1,0 +1,135 @@
+"""How soft a plate may hang before its motion is not what was commanded, by method."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from maps.grid import Grid, StabilityMap, grid
+from plate_core import PlateCycle, Rig, load_rig
+from plate_core.rig import modal_matrices
+from plate_sim.drive import PlateState
+from plate_sim.suspension import realise
+from plate_solver import Goal, RotationSolver, SinusoidSolver
+from stages.learning import hung
+from stages.requests import scatter
+
+METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
+PARTS = (1, 2, 4, 6, 10)
+FREQUENCIES_HZ = np.geomspace(20, 320, 11)
+DAMPING = 0.03
+DRIFT = 0.01
+"""Size of the requests [m/s]."""
+
+REQUESTS = 3
+"""Random requests for each cell."""
+
+SEED = 86
+SAMPLES = 1024
+SETTLED = 4.0
+"""Time constants of the suspension after which the plate is in its rhythm."""
+
+LEVEL = 0.5
+"""Error of the motion, over the motion, with which next to nothing of a request is left."""
+
+
+def hung_at(rig: Rig, frequency: float) -> Rig:
+    """Return the rig on flexures, its motors unequal, its centre of mass off the middle."""
+    real = hung(rig)
+    assert real.suspension is not None
+    every = np.full(3, frequency), np.full(3, DAMPING)
+    damping, stiffness = modal_matrices(real.suspension.mass, *every)
+    return replace(rig, suspension=replace(real.suspension, damping=damping, stiffness=stiffness))
+
+
+def motions(rig: Rig, method: str, parts: int, count: int = REQUESTS) -> list[PlateCycle]:
+    """Return the plate's motions for random requests."""
+    rng = np.random.default_rng([SEED, parts])
+    solver = METHODS[method](rig, iterations=24, restarts=1)
+    period = solver.steering_period(parts)
+    none, cycles = np.zeros((parts, 2)), []
+    for _ in range(count):
+        position, wanted = scatter(rig, parts, rng), DRIFT * period * rng.normal(size=(parts, 2))
+        solver.reset()
+        goal = Goal(position, none, wanted, none, np.full(parts, rig.friction.accel))
+        cycles.append(solver.steer(goal, 2e-4 * period, 0.05 * DRIFT * period).cycle)
+    return cycles
+
+
+def lengths(rig: Rig) -> np.ndarray:
+    """Return what turns a twist into speeds of the plate's corners (3,)."""
+    return np.array([1.0, 1.0, float(np.hypot(*rig.plate.half))])
+
+
+def realised_error(rig: Rig, cycle: PlateCycle, frequency: float) -> float:
+    """Return the error of the plate's velocity over the velocity, root mean squares, simulated."""
+    real, state = hung_at(rig, frequency), PlateState.at_rest()
+    settling = SETTLED / (DAMPING * 2 * np.pi * frequency)
+    for _ in range(1 + int(np.ceil(settling / cycle.period))):
+        motion, state = realise(real, state, cycle)
+    t = np.arange(SAMPLES) * cycle.period / SAMPLES
+    wanted = cycle.twist(t) * lengths(rig)
+    missed = motion.twist(t) * lengths(rig) - wanted
+    return float(np.linalg.norm(missed) / np.linalg.norm(wanted))
+
+
+def predicted_error(rig: Rig, cycle: PlateCycle, frequency: float | np.ndarray) -> np.ndarray:
+    """Return the same as theory has it, for one frequency or many (F,).
+
+    A drive that holds the flexures at the place commanded makes of a harmonic at f
+
+        H = 1/(1 - r^2 + 2 i z r),    r = f/f_n
+
+    so what is missed of it is |H - 1|, and of the whole motion the root of the mean of |H - 1|^2
+    over its harmonics, each with the power that it has in the velocity. Motors are taken as equal.
+    """
+    t = np.arange(SAMPLES) * cycle.period / SAMPLES
+    spectrum = np.fft.rfft(cycle.twist(t) * lengths(rig), axis=0)
+    power = np.sum(np.abs(spectrum) ** 2, axis=1)
+    r = np.arange(len(power)) / cycle.period / np.atleast_1d(frequency)[:, None]
+    missed = np.abs(1 / (1 - r**2 + 2j * DAMPING * r) - 1) ** 2
+    return np.asarray(np.sqrt(missed @ power / np.sum(power)))
+
+
+def least_frequency(rig: Rig, cycles: list[PlateCycle]) -> float:
+    """Return the frequency [Hz] above which the predicted error (median) stays below the level."""
+    frequency = np.geomspace(5, 1000, 2000)
+    error = np.median([predicted_error(rig, cycle, frequency) for cycle in cycles], axis=0)
+    return float(frequency[np.flatnonzero(error >= LEVEL)[-1]])
+
+
+def measure(quick: bool) -> list[Grid]:
+    """Measure all cells."""
+    rig, grids = load_rig(), []
+    parts = PARTS[1::2] if quick else PARTS
+    frequencies = FREQUENCIES_HZ[::3] if quick else FREQUENCIES_HZ
+    for method in METHODS:
+        cycles = [motions(rig, method, m, 1 if quick else REQUESTS) for m in parts]
+        z = [
+            [float(np.median([realised_error(rig, c, hz) for c in mine])) for mine in cycles]
+            for hz in frequencies
+        ]
+        line = [least_frequency(rig, mine) for mine in cycles]
+        grids.append(grid(parts, frequencies, z, parts, line, method))
+    return grids
+
+
+MAP = StabilityMap(
+    key="suspension",
+    title="Soft plate: natural frequency and method, nothing learned",
+    x_label="parts",
+    y_label="natural frequency [Hz]",
+    z_label="velocity error over velocity",
+    line_label="where |H - 1| over the motion's harmonics predicts that error",
+    level=LEVEL,
+    measure=measure,
+    bounds=(0.0, 2.0),
+    log="y",
+    steps=True,
+    finding="A plate that hangs softer than the line has to be learned first. Rotations, with "
+    "their quick ramps, need one that is 1.6 to 3.3 times as fast as sinusoids do.",
+    note=f"Root mean squares of the plate's motion; median of {REQUESTS} random requests, each "
+    f"repeated until the plate is in its rhythm; damping {100 * DAMPING:g} %, motors 15 % apart, "
+    "with a lag of 200 Hz.",
+)

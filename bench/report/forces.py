@@ -1,0 +1,196 @@
+"""The charts of what solvers rest on: force map, guaranteed forces, what can be inverted."""
+
+from __future__ import annotations
+
+from harness import shown
+from report.chart import (
+    LIMIT,
+    OURS,
+    PEER,
+    SECOND,
+    THIRD,
+    Axis,
+    Chart,
+    Data,
+    Mark,
+    Panel,
+    Points,
+    Row,
+    Rule,
+    columns,
+    table,
+)
+
+LEAST_ERROR = 1e-11
+"""Errors below this [mu m g] are rounding, and drawn here."""
+
+WANTED = 1e-6
+"""Error of the force map that is wanted in the worst 1 % [mu m g]."""
+
+
+def force_map(data: Data) -> Chart:
+    """Return time and error of every way to the averaged force."""
+    batched = [r for r in table(data, "force_map", "batched") if r["harmonics"] == 2]
+    one = table(data, "force_map", "methods")
+    rows = [
+        {"case": case, "method": row["method"], "us": row[time], "median": row["median"],
+         "p99": row["p99"]}
+        for case, found, time in (("many", batched, "us"), ("one", one, "one_us"))
+        for row in found
+    ]  # fmt: skip
+    ours = {"many": "forces", "one": "average_force"}
+    titles = {"many": "Many motions in one call, N = 2", "one": "One finished cycle, 1 part"}
+    panels = []
+    for case, title in titles.items():
+        mine = [r for r in rows if r["case"] == case]
+        best = next(r for r in mine if r["method"] == ours[case])
+        points = [
+            Points(
+                "ours" if look == OURS else "others", [r["us"] for r in kind],
+                [max(r["p99"], LEAST_ERROR) for r in kind], look,
+                notes=tuple(f"{r['method']}, median error {shown(r['median'])}" for r in kind),
+                labels=tuple(r["method"] for r in kind),
+            )
+            for look, kind in (
+                (OURS, [best]), (PEER, [r for r in mine if r is not best]),
+            )
+        ]  # fmt: skip
+        log = case == "one"
+        limits = (1, 3e4) if log else (0, 1.6 * max(r["us"] for r in mine))
+        panels.append(
+            Panel(
+                title,
+                Axis("time of one part's force [µs]", log=log, limits=limits),
+                Axis("error, worst 1 % of cases [µmg]", log=True),
+                tuple(points), (Rule("wanted", y=WANTED),),
+                (Mark(best["us"], best["p99"]),), "less less",
+            )
+        )  # fmt: skip
+    best = next(r for r in one if r["method"] == "average_force")
+    quad = next(r for r in one if r["method"].startswith("quad"))
+    return Chart(
+        "force_map", "a", "Force map: error against time",
+        "The averaged friction of a part under a plate motion, random cases; the truth is scipy's "
+        "quad with its tolerances at 1e-10. Down and to the left is better.",
+        f"The error of the worst 1 % is {best['p99']:.0e} µmg in {best['one_us']:.0f} µs, "
+        f"{quad['one_us'] / best['one_us']:.0f} times as fast as scipy's quad; equal steps are "
+        f"faster but miss {WANTED:g} by a factor of a hundred and more where the surface almost "
+        "stands still.",
+        "average_force for judging, forces inside the search: the fastest that keep the worst "
+        f"1 % below {WANTED:g} µmg; what is faster on the front is wrong just at the dips where "
+        "a search ends.",
+        ("force_map",), tuple(panels), rows,
+        {"us": "time of one force [µs]", "median": "median error [µmg]",
+         "p99": "worst 1 % [µmg]"},
+    )  # fmt: skip
+
+
+def rotations(data: Data) -> Chart:
+    """Return forces and times of Method A, with its peers."""
+    rows: list[Row] = [
+        {"case": "force", "label": f"{r['centres']}, {r['method']}", "value": r["p10"],
+         "ours": r["method"] == "least time" and r["centres"] == "library"}
+        for r in table(data, "rotations", "guaranteed")
+    ]  # fmt: skip
+    rows += [
+        {"case": "force", "label": f"realised, {r['closure']}", "value": r["p10"], "ours": True}
+        for r in table(data, "rotations", "realised")
+    ]
+    rows += [
+        {"case": "time", "label": r["method"], "value": r["milliseconds"],
+         "ours": r["method"].startswith("ours")}
+        for r in table(data, "rotations", "times")
+    ]  # fmt: skip
+    titles = {
+        "force": ("Force at 10 parts, 10 % quantile", "[µmg]"),
+        "time": ("Linear problem of 10 parts", "[ms]"),
+    }
+    panels = [bar_panel([r for r in rows if r["case"] == c], *titles[c]) for c in titles]
+    value = {r["label"]: r["value"] for r in rows}
+    ours, svd = value["library, least time"], value["24 on a grid, SVD"]
+    return Chart(
+        "rotations", "b", "Method A: forces and time of its linear problem",
+        "Guaranteed: the force in any direction that takes one cycle of time, before it is "
+        "realised as a motion; realised: what closed motions within the rig's limits give.",
+        f"A library of centres with least time guarantees {ours:.3f} µmg for ten parts, the "
+        f"paper's SVD weights on 24 centres {svd:.4f}; ours takes "
+        f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
+        "Library, least time, closed as a sequence: ten times the force of the SVD for a fraction "
+        "of the time of a general linear programme.",
+        ("rotations",), tuple(panels), rows,
+        {"value": "value [µmg or ms]"},
+    )  # fmt: skip
+
+
+def bar_panel(rows: list[Row], title: str, unit: str) -> Panel:
+    """Return a bar for each row, ours and others."""
+    names = tuple(r["label"] for r in rows[::-1])
+    points = [
+        Points(
+            name, [r["value"] for r in mine], [r["label"] for r in mine], colour, bars=True,
+            labels=tuple(f"{r['value']:.2g}" for r in mine),
+        )
+        for name, colour, mine in (
+            ("ours", OURS, [r for r in rows if r["ours"]]),
+            ("others", PEER, [r for r in rows if not r["ours"]]),
+        )
+    ]  # fmt: skip
+    return Panel(title, Axis(unit), Axis("", names=names), tuple(points))
+
+
+def inversion(data: Data) -> Chart:
+    """Return what becomes of requests, and the time that it takes."""
+    rows = table(data, "inversion", "fate")
+    names = [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows]
+    rest = [100 - r["solved"] - r["proven"] for r in rows]
+    out = [r["proven"] for r in rows]
+    proven = [Points("proven out of reach", out, names, SECOND, bars=True)] if any(out) else []
+    y = Axis("", names=tuple(names[::-1]))
+    left = Panel(
+        "What becomes of requests up to 0.2 µmg", Axis("requests [%]", limits=(0, 100)), y,
+        (
+            Points("solved", [r["solved"] for r in rows], names, OURS, bars=True),
+            *proven,
+            Points("in part only", rest, names, "#cccccc", bars=True),
+        ),
+    )  # fmt: skip
+    right = Panel(
+        "Time", Axis("median time of a cold solve [ms]", log=True), y,
+        (Points("median time", [r["median_ms"] for r in rows], names, THIRD),),
+    )  # fmt: skip
+    free = [r for r in rows if "(" in str(r["harmonics"])]
+    least = min(r["share"] for r in free if r["share"] is not None)
+    told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
+    return Chart(
+        "inversion", "b", "Method B: what can be solved",
+        "N is the number of harmonics; in brackets: as many as the solver chooses.",
+        f"Met with as many harmonics as the solver chooses: {told}; of "
+        f"the rest at least a share of {least:.2f} in the median.",
+        "As many harmonics as the solver chooses: with the fewest that the rank allows, "
+        "many requests are out of reach.", ("inversion",), (left, right), rows,
+        columns(data, "inversion", "fate"),
+    )  # fmt: skip
+
+
+def learning(data: Data) -> Chart:
+    """Return the error of realised harmonics against the number of experiments."""
+    rows = table(data, "learning", "learning")
+    x = [r["iteration"] for r in rows]
+    panel = Panel(
+        "Error of realised harmonics", Axis("experiments", ticks=tuple(x)),
+        Axis("error [%]", log=True),
+        (
+            Points("largest of the cycles", x, [r["most"] for r in rows], SECOND, "s", "--"),
+            Points("median", x, [r["median"] for r in rows], OURS, "o", "-"),
+        ),
+        (Rule("2 %", y=2, colour=LIMIT),),
+    )  # fmt: skip
+    first, last = rows[0], rows[-1]
+    return Chart(
+        "learning", "", "Learning the plate",
+        "A plate on flexures, 35 Hz, damping 3 %, motors 15 % apart: error of the harmonics of "
+        "cycles not used for learning, after each experiment; three are the calibration.",
+        f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
+        f"{last['iteration']} experiments.", "", ("learning",), (panel,), rows,
+        columns(data, "learning", "learning"),
+    )  # fmt: skip

@@ -1,0 +1,131 @@
+"""A disc that slides and turns on a plate that shakes and turns: bodies beside scipy.
+
+The truth is scipy's DOP853 at a tight tolerance, with friction integrated over the disc by
+midpoints of many cells; as peers the same equations with fewer cells and looser tolerances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from harness import Result, Table, race, shown
+from plate_sim.bodies import simulate_bodies
+from plate_sim.footprint import disc
+from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, SPIN, exact_cycle
+
+RADIUS = 0.02
+"""Of the disc [m]."""
+
+GAMMA = 20
+"""Peak acceleration of the plate over mu g."""
+
+CYCLES = 6
+"""0.2 s."""
+
+PLACE, SPEED, TURN = (0.05, 0.03), (0.08, -0.05), 6.0
+"""Start of the disc [m], [m/s], [rad/s]."""
+
+TRUE_CELLS, PEER_CELLS = (24, 48), (8, 16)
+"""Rings of equal area and cells in each: of the truth, and of the peer."""
+
+STEPS_MS = (1.0, 0.5, 0.2, 0.1, 0.05, 0.02)
+TOLERANCES = (1e-3, 1e-4, 1e-5)
+
+OURS, PEER = "bodies", "scipy RK45"
+
+
+def measure(quick: bool) -> Result:
+    """Run the disc at several settings of both."""
+    rows = disc_rows(quick)
+    ours = min((r for r in rows if r["method"] == OURS), key=lambda r: r["error_mm"])
+    peer = min((r for r in rows if r["method"] == PEER), key=lambda r: r["error_mm"])
+    return Result(
+        [
+            Table(
+                "bodies",
+                f"Centre and rim of the disc after {CYCLES / FREQUENCY:g} s",
+                {
+                    "method": "method", "setting": "setting", "error_mm": "error [mm]",
+                    "speed": "simulated s per s",
+                },
+                rows,
+                "Error: how far centre or rim are off, whichever is more, against scipy's DOP853 "
+                "with 1152 cells.",
+            )
+        ],
+        [
+            f"bodies: {shown(ours['error_mm'])} mm at {shown(ours['speed'])} simulated s per s; "
+            f"scipy's RK45: {shown(peer['error_mm'])} mm at {shown(peer['speed'])}"
+        ],
+    )  # fmt: skip
+
+
+def disc_rows(quick: bool) -> list[dict[str, Any]]:
+    """Return error and speed of the disc at several settings."""
+    truth = by_scipy(TRUE_CELLS, "DOP853", 1e-5 if quick else 1e-8)
+    cases = [(OURS, f"{ms:g} ms", lambda ms=ms: by_steps(ms)) for ms in STEPS_MS]
+    for tolerance in TOLERANCES[:1] if quick else TOLERANCES:
+        run = lambda t=tolerance: by_scipy(PEER_CELLS, "RK45", t)  # noqa: E731
+        cases.append((PEER, f"rtol {tolerance:g}", run))
+    return [
+        {
+            "method": method, "setting": setting, "error_mm": 1e3 * apart(run(), truth),
+            "speed": CYCLES / FREQUENCY / race({"": run}, 0.1).median(""),
+        }
+        for method, setting, run in cases
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a disc is: place (2,) [m], angle [rad]."""
+
+    place: np.ndarray
+    angle: float
+
+
+def apart(one: Pose, other: Pose) -> float:
+    """Return how far the centres or the rims are apart, whichever is more [m]."""
+    centre = float(np.hypot(*(one.place - other.place)))
+    return max(centre, RADIUS * abs(one.angle - other.angle))
+
+
+def by_steps(step_ms: float) -> Pose:
+    """Run plate_sim's bodies in steps [ms]."""
+    run = simulate_bodies(
+        exact_cycle(GAMMA, SPIN), disc(RADIUS), np.array([PLACE]), 0, np.array([SPEED]), TURN, MU,
+        GRAVITY, CYCLES, 1, 1e-3 * step_ms,
+    )  # fmt: skip
+    return Pose(run.position[-1, 0], float(run.angle[-1, 0]))
+
+
+def by_scipy(cells: tuple[int, int], method: str, tolerance: float) -> Pose:
+    """Run the equations of motion with scipy, friction by midpoints of cells of equal area."""
+    cycle = exact_cycle(GAMMA, SPIN)
+    rings, each = cells
+    ring = RADIUS * np.sqrt((np.arange(rings) + 0.5) / rings)
+    angle = 2 * np.pi * (np.arange(each) + 0.5) / each
+    x, y = np.outer(ring, np.cos(angle)).ravel(), np.outer(ring, np.sin(angle)).ravel()
+
+    def slope(t: float, state: np.ndarray) -> list[float]:
+        now = np.array([t % cycle.period])
+        pose, twist = cycle.pose(now)[0], cycle.twist(now)[0]
+        px, py, _, vx, vy, spin = state
+        ux = twist[0] - twist[2] * (py + y - pose[1]) - (vx - spin * y)
+        uy = twist[1] + twist[2] * (px + x - pose[0]) - (vy + spin * x)
+        size = np.maximum(np.hypot(ux, uy), 1e-9)  # [m/s]: no cell is at rest for long
+        fx, fy = ux / size, uy / size
+        turn = MU_G * float(np.mean(x * fy - y * fx)) / (RADIUS**2 / 2)
+        return [vx, vy, spin, MU_G * float(fx.mean()), MU_G * float(fy.mean()), turn]
+
+    start = [*PLACE, 0.0, *SPEED, TURN]
+    end = CYCLES / FREQUENCY
+    found = solve_ivp(
+        slope, (0, end), start, method, [end], rtol=tolerance, atol=1e-3 * tolerance,
+        max_step=0.1 / FREQUENCY,
+    )  # fmt: skip
+    return Pose(found.y[:2, -1], float(found.y[2, -1]))

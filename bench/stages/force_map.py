@@ -1,0 +1,293 @@
+"""The averaged force map beside scipy's quad, plain numba and numpy: random cases.
+
+The truth is quad itself, told where the surface almost stands still, to a tolerance of 1e-10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from math import cos, hypot, pi, sin
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy.integrate import quad
+
+from harness import Result, Table, race
+from plate_core import PlateCycle, load_rig
+from plate_solver import average_force
+from plate_solver.force_map import mean_force
+from plate_solver.harmonic_force import forces, rules
+from plate_solver.harmonics import Harmonics, harmonics
+from plate_solver.solution import Bounds
+from plate_solver.triangular import intervals, triangular_forces
+
+NUMBER, PERIOD = 2, 0.05
+"""Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
+
+OURS = "average_force"
+BATCHED, PLAIN, CLOSED = "forces", "plain numba, n = 128", "triangular waves (19)-(21)"
+BATCH = 10
+"""Parts in one call of the second timing."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure error over random cases, and time per part."""
+    rig = load_rig()
+    bounds = Bounds.of(rig)
+    rng = np.random.default_rng(0)
+    basis = harmonics(NUMBER, PERIOD, False)
+    cases = []
+    for _ in range(15 if quick else 400):
+        coefficients = basis.random(rng, bounds)
+        cases.append((coefficients, rng.uniform(-rig.plate.half, rig.plate.half)))
+    truth = np.array([exact_force(c, p) for c, p in cases])
+    methods = evaluators(basis)
+    error = {
+        name: np.max(np.abs([call(c, p[None])[0] for c, p in cases] - truth), axis=1)
+        for name, call in methods.items()
+    }
+    rows = timed_rows(methods, error, cases[0][0], rng, rig.plate.half, 0.5 if quick else 3.0)
+    ours, peer = rows[0], next(row for row in rows if row["method"].startswith("quad"))
+    fast = next(row for row in rows if row["method"].startswith("mean_force, n = 128"))
+    plain = next(row for row in rows if row["method"].startswith("numpy"))
+    batch = batch_rows(cases, truth, 0.5 if quick else 3.0)
+    return Result(
+        [
+            batch_table(batch, len(cases)),
+            Table(
+                "methods",
+                "Average force of a cycle",
+                {
+                    "method": "method", "one_us": "1 part [us]",
+                    "many_us": f"{BATCH} parts, each [us]", "median": "median error [mu m g]",
+                    "p99": "worst 1 % [mu m g]", "lead": "quad's time / this",
+                },
+                rows,
+                f"{len(cases)} random motions and places, 12 parameters. mean_force takes twist "
+                "samples that are there already; average_force integrates the cycle's spline.",
+            )
+        ],
+        [
+            *batch_summary(batch),
+            f"average_force: {ours['one_us']:.3g} us for 1 part, {ours['many_us']:.3g} us each for "
+            f"{BATCH}; median error {ours['median']:.1g}, worst 1 % {ours['p99']:.1g} mu m g",
+            f"1 part, against quad: average_force {ours['lead']:.0f} times as fast, mean_force at "
+            f"n = 128 {fast['lead']:.0f} times; quad's median error is {peer['median']:.1g} mu m g",
+            f"mean_force at n = 128 against numpy at n = 256: "
+            f"{plain['one_us'] / fast['one_us']:.0f} times as fast",
+        ],
+    )  # fmt: skip
+
+
+@njit(fastmath=True)
+def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
+    """Return average forces (C, 2) by equal steps: what one would write first."""
+    force = np.empty((len(coefficients), 2))
+    for i in range(len(coefficients)):
+        fx = fy = 0.0
+        for k in range(len(waves)):
+            u = v = w = 0.0
+            for j in range(waves.shape[1]):
+                u += coefficients[i, j, 0] * waves[k, j]
+                v += coefficients[i, j, 1] * waves[k, j]
+                w += coefficients[i, j, 2] * waves[k, j]
+            dx, dy = u - w * position[i, 1], v + w * position[i, 0]
+            d = np.sqrt(dx * dx + dy * dy)
+            fx += dx / d
+            fy += dy / d
+        force[i, 0], force[i, 1] = fx / len(waves), fy / len(waves)
+    return force
+
+
+def batch_rows(
+    cases: list[tuple[np.ndarray, np.ndarray]], truth: np.ndarray, seconds: float
+) -> list[dict[str, Any]]:
+    """Time many cases in one call, in turns, at N = 2; the closed form at N = 3 too."""
+    position = np.array([p for _, p in cases])
+    still = np.zeros_like(position)
+    motions = {NUMBER: np.array([c for c, _ in cases])}
+    basis, rng = harmonics(NUMBER + 1, PERIOD, False), np.random.default_rng(1)
+    bounds = Bounds.of(load_rig())
+    motions[NUMBER + 1] = np.array([basis.random(rng, bounds) for _ in cases])
+    rows = []
+    for number, motion in motions.items():
+        steps = harmonics(number, PERIOD, False, 128).twist
+        kinks, shares = intervals(number)
+        rule = rules(number)
+        calls: dict[str, Callable[[], np.ndarray]] = {
+            BATCHED: partial(forces, motion, position, still, rule),
+            PLAIN: partial(plain_forces, motion, position, steps),
+            CLOSED: partial(triangular_forces, motion, position, kinks, shares),
+        }
+        if number > NUMBER:
+            truth = calls[BATCHED]()  # at N = 2 it has been judged
+        timed = race(calls, seconds)
+        for name, call in calls.items():
+            error = np.max(np.abs(call() - truth), axis=1)
+            judged = number == NUMBER or name != BATCHED
+            rows.append(
+                {
+                    "harmonics": number,
+                    "method": name,
+                    "us": 1e6 * timed.median(name) / len(cases),
+                    "ratio": timed.lead(PLAIN, name),
+                    "median": float(np.median(error)) if judged else None,
+                    "p99": float(np.percentile(error, 99)) if judged else None,
+                    "most": float(error.max()) if judged else None,
+                }
+            )
+    return rows
+
+
+def batch_table(rows: list[dict[str, Any]], count: int) -> Table:
+    """Return the table of many cases at once."""
+    return Table(
+        "batched",
+        "Average forces of many motions at once",
+        {
+            "harmonics": "harmonics N", "method": "method", "us": "each [us]",
+            "ratio": "time / plain", "median": "median error [mu m g]",
+            "p99": "worst 1 % [mu m g]", "most": "worst [mu m g]",
+        },
+        rows,
+        f"{count} random motions and places in one call, from coefficients. Truth at N = 3: "
+        "forces. The closed form has 8 and 16 intervals; its error is that of triangles for sines.",
+    )  # fmt: skip
+
+
+def batch_summary(rows: list[dict[str, Any]]) -> list[str]:
+    """Sum up the table of many cases at once."""
+    ours, plain, closed = rows[:3]
+    return [
+        f"forces: worst 1 % {ours['p99']:.1g}, worst {ours['most']:.1g} mu m g in "
+        f"{ours['us']:.2g} us each, {ours['ratio']:.2g} times as long as plain numba at n = 128 "
+        f"(worst 1 % {plain['p99']:.1g})",
+        f"closed form on triangular waves: median error {closed['median']:.2g}, worst 1 % "
+        f"{closed['p99']:.2g} mu m g, in {closed['ratio']:.2g} of the time of plain numba",
+    ]
+
+
+def slip(coefficients: np.ndarray, point: np.ndarray) -> Callable[[float], tuple[float, float]]:
+    """Return the surface's velocity [m/s] under a held part, by formula (13) itself."""
+    sine, cosine = coefficients[:NUMBER].tolist(), coefficients[NUMBER:].tolist()
+    x, y = point.tolist()
+    rates = [2 * pi / PERIOD * (j + 1) for j in range(NUMBER)]
+
+    def velocity(t: float) -> tuple[float, float]:
+        u = v = w = 0.0
+        for rate, a, b in zip(rates, sine, cosine, strict=True):
+            s, c = sin(rate * t), cos(rate * t)
+            u += s * a[0] + c * b[0]
+            v += s * a[1] + c * b[1]
+            w += s * a[2] + c * b[2]
+        return u - w * y, v + w * x
+
+    return velocity
+
+
+def exact_force(coefficients: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return the force (2,) [mu m g] by adaptive quadrature between the dips of the slip speed."""
+    grid = np.linspace(0, PERIOD, 2049)
+    velocity = slip(coefficients, point)
+    speed = np.array([hypot(*velocity(t)) for t in grid.tolist()])
+    low = np.flatnonzero((speed[1:-1] < speed[:-2]) & (speed[1:-1] <= speed[2:])) + 1
+    edges = np.concatenate([[0.0], grid[low], [PERIOD]])
+    total = np.zeros(2)
+    for a, b in pairwise(edges.tolist()):
+        if b > a:
+            total += adaptive(coefficients, point, a, b, 1e-10 * PERIOD)
+    return total / PERIOD
+
+
+def adaptive(
+    coefficients: np.ndarray, point: np.ndarray, a: float, b: float, tolerance: float
+) -> np.ndarray:
+    """Integrate the direction of slip over [a, b] by scipy's quad: (2,) [s]."""
+
+    velocity = slip(coefficients, point)
+
+    def direction(t: float, axis: int) -> float:
+        both = velocity(t)
+        return both[axis] / max(hypot(*both), 1e-300)
+
+    return np.array(
+        [
+            quad(direction, a, b, args=(axis,), epsabs=tolerance, epsrel=0, limit=400)[0]
+            for axis in (0, 1)
+        ]
+    )
+
+
+def evaluators(basis: Harmonics) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
+    """Return functions of coefficients (4, 3) and places (M, 2) to forces (M, 2) [mu m g].
+
+    The cycle and the samples are kept from call to call, so that only the map itself is timed.
+    """
+    kept: dict[int, PlateCycle] = {}
+    samples: dict[tuple[int, int], np.ndarray] = {}
+
+    def whole(coefficients: np.ndarray, position: np.ndarray) -> np.ndarray:
+        cycle = kept.get(id(coefficients))
+        if cycle is None:
+            cycle = kept[id(coefficients)] = basis.cycle(coefficients)
+        return average_force(cycle, position)
+
+    def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
+        key = (id(coefficients), n)
+        if key not in samples:
+            samples[key] = harmonics(NUMBER, PERIOD, False, n).twist @ coefficients
+        return samples[key]
+
+    def compiled(n: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        return lambda c, position: mean_force(position, np.zeros_like(position), twist(c, n))
+
+    def plain(c: np.ndarray, position: np.ndarray) -> np.ndarray:
+        u = twist(c, 256)[:, None]
+        velocity = np.stack(
+            [u[..., 0] - u[..., 2] * position[:, 1], u[..., 1] + u[..., 2] * position[:, 0]], -1
+        )
+        speed = np.sqrt(np.sum(velocity**2, axis=2, keepdims=True))
+        return np.asarray(np.mean(velocity / speed, axis=0))
+
+    def adaptive_all(c: np.ndarray, position: np.ndarray) -> np.ndarray:
+        whole_cycle = [adaptive(c, p, 0.0, PERIOD, 1.5e-8 * PERIOD) for p in position]
+        return np.array(whole_cycle) / PERIOD
+
+    return {
+        OURS: whole,
+        "mean_force, n = 128": compiled(128),
+        "mean_force, n = 512": compiled(512),
+        "mean_force, n = 1024": compiled(1024),
+        "numpy, n = 256": plain,
+        "quad (scipy)": adaptive_all,
+    }
+
+
+def timed_rows(
+    methods: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]],
+    error: dict[str, np.ndarray],
+    coefficients: np.ndarray,
+    rng: np.random.Generator,
+    half: np.ndarray,
+    seconds: float,
+) -> list[dict[str, Any]]:
+    """Time all methods in turns, for one part and for several."""
+    place = rng.uniform(-half, half, (BATCH, 2))
+    one, many = (
+        race({name: lambda c=call, p=p: c(coefficients, p) for name, call in methods.items()}, s)
+        for p, s in ((place[:1], seconds), (place, seconds))
+    )
+    return [
+        {
+            "method": name,
+            "one_us": 1e6 * one.median(name),
+            "many_us": 1e6 * many.median(name) / BATCH,
+            "median": float(np.median(error[name])),
+            "p99": float(np.percentile(error[name], 99)),
+            "lead": one.lead(name, "quad (scipy)"),
+        }
+        for name in methods
+    ]

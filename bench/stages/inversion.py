@@ -1,0 +1,197 @@
+"""Method B's inversion of the average map: beside scipy, from several starts, to its end.
+
+Requests are fresh: no seed here was used while the solver was made. All answers are judged by
+`average_force` on the finished cycle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness import Result, Table, cpu_time, shown
+from plate_core import Rig, load_rig
+from plate_solver import SinusoidSolver, average_force
+from plate_solver.guesses import GuessTable
+from plate_solver.harmonic_search import meet
+from plate_solver.harmonics import harmonics
+from stages.solver import TOLERANCE, ScipySolver, targets
+
+SEED = 30_000
+"""First seed of the requests; the number of parts and harmonics is added."""
+
+CASES = ((3, 2), (4, 2), (5, 2), (5, 3), (6, 3), (7, 3), (8, 3))
+"""Parts M and harmonics N: up to where the rank, 6 N - 2, no longer allows 2 M numbers."""
+
+CREEP = 0.004
+"""Change of a request from one image to the next [mu m g], root mean square."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure speed beside scipy, starts, and what becomes of requests."""
+    rig = load_rig()
+    pairs = race_with_scipy(rig, 12 if quick else 300)
+    starts = compare_starts(rig, 12 if quick else 200)
+    fates = [fate(rig, parts, number, 3 if quick else 30) for parts, number in CASES]
+    free = [fate(rig, parts, 0, 2 if quick else 15) for parts in (3, 4, 5, 6, 8)]
+    ours, peer = pairs
+    return Result(
+        [
+            Table(
+                "speed",
+                "2 parts, N = 2, requests up to 0.2 mu m g, cold start",
+                {
+                    "method": "method", "solved": "true error below 1e-4 [%]",
+                    "median_ms": "median [ms]", "p99_ms": "99 % [ms]",
+                },
+                pairs,
+                "Restarts included. Ours ends with a PlateCycle within the limits, scipy's with "
+                "the parameters: least_squares(method='lm'), our Jacobian, random starts.",
+            ),
+            Table(
+                "starts",
+                "First guesses",
+                {
+                    "parts": "parts M", "start": "start", "first": "solved at the first try [%]",
+                    "iterations": "iterations, median", "most": "iterations, 99 %",
+                },
+                starts,
+                f"warm: the request crept by {CREEP} mu m g since the last solution, as in a "
+                "closed loop. table: nearest in a k-d tree over mean place and force, as the paper "
+                "has it. best of 12: random motions tried at the parts' places, both ways round.",
+            ),
+            Table(
+                "fate",
+                "What becomes of requests up to 0.2 mu m g",
+                {
+                    "parts": "parts M", "harmonics": "harmonics N", "solved": "solved [%]",
+                    "proven": "proven out of reach [%]", "wrong": "wrong successes",
+                    "share": "share met of the rest, median", "median_ms": "median [ms]",
+                },
+                [*fates, *free],
+                "Harmonics: as asked for, or as the solver chooses (in brackets).",
+            ),
+        ],
+        [
+            f"2 parts: {shown(ours['solved'])} % solved in {shown(ours['median_ms'])} ms "
+            f"(99 %: {shown(ours['p99_ms'])}), scipy {shown(peer['median_ms'])} ms "
+            f"({shown(peer['p99_ms'])}): {peer['median_ms'] / ours['median_ms']:.1f} and "
+            f"{peer['p99_ms'] / ours['p99_ms']:.1f} times as long",
+            "warm start: "
+            + ", ".join(
+                f"{row['iterations']:.0f} iterations at {row['parts']} parts"
+                for row in starts
+                if row["start"] == "warm"
+            ),
+            "solved or proven: "
+            + ", ".join(
+                f"{row['solved'] + row['proven']:.0f} % of {row['parts']} parts at N = "
+                f"{row['harmonics']}"
+                for row in fates
+            ),
+        ],
+    )  # fmt: skip
+
+
+def race_with_scipy(rig: Rig, count: int) -> list[dict[str, Any]]:
+    """Solve the same requests by both, in turns."""
+    ours, peer = SinusoidSolver(rig, harmonics=2, period=0.05), ScipySolver(rig, 2, 0.05)
+    times: dict[str, list[float]] = {"SinusoidSolver": [], "scipy lm": []}
+    good = dict.fromkeys(times, 0)
+    basis = harmonics(2, 0.05, False)
+    for index, (position, force) in enumerate(
+        targets(rig, 2, count + 1, np.random.default_rng(SEED))
+    ):
+        for name, solver in (("SinusoidSolver", ours), ("scipy lm", peer)):
+            solver.reset()
+            began = cpu_time()
+            answer = solver.solve(position, force)
+            seconds = cpu_time() - began
+            if not index:  # the first one compiles
+                continue
+            times[name].append(1e3 * seconds)
+            cycle = (
+                basis.cycle(peer.family.coefficients(answer))
+                if isinstance(answer, np.ndarray)
+                else answer.cycle
+            )
+            error = np.max(np.abs(average_force(cycle, position) - force))
+            good[name] += bool(error < TOLERANCE)
+    return [
+        {
+            "method": name,
+            "solved": 100 * good[name] / count,
+            "median_ms": float(np.median(ms)),
+            "p99_ms": float(np.percentile(ms, 99)),
+        }
+        for name, ms in times.items()
+    ]
+
+
+def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
+    """Count iterations from several kinds of first guess, same requests."""
+    table = GuessTable.make(rig, 2, False)
+    rows = []
+    for parts in (1, 2, 3):
+        solver = SinusoidSolver(rig, harmonics=2, period=0.05)
+        family, key = solver._family(2 * parts, False)
+        known, pool, _ = solver._search_of(key)
+        rng = np.random.default_rng(SEED + parts)
+        counts: dict[str, list[tuple[int, int]]] = {
+            "warm": [], "table": [], "best of 12": [], "random": [],
+        }  # fmt: skip
+        still, none = np.zeros((parts, 2)), np.empty((0, pool.shape[1]))
+        for position, force in targets(rig, parts, count, rng):
+            before = force + CREEP * rng.normal(size=force.shape)
+            last = meet(none, pool, position, still, before, *known, TOLERANCE, 40, 41)
+            guess = family.parameters(table.nearest(position, force)[0])[None]
+            firsts = {
+                "warm": last.theta[None], "table": guess, "best of 12": none,
+                "random": rng.normal(size=(41, pool.shape[1])),
+            }  # fmt: skip
+            for name, first in firsts.items():
+                if name == "warm" and last.worst > TOLERANCE:
+                    continue
+                found = meet(first, pool, position, still, force, *known, TOLERANCE, 40, 41)
+                counts[name].append((found.iterations, found.tries))
+        rows += [
+            {
+                "parts": parts,
+                "start": name,
+                "first": 100 * float(np.mean([tries == 1 for _, tries in pairs])),
+                "iterations": float(np.median([steps for steps, _ in pairs])),
+                "most": float(np.percentile([steps for steps, _ in pairs], 99)),
+            }
+            for name, pairs in counts.items()
+        ]
+    return rows
+
+
+def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
+    """Tell how many requests are solved, proven out of reach, or neither."""
+    solver = SinusoidSolver(rig, harmonics=number)
+    rng = np.random.default_rng(SEED + 100 * parts + number)
+    solved = proven = wrong = 0
+    times, shares = [], []
+    for position, force in targets(rig, parts, count, rng):
+        solver.reset()
+        began = cpu_time()
+        answer = solver.solve(position, force)
+        times.append(1e3 * (cpu_time() - began))
+        error = np.max(np.abs(average_force(answer.cycle, position) - force))
+        solved += answer.success
+        wrong += answer.success and bool(error > TOLERANCE)
+        proven += answer.status == "unreachable"
+        if not answer.success:
+            shares.append(answer.share)
+    chosen = solver._family(2 * parts, False)[1][0]
+    return {
+        "parts": parts,
+        "harmonics": number or f"({chosen})",
+        "solved": 100 * solved / count,
+        "proven": 100 * proven / count,
+        "wrong": int(wrong),
+        "share": float(np.median(shares)) if shares else None,
+        "median_ms": float(np.median(times)),
+    }

@@ -1,0 +1,240 @@
+"""Both methods with their options, and scipy, on the same steering requests: error against time.
+
+Parts lie at rest; each is asked to drift its own way over one cycle, from a cold start and with no
+slack. `plate_sim` judges all answers. The peers are scipy's least squares on Method B's unknowns
+and the same prediction, once with its own differences and once with our derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from harness import Result, Table, cpu_time, shown
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import simulate
+from plate_solver import Goal, RotationSolver, SinusoidSolver
+from plate_solver.controller import DRIFT_TOLERANCE, EFFORT, EXACT_SHARE
+from plate_solver.cycle_map import end_position_gradient, end_state
+from plate_solver.harmonics import STEPS_PER_HARMONIC, harmonics
+from plate_solver.limited_family import LimitedSinusoids
+from plate_solver.sinusoid_steering import FINE_STEP
+from plate_solver.solution import Bounds
+from stages.steering import scatter
+
+SEED = 50_000
+"""First seed of the requests; the number of parts is added."""
+
+DRIFT = 0.005
+"""Greatest wanted drift of a part along each axis [m/s]."""
+
+CASES = {2: 20, 4: 12, 6: 10, 10: 8}
+"""Requests by number of parts."""
+
+HARMONICS = {2: 4, 4: 6, 6: 8, 10: 8}
+"""Harmonics by number of parts, as `SinusoidSolver` chooses."""
+
+B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10), (0, 1, 4), (0, 3)
+METHODS = {"A": "rotations", "B": "sinusoids"}
+
+Contestant = Callable[[Goal], PlateCycle]
+
+
+def measure(quick: bool) -> Result:
+    """Let all methods meet the same requests, in turns."""
+    rig = load_rig()
+    rows = []
+    for parts, count in ({2: 2, 10: 1} if quick else CASES).items():
+        rows += rows_of(rig, parts, count)
+    return Result(
+        [
+            Table(
+                "options",
+                f"Random drifts up to {1e3 * DRIFT:g} mm/s along each axis, from a cold start",
+                {
+                    "parts": "parts M", "method": "method", "option": "option",
+                    "default": "default", "median_ms": "median [ms]", "p99_ms": "99 % [ms]",
+                    "missed_percent": "missed, RMS [%]", "worst_percent": "worst request [%]",
+                    "runs": "requests",
+                },
+                rows,
+                "Missed: root mean square of asked minus simulated drift, over asked. Paper's map: "
+                "a force that would move a part from rest by what is asked, met on the averages "
+                "(5). scipy: least_squares(method='trf'), Method B's unknowns, prediction, limits "
+                "and most iterations.",
+            )
+        ],
+        [sentence(rows, parts) for parts in dict.fromkeys(r["parts"] for r in rows)],
+    )  # fmt: skip
+
+
+def rows_of(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
+    """Run all contestants with one number of parts; the first request is not counted."""
+    rng = np.random.default_rng(SEED + parts)
+    runners = contestants(rig, parts)
+    ms: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
+    missed: dict[tuple[str, str], list[float]] = {key: [] for key in runners}
+    asked = []
+    for index in range(count + 1):
+        goal = request(rig, parts, rng)
+        asked.append(float(np.mean((goal.displacement / period_of(parts)) ** 2)))
+        for key, run in runners.items():
+            began = cpu_time()
+            cycle = run(goal)
+            seconds = cpu_time() - began
+            if index:
+                ms[key].append(1e3 * seconds)
+                missed[key].append(miss(rig, goal, cycle))
+    del asked[0]
+    return [
+        {
+            "parts": parts, "method": key[0], "option": key[1],
+            "default": is_default(*key),
+            "median_ms": float(np.median(ms[key])), "p99_ms": float(np.percentile(ms[key], 99)),
+            "missed_percent": 100 * float(np.sqrt(np.mean(missed[key]) / np.mean(asked))),
+            "worst_percent": 100 * float(np.sqrt(np.max(np.divide(missed[key], asked)))),
+            "runs": count,
+        }
+        for key in runners
+    ]  # fmt: skip
+
+
+def is_default(method: str, option: str) -> bool:
+    """Whether `Controller` solves so."""
+    return method in METHODS and option == f"{EFFORT[METHODS[method]]['restarts']} restarts"
+
+
+def period_of(parts: int) -> float:
+    """Return the length of the cycles [s]."""
+    return SinusoidSolver(load_rig()).steering_period(parts)
+
+
+def request(rig: Rig, parts: int, rng: np.random.Generator) -> Goal:
+    """Return drifts to be reached from rest."""
+    position = scatter(rig, parts, rng)
+    still, period = np.zeros_like(position), period_of(parts)
+    wanted = period * rng.uniform(-DRIFT, DRIFT, position.shape)
+    return Goal(position, still, wanted, still, np.array([rig.friction.accel]))
+
+
+def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
+    """Return the mean square of what the simulator's drift misses [(m/s)^2]."""
+    run = simulate(cycle, goal.position, goal.velocity, rig.friction.mu, rig.friction.gravity)
+    drift = (run.position[-1] - goal.position) / cycle.period
+    wanted = goal.displacement / period_of(len(goal.position))
+    return float(np.mean((wanted - drift) ** 2))
+
+
+def good_enough(goal: Goal) -> tuple[float, float]:
+    """Return tolerance and what counts as met [m], as in `Controller`."""
+    least = DRIFT_TOLERANCE * period_of(len(goal.position))
+    return least, max(EXACT_SHARE * goal.size, least)
+
+
+def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
+    """Return who meets requests with so many parts: (method, option) -> how."""
+    found: dict[tuple[str, str], Contestant] = {}
+    for restarts in B_RESTARTS:
+        b = SinusoidSolver(rig, **EFFORT["sinusoids"] | {"restarts": restarts})
+        found["B", f"{restarts} restarts"] = steered(b)
+    for restarts in A_RESTARTS:
+        a = RotationSolver(rig, **EFFORT["rotations"] | {"restarts": restarts})
+        found["A", f"{restarts} restarts"] = steered(a)
+    number, period = HARMONICS[parts], period_of(parts)
+    b = SinusoidSolver(rig, harmonics=number, period=period, at_rest=True, restarts=3)
+    found["B", "paper's map"] = averaged(b, period)
+    found["A", "paper's map"] = averaged(RotationSolver(rig, period=period, restarts=1), period)
+    for restarts in PEER_RESTARTS:
+        for own, told in ((True, "own differences"), (False, "our derivatives")):
+            peer = Peer(rig, parts, own, restarts)
+            found[f"scipy, {told}", f"{restarts} restarts"] = peer.answer
+    return found
+
+
+def steered(solver: SinusoidSolver | RotationSolver) -> Contestant:
+    """Return our solver on the stick-slip map."""
+
+    def run(goal: Goal) -> PlateCycle:
+        solver.reset()
+        return solver.steer(goal, *good_enough(goal)).cycle
+
+    return run
+
+
+def averaged(solver: SinusoidSolver | RotationSolver, period: float) -> Contestant:
+    """Return our solver on the paper's averages: from rest, a force f moves by f mu g T^2 / 2."""
+
+    def run(goal: Goal) -> PlateCycle:
+        solver.reset()
+        unit = goal.friction_accel[:, None] * period**2 / 2
+        return solver.solve(goal.position, goal.displacement / unit).cycle
+
+    return run
+
+
+class Peer:
+    """scipy's trust-region least squares on Method B's unknowns.
+
+    Parameters
+    ----------
+    rig : Rig
+    parts : int
+    own : bool
+        Whether scipy takes differences; else it gets our derivatives.
+    restarts : int
+    """
+
+    def __init__(self, rig: Rig, parts: int, own: bool, restarts: int) -> None:
+        number, period = HARMONICS[parts], period_of(parts)
+        steps = max(STEPS_PER_HARMONIC * number, round(period / FINE_STEP))
+        self._family = LimitedSinusoids(harmonics(number, period, True, steps), Bounds.of(rig), 1.0)
+        self._own, self._restarts = own, restarts
+
+    def answer(self, goal: Goal) -> PlateCycle:
+        """Return the best motion of all starts, within the limits."""
+        rng = np.random.default_rng(0)
+        _, good = good_enough(goal)
+        best: Any = None
+        for _ in range(self._restarts + 1):
+            found = least_squares(
+                lambda theta: self._errors(goal, theta),
+                self._family.random(rng),
+                "2-point" if self._own else lambda theta: self._slopes(goal, theta),
+                max_nfev=EFFORT["sinusoids"]["iterations"],
+            )
+            if best is None or found.cost < best.cost:
+                best = found
+            if 2 * best.cost <= good**2 * goal.rows:
+                break
+        return self._family.cycle(self._family.admissible(best.x))
+
+    def _errors(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
+        """Return missed displacements, and in one row by how much limits are exceeded [m]."""
+        end, _ = end_state(*self._state(goal, theta))
+        excess = np.linalg.norm(self._family.penalty(theta))
+        return np.append((goal.displacement - (end - goal.position)).ravel(), excess)
+
+    def _slopes(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
+        _, _, by_twist, by_pose = end_position_gradient(*self._state(goal, theta))
+        rows = -self._family.pull_back(theta, by_twist, by_pose)
+        excess = self._family.penalty(theta)
+        unit = excess / max(float(np.linalg.norm(excess)), 1e-300)
+        return np.vstack([rows, -unit @ self._family.penalty_slopes(theta)])
+
+    def _state(self, goal: Goal, theta: np.ndarray) -> tuple[Any, ...]:
+        pose, twist = self._family.samples(theta)
+        return goal.position, goal.velocity, pose, twist, self._family.dt, goal.friction_accel
+
+
+def sentence(rows: list[dict[str, Any]], parts: int) -> str:
+    """Sum up one number of parts."""
+    told = [
+        f"{row['method']} ({row['option']}) {row['missed_percent']:.0f} % in "
+        f"{shown(row['median_ms'])} ms"
+        for row in rows
+        if row["parts"] == parts and (row["default"] or row["option"] == "3 restarts")
+    ]
+    return f"{parts} parts, missed: " + ", ".join(told)

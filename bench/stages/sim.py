@@ -1,0 +1,296 @@
+"""The simulator beside its peers: error, speed, and cost as scenes grow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from harness import Race, Result, Table, missing_peer, optional, race
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import Contacts, WorldState, run_cycle
+from plate_sim.friction import STEP
+from plate_sim.points import TOLERANCE
+from stages import mujoco_scene
+from stages.pymunk_scene import PymunkScene
+from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, SCENES, Scene, alike, all_ways
+from stages.tray import tray_tables
+
+EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
+"""Methods: our two integrators and the peers."""
+
+PEER_STEP_MS = 0.1
+"""Step at which pymunk errs by 0.12 % in the exact scene: what speeds are compared at."""
+
+SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
+"""Simulated time of a scene, and of a timed run of a peer [s]."""
+
+MUJOCO_LEAST_MS = 0.05
+"""Shortest step at which MuJoCo is run [ms]: it takes long, and gets no better."""
+
+LADDER = ("points", "discs", "bodies")
+"""Models of the world, the cheapest first."""
+
+WIDE_M = 2.0
+"""Side of the plate whose cost is measured: room for 1000 parts."""
+
+SPACING_M = 0.02
+"""Between the centres of the parts whose cost is measured: they do not touch."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure error by setting, speed at the peer's error, colliding discs, and cost."""
+    peers = {PYMUNK: optional("pymunk"), MUJOCO: optional("mujoco")}
+    errors = error_rows(peers, quick)
+    speeds = speed_rows(peers[PYMUNK], quick)
+    cost = cost_rows(peers[PYMUNK], quick)
+    tray = tray_tables(peers[PYMUNK], peers[MUJOCO], quick)
+    return Result(
+        [
+            Table(
+                "error",
+                "Error of one part's travel after 1 s, and speed",
+                {
+                    "method": "method", "gamma": "peak accel / mu g", "setting": "setting",
+                    "error_mm": "error [mm]", "error_percent": "error [%]",
+                    "speed": "simulated s per s",
+                },
+                errors,
+                "In steps: root mean square over neighbouring steps, as the error of a single one "
+                "depends on where the steps fall.",
+            ),
+            Table(
+                "speed",
+                f"Speed at no more error than pymunk has in steps of {PEER_STEP_MS:g} ms, 20 mu g",
+                {
+                    "scene": "scene", "parts": "parts", "tolerance": "our tolerance [m]",
+                    "error_percent": "our error [%]", "peer_percent": "pymunk's error [%]",
+                    "ours": "plate_sim [s/s]", "pymunk": "pymunk [s/s]", "lead": "ours / pymunk",
+                },
+                speeds,
+                "Error: root mean square over the parts, of their root mean square travel. Parts "
+                "that move alike are integrated once, which tells in the first scene. Pymunk has "
+                "no joint for a plate that turns.",
+            ),
+            Table(
+                "cost",
+                "Cost by number of parts, 20 mu g, default settings",
+                {
+                    "parts": "parts", EVENTS: "by events [s/s]",
+                    **{model: f"{model} [s/s]" for model in LADDER},
+                    PYMUNK: "pymunk, 1 ms [s/s]",
+                },
+                cost,
+                f"Points, discs and finite bodies in steps of {1e3 * STEP:g} ms, as in the closed "
+                "loop.",
+            ),
+            *tray,
+        ],
+        summary(errors, speeds, peers),
+    )  # fmt: skip
+
+
+def rms(values: Any) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def step_count(step_ms: float) -> int:
+    """Steps in one cycle, as near to the wanted step as they fit."""
+    return max(1, round(1e3 / FREQUENCY / step_ms))
+
+
+def peer_scene(pymunk: Any, scene: Scene, dt: float, span: float, offset: float) -> PymunkScene:
+    """Build the peer's scene; it may take the plate's velocity where it serves it best."""
+    return PymunkScene(
+        pymunk, scene.cycle, dt, span, scene.position, MU_G, scene.velocity, offset=offset
+    )
+
+
+def peer_travel(pymunk: Any, scene: Scene, dt: float, offset: float) -> np.ndarray:
+    """How far the peer's parts went in 1 s (M, 2) [m]."""
+    return np.asarray(peer_scene(pymunk, scene, dt, SPAN, offset).run() - scene.position)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One method at one setting: its errors [m], and a run of `span` [s] to time."""
+
+    method: str
+    setting: str
+    errors: list[float]
+    run: Callable[[], object]
+    span: float
+
+
+def error_rows(peers: dict[str, Any], quick: bool) -> list[dict[str, Any]]:
+    """Error of the travel of one part after 1 s, and speed, by setting."""
+    steps_ms = (1.0, 0.1) if quick else (1.0, 0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
+    tolerances = (1e-4, TOLERANCE) if quick else (1e-3, 1e-4, 1e-5, 1e-6, TOLERANCE, 1e-9, 1e-12)
+    repeats = 2 if quick else 5
+    rows = []
+    for gamma, exact in EXACT_M.items():
+        scene = alike(gamma, 1)
+        cases = [by_events(scene, tolerance, exact) for tolerance in tolerances]
+        for step_ms in steps_ms:
+            cases.append(in_steps(scene, step_ms, exact, repeats))
+            if peers[PYMUNK]:
+                cases.append(in_pymunk(peers[PYMUNK], scene, step_ms, exact, repeats))
+            if peers[MUJOCO] and step_ms >= MUJOCO_LEAST_MS:
+                cases.append(in_mujoco(peers[MUJOCO], scene, step_ms, exact))
+        for case in cases:
+            timed = race({"": case.run}, 0.1 if quick else 0.4)
+            rows.append(
+                {
+                    "method": case.method, "gamma": gamma, "setting": case.setting,
+                    "error_mm": 1e3 * rms(case.errors),
+                    "error_percent": 100 * rms(case.errors) / exact,
+                    "speed": case.span / timed.median(""),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def by_events(scene: Scene, tolerance: float, exact: float) -> Case:
+    """Return plate_sim's integrator by events."""
+    error = scene.travel(tolerance)[0, 0] - exact
+    return Case(EVENTS, f"{tolerance:g} m", [error], lambda: scene.travel(tolerance), SPAN)
+
+
+def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
+    """Return plate_sim's equal steps."""
+    first = step_count(step_ms)
+    errors = [scene.travel(None, first + i)[0, 0] - exact for i in range(repeats)]
+    return Case(STEPS, f"{step_ms:g} ms", errors, lambda: scene.travel(None, first), SPAN)
+
+
+def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
+    """Return pymunk, which may take the plate's velocity where it serves it best."""
+    first = CYCLES * step_count(step_ms)
+    errors = [
+        [
+            peer_travel(pymunk, scene, SPAN / (first + 3 * i), offset)[0, 0] - exact
+            for i in range(repeats)
+        ]
+        for offset in (0.5, 1.0)
+    ]
+    run = peer_scene(pymunk, scene, 1e-3 * step_ms, PEER_SPAN, 0.5).run
+    return Case(PYMUNK, f"{step_ms:g} ms", min(errors, key=rms), run, PEER_SPAN)
+
+
+def in_mujoco(mujoco: Any, scene: Scene, step_ms: float, exact: float) -> Case:
+    """Return MuJoCo, in the plate's frame under a shaken gravity."""
+    long, short = (
+        mujoco_scene.MujocoScene(mujoco, scene.cycle, 1e-3 * step_ms, span, scene.position, MU)
+        for span in (SPAN, PEER_SPAN)
+    )
+    error = long.run()[0, 0] - scene.position[0, 0] - exact
+    return Case(MUJOCO, f"{step_ms:g} ms", [error], short.run, PEER_SPAN)
+
+
+def speed_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+    """Speed at the peer's error, by scene and number of parts."""
+    rows = []
+    for kind, make in SCENES.items():
+        for count in (1, 10, 100):
+            scene = make(20, count)
+            truth = scene.travel(1e-11)
+            size, peer = rms(truth), None
+            if pymunk and kind != "plate turns too":
+                dt = 1e-3 * PEER_STEP_MS
+                peer = min(
+                    rms(peer_travel(pymunk, scene, dt, offset) - truth) / size
+                    for offset in (0.5, 1.0)
+                )
+            tolerance, error = loosest(scene, truth, size, 1.2e-3 if peer is None else peer)
+            contestants: dict[str, Callable[[], object]] = {
+                "ours": partial(scene.travel, tolerance)
+            }
+            if peer is not None:
+                contestants[PYMUNK] = peer_scene(pymunk, scene, dt, PEER_SPAN, 0.5).run
+            timed = race(contestants, 0.3 if quick else 2.0)
+            rows.append(
+                {
+                    "scene": kind, "parts": count, "tolerance": tolerance,
+                    "error_percent": 100 * error,
+                    "peer_percent": None if peer is None else 100 * peer,
+                    **speeds_of(timed),
+                }
+            )  # fmt: skip
+    return rows
+
+
+def loosest(scene: Scene, truth: np.ndarray, size: float, wanted: float) -> tuple[float, float]:
+    """Return the loosest tolerance that gives no more than the wanted error, and its error."""
+    for tolerance in 10.0 ** np.arange(-3, -10, -1):
+        error = rms(scene.travel(tolerance) - truth) / size
+        if error <= wanted:
+            break
+    return float(tolerance), error
+
+
+def speeds_of(timed: Race) -> dict[str, float | None]:
+    """Return speeds [simulated s per s] and their ratio; the peer's run lasts 0.1 s."""
+    there = PYMUNK in timed.times
+    return {
+        "ours": SPAN / timed.median("ours"),
+        PYMUNK: PEER_SPAN / timed.median(PYMUNK) if there else None,
+        "lead": SPAN / PEER_SPAN * timed.lead("ours", PYMUNK) if there else None,
+    }
+
+
+def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
+    """Simulated seconds per second of every model, from 1 to 1000 parts."""
+    rows = []
+    for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
+        scene = all_ways(20, count)
+        side = int(np.ceil(np.sqrt(count)))
+        place = SPACING_M * (np.arange(side) - 0.5 * (side - 1))
+        grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(-1, 2)[:count]
+        scene = Scene(scene.cycle, grid, 0 * scene.velocity)
+        span = 3 / FREQUENCY
+        contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
+        for model in LADDER:
+            contestants[model] = partial(run_world, scene.cycle, scene.position, model)
+        if pymunk:
+            contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN, 0.5).run
+        timed = race(contestants, 0.3 if quick else 1.5)
+        spans = {EVENTS: SPAN, PYMUNK: PEER_SPAN}
+        rows.append(
+            {"parts": count}
+            | {name: spans.get(name, span) / timed.median(name) for name in timed.times}
+        )
+    return rows
+
+
+def run_world(cycle: PlateCycle, position: np.ndarray, model: str) -> WorldState:
+    """Run three cycles of the world that the closed loop runs in, on a larger plate."""
+    ids = tuple(f"black_{i + 1}" for i in range(len(position)))
+    state = WorldState.at_rest(ids, position)
+    return run_cycle(state, cycle, wide_rig(), MU, contacts=Contacts(), cycles=3, model=model)
+
+
+@lru_cache(maxsize=1)
+def wide_rig() -> Rig:
+    """Return the default rig with a plate that has room for many parts."""
+    rig = load_rig()
+    return replace(rig, plate=replace(rig.plate, length_m=WIDE_M, width_m=WIDE_M))
+
+
+def summary(
+    errors: list[dict[str, Any]], speeds: list[dict[str, Any]], peers: dict[str, Any]
+) -> list[str]:
+    """Sum up in sentences."""
+    tight = min((r for r in errors if r["method"] == EVENTS), key=lambda r: r["error_mm"])
+    lines = [f"tightest error by events: {tight['error_mm']:.1g} mm"]
+    for kind in SCENES:
+        leads = [f"{r['lead']:.0f}" for r in speeds if r["scene"] == kind and r["lead"]]
+        if leads:
+            lines.append(
+                f"{kind}, at pymunk's error: {' / '.join(leads)} times as fast as pymunk with "
+                "1 / 10 / 100 parts"
+            )
+    return lines + [missing_peer(name.lower()) for name, module in peers.items() if not module]

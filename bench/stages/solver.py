@@ -1,0 +1,259 @@
+"""The averaged problem: our solvers from a cold start beside scipy and numpy.
+
+Every answer, ours and the peer's, is judged by the force map on samples that neither has used.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from harness import Result, Table, cpu_time, race, shown
+from plate_core import Rig, load_rig
+from plate_solver import RotationSolver, SinusoidSolver
+from plate_solver.centres import grid, rotation_matrix, solve_weights
+from plate_solver.force_map import SAMPLES, mean_force, mean_force_gradient
+from plate_solver.harmonics import harmonics
+from plate_solver.sinusoid_family import SinusoidFamily
+from plate_solver.solution import Bounds
+
+HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
+"""Harmonics N by parts M: the fewest with parameters to spare, as `SinusoidSolver` chooses."""
+
+PERIOD_PER_HARMONIC = 0.025
+"""[s]; averaged forces do not depend on it."""
+
+ROTATION_SHARE = 3
+"""`RotationSolver` gets every third target only: it takes ten times as long."""
+
+LARGEST = 0.2
+"""Targets are this long at most [mu m g]."""
+
+TOLERANCE = 1e-4
+"""Greatest error of a component that counts as success [mu m g]."""
+
+NEAR = 1e-3
+"""A wider bound [mu m g]: `RotationSolver`'s own tolerance."""
+
+RESTARTS = 20
+"""Further starts that every method has."""
+
+JUDGE_SAMPLES = 6007
+"""Samples of the judge: no multiple of anybody else's."""
+
+OURS, PEER, ROTATIONS = "SinusoidSolver", "scipy lm", "RotationSolver"
+
+
+def measure(quick: bool) -> Result:
+    """Solve random targets for 1 to 4 parts, and time the linear step."""
+    rig = load_rig()
+    samples = []
+    for parts in HARMONICS:
+        samples += solve_all(rig, parts, 4 if quick else 45)
+    rows = [
+        nonlinear_row(parts, method, samples)
+        for parts in HARMONICS
+        for method in (OURS, PEER, ROTATIONS)
+    ]
+    linear = [linear_row(rig, parts, 0.1 if quick else 0.6) for parts in (2, 4, 10)]
+    return Result(
+        [
+            Table(
+                "nonlinear",
+                f"Random targets up to {LARGEST} mu m g, cold start, at most {RESTARTS} restarts",
+                {
+                    "parts": "parts M", "harmonics": "harmonics N", "method": "method",
+                    "success_percent": f"within {TOLERANCE:g} [%]",
+                    "near_percent": f"within {NEAR:g} [%]", "median_ms": "median [ms]",
+                    "p99_ms": "99 % [ms]", "median_error": "median error [mu m g]",
+                },
+                rows,
+                "scipy: least_squares(method='lm') with our Jacobian on the same samples, random "
+                "starts, then the same last steps on fine samples. Our times include the finished "
+                "PlateCycle within the rig's limits, RotationSolver's also closure and ramps; "
+                "scipy's end with the parameters. RotationSolver stops at 1e-3 itself; it gets "
+                "every third target only.",
+            ),
+            Table(
+                "linear",
+                "Weights of 24 rotation centres",
+                {
+                    "parts": "parts M", "ours_us": "solve_weights [us]",
+                    "lstsq_us": "numpy lstsq [us]", "lead": "ours / numpy",
+                    "difference": "difference of the weights",
+                },
+                linear,
+                "solve_weights also gives the condition number.",
+            ),
+        ],
+        summary(rows, linear),
+        samples,
+    )  # fmt: skip
+
+
+def targets(
+    rig: Rig, parts: int, count: int, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return places (M, 2) [m], at least 40 mm apart, and forces (M, 2) [mu m g]."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    while len(found) < count:
+        position = rng.uniform(-0.85 * rig.plate.half, 0.85 * rig.plate.half, (parts, 2))
+        apart = np.linalg.norm(position[:, None] - position, axis=2) + np.eye(parts)
+        if np.min(apart) < 0.04:
+            continue
+        angle, size = rng.uniform(0, 2 * np.pi, parts), LARGEST * np.sqrt(rng.uniform(size=parts))
+        found.append((position, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))
+    return found
+
+
+def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
+    """Solve the same targets by all methods, in turns; one sample per target and method."""
+    number = HARMONICS[parts]
+    period = PERIOD_PER_HARMONIC * number
+    ours = SinusoidSolver(
+        rig, harmonics=number, period=period, tolerance=TOLERANCE, restarts=RESTARTS
+    )
+    rotations = RotationSolver(rig, restarts=RESTARTS)
+    peer = ScipySolver(rig, number, period)
+    rng = np.random.default_rng(parts)
+    samples = []
+    for index, (position, force) in enumerate(targets(rig, parts, count + 1, rng)):
+        ours.reset()
+        rotations.reset()
+        peer.reset()
+        for method, solver in ((OURS, ours), (PEER, peer), (ROTATIONS, rotations)):
+            if method == ROTATIONS and index and index % ROTATION_SHARE != 1:
+                continue
+            began = cpu_time()
+            answer = solver.solve(position, force)
+            seconds = cpu_time() - began
+            if not index:  # the first one compiles and makes tables
+                continue
+            t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
+            if isinstance(answer, np.ndarray):
+                basis = harmonics(number, period, False, JUDGE_SAMPLES)
+                twist = basis.twist @ peer.family.coefficients(answer)
+            else:
+                twist = answer.cycle.twist(t * answer.cycle.period)
+            got = mean_force(position, np.zeros_like(position), twist)
+            samples.append(
+                {
+                    "parts": parts,
+                    "method": method,
+                    "ms": 1e3 * seconds,
+                    "error": float(np.max(np.abs(got - force))),
+                }
+            )
+    return samples
+
+
+class ScipySolver:
+    """scipy's least_squares on the force map: what one would write without our solver."""
+
+    def __init__(self, rig: Rig, number: int, period: float) -> None:
+        bounds = Bounds.of(rig)
+        self.family = SinusoidFamily(harmonics(number, period, False), bounds)
+        self._fine = SinusoidFamily(harmonics(number, period, False, SAMPLES), bounds)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start the random numbers anew."""
+        self._rng = np.random.default_rng(0)
+
+    def solve(self, position: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return the best parameters of up to `RESTARTS` + 1 random starts."""
+        best: Any = None
+        for _ in range(RESTARTS + 1):
+            start = self.family.random(self._rng)
+            result = self._search(self.family, start, position, force)
+            if best is None or result.cost < best.cost:
+                best = result
+            if np.max(np.abs(best.fun)) <= TOLERANCE:
+                break
+        return np.asarray(self._search(self._fine, best.x, position, force).x)
+
+    def _search(
+        self, family: SinusoidFamily, start: np.ndarray, position: np.ndarray, force: np.ndarray
+    ) -> Any:
+        still = np.zeros_like(position)
+        rows = np.tile([True, True, False], len(position))
+        # 'lm' wants at least as many errors as parameters: the further ones are zero.
+        spare = max(0, len(start) - force.size)
+
+        def errors(theta: np.ndarray) -> np.ndarray:
+            got = mean_force(position, still, family.basis.twist @ family.coefficients(theta))
+            return np.concatenate([(got - force).ravel(), np.zeros(spare)])
+
+        def jacobian(theta: np.ndarray) -> np.ndarray:
+            twist = family.basis.twist @ family.coefficients(theta)
+            gradient = mean_force_gradient(position, still, twist)[2][rows]
+            return np.vstack(
+                [family.pull_back(theta, gradient, None), np.zeros((spare, len(theta)))]
+            )
+
+        return least_squares(errors, start, jacobian, method="lm", max_nfev=60)
+
+
+def nonlinear_row(parts: int, method: str, samples: list[dict[str, Any]]) -> dict[str, Any]:
+    """Sum up the samples of one method at one number of parts."""
+    mine = [s for s in samples if s["parts"] == parts and s["method"] == method]
+    ms, error = np.array([s["ms"] for s in mine]), np.array([s["error"] for s in mine])
+    return {
+        "parts": parts,
+        "harmonics": HARMONICS[parts] if method != ROTATIONS else None,
+        "method": method,
+        "success_percent": 100 * float(np.mean(error <= TOLERANCE)),
+        "near_percent": 100 * float(np.mean(error <= NEAR)),
+        "median_ms": float(np.median(ms)),
+        "p99_ms": float(np.percentile(ms, 99)),
+        "median_error": float(np.median(error)),
+    }
+
+
+def linear_row(rig: Rig, parts: int, seconds: float) -> dict[str, Any]:
+    """Time the linear problem (10) at random places beside numpy's least squares."""
+    position, force = targets(rig, parts, 1, np.random.default_rng(parts))[0]
+    matrix, wanted = rotation_matrix(position, grid(rig.plate.half)), force.T.ravel()
+    timed = race(
+        {
+            "ours": lambda: solve_weights(matrix, wanted),
+            "lstsq": lambda: np.linalg.lstsq(matrix, wanted, rcond=None),
+        },
+        seconds,
+    )
+    weights, reference = solve_weights(matrix, wanted)[0], np.linalg.lstsq(matrix, wanted)[0]
+    return {
+        "parts": parts,
+        "ours_us": 1e6 * timed.median("ours"),
+        "lstsq_us": 1e6 * timed.median("lstsq"),
+        "lead": timed.lead("ours", "lstsq"),
+        "difference": float(np.max(np.abs(weights - reference))),
+    }
+
+
+def summary(rows: list[dict[str, Any]], linear: list[dict[str, Any]]) -> list[str]:
+    """Sum up in sentences."""
+    lines = []
+    for parts in HARMONICS:
+        ours, peer, rotations = (
+            next(r for r in rows if r["parts"] == parts and r["method"] == method)
+            for method in (OURS, PEER, ROTATIONS)
+        )
+        lines.append(
+            f"{parts} part{'s' * (parts > 1)}: {OURS} {ours['success_percent']:.0f} % in "
+            f"{shown(ours['median_ms'])} ms, "
+            f"scipy {peer['success_percent']:.0f} % in {shown(peer['median_ms'])} ms "
+            f"({peer['median_ms'] / ours['median_ms']:.1f} times as long), "
+            f"{ROTATIONS} {rotations['near_percent']:.0f} % (within {NEAR:g}) in "
+            f"{shown(rotations['median_ms'])} ms"
+        )
+    lines.append(
+        "linear step, "
+        + " / ".join(str(r["parts"]) for r in linear)
+        + " parts: "
+        + " / ".join(f"{r['lead']:.1f}" for r in linear)
+        + " times as fast as numpy lstsq"
+    )
+    return lines

@@ -1,0 +1,152 @@
+"""What each stage costs for one image: a run of the closed loop, played again with a clock.
+
+The loop itself is `loop.run`; every stage then gets the same inputs once more.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+
+from harness import Result, Table, cpu_time
+from harness.loop import Moment, Setup, run
+from plate_core import PlateCycle, Rig, load_rig, part_class
+from plate_core.tasks import Scenario, load_scenario
+from plate_driver.motor_table import prepare
+from plate_planner import Planner
+from plate_sim import Camera, part_greys, run_cycle
+from plate_solver import Controller
+from plate_vision import Tracker, make_vision, observe
+
+PARTS = (1, 2, 4, 6, 8, 10, 16)
+IMAGES = 40
+"""Images of one run."""
+
+FIRST = 4
+"""Images that are not counted: the parts are not known yet, or something is made only once."""
+
+STAGES = {
+    "camera": "camera (simulated)",
+    "vision": "vision",
+    "planner": "planner",
+    "solver": "solver",
+    "driver": "driver",
+    "simulator": "simulator",
+}
+
+
+def measure(quick: bool) -> Result:
+    """Time all stages for several numbers of parts to sort."""
+    rig = load_rig()
+    rows = []
+    with TemporaryDirectory() as folder:
+        for parts in (2, 10) if quick else PARTS:
+            path = Path(folder) / f"sort_{parts}.yaml"
+            path.write_text(scenario_text(parts), encoding="utf-8")
+            setup = Setup(str(path))
+            moments = list(islice(run(setup, rig), 15 if quick else IMAGES))
+            rows.append(stages_row(rig, load_scenario(path), moments))
+    return Result(
+        [
+            Table(
+                "stages",
+                "Median time for one image, parts to be sorted, method sinusoids",
+                {
+                    "parts": "parts M",
+                    **{name: f"{label} [ms]" for name, label in STAGES.items()},
+                    "answer": "image to setpoints [ms]", "period": "cycle [ms]",
+                },
+                rows,
+                "Cores only, no ROS; the first images of a sort, when all parts move. Image to "
+                "setpoints: vision, planner, solver and driver; it has to fit into one cycle.",
+            )
+        ],
+        [
+            f"{r['parts']} parts: {r['answer']:.1f} ms from image to setpoints, "
+            f"{100 * r['answer'] / r['period']:.0f} % of a cycle of {r['period']:.0f} ms; "
+            f"solver {100 * r['solver'] / r['answer']:.0f} % of it"
+            for r in rows
+            if r["parts"] in (2, 10)
+        ],
+    )  # fmt: skip
+
+
+def scenario_text(parts: int) -> str:
+    """Return the YAML of a task to sort so many scattered parts."""
+    groups = [
+        {"class": name, "count": count}
+        for name, count in (("black", (parts + 1) // 2), ("grey", parts // 2))
+        if count
+    ]
+    return str(
+        yaml.safe_dump(
+            {
+                "description": f"Sort {parts} scattered parts.",
+                "parts": groups,
+                "task": {
+                    "kind": "sort",
+                    "sides": {g["class"]: ("left", "right")[i] for i, g in enumerate(groups)},
+                    "goal_fraction": 0.6,
+                    "hold_s": 0.5,
+                },
+                "time_limit_s": 120.0,
+            }
+        )
+    )
+
+
+def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str, Any]:
+    """Give every stage the run's inputs again, and time it."""
+    camera, vision, tracker = Camera(rig), make_vision(rig), Tracker()
+    planner, controller = Planner(rig, scenario), Controller(rig)
+    state = planner.start(planner.initial())
+    grey = part_greys([part_class(name) for name in moments[0].world.ids])
+    rng = np.random.default_rng(0)
+    clock = Clock()
+    running = PlateCycle.rest(0.1)
+    for moment in moments:
+        world = moment.world
+        clock.start()
+        camera.render(world.position, grey, rng, world.velocity)
+        clock.lap("camera")
+        tracker = observe(vision, tracker, moment.image, moment.time)
+        clock.lap("vision")
+        state, _, _ = planner.plan(state, tracker.parts, moment.time)
+        clock.lap("planner")
+        answer = controller.answer(moment.wanted, running)
+        clock.lap("solver")
+        table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9))
+        clock.lap("driver")
+        run_cycle(world, running, rig)
+        clock.lap("simulator")
+        running = table.cycle
+    medians = {name: 1e3 * float(np.median(clock.seconds[name][FIRST:])) for name in STAGES}
+    return {
+        "parts": len(grey),
+        **medians,
+        "answer": sum(medians[name] for name in ("vision", "planner", "solver", "driver")),
+        "period": 1e3 * float(np.median([m.answer.cycle.period for m in moments[FIRST:]])),
+    }
+
+
+class Clock:
+    """A stop-watch that files each lap under a stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[float]] = {name: [] for name in STAGES}
+        self._began = 0.0
+
+    def start(self) -> None:
+        """Start the first lap."""
+        self._began = cpu_time()
+
+    def lap(self, name: str) -> None:
+        """End a lap and start the next."""
+        now = cpu_time()
+        self.seconds[name].append(now - self._began)
+        self._began = cpu_time()

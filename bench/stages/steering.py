@@ -1,0 +1,138 @@
+"""Steering: displacements asked of parts on the true stick-slip cycle, judged by the simulator.
+
+Each scene is a short closed loop without camera and planner: the controller answers where the
+parts are now, its cycle runs next, and `plate_sim` moves them. All want a random, steady drift.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness import Result, Table, cpu_time
+from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
+from plate_sim import simulate
+from plate_solver import Controller
+
+PARTS = (1, 2, 4, 6, 8, 10)
+DRIFT = 0.010
+"""Greatest wanted drift of a part along each axis [m/s]: a sort of 10 parts takes about 60 s."""
+
+CYCLES = 6
+"""Cycles of a scene; the first is solved from a cold start."""
+
+GOOD = 0.15
+"""Missed share that counts as met, as in the controller."""
+
+
+def measure(quick: bool) -> Result:
+    """Run scenes for several numbers of parts by both methods."""
+    rig = load_rig()
+    rows = []
+    for method in ("sinusoids", "rotations"):
+        controller = Controller(rig, method)
+        for parts in (2, 10) if quick else PARTS:
+            rows.append(scenes_row(rig, controller, parts, 2 if quick else 10))
+    return Result(
+        [
+            Table(
+                "steering",
+                f"Random steady drifts up to {1e3 * DRIFT:g} mm/s along each axis",
+                {
+                    "method": "method", "parts": "parts M", "period_s": "period [s]",
+                    "cold_ms": "cold, median [ms]", "warm_ms": "warm, median [ms]",
+                    "warm_p99_ms": "warm, 99 % [ms]", "missed_percent": "missed [%]",
+                    "predicted_percent": "predicted miss [%]", "met_percent": "cycles met [%]",
+                },
+                rows,
+                "Missed: root mean square of asked minus simulated displacement, over asked; "
+                "predicted: as the solver's own map has it. "
+                f"Met: less than {100 * GOOD:g} % missed in a cycle. No peer is known that solves "
+                "this problem.",
+            )
+        ],
+        [growth(rows, method) for method in ("sinusoids", "rotations")],
+    )  # fmt: skip
+
+
+def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict[str, Any]:
+    """Run some scenes with one number of parts."""
+    rng = np.random.default_rng(parts)
+    cold, warm, missed, asked, predicted, period = [], [], [], [], [], 0.0
+    for index in range(-1, count):  # the first one compiles and makes tables
+        milliseconds, miss, own, ask, period = scene(rig, controller, scatter(rig, parts, rng), rng)
+        if index >= 0:
+            cold.append(milliseconds[0])
+            warm += milliseconds[1:]
+            missed.append(miss)
+            predicted.append(own)
+            asked.append(ask)
+    miss, own, ask = (np.concatenate(arrays) for arrays in (missed, predicted, asked))
+    return {
+        "method": controller.method,
+        "parts": parts,
+        "period_s": period,
+        "cold_ms": float(np.median(cold)),
+        "warm_ms": float(np.median(warm)),
+        "warm_p99_ms": float(np.percentile(warm, 99)),
+        "missed_percent": 100 * float(np.sqrt(np.sum(miss**2) / np.sum(ask**2))),
+        "predicted_percent": 100 * float(np.sqrt(np.sum(own**2) / np.sum(ask**2))),
+        "met_percent": 100 * float(np.mean(miss <= GOOD * ask)),
+    }
+
+
+def scene(
+    rig: Rig, controller: Controller, position: np.ndarray, rng: np.random.Generator
+) -> tuple[list[float], np.ndarray, np.ndarray, np.ndarray, float]:
+    """Steer parts (M, 2) [m] from rest.
+
+    Returns
+    -------
+    milliseconds : list of CYCLES floats
+        Time of each answer.
+    missed, predicted, asked : (CYCLES,)
+        Root mean square over parts and axes of the displacement [m]; missed in truth, and by the
+        solver's prediction.
+    period : float
+        Of the last answer [s].
+    """
+    controller.reset()
+    drift = rng.uniform(-DRIFT, DRIFT, position.shape)
+    velocity = np.zeros_like(position)
+    running = PlateCycle.rest(0.1)
+    milliseconds, missed, predicted, asked = [], [], [], []
+    ids = tuple(f"black_{i}" for i in range(len(position)))
+    for number in range(CYCLES + 1):
+        began = cpu_time()
+        answer = controller.answer(Wanted.make(Parts.make(ids, position, drift)), running)
+        milliseconds.append(1e3 * (cpu_time() - began))
+        run = simulate(running, position, velocity, rig.friction.mu, rig.friction.gravity)
+        if number:
+            wanted = drift * running.period
+            error = wanted - (run.position[-1] - position)
+            missed.append(float(np.sqrt(np.mean(error**2))))
+            asked.append(float(np.sqrt(np.mean(wanted**2))))
+        if number < CYCLES:
+            predicted.append(answer.error_m)
+        position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle
+    miss, own, ask = np.array([missed, predicted, asked])
+    return milliseconds[:CYCLES], miss, own, ask, running.period
+
+
+def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
+    """Return places (M, 2) [m], at least 40 mm apart and 15 % off the edges."""
+    while True:
+        position = rng.uniform(-0.85 * rig.plate.half, 0.85 * rig.plate.half, (parts, 2))
+        apart = np.linalg.norm(position[:, None] - position, axis=2) + np.eye(parts)
+        if np.min(apart) >= 0.04:
+            return position
+
+
+def growth(rows: list[dict[str, Any]], method: str) -> str:
+    """Say how time and miss grow with the number of parts."""
+    mine = [row for row in rows if row["method"] == method]
+    parts = np.log([row["parts"] for row in mine if row["parts"] > 1])
+    slope = np.polyfit(parts, np.log([row["warm_ms"] for row in mine if row["parts"] > 1]), 1)[0]
+    shares = ", ".join(f"{row['missed_percent']:.1f} % at {row['parts']}" for row in mine)
+    return f"{method}: warm time grows as M^{slope:.1f}; missed {shares} parts"

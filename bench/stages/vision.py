@@ -1,0 +1,262 @@
+"""The detector beside OpenCV and scikit-image: time, misses, and the error of the centres.
+
+Images come from the simulated camera, so the true centres are known; and from `photographs`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from harness import Result, Table, cpu_time, missing_peer, optional
+from plate_core import Rig, load_rig
+from plate_core.rig import homography, project
+from plate_sim import Camera, part_greys
+from plate_vision import detect, make_vision
+from stages.photographs import photograph_table
+
+OURS, CONTOURS, BLOBS, HOUGH, PEAKS, REGIONS = (
+    "plate_vision.detect",
+    "findContours + moments",
+    "SimpleBlobDetector",
+    "HoughCircles",
+    "distance transform",
+    "skimage regionprops",
+)
+
+FRAMES, PEER_FRAMES = 250, 20
+"""Images of each scene: a thousand in all for ours, fewer for the peers, to save time; the fewer
+are those that all are timed with."""
+
+ROUNDS = 5
+"""Times that each is timed with every image, in a loop and in turns."""
+
+THRESHOLD = 165
+"""Grey level between parts (130 at most) and plate (198 at least), for the peers."""
+
+Finder = Callable[[np.ndarray], np.ndarray]
+"""Image (H, W) to centres (n, 2) [px]."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure 10 and 100 discs, apart and touching."""
+    rig = load_rig()
+    cv2.setNumThreads(1)
+    finders = make_finders(rig)
+    rows = []
+    for count in (10, 100):
+        for touching in (False, True):
+            rows += scene_rows(rig, finders, count, touching, quick)
+    photographs, sentences = photograph_table(quick)
+    if REGIONS not in finders:
+        sentences.append(missing_peer("scikit-image"))
+    return Result(
+        [
+            Table(
+                "vision",
+                f"{rig.camera.width_px} x {rig.camera.height_px} px, simulated camera with noise",
+                {
+                    "discs": "discs", "place": "place", "method": "method",
+                    "frames": "images", "loop_ms": "in a loop [ms]",
+                    "turns_ms": "in turns [ms]", "loop_lead": "this / ours, in a loop",
+                    "turns_lead": "this / ours, in turns",
+                    "rms_px": "centre RMS [px]", "missed_percent": "missed [%]",
+                    "false_percent": "false [%]",
+                },
+                rows,
+                "Found: within half a radius of a true centre, each once. Touching: groups of "
+                "three. The peers get the plate's outline and a fixed threshold between parts and "
+                "plate; ours fits the light itself and tells black from grey. Times of the core, "
+                "medians. In a loop: one method alone, image after image. In turns: all methods, "
+                "one after the other, with each image, so that each finds the caches full of "
+                "what the others left.",
+            ),
+            photographs,
+        ],
+        [sentence(rows, count, place) for count in (10, 100) for place in ("apart", "touching")]
+        + sentences,
+    )  # fmt: skip
+
+
+def make_finders(rig: Rig) -> dict[str, Finder]:
+    """Return our detector and its peers, ready to run."""
+    vision = make_vision(rig)
+    mask = np.zeros((rig.camera.height_px, rig.camera.width_px), np.uint8)
+    cv2.fillConvexPoly(mask, np.round(vision.region.outline_px).astype(np.int32), 255)
+    area = np.pi * vision.options.radius_px**2
+
+    def ours(image: np.ndarray) -> np.ndarray:
+        found = detect(image, vision.options, vision.region)
+        return np.column_stack([found["x_px"], found["y_px"]])
+
+    def contours(image: np.ndarray) -> np.ndarray:
+        dark = cv2.threshold(image, THRESHOLD, 255, cv2.THRESH_BINARY_INV)[1]
+        dark = cv2.bitwise_and(dark, mask)
+        outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        moments = [cv2.moments(outline) for outline in outlines]
+        centres = [
+            (m["m10"] / m["m00"], m["m01"] / m["m00"]) for m in moments if m["m00"] > 0.3 * area
+        ]
+        return np.array(centres).reshape(-1, 2)
+
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.minArea, parameters.maxArea = float(0.5 * area), float(1.5 * area)
+    parameters.minThreshold, parameters.maxThreshold, parameters.thresholdStep = 60, 190, 30
+    parameters.minRepeatability, parameters.minDistBetweenBlobs = 2, 5
+    parameters.filterByInertia = parameters.filterByConvexity = False
+    detector = cv2.SimpleBlobDetector.create(parameters)
+
+    def blobs(image: np.ndarray) -> np.ndarray:
+        points = detector.detect(image)
+        return np.array([point.pt for point in points]).reshape(-1, 2)
+
+    radius = vision.options.radius_px
+
+    def hough(image: np.ndarray) -> np.ndarray:
+        circles = cv2.HoughCircles(
+            image, cv2.HOUGH_GRADIENT, 1, 1.6 * radius, param1=100, param2=9,
+            minRadius=round(0.8 * radius), maxRadius=round(1.2 * radius),
+        )  # fmt: skip
+        return np.zeros((0, 2)) if circles is None else circles.reshape(-1, 3)[:, :2]
+
+    def peaks(image: np.ndarray) -> np.ndarray:
+        dark = cv2.bitwise_and(cv2.threshold(image, THRESHOLD, 255, cv2.THRESH_BINARY_INV)[1], mask)
+        depth = cv2.distanceTransform(dark, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        tops = (depth > 0.6 * radius).astype(np.uint8)
+        return np.asarray(cv2.connectedComponentsWithStats(tops)[3][1:])
+
+    finders: dict[str, Finder] = {
+        OURS: ours,
+        CONTOURS: contours,
+        BLOBS: blobs,
+        HOUGH: hough,
+        PEAKS: peaks,
+    }
+    measure = optional("skimage.measure")
+    if measure is not None:
+        inner = cv2.erode(mask, np.ones((5, 5), np.uint8)) > 0
+
+        def regions(image: np.ndarray) -> np.ndarray:
+            labels = measure.label((image < THRESHOLD) & inner)
+            parts = measure.regionprops(labels)
+            return np.array([p.centroid[::-1] for p in parts if p.area > 0.3 * area]).reshape(-1, 2)
+
+        finders[REGIONS] = regions
+    return finders
+
+
+def scene_rows(
+    rig: Rig, finders: dict[str, Finder], count: int, touching: bool, quick: bool
+) -> list[dict[str, Any]]:
+    """Measure all methods on the same images."""
+    rng = np.random.default_rng(count + touching)
+    camera, matrix = Camera(rig), homography(rig)
+    scale = (
+        float(np.linalg.norm(np.diff(project(matrix, np.array([[0, 0], [0.01, 0]])), axis=0)))
+        / 0.01
+    )
+    images, truths = [], []
+    for _ in range(3 if quick else FRAMES):
+        position = layout(rig, count, touching, rng)
+        grey = part_greys([("black", "grey")[i % 2] for i in range(count)])
+        images.append(camera.render(position, grey, rng))
+        truths.append(project(matrix, position))
+    loop, turns = timed(finders, images[:PEER_FRAMES], 1 if quick else ROUNDS)
+    rows = []
+    for name, find in finders.items():
+        frames = len(images) if name == OURS else min(PEER_FRAMES, len(images))
+        results = [
+            match(find(image), truth, 0.5 * rig.parts.radius_m * scale)
+            for image, truth in zip(images[:frames], truths[:frames], strict=True)
+        ]
+        errors = np.concatenate([r[0] for r in results])
+        true = count * frames
+        rows.append(
+            {
+                "discs": count,
+                "place": "touching" if touching else "apart",
+                "method": name,
+                "frames": frames,
+                "loop_ms": 1e3 * float(np.median(loop[name])),
+                "turns_ms": 1e3 * float(np.median(turns[name])),
+                "loop_lead": float(np.median(loop[name]) / np.median(loop[OURS])),
+                "turns_lead": float(np.median(turns[name] / turns[OURS])),
+                "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
+                "missed_percent": 100 * (1 - len(errors) / true),
+                "false_percent": 100 * sum(r[1] for r in results) / true,
+            }
+        )
+    return rows
+
+
+def timed(
+    finders: dict[str, Finder], images: list[np.ndarray], rounds: int
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the times (rounds * images,) [s] of every method: in a loop of its own, and in turns
+    with the others."""
+
+    def seconds(find: Finder, image: np.ndarray) -> float:
+        began = cpu_time()
+        find(image)
+        return cpu_time() - began
+
+    loop: dict[str, list[float]] = {name: [] for name in finders}
+    turns: dict[str, list[float]] = {name: [] for name in finders}
+    for _ in range(rounds):
+        for name, find in finders.items():
+            find(images[0])
+            loop[name] += [seconds(find, image) for image in images]
+        for image in images:
+            for name, find in finders.items():
+                turns[name].append(seconds(find, image))
+    return (
+        {name: np.array(times) for name, times in loop.items()},
+        {name: np.array(times) for name, times in turns.items()},
+    )
+
+
+def layout(rig: Rig, count: int, touching: bool, rng: np.random.Generator) -> np.ndarray:
+    """Return centres (count, 2) [m]: scattered on a coarse grid, alone or in touching threes."""
+    radius = rig.parts.radius_m
+    columns, lines, group = (11, 5, 3) if touching else (18, 8, 1)
+    room = rig.plate.half - radius
+    cell = 2 * room / (columns, lines)
+    chosen = rng.permutation(columns * lines)[: -(-count // group)]
+    centre = -room + cell * (np.column_stack([chosen % columns, chosen // columns]) + 0.5)
+    if not touching:
+        return centre + rng.uniform(-0.5, 0.5, centre.shape) * (cell - 2.5 * radius)
+    # Three discs touch when they are 2 r / sqrt(3) from their middle, 120 degrees apart.
+    angle = rng.uniform(0, 2 * np.pi, len(centre))[:, None] + 2 * np.pi / 3 * np.arange(3)
+    ray = 2 * radius / np.sqrt(3) * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    return (centre[:, None] + ray).reshape(-1, 2)[:count]
+
+
+def match(found: np.ndarray, truth: np.ndarray, reach: float) -> tuple[np.ndarray, int]:
+    """Pair centres (n, 2) with true ones (M, 2) [px], nearest first; errors [px] and false ones."""
+    if not len(found):
+        return np.zeros(0), 0
+    distance = np.linalg.norm(found[:, None] - truth, axis=2)
+    errors, used_found, used_true = [], set(), set()
+    for flat in np.argsort(distance, axis=None):
+        i, j = divmod(int(flat), len(truth))
+        if distance[i, j] > reach:
+            break
+        if i not in used_found and j not in used_true:
+            errors.append(distance[i, j])
+            used_found.add(i)
+            used_true.add(j)
+    return np.array(errors), len(found) - len(errors)
+
+
+def sentence(rows: list[dict[str, Any]], count: int, place: str) -> str:
+    """Sum up one scene."""
+    here = [row for row in rows if row["discs"] == count and row["place"] == place]
+    return f"{count} discs {place}: " + "; ".join(
+        f"{row['method']} {row['loop_ms']:.2g} ms in a loop, {row['turns_ms']:.2g} in turns"
+        + (f", {row['rms_px']:.3f} px" if row["rms_px"] is not None else "")
+        + f", missed {row['missed_percent']:.1f} %"
+        for row in here
+    )

@@ -1,0 +1,143 @@
+"""Lines from slow to fast, bad and far: tables played, their lateness, and the time to a stop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from harness.serial import POLL_TICKS, Operator, Port
+from plate_core import CycleError, load_rig
+from plate_core.serial_protocol import State
+from plate_driver.serial_transport import SerialTransport
+from plate_driver.transport import Condition
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
+from stages.upload import PERIOD_S, shaking
+
+BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
+LOST = (0.0, 0.01, 0.03, 0.05)
+DELAYS_S = (0.0, 0.02, 0.1)
+
+PIECES, HOLD_CYCLES = 64, 5
+PLAY_S = 60.0
+"""Time for which cycles come, one in each period [s]."""
+
+BEGIN_S, STOP_S = 30.0, 5.0
+"""Longest waits [s]: until the motors are ready, and until they brake."""
+
+STOPS = 5
+"""Stops, each from mid-motion."""
+
+
+def line_run(baud: int, lost: float, delay_s: float, play_s: float, stops: int) -> dict[str, Any]:
+    """Let a host send a new cycle each period over a line; then stop it a few times."""
+    trouble = LineFaults(baud=float(baud), dropped=lost, delay=delay_s)
+    emulator = Emulator(DeviceLimits.of_rig(load_rig()), 1, FaultSchedule(trouble))
+    transport = SerialTransport(lambda: Port(emulator), lambda: emulator.now, 1, baud=float(baud))
+    operator = Operator(transport)
+    tables = [shaking(PIECES, size) for size in (5e-4, 6e-4)]
+    transport.open()
+    played: list[int] = []
+    cycles = {"sent": 0, "resting": 0, "ticks": 0}
+    due = [0.0]
+
+    def run(seconds: float, plays: bool, until: Any = None) -> None:
+        """Let time pass; a cycle is sent each period, if the device takes it."""
+        for tick in range(round(seconds * 1e3)):
+            emulator.tick()
+            if plays and emulator.now >= due[0]:
+                due[0] = emulator.now + PERIOD_S
+                try:
+                    transport.send(tables[cycles["sent"] % 2], HOLD_CYCLES)
+                    cycles["sent"] += 1
+                except CycleError:
+                    pass
+            if tick % POLL_TICKS == 0:
+                transport.poll()
+                operator.look(emulator.now)
+            motion = emulator.device.motion
+            playing = 0
+            if motion.state is State.PLAYING and motion.playing is not None:
+                playing = motion.playing.table
+            if plays and playing and playing != (played[-1] if played else 0):
+                played.append(playing)
+            cycles["ticks"] += plays
+            cycles["resting"] += plays and motion.state is not State.PLAYING
+            if until is not None and until():
+                return
+
+    def ready() -> bool:
+        return transport.report().condition is Condition.READY
+
+    run(BEGIN_S, False, ready)
+    row: dict[str, Any] = {"baud": baud, "lost": 100 * lost, "delay_ms": 1e3 * delay_s}
+    if not ready():
+        return row | {"tables": 0.0, "repeated": None, "resting": None, "stops_own": None,
+                      "brake_ms": None, "brake_most_ms": None}  # fmt: skip
+    enables = operator.enables
+    run(play_s, True)
+    times = []
+    own = operator.enables - enables  # it had stopped, and the operator enabled again
+    share = cycles["resting"] / cycles["ticks"]
+    count = len(played)
+    for _ in range(stops):
+        run(BEGIN_S, True, lambda: emulator.device.motion.state is State.PLAYING)
+        if emulator.device.motion.state is not State.PLAYING:
+            break
+        began = emulator.now
+        transport.stop()
+        run(STOP_S, False, lambda: emulator.device.motion.state in (State.BRAKING, State.OFF))
+        times.append(1e3 * (emulator.now - began))
+        run(BEGIN_S, False, ready)
+    in_time = play_s * (1 - share) / PERIOD_S  # periods in which something was played
+    return row | {
+        "tables": 60 * count / play_s,
+        "repeated": 100 * max(0.0, 1 - count / in_time) if in_time else None,
+        "resting": 100 * share,
+        "stops_own": own,
+        "brake_ms": float(np.median(times)) if times else None,
+        "brake_most_ms": max(times) if times else None,
+    }
+
+
+def measure(quick: bool) -> Result:
+    """Run all lines; quick: the fastest and a slow one."""
+    bauds, lost, delays = ((115_200, 921_600), (0.0, 0.03), (0.0, 0.1)) if quick else (
+        BAUDS, LOST, DELAYS_S
+    )  # fmt: skip
+    seconds, stops = (5.0, 1) if quick else (PLAY_S, STOPS)
+    kinds = [(b, n, d, seconds, stops) for b in bauds for n in lost for d in delays]
+    with processes() as pool:
+        rows = resumed(pool, line_run, {str(kind): kind for kind in kinds}, Cache.of(__name__))
+    return Result(
+        [
+            Table(
+                "lines",
+                f"A new cycle of {PIECES} pieces each {1e3 * PERIOD_S:.0f} ms, for {seconds:.0f} s",
+                {"baud": "baud", "lost": "bytes lost [%]", "delay_ms": "delay each way [ms]",
+                 "tables": "tables played a minute", "repeated": "cycles repeated [%]",
+                 "resting": "plate at rest [% of time]", "stops_own": "stops by itself",
+                 "brake_ms": "stop() to braking, median [ms]", "brake_most_ms": "most [ms]"},
+                rows,
+                "Driver's transport, line, device in simulated time; the host looks each 5 ms. "
+                "At most 300 tables a minute. At rest: the last table was played five times, and "
+                "the next has not come.",
+            )
+        ],
+        sentences(rows),
+        rows,
+    )  # fmt: skip
+
+
+def sentences(rows: list[dict[str, Any]]) -> list[str]:
+    """Sum up what plays, and the stops."""
+    plays = [row for row in rows if row["tables"]]
+    own = sum(row["stops_own"] or 0 for row in rows)
+    brakes = [row for row in rows if row["brake_most_ms"] is not None]
+    worst = max(brakes, key=lambda row: row["brake_most_ms"])
+    return [
+        f"{len(plays)} of {len(rows)} lines play; {own} stops that nobody asked for",
+        f"from stop() to braking at most {worst['brake_most_ms']:.0f} ms ({worst['baud']} baud, "
+        f"{worst['lost']:g} % lost, {worst['delay_ms']:g} ms delay)",
+    ]

@@ -1,0 +1,177 @@
+"""Tracking error against speed for 1 to 6 parts on circles, and the speed at which it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import yaml
+
+from harness import Cache, Result, Table, processes
+from harness.loop import Setup
+from plate_core import Rig, load_rig
+from plate_solver import RotationSolver, SinusoidSolver
+from tasks.runs import UNEVEN, runs_of, summed
+
+SPEEDS_MM = (2, 5, 20, 40, 80, 160, 320)
+"""Speeds along the circles [mm/s]; tried in this order until one fails."""
+
+SEEDS = (0, 1)
+"""Runs at each speed, side by side: image noise, friction and the solver's chance differ."""
+
+CENTRES_M = ((-0.2, 0.07), (0.2, -0.07), (0.0, 0.07), (-0.2, -0.07), (0.2, 0.07), (0.0, -0.07))
+"""Centres of the circles, in the order in which they are used [m]."""
+
+COUNTS = {"sinusoids": (1, 2, 3, 4, 5, 6), "rotations": (2, 4, 6)}
+"""Parts by method."""
+
+RADIUS_M = 0.05
+"""Of the circles."""
+
+SPAN_S = 6.0
+"""How long each is driven [s], but for half a lap at least and two at most."""
+
+MOST_RMS_M, MOST_DELAY = 6e-3, 1.05
+"""Kept is a speed at which all runs end well, with at most this error (a hundredth of the plate's
+length), and take at most this share of the time that the speed asks for."""
+
+
+def measure(quick: bool) -> Result:
+    """Drive 1 to 6 parts faster and faster."""
+    rig = load_rig()
+    methods = ("sinusoids",) if quick else ("sinusoids", "rotations")
+    counts = {name: (2,) if quick else COUNTS[name] for name in methods}
+    seeds = SEEDS[:1] if quick else SEEDS
+    rows: list[dict[str, Any]] = []
+    cache = Cache.of(__name__)
+    with processes(len(seeds)) as pool:
+        for method in methods:
+            for count in counts[method]:
+                for speed in (20, 80) if quick else SPEEDS_MM:
+                    rows.append(_row(rig, pool, cache, method, count, speed, seeds))
+                    if not rows[-1]["kept"]:
+                        break
+    ends = [_end(rows, method, count) for method in methods for count in counts[method]]
+    speeds = {
+        "method": "method", "parts": "parts", "speed_mm_s": "speed [mm/s]",
+        "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
+        "max_mm": "largest error [mm]", "runs": "runs", "good": "ended well", "delay": "time taken",
+        "kept": "kept", "solve_ms": "solve, median [ms]", "bound_mm_s": "a T / 16 [mm/s]",
+    }  # fmt: skip
+    frontier = {
+        "method": "method", "parts": "parts", "speed_mm_s": "fastest kept [mm/s]",
+        "rms_mm": "RMS error there [mm]", "failed_mm_s": "not kept [mm/s]",
+        "bound_mm_s": "a T / 16 [mm/s]",
+    }  # fmt: skip
+    note = (
+        f"Circles of {1e3 * RADIUS_M:g} mm radius, some to the left, some to the right; images "
+        f"with noise, friction uneven by 10 % between parts and over the plate; seeds {SEEDS}. "
+        f"Kept: all runs end well, RMS at most {1e3 * MOST_RMS_M:g} mm, time at most "
+        f"{MOST_DELAY:g} of what the speed asks for. a T / 16: no part can be faster on average."
+    )
+    return Result(
+        [
+            Table("tracking", "Tracking error against speed", speeds, rows, note),
+            Table("frontier", "Speed that can be kept against the number of parts", frontier, ends),
+        ],
+        [_sentence(ends, method) for method in methods],
+    )
+
+
+def _runs(
+    rig: Rig,
+    pool: Executor,
+    cache: Cache,
+    method: str,
+    count: int,
+    speed_mm: int,
+    seeds: Sequence[int],
+) -> list[dict[str, Any]]:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "circles.yaml"
+        path.write_text(yaml.safe_dump(circles(count, 1e-3 * speed_mm)), encoding="utf-8")
+        cases = {
+            f"{method} {count} {speed_mm:g} {seed}": (Setup(str(path), seed, method), UNEVEN)
+            for seed in seeds
+        }
+        return runs_of(pool, cache, rig, cases)
+
+
+def laps(speed: float) -> float:
+    """Return how often a circle is driven round at a speed [m/s]."""
+    return float(np.clip(round(speed * SPAN_S / (2 * np.pi * RADIUS_M), 3), 0.08, 2.0))
+
+
+def circles(count: int, speed: float) -> dict[str, Any]:
+    """Return a scenario: `count` parts on a circle each, at one speed [m/s]."""
+    places, paths = [], []
+    for k, (x, y) in enumerate(CENTRES_M[:count]):
+        start = 90 * k % 360
+        angle = np.radians(start)
+        places.append([float(x + RADIUS_M * np.cos(angle)), float(y + RADIUS_M * np.sin(angle))])
+        circle = {
+            "centre_m": [x, y], "radius_m": RADIUS_M, "start_deg": start,
+            "turn": "left" if k % 2 else "right",
+        }  # fmt: skip
+        paths.append({"class": "black", "circle": circle, "speed_mps": speed, "laps": laps(speed)})
+    return {
+        "description": f"{count} parts on circles at {1e3 * speed:g} mm/s.",
+        "parts": [{"class": "black", "positions_m": places}],
+        "task": {"kind": "follow", "max_error_m": 0.03, "paths": paths},
+        "time_limit_s": 60,
+    }
+
+
+def _row(
+    rig: Rig,
+    pool: Executor,
+    cache: Cache,
+    method: str,
+    count: int,
+    speed_mm: int,
+    seeds: Sequence[int],
+) -> dict[str, Any]:
+    runs = _runs(rig, pool, cache, method, count, speed_mm, seeds)
+    solver = SinusoidSolver(rig) if method == "sinusoids" else RotationSolver(rig)
+    period = solver.steering_period(count)
+    speed = 1e-3 * speed_mm
+    least = laps(speed) * 2 * np.pi * RADIUS_M / speed
+    # A task begins with one cycle at rest and ends with the cycle in which the last lap does.
+    delay = max((run["time_s"] - 3 * period) / least for run in runs)
+    row = summed(runs)
+    kept = row["good"] == len(runs) and row["worst_rms_mm"] <= 1e3 * MOST_RMS_M
+    own = ("rms_mm", "worst_rms_mm", "max_mm", "runs", "good", "solve_ms")
+    return {
+        "method": method,
+        "parts": count,
+        "speed_mm_s": speed_mm,
+        **{key: row[key] for key in own},
+        "delay": delay,
+        "kept": kept and delay <= MOST_DELAY,
+        "bound_mm_s": 1e3 * rig.limits.accel * period / 16,
+    }
+
+
+def _end(rows: list[dict[str, Any]], method: str, count: int) -> dict[str, Any]:
+    """Return the fastest speed that was kept, and the first that was not."""
+    mine = [r for r in rows if r["method"] == method and r["parts"] == count]
+    kept = [r for r in mine if r["kept"]]
+    failed = [r["speed_mm_s"] for r in mine if not r["kept"]]
+    return {
+        "method": method,
+        "parts": count,
+        "speed_mm_s": kept[-1]["speed_mm_s"] if kept else 0,
+        "rms_mm": kept[-1]["rms_mm"] if kept else None,
+        "failed_mm_s": failed[0] if failed else None,
+        "bound_mm_s": mine[0]["bound_mm_s"],
+    }
+
+
+def _sentence(ends: list[dict[str, Any]], method: str) -> str:
+    mine = [r for r in ends if r["method"] == method]
+    text = ", ".join(f"{r['parts']}: {r['speed_mm_s']}" for r in mine)
+    return f"{method}: fastest speed kept [mm/s] by number of parts: {text}"
