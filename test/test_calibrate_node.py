@@ -4,12 +4,11 @@ In simulated time: the node's timers are called here, its clock is the device's.
 """
 
 import itertools
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from harness.serial import opened
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import motor_state
 
@@ -25,7 +24,6 @@ from plate_driver.serial_transport import SerialTransport  # noqa: E402
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
 
 RIG = load_rig()
-BENCH = str(Path(__file__).resolve().parents[1] / "bench")
 PERIOD = 0.2
 TICK_S = 1e-3
 HUNG = """
@@ -55,19 +53,7 @@ def shaking() -> PlateCycle:
     return PlateCycle.from_knots(t, *states)
 
 
-@pytest.fixture(name="port_of")
-def _port_of(monkeypatch):
-    monkeypatch.syspath_prepend(BENCH)
-    from harness.serial import opened
-
-    yield opened
-    for name in ("loop", "serial_loop", "serial_watch"):
-        sys.modules.pop(name, None)
-
-
-def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
-    port_of, monkeypatch, tmp_path
-):
+def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypatch, tmp_path):
     learned, rig_file = tmp_path / "plate.npz", tmp_path / "rig.yaml"
     rig_file.write_text(default_rig_path().read_text(encoding="utf-8") + HUNG, encoding="utf-8")
     sessions = itertools.count(1, 1000)
@@ -79,7 +65,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(
         DriverNode,
         "_make_transport",
         lambda self: SerialTransport(
-            lambda: port_of(emulator), lambda: emulator.now, next(sessions)
+            lambda: opened(emulator), lambda: emulator.now, next(sessions)
         ),
     )
     words = ["transport:=serial", "port:=simulated", "hold_cycles:=20"]

@@ -1,8 +1,5 @@
 """The driver learns the simulated plate: 35 Hz, damping 3 %, motors that differ by 15 %."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,9 +7,6 @@ from plate_core import PlateCycle, PlateError, load_rig
 from plate_driver.calibration import Calibration, save_response, saved_response
 from plate_driver.learning import Response, harmonics
 from plate_driver.motor_table import prepare
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
-
 from stages.learning import Plate, error, hung, wanted
 
 RIG = load_rig()

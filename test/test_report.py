@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-BENCH = Path(__file__).resolve().parents[1] / "bench"
-sys.path.insert(0, str(BENCH))
+from report.chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front
 
-from report.chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front  # noqa: E402
+BENCH = Path(__file__).resolve().parents[1] / "bench"
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None

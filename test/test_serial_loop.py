@@ -1,35 +1,26 @@
 """The closed loop over the serial line in simulated time: it ends well, whatever befalls it."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+from harness.loop import Setup
+from harness.serial import Judge, Operator, Port, serial_run
 from plate_core import load_rig
 from plate_core.motion import motor_state
-from plate_sim.device import FaultSchedule, LineFaults
+from plate_core.serial_protocol import Fault, State
+from plate_driver.serial_transport import SerialTransport
+from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
+from stages.upload import shaking
 
-BENCH = str(Path(__file__).resolve().parents[1] / "bench")
 TASK = {
     "description": "One part goes to its side.",
     "parts": [{"class": "black", "positions_m": [[-0.10, 0.0]]}],
     "task": {"kind": "sort", "sides": {"black": "left"}, "goal_fraction": 0.5, "hold_s": 0.3},
     "time_limit_s": 60,
 }
-
-
-@pytest.fixture(name="bench")
-def _bench(monkeypatch):
-    monkeypatch.syspath_prepend(BENCH)
-    from harness import loop
-    from harness import serial as serial_loop
-
-    yield loop, serial_loop
-    for name in ("loop", "serial_line", "serial_loop", "serial_watch"):
-        sys.modules.pop(name, None)
 
 
 @pytest.mark.parametrize(
@@ -41,34 +32,31 @@ def _bench(monkeypatch):
         (LineFaults(), "reset"),
     ],
 )
-def test_the_task_goes_on(bench, tmp_path, trouble, event):
-    loop, serial_loop = bench
+def test_the_task_goes_on(tmp_path, trouble, event):
     file = tmp_path / "task.yaml"
     file.write_text(yaml.safe_dump(TASK), encoding="utf-8")
-    accidents = replace(FaultSchedule(trouble), disconnect_s=0.8)
-    ending = serial_loop.serial_run(loop.Setup(str(file), 3), accidents, event, 1.5)
-    assert (ending.phase, ending.dropped) == ("done", 0), ending.text
-    assert ending.verdict.kept
-    assert ending.verdict.stroke > 0.2
-    assert ending.resting
-    assert bool(ending.troubles) == bool(event)
-    assert ending.enables == 1 + bool(event)  # after an accident it went on after an enable
-    assert (ending.retries > 50) == bool(trouble.corrupted)
+    schedule = replace(FaultSchedule(trouble), disconnect_s=0.8)
+    outcome = serial_run(Setup(str(file), 3), schedule, event, 1.5)
+    assert (outcome.phase, outcome.dropped) == ("done", 0), outcome.text
+    assert outcome.verdict.kept
+    assert outcome.verdict.stroke > 0.2
+    assert outcome.resting
+    assert bool(outcome.troubles) == bool(event)
+    assert outcome.enables == 1 + bool(event)  # after an accident it went on after an enable
+    assert (outcome.retries > 50) == bool(trouble.corrupted)
 
 
 def verdict(*setpoints):
-    from harness.judge import Watch
-
-    watch = Watch(load_rig())
+    judge = Judge(load_rig())
     for k, at in enumerate(setpoints):
-        watch.see(k * 1e-3, at)
-    return watch.verdict()
+        judge.update(k * 1e-3, at)
+    return judge.verdict()
 
 
 @pytest.mark.parametrize(
     ("name", "row", "value"), [("stroke", 0, 0.01), ("speed", 1, 1.0), ("accel", 2, 100.0)]
 )
-def test_the_judge_sees_what_is_outside(bench, name, row, value):
+def test_the_judge_sees_what_is_outside(name, row, value):
     at = np.zeros((3, 4))
     at[row, 2] = value * 1.01
     told = verdict(at)
@@ -77,7 +65,7 @@ def test_the_judge_sees_what_is_outside(bench, name, row, value):
     assert verdict(np.zeros((3, 4))).kept
 
 
-def test_the_judge_sees_corners_and_forces(bench):
+def test_the_judge_sees_corners_and_forces():
     """A turn: motors are nearer to the centre than the corners, and all push."""
     rig = load_rig()
     spin = 90.0  # rad/s2
@@ -90,7 +78,7 @@ def test_the_judge_sees_corners_and_forces(bench):
     assert told.force * rig.limits.force <= inertia * spin / min(lever)
 
 
-def test_the_judge_sees_a_jump(bench):
+def test_the_judge_sees_a_jump():
     still, moved = np.zeros((3, 4)), np.zeros((3, 4))
     moved[0, 1] = 1e-5
     assert verdict(still, still).kept
@@ -98,18 +86,12 @@ def test_the_judge_sees_a_jump(bench):
     assert not verdict(still, moved).kept
 
 
-def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person(bench):
+def test_a_host_that_was_held_up_finds_the_plate_at_rest_and_waits_for_a_person():
     """It is not silent for so long that the link fails: the device alone has noticed."""
-    _, serial_loop = bench
-    from plate_core.serial_protocol import Fault, State
-    from plate_driver.serial_transport import SerialTransport
-    from plate_sim.device import DeviceLimits, Emulator
-    from stages.upload import shaking
-
     emulator = Emulator(DeviceLimits.of_rig(load_rig()))
     host = [0.0]  # its clock stands still while it is held up
-    transport = SerialTransport(lambda: serial_loop.Port(emulator), lambda: host[0], 1)
-    operator = serial_loop.Operator(transport)
+    transport = SerialTransport(lambda: Port(emulator), lambda: host[0], 1)
+    operator = Operator(transport)
     transport.open()
 
     def run(seconds: float, polls: bool = True) -> None:

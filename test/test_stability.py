@@ -1,20 +1,14 @@
 """The stability maps: the border that is measured lies where the theory says."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-from plate_core import PlateCycle, load_rig
-from plate_solver.library import Library
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "bench"))
 
 from harness import Cache
 from maps import gamma, harmonics, latency, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
 from maps.stability import MAPS, cells, grids, nearness, sample
+from plate_core import PlateCycle, load_rig
+from plate_solver.library import Library
 from report.chart import Panel
 from report.stability import chart_of
 

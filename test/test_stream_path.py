@@ -1,11 +1,9 @@
 """Cycles streamed by the driver's transport to the device, in simulated time, over bad lines."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from harness.serial import Judge, opened
 from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.motor_table import MotorTable
@@ -14,7 +12,6 @@ from plate_driver.transport import Condition
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 
 RIG = load_rig()
-BENCH = str(Path(__file__).resolve().parents[1] / "bench")
 PERIOD_S = 0.2
 
 
@@ -33,12 +30,8 @@ def swing(size: float) -> MotorTable:
 class Bench:
     """Transport, line and device; notes each setpoint."""
 
-    def __init__(self, monkeypatch, trouble: LineFaults) -> None:
-        monkeypatch.syspath_prepend(BENCH)
-        from harness.judge import Watch
-        from harness.serial import opened
-
-        self.watch = Watch(RIG)
+    def __init__(self, trouble: LineFaults) -> None:
+        self.judge = Judge(RIG)
         self.travel: list[float] = []
         self.emulator = Emulator(DeviceLimits.of_rig(RIG), 2, FaultSchedule(trouble), self.see)
         self.transport = SerialTransport(
@@ -58,7 +51,7 @@ class Bench:
         assert order.done, order.failure
 
     def see(self, now: float, at: np.ndarray | None) -> None:
-        self.watch.see(now, at)
+        self.judge.update(now, at)
         self.travel.append(float("nan") if at is None else float(at[0, 0]))
 
     def run(self, seconds: float, polls: bool = True) -> None:
@@ -72,13 +65,6 @@ class Bench:
         return self.emulator.device.motion.state
 
 
-@pytest.fixture(name="made")
-def _made(monkeypatch):
-    yield lambda trouble: Bench(monkeypatch, trouble)
-    for name in ("loop", "serial_loop", "serial_watch"):
-        sys.modules.pop(name, None)
-
-
 @pytest.mark.parametrize(
     "trouble",
     [
@@ -87,8 +73,8 @@ def _made(monkeypatch):
         LineFaults(delay=0.02),
     ],
 )
-def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
-    bench = made(trouble)
+def test_cycles_are_streamed_and_the_newest_follows(trouble):
+    bench = Bench(trouble)
     bench.transport.send(swing(0.004), 50)
     bench.run(2.5)
     assert bench.state is State.PLAYING
@@ -103,11 +89,11 @@ def test_cycles_are_streamed_and_the_newest_follows(made, trouble):
     bench.transport.stop()
     bench.run(1.5)
     assert bench.state is State.OFF
-    assert bench.watch.verdict().kept
+    assert bench.judge.verdict().kept
 
 
-def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
-    bench = made(LineFaults())
+def test_a_host_that_is_held_up_costs_a_brake_and_is_told():
+    bench = Bench(LineFaults())
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.run(0.4, polls=False)
@@ -120,11 +106,11 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told(made):
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
     assert bench.transport.least_lead_s < 0.1
-    assert bench.watch.verdict().kept
+    assert bench.judge.verdict().kept
 
 
-def test_a_line_that_is_away_is_survived(made):
-    bench = made(LineFaults())
+def test_a_line_that_is_away_is_survived():
+    bench = Bench(LineFaults())
     bench.transport.send(swing(0.008), 50)
     bench.run(2.0)
     bench.emulator.disconnect()
@@ -136,12 +122,12 @@ def test_a_line_that_is_away_is_survived(made):
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
     assert bench.transport.troubles()
-    assert bench.watch.verdict().kept
+    assert bench.judge.verdict().kept
 
 
-def test_a_stream_ends_at_rest_when_no_more_cycles_come(made):
+def test_a_stream_ends_at_rest_when_no_more_cycles_come():
     """The host has nothing more to say: no fault, and the next cycle needs no enable."""
-    bench = made(LineFaults(baud=921_600.0))
+    bench = Bench(LineFaults(baud=921_600.0))
     bench.transport.send(swing(0.004), 3)
     bench.run(0.6)
     assert bench.state is State.PLAYING
@@ -157,4 +143,4 @@ def test_a_stream_ends_at_rest_when_no_more_cycles_come(made):
     bench.run(1.0)
     assert bench.state is State.READY
     assert np.nanmax(bench.travel[-1200:]) == pytest.approx(0.002, rel=0.01)
-    assert bench.watch.verdict().kept
+    assert bench.judge.verdict().kept

@@ -1,21 +1,22 @@
 """The closed loop without ROS: the same cores as the nodes, composed in one process.
 
 Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. Where an
-image is missed, the plate repeats what it did.
+image is missed, the plate repeats what it did. How answers get to the plate is an argument: at once
+(`Direct`), or over a serial line (`harness.serial.SerialLine`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from harness.race import cpu_time
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
-from plate_driver.motor_table import prepare
+from plate_driver.motor_table import MotorTable, prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
 from plate_planner.assembling import Assembly
 from plate_planner.following import Follower
@@ -26,6 +27,7 @@ from plate_sim.camera import NOISE
 from plate_sim.dirt import CLEAN, Dirt
 from plate_sim.ladder import check_model
 from plate_sim.models import AUTO
+from plate_sim.plate_motion import PlateMotion
 from plate_sim.playback import Playback, next_playback
 from plate_sim.simulation import Simulation
 from plate_sim.world import WorldState
@@ -184,9 +186,59 @@ class Moment:
     turn_error: np.ndarray
 
 
-def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
+class Transport(Protocol):
+    """How answers get to the plate, and how the plate moves meanwhile.
+
+    Attributes
+    ----------
+    running : PlateCycle
+        What the solver takes to be running: the cycle that was sent last.
+    now : float
+        Time [s].
+    """
+
+    running: PlateCycle
+    now: float
+
+    def send(self, table: MotorTable) -> None:
+        """Take an answer."""
+
+    def play(self) -> Sequence[PlateCycle | PlateMotion]:
+        """Let time pass until the next image is due; returns the plate's motions until then."""
+
+
+class Direct:
+    """The simulator's own transport: what is sent during a cycle is played after it."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self._playback = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True)
+        self._newest: PlateCycle | None = None
+
+    @property
+    def running(self) -> PlateCycle:
+        """The cycle that is being played."""
+        return self._playback.cycle
+
+    def send(self, table: MotorTable) -> None:
+        """Take what is played next."""
+        self._newest = table.cycle
+
+    def play(self) -> list[PlateCycle]:
+        """Let the cycle that is being played pass."""
+        played = self._playback.cycle
+        self.now += played.period
+        self._playback = next_playback(self._playback, self._newest, HOLD_CYCLES, IDLE_PERIOD)
+        self._newest = None
+        return [played]
+
+
+def run(
+    setup: Setup, rig: Rig | None = None, transport: Transport | None = None
+) -> Iterator[Moment]:
     """Run the loop until the task has ended; yields every cycle with an image."""
     rig = rig or load_rig()
+    line = transport or Direct()
     scenario = load_scenario(setup.scenario)
     simulation = Simulation(
         rig, scenario, setup.seed, setup.dirt, noise=setup.noise, mu_scale=setup.mu_scale,
@@ -196,22 +248,18 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
-    playback, newest = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True), None
-    t = 0.0
     while True:
-        playback = next_playback(playback, newest, HOLD_CYCLES, IDLE_PERIOD)
-        newest = None
-        world = simulation.state
+        world, t = simulation.state, line.now
         image = simulation.look()
         if image is not None:
             at_work = cpu_time()
             tracker = observe(vision, tracker, image, t)
             state, wanted, progress = planner.plan(state, tracker.parts, t)
             began = cpu_time()
-            answer = controller.answer(wanted, playback.cycle)
+            answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - began
             table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
-            newest = table.cycle
+            line.send(table)
             state = planner.hear(state, answer.cycle, t)
             step_s = cpu_time() - at_work
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
@@ -222,8 +270,8 @@ def run(setup: Setup, rig: Rig | None = None) -> Iterator[Moment]:
             )  # fmt: skip
             if progress.ended:
                 return
-        simulation.run(playback.cycle)
-        t += playback.cycle.period
+        for motion in line.play():
+            simulation.run(motion)
 
 
 def _true_error(

@@ -1,5 +1,5 @@
 """The closed loop over the serial line, in simulated time: the driver's transport, a line with its
-troubles, the device, the simulated plate; all but ROS and the operating system.
+faults, the device, and an independent judge of what the device commands.
 
 The device's clock rules: an image is taken at each of its boundaries; the answer reaches the driver
 `ANSWER_S` later, and is uploaded while the cycle before it is played.
@@ -7,24 +7,20 @@ The device's clock rules: an image is taken at each of its boundaries; the answe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
 from dataclasses import dataclass, field
 
-from harness.judge import Verdict, Watch
-from harness.loop import HOLD_CYCLES, IDLE_PERIOD, Setup
+import numpy as np
+
+from harness.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
+from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
-from plate_core.tasks import load_scenario
-from plate_driver.motor_table import prepare
+from plate_driver.motor_table import MotorTable
 from plate_driver.serial_transport import SerialTransport
 from plate_driver.transport import Condition, Order
-from plate_planner import Planner
-from plate_planner.progress import Progress
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 from plate_sim.plate_motion import PlateMotion
-from plate_sim.simulation import Simulation
-from plate_solver import Controller
-from plate_vision import Tracker, make_vision, observe
 
 ANSWER_S = 0.05
 """From an image to the driver [s]: what detector, planner and solver take together, and margin."""
@@ -33,13 +29,19 @@ POLL_TICKS = 5
 """Ticks of 1 ms between two looks of the driver at its port."""
 
 SHORTEST_S = 0.02
-"""Stretches that are shorter have no image of their own [s]."""
+"""Segments that are shorter have no image of their own [s]."""
 
 LOOK_S = 1.0
 """What the operator takes to look at the rig and to enable again, after a stop was told [s]."""
 
-CALM_S = 3.0
+SETTLE_S = 3.0
 """Longest time that a plate without a new cycle takes to come to rest [s]."""
+
+ROUNDING = 2e-3
+"""Share by which a limit may be passed: what the motors' splines may differ from the plate's."""
+
+JUMP_M = 2e-6
+"""A setpoint may miss what those around it promise by this much [m]: rounding of the wire."""
 
 
 class Port:
@@ -75,7 +77,126 @@ def opened(emulator: Emulator) -> Port:
 
 
 @dataclass
-class Ending:
+class Operator:
+    """A person at the rig: enables at the start, and after each stop once he has looked at the rig,
+    at what was told. Nothing else brings the current back.
+
+    Attributes
+    ----------
+    enables : int
+        Times that he has enabled so far.
+    """
+
+    transport: SerialTransport
+    enables: int = 0
+    _order: Order | None = None
+    _since: float | None = None
+
+    def look(self, now: float) -> None:
+        """Look at what the driver reports at a time [s]."""
+        if self.transport.report().condition is not Condition.OFF:
+            self._since = None
+            return
+        waiting = self._order is not None and not self._order.settled
+        self._since = now if self._since is None else self._since
+        if not waiting and now - self._since >= (LOOK_S if self.enables else 0.0):
+            self._order, self._since = self.transport.enable(), now
+            self.enables += 1
+
+
+class SerialLine:
+    """The closed loop's transport (`harness.loop.Transport`) over a line and a device.
+
+    Parameters
+    ----------
+    rig : Rig
+    seed : int
+        Of the line's faults.
+    schedule : FaultSchedule
+        What goes wrong all the time.
+    event : str
+        `disconnect`, `reset` or `brown_out`: happens once, ...
+    at : float
+        ... at this time [s], wherever the plate is in its cycle.
+    """
+
+    def __init__(
+        self, rig: Rig, seed: int, schedule: FaultSchedule, event: str = "", at: float = 0.0
+    ) -> None:
+        self.judge = Judge(rig)
+        self.emulator = Emulator(DeviceLimits.of_rig(rig), seed, schedule, self.judge.update)
+        self.transport = SerialTransport(
+            lambda: opened(self.emulator), lambda: self.emulator.now, seed=seed
+        )
+        self.operator = Operator(self.transport)
+        self.running = PlateCycle.rest(IDLE_PERIOD)
+        self.now, self.late, self.images = 0.0, 0, 1
+        self.troubles: Counter[str] = Counter()
+        self.newest_trouble = ""
+        self._rig, self._event, self._at = rig, event, at
+        self._waiting: list[tuple[float, MotorTable]] = []
+        self._segments: list[Segment] = []
+        self._ticks, self._table = 0, 0
+        self.transport.open()
+
+    def send(self, table: MotorTable) -> None:
+        """Take an answer, which the driver gets `ANSWER_S` later."""
+        self._waiting.append((self.emulator.now + ANSWER_S, table))
+
+    def play(self) -> list[PlateMotion]:
+        """Let time pass until an image is due; returns the plate's motions until then."""
+        motions = []
+        while True:
+            while not self._segments:
+                self._segments += self._tick()
+            segment = self._segments.pop(0)
+            motions.append(PlateMotion.of_motors(self._rig, segment.times, segment.motors))
+            if segment.end - self.now >= SHORTEST_S:
+                self.late += 0 < segment.table == self._table
+                self.now, self._table = segment.end, segment.table
+                self.images += 1
+                return motions
+
+    def settle(self) -> None:
+        """Let the plate come to rest: no more answers come."""
+        self._waiting, began = [], self.emulator.now
+        while self.emulator.now - began < SETTLE_S and not self.resting:
+            self._tick()
+
+    @property
+    def resting(self) -> bool:
+        """Whether the motors are off, or held at home."""
+        return self.emulator.device.motion.state in (State.OFF, State.READY)
+
+    def _tick(self) -> list[Segment]:
+        """Let a millisecond pass for all."""
+        segments = self.emulator.tick()
+        self.judge.moved(self.emulator.plate[0])
+        now = self.emulator.now
+        self._ticks += 1
+        while self._waiting and self._waiting[0][0] <= now:
+            self._upload(self._waiting.pop(0)[1])
+        if self._ticks % POLL_TICKS == 0:
+            self.transport.poll()
+            self.operator.look(now)
+            for trouble in self.transport.troubles():
+                self.troubles[trouble] += 1
+                self.newest_trouble = trouble
+        if self._event and now >= self._at:
+            getattr(self.emulator, self._event)()
+            self._event = ""
+        return segments
+
+    def _upload(self, table: MotorTable) -> None:
+        try:
+            self.transport.send(table, HOLD_CYCLES)
+        except CycleError:  # the device is not ready: driver_state gives the reason
+            return
+        self.running = table.cycle
+
+
+@dataclass(frozen=True)
+class Outcome:
     """How a run ended.
 
     Attributes
@@ -108,153 +229,125 @@ class Ending:
     refused: int
     late: int
     images: int
-    troubles: dict[str, int] = field(default_factory=dict)
-    enables: int = 0
-
-
-@dataclass
-class Operator:
-    """A person at the rig: enables at the start, and after each stop once he has looked at the rig,
-    at what was told. Nothing else brings the current back.
-
-    Attributes
-    ----------
-    enables : int
-        Times that he has enabled so far.
-    """
-
-    transport: SerialTransport
-    enables: int = 0
-    _order: Order | None = None
-    _since: float | None = None
-
-    def look(self, now: float) -> None:
-        """Look at what the driver reports at a time [s]."""
-        if self.transport.report().condition is not Condition.OFF:
-            self._since = None
-            return
-        waiting = self._order is not None and not self._order.settled
-        self._since = now if self._since is None else self._since
-        if not waiting and now - self._since >= (LOOK_S if self.enables else 0.0):
-            self._order, self._since = self.transport.enable(), now
-            self.enables += 1
-
-
-class Loop:
-    """A run; `go` plays it to its end."""
-
-    def __init__(self, setup: Setup, rig: Rig, schedule: FaultSchedule) -> None:
-        self.watch = Watch(rig)
-        self._rig, self._scenario = rig, load_scenario(setup.scenario)
-        self.emulator = Emulator(DeviceLimits.of_rig(rig), setup.seed, schedule, self.watch.see)
-        self.transport = SerialTransport(
-            lambda: opened(self.emulator), lambda: self.emulator.now, seed=setup.seed
-        )
-        self._simulation = Simulation(
-            rig, self._scenario, setup.seed, setup.dirt, noise=setup.noise,
-            mu_scale=setup.mu_scale, model=setup.model,
-        )  # fmt: skip
-        self._vision, self._tracker = make_vision(rig), Tracker()
-        self._planner = Planner(rig, self._scenario, setup.planner)
-        self._state = self._planner.start(self._planner.initial())
-        self._controller = Controller(rig, setup.method, seed=setup.seed)
-        self._answers: list[tuple[float, PlateCycle]] = []
-        self._sent: list[PlateCycle] = []
-        self._looked_at = float("-inf")
-        self.operator = Operator(self.transport)
-        self._troubles: dict[str, int] = {}
-        self._ticks, self._late, self._images, self._table = 0, 0, 0, 0
-        self._newest = ""  # trouble
-
-    def go(self, each_tick: Callable[[Loop], None] | None = None) -> Ending:
-        """Run until the planner ends the task, then let the plate come to rest."""
-        self.transport.open()
-        progress: Progress | None = None
-        while progress is None or not progress.ended:
-            for stretch in self._tick():
-                progress = self._followed(stretch) or progress
-            if each_tick is not None:
-                each_tick(self)
-        time_s = self.emulator.now
-        self._answers = []
-        while self.emulator.now - time_s < CALM_S and not self._resting:
-            self._tick()
-        text = progress.text + (f" ({self._newest})" if self._newest else "")
-        return Ending(
-            progress.phase, text, time_s, self._simulation.state.dropped, self.watch.verdict(),
-            self._resting, self.transport.retries, self.transport.refused, self._late, self._images,
-            self._troubles, self.operator.enables,
-        )  # fmt: skip
-
-    @property
-    def _resting(self) -> bool:
-        """Whether the motors are off, or held at home."""
-        return self.emulator.device.motion.state in (State.OFF, State.READY)
-
-    def _tick(self) -> list[Segment]:
-        """Let a millisecond pass for all."""
-        stretches = self.emulator.tick()
-        self.watch.moved(self.emulator.plate[0])
-        now = self.emulator.now
-        self._ticks += 1
-        while self._answers and self._answers[0][0] <= now:
-            self._send(self._answers.pop(0)[1], now)
-        if self._ticks % POLL_TICKS == 0:
-            self.transport.poll()
-            self.operator.look(now)
-            for trouble in self.transport.troubles():
-                self._troubles[trouble] = self._troubles.get(trouble, 0) + 1
-                self._newest = trouble
-        return stretches
-
-    def _send(self, cycle: PlateCycle, now: float) -> None:
-        table, _ = prepare(self._rig, cycle, round(now * 1e9))
-        try:
-            self.transport.send(table, HOLD_CYCLES)
-        except CycleError:  # the device is not ready: driver_state gives the reason
-            return
-        self._sent = [*self._sent[-1:], table.cycle]
-
-    def _followed(self, stretch: Segment) -> Progress | None:
-        """Move the parts, look, plan and solve; returns the planner's progress, if it looked."""
-        motion = PlateMotion.of_motors(self._rig, stretch.times, stretch.motors)
-        self._simulation.run(motion)
-        if stretch.end - self._looked_at < SHORTEST_S:
-            return None
-        self._looked_at = now = stretch.end
-        image = self._simulation.look()
-        if image is None:
-            return None
-        self._images += 1
-        self._late += 0 < stretch.table == self._table
-        self._table = stretch.table
-        self._tracker = observe(self._vision, self._tracker, image, now)
-        self._state, wanted, progress = self._planner.plan(self._state, self._tracker.parts, now)
-        # As the solver's node: the cycle that was sent last is the one that runs now.
-        running = self._sent[-1] if self._sent else PlateCycle.rest(IDLE_PERIOD)
-        answer = self._controller.answer(wanted, running)
-        self._answers.append((self.emulator.now + ANSWER_S, answer.cycle))
-        return progress
+    troubles: dict[str, int]
+    enables: int
 
 
 def serial_run(
     setup: Setup, schedule: FaultSchedule | None = None, event: str = "", at: float = 0.0
-) -> Ending:
-    """Run a task over the serial line.
+) -> Outcome:
+    """Run a task over the serial line, with what goes wrong (see `SerialLine`)."""
+    rig = load_rig()
+    line = SerialLine(rig, setup.seed, schedule or FaultSchedule(), event, at)
+    *_, last = run(setup, rig, line)
+    time_s = line.emulator.now
+    line.settle()
+    told = f" ({line.newest_trouble})" if line.newest_trouble else ""
+    return Outcome(
+        last.progress.phase, last.progress.text + told, time_s, last.world.dropped,
+        line.judge.verdict(), line.resting, line.transport.retries, line.transport.refused,
+        line.late, line.images, dict(line.troubles), line.operator.enables,
+    )  # fmt: skip
 
-    Parameters
+
+@dataclass(frozen=True)
+class Verdict:
+    """Greatest shares of the rig's limits in any setpoint that was commanded.
+
+    Attributes
     ----------
-    schedule : FaultSchedule, optional
-        What goes wrong all the time.
-    event : str
-        `disconnect`, `reset` or `brown_out`: happens once, ...
-    at : float
-        ... at this time [s], wherever the plate is in its cycle.
+    stroke, speed, force : float
+        Of the motors.
+    accel : float
+        Of the motors, and of the plate's corners.
+    jump : float
+        Greatest difference of two setpoints from what their speeds say [m].
+    travel : float
+        Of the stroke, by the plate as it really moved, without current too.
     """
-    left = [event] if event else []
 
-    def befall(loop: Loop) -> None:
-        if left and loop.emulator.now >= at:
-            getattr(loop.emulator, left.pop())()
+    stroke: float = 0.0
+    speed: float = 0.0
+    accel: float = 0.0
+    force: float = 0.0
+    jump: float = 0.0
+    travel: float = 0.0
 
-    return Loop(setup, load_rig(), schedule or FaultSchedule()).go(befall)
+    @property
+    def worst(self) -> float:
+        """Greatest share of any limit."""
+        return max(self.stroke, self.speed, self.accel, self.force, self.travel)
+
+    @property
+    def kept(self) -> bool:
+        """Whether all limits were kept, and nothing jumped."""
+        return bool(self.worst <= 1 + ROUNDING and self.jump < JUMP_M)
+
+
+@dataclass
+class Judge:
+    """An independent judge of what a device commands: all limits, at every tick."""
+
+    rig: Rig
+    _setpoints: list[tuple[float, np.ndarray]] = field(default_factory=list)
+    _travel: float = 0.0
+
+    def update(self, now: float, at: np.ndarray | None) -> None:
+        """Note a setpoint (3, 4) at a time [s]: position, speed, acceleration; None: no current."""
+        if at is not None:
+            self._setpoints.append((now, at))
+
+    def moved(self, travel: np.ndarray) -> None:
+        """Note where the motors (4,) really are [m]."""
+        self._travel = max(self._travel, float(np.max(np.abs(travel))))
+
+    def verdict(self) -> Verdict:
+        """Judge all setpoints so far."""
+        limits = self.rig.limits
+        travel = self._travel / limits.stroke_m
+        if not self._setpoints:
+            return Verdict(travel=travel)
+        times = np.array([now for now, _ in self._setpoints])
+        q, qd, qdd = np.array([at for _, at in self._setpoints], float).transpose(1, 0, 2)
+        # With infinite tolerance: whether the four agree is not asked here.
+        pose, twist, accel = plate_state(self.rig, q, qd, qdd, np.inf)
+        return Verdict(
+            float(np.max(np.abs(q))) / limits.stroke_m,
+            float(np.max(np.abs(qd))) / limits.speed,
+            max(float(np.max(np.abs(qdd))), self._corners(pose, twist, accel)) / limits.accel,
+            float(np.max(np.abs(self._forces(accel)))) / limits.force,
+            _jump(times, q, qd, qdd),
+            travel,
+        )
+
+    def _corners(self, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray) -> float:
+        """Greatest acceleration of the plate's corners [m/s2]."""
+        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        worst = 0.0
+        for x, y in self.rig.plate.half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]):
+            ax, ay = cos * x - sin * y, sin * x + cos * y
+            size = np.hypot(
+                accel[:, 0] - accel[:, 2] * ay - twist[:, 2] ** 2 * ax,
+                accel[:, 1] + accel[:, 2] * ax - twist[:, 2] ** 2 * ay,
+            )
+            worst = max(worst, float(np.max(size)))
+        return worst
+
+    def _forces(self, accel: np.ndarray) -> np.ndarray:
+        """Forces (n, 4) [N] of least norm that accelerate the plate."""
+        plate = self.rig.plate
+        inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
+        pushes = []
+        for motor in self.rig.motors:
+            (x, y), (dx, dy) = motor.point, motor.direction
+            pushes.append([dx, dy, x * dy - y * dx])
+        need = accel * [plate.mass_kg, plate.mass_kg, inertia]
+        return np.linalg.lstsq(np.array(pushes).T, need.T, rcond=None)[0].T
+
+
+def _jump(times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> float:
+    """Greatest miss [m] of Hermite's rule from a tick to the next; pauses without current aside."""
+    dt = np.diff(times)
+    step = dt[:, None] * (qd[1:] + qd[:-1]) / 2 - dt[:, None] ** 2 * (qdd[1:] - qdd[:-1]) / 12
+    miss = np.abs(np.diff(q, axis=0) - step)[dt < 1.5 * np.min(dt, initial=np.inf)]
+    return float(np.max(miss, initial=0.0))

@@ -9,7 +9,7 @@ from typing import Any
 
 from harness import ROOT, Result, Table
 
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.append(str(ROOT / "tools"))
 
 from board_host import Host, Ticks, attacked, committed
 from emulated_board import SteppedBoard, built, missing, unfollowed

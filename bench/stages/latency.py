@@ -16,7 +16,7 @@ import numpy as np
 
 from harness import ROOT, Result, Table
 
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.append(str(ROOT / "tools"))
 
 TASKS = 4
 QUICK_S = 6.0

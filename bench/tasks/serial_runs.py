@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from harness.loop import Setup, summary
-from harness.serial import Ending, serial_run
+from harness.serial import Outcome, serial_run
 from plate_core import load_rig
 from plate_sim.device import FaultSchedule, LineFaults
 
@@ -51,33 +51,33 @@ def accident_run(kind: str, seed: int) -> dict[str, Any]:
         path = Path(folder) / "short.yaml"
         path.write_text(yaml.safe_dump(SHORT), encoding="utf-8")
         line = FaultSchedule(LineFaults(baud=BAUD, **trouble))
-        ending = serial_run(Setup(str(path), seed), line, event, at)
-    done = _well(ending)
-    told = not done and bool(ending.troubles) and ending.phase in ("stuck", "aborted")
-    verdict = ending.verdict
+        outcome = serial_run(Setup(str(path), seed), line, event, at)
+    done = _well(outcome)
+    told = not done and bool(outcome.troubles) and outcome.phase in ("stuck", "aborted")
+    verdict = outcome.verdict
     return {
-        "kind": kind, "seed": seed, "phase": ending.phase, "text": ending.text, "done": done,
-        "told": told, "kept": verdict.kept, "resting": ending.resting, "time_s": ending.time_s,
-        "retries": ending.retries, "used": 100 * verdict.worst, "jump_um": 1e6 * verdict.jump,
-        "travel": 100 * verdict.travel, "late": ending.late, "images": ending.images,
-        "enables": ending.enables,
+        "kind": kind, "seed": seed, "phase": outcome.phase, "text": outcome.text, "done": done,
+        "told": told, "kept": verdict.kept, "resting": outcome.resting, "time_s": outcome.time_s,
+        "retries": outcome.retries, "used": 100 * verdict.worst, "jump_um": 1e6 * verdict.jump,
+        "travel": 100 * verdict.travel, "late": outcome.late, "images": outcome.images,
+        "enables": outcome.enables,
     }  # fmt: skip
 
 
 def path_run(transport: str, scenario: str, seed: int) -> dict[str, Any]:
-    """Run a task over transport sim or serial, without accidents."""
+    """Run a task over transport sim or serial, without faults."""
     setup = Setup(scenario, seed)
     row: dict[str, Any] = {"transport": transport, "scenario": scenario, "seed": seed}
     if transport == "sim":
         plain = summary(setup, load_rig())
         return row | {key: plain[key] for key in ("success", "dropped", "time_s", "message")}
-    ending = serial_run(setup, FaultSchedule(LineFaults(baud=BAUD)))
+    outcome = serial_run(setup, FaultSchedule(LineFaults(baud=BAUD)))
     return row | {
-        "success": _well(ending), "dropped": ending.dropped, "time_s": ending.time_s,
-        "message": ending.text, "kept": ending.verdict.kept, "late": ending.late,
-        "images": ending.images,
+        "success": _well(outcome), "dropped": outcome.dropped, "time_s": outcome.time_s,
+        "message": outcome.text, "kept": outcome.verdict.kept, "late": outcome.late,
+        "images": outcome.images,
     }  # fmt: skip
 
 
-def _well(ending: Ending) -> bool:
-    return ending.phase == "done" and ending.dropped == 0
+def _well(outcome: Outcome) -> bool:
+    return outcome.phase == "done" and outcome.dropped == 0

@@ -4,21 +4,11 @@ import pickle
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from importlib.machinery import PathFinder
-from pathlib import Path
 
 import pytest
 
+from harness import Cache, cache, parallel, pool, resumed
 from plate_core import PlateError
-
-BENCH = Path(__file__).resolve().parents[1] / "bench"
-
-
-@pytest.fixture(name="module")
-def _module(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCH))
-    from harness import pool
-
-    return pool
 
 
 def late(seconds, value):
@@ -46,37 +36,35 @@ def _pickled_here(monkeypatch):
     monkeypatch.setattr(pickle, "loads", lambda task: task)
 
 
-def test_results_come_in_order_whoever_is_first(module):
+def test_results_come_in_order_whoever_is_first():
     notes = []
     work = [(0.2, "a"), (0.0, "b"), (0.1, "c"), (0.0, "d")]
-    with ThreadPoolExecutor(4) as pool:
-        results = list(module.parallel(pool, late, work, notes.append))
+    with ThreadPoolExecutor(4) as workers:
+        results = list(parallel(workers, late, work, notes.append))
     assert results == ["a", "b", "c", "d"]
     assert [note.split(" in ")[0] for note in notes] == [f"{i} of 4 done" for i in (1, 2, 3, 4)]
     assert notes[-1].endswith("about 0 s left")
 
 
-def test_a_refused_run_is_told_and_ends_the_work(module):
-    with ThreadPoolExecutor(1) as pool:
-        results = module.parallel(pool, late, [(0.0, 1)], [].append)
+def test_a_refused_run_is_told_and_ends_the_work():
+    with ThreadPoolExecutor(1) as workers:
+        results = parallel(workers, late, [(0.0, 1)], [].append)
         assert list(results) == [1]
         with pytest.raises(PlateError, match="run 0 refused"):
-            list(module.parallel(pool, refuse, [(0.0, i) for i in range(9)], [].append))
+            list(parallel(workers, refuse, [(0.0, i) for i in range(9)], [].append))
 
 
-def test_what_is_left_is_not_started_when_nobody_wants_it(module):
+def test_what_is_left_is_not_started_when_nobody_wants_it():
     started = []
-    with ThreadPoolExecutor(1) as pool:
+    with ThreadPoolExecutor(1) as workers:
         work = [(0.01, i) for i in range(50)]
-        results = module.parallel(pool, lambda s, i: started.append(late(s, i)), work, [].append)
+        results = parallel(workers, lambda s, i: started.append(late(s, i)), work, [].append)
         next(results)
         results.close()
     assert 1 <= len(started) < 50
 
 
-def test_an_interrupted_measurement_goes_on(module, tmp_path):
-    from harness import Cache
-
+def test_an_interrupted_measurement_goes_on(tmp_path):
     started, path, work = [], tmp_path / "runs.jsonl", {str(i): (i,) for i in range(5)}
 
     def run(i):
@@ -85,37 +73,35 @@ def test_an_interrupted_measurement_goes_on(module, tmp_path):
         started.append(i)
         return {"value": i / 3}
 
-    with ThreadPoolExecutor(1) as pool:
+    with ThreadPoolExecutor(1) as workers:
         with pytest.raises(PlateError, match="interrupted"):
-            module.resumed(pool, run, work, Cache(path, "code"))
+            resumed(workers, run, work, Cache(path, "code"))
         assert len(path.read_text().splitlines()) == 3
         started[:] = [None] * 5
-        rows = module.resumed(pool, run, work, Cache(path, "code"))
+        rows = resumed(workers, run, work, Cache(path, "code"))
         assert started[5:] == [3, 4]
         assert rows == [{"value": i / 3} for i in range(5)]
-        module.resumed(pool, run, {"0": (0,)}, Cache(path, "other code"))
+        resumed(workers, run, {"0": (0,)}, Cache(path, "other code"))
         assert started[5:] == [3, 4, 0]
 
 
-def test_workers_without_our_code_are_told_of(module):
+def test_workers_without_our_code_are_told_of():
     with pytest.raises(
         PlateError, match=r"lack code \(No module named 'harness'\), expected: the same"
     ):
-        list(module.parallel(Nobody(), late, [(0.0, 1)], [].append))
+        list(parallel(Nobody(), late, [(0.0, 1)], [].append))
 
 
-def test_a_worker_with_other_code_refuses(module):
-    mark = module.fingerprint()
+def test_a_worker_with_other_code_refuses():
+    mark = pool.fingerprint()
     assert mark.startswith("sources ")
     assert "numpy " in mark
-    assert module._checked(mark, (late, (0.0, 5))) == 5
+    assert pool._checked(mark, (late, (0.0, 5))) == 5
     with pytest.raises(PlateError, match=r"other code \(sources .*\) than we have \(sources 0\)"):
-        module._checked("sources 0", (late, (0.0, 5)))
+        pool._checked("sources 0", (late, (0.0, 5)))
 
 
-def test_the_digest_is_that_of_the_sources(module, monkeypatch, tmp_path):
-    from harness import cache
-
+def test_the_digest_is_that_of_the_sources(monkeypatch, tmp_path):
     for name in cache.PACKAGES:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text(f"NAME = {name!r}\n")
@@ -127,15 +113,13 @@ def test_the_digest_is_that_of_the_sources(module, monkeypatch, tmp_path):
         (tmp_path / "plate_sim" / "part.py").write_text(text)
         cache.code_of.cache_clear()
         cache.code_of_packages.cache_clear()
-        marks.append(module.fingerprint())
+        marks.append(pool.fingerprint())
     cache.code_of.cache_clear()
     cache.code_of_packages.cache_clear()
     assert marks[0] == marks[1] != marks[2]
 
 
-def test_a_module_depends_on_what_it_imports(module):
-    from harness.cache import own_files
-
-    names = {"/".join(path.parts[-2:]) for path in own_files("tasks.control")}
+def test_a_module_depends_on_what_it_imports():
+    names = {"/".join(path.parts[-2:]) for path in cache.own_files("tasks.control")}
     assert {"tasks/control.py", "tasks/runs.py", "harness/loop.py"} <= names
     assert "tasks/serial.py" not in names
