@@ -76,8 +76,9 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
     with ThreadPoolExecutor(1) as workers:
         with pytest.raises(PlateError, match="interrupted"):
             resumed(workers, run, work, Cache(path, "code"))
-        assert len(path.read_text().splitlines()) == 3
-        started[:] = [None] * 5
+    assert len(path.read_text().splitlines()) == 3
+    started[:] = [None] * 5
+    with ThreadPoolExecutor(1) as workers:
         rows = resumed(workers, run, work, Cache(path, "code"))
         assert started[5:] == [3, 4]
         assert rows == [{"value": i / 3} for i in range(5)]
