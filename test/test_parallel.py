@@ -73,9 +73,8 @@ def test_an_interrupted_measurement_goes_on(tmp_path):
         started.append(i)
         return {"value": i / 3}
 
-    with ThreadPoolExecutor(1) as workers:
-        with pytest.raises(PlateError, match="interrupted"):
-            resumed(workers, run, work, Cache(path, "code"))
+    with ThreadPoolExecutor(1) as workers, pytest.raises(PlateError, match="interrupted"):
+        resumed(workers, run, work, Cache(path, "code"))
     assert len(path.read_text().splitlines()) == 3
     started[:] = [None] * 5
     with ThreadPoolExecutor(1) as workers:
