@@ -6,7 +6,7 @@ MAKEFLAGS += --no-print-directory
 
 ENTER := . ./env.sh &&
 # Everything that is type-checked
-TYPED := $(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph)
+TYPED := $(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph tools/record)
 
 help: ## List these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile

@@ -15,12 +15,13 @@ import yaml
 pytest.importorskip("rclpy")
 
 from graph import domains
-from graph.film import check_limits, develop
 from graph.observer import Observer
 from graph.processes import Processes
 from graph.session import session
 from rcl_interfaces.srv import ListParameters
 from rclpy.serialization import deserialize_message
+from record.film import develop
+from record.judge import check_limits
 from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory
 
@@ -104,9 +105,9 @@ class CameraStandIn:
         self.observer = observer
         self.images = observer.node.create_publisher(Image, "image_raw", IMAGE)
 
-    def stream(self, until, patience_s=10.0, **changes):
+    def stream(self, until, timeout_s=10.0, **changes):
         """Publish at 10 Hz until something holds; with changed fields if given."""
-        for _ in range(int(10 * patience_s)):
+        for _ in range(int(10 * timeout_s)):
             stamp = to_time(time.time_ns())
             msg = array_to_image(changes.pop("picture", self.picture), stamp)
             for name, value in changes.items():
@@ -276,7 +277,7 @@ def test_with_simulated_time_all_but_its_source_follow_it():
 
 
 def test_images_can_be_thinned_without_losing_beginning_or_end():
-    from graph.record import Thinned
+    from graph.observer import Thinned
 
     kept = Thinned(most=8)
     for k in range(100):

@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from graph.result import summary
 from PIL import Image, ImageSequence
+from record.judge import summary
 
 from plate_core.tasks import load_scenario
 

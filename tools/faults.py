@@ -29,9 +29,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from graph import gate
 from graph.domains import own_domain
-from graph.film import LimitCheck, check_limits
 from graph.observer import ALL, Observer
 from graph.processes import Processes
+from record.judge import LimitCheck, check_limits
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory

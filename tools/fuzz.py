@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 import rclpy
 from graph.domains import own_domain
-from graph.film import limit_shares
 from graph.processes import ros_environment
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
+from record.judge import limit_shares
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
@@ -107,7 +107,7 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
 
 
 def spoil(msg: Any, rng: np.random.Generator) -> None:
-    """Change one field of a message, or of a message in it, to something hostile."""
+    """Change one field of a message, or of a message in it, to something malformed."""
     kinds = msg.get_fields_and_field_types()
     name = str(rng.choice(list(kinds)))
     value = getattr(msg, name)

@@ -1,1 +1,4 @@
-"""Run the real nodes as processes, watch them over DDS, judge and draw what they did."""
+"""The real graph as processes: `session` starts the nodes, an `Observer` watches them over DDS.
+
+Programs import the rooms themselves; importing this folder imports no ROS.
+"""

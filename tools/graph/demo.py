@@ -15,19 +15,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from record.bag import Recorder
+from record.judge import judge, summary
+
 from plate_core import PlateError, Rig, load_rig
 from plate_core.graph import GraphError, RunOptions, load_graph
-from plate_core.tasks import Scenario, load_scenario
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.transport import check_transport
 from plate_solver.controller import METHODS
 
 from .domains import own_domain
-from .observer import Observer
+from .observer import Observer, Record
 from .processes import Interrupted, ros_environment, signals_raise
-from .progress import ProgressLine
-from .record import Record
-from .recorder import Recorder
-from .result import judge, summary
 from .session import Session, session
 
 SILENCE_S = 30.0
@@ -231,8 +230,8 @@ def write(path: Path, result: dict[str, Any]) -> None:
 
 def draw(plan: Plan, record: Record) -> None:
     """Draw strip and animation, and say where they are."""
-    from .film import develop
-    from .pictures import Scene, draw_animation, draw_strip
+    from record.film import develop
+    from record.pictures import Scene, draw_animation, draw_strip
 
     scene = Scene(plan.rig, plan.scenario, develop(record, plan.rig))
     title = f"{plan.scenario.name}, {plan.options.method}"
@@ -241,3 +240,43 @@ def draw(plan: Plan, record: Record) -> None:
     print(f"  {strip}", flush=True)
     draw_animation(scene, animation, title)
     print(f"  {animation}", flush=True)
+
+
+class ProgressLine:
+    """Rewrites itself on a terminal; elsewhere a new line every `QUIET_S`."""
+
+    PERIOD_S = 0.25
+    QUIET_S = 2.0
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._following = isinstance(scenario.task, FollowTask)
+        self._there = "placed" if isinstance(scenario.task, AssembleTask | PoseTask) else "sorted"
+        self._terminal = sys.stdout.isatty()
+        self._shown_at = 0.0
+
+    def show(self, record: Record, last: bool = False) -> None:
+        """Print what is known now; `last`: and end the line."""
+        now = time.monotonic()
+        if self._terminal:
+            print(f"\r\033[K  {self.text(record)}", end="\n" if last else "", flush=True)
+        elif last or now - self._shown_at >= self.QUIET_S:
+            self._shown_at = now
+            print(f"  {self.text(record)}", flush=True)
+
+    def text(self, record: Record) -> str:
+        """Return the line."""
+        if not record.last("planner", "time_s"):
+            return "waiting for the first image"
+        if self._following:
+            done = f"error {1e3 * float(record.last('planner', 'rms_error_m')):.2f} mm rms"
+        else:
+            done = f"{record.last('planner', 'parts_sorted')}/" + record.last(
+                "planner", "parts_total"
+            )
+            done += f" parts {self._there}"
+        missed = 100 * float(record.last("solver", "missed_share", "0"))
+        return (
+            f"{done} | {float(record.last('planner', 'time_s')):5.1f} s"
+            f" | force missed {missed:3.0f} %"
+            f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"
+        )

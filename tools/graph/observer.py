@@ -1,9 +1,11 @@
-"""The sixth process: sees the nodes over DDS, starts the task, and records what is said."""
+"""The sixth process: sees the nodes over DDS, starts the task, and keeps what was heard of it."""
 
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import rclpy
@@ -23,7 +25,8 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_core.graph import GraphError
 from plate_core.ros import CAMERA, LATCHED, nanoseconds
 
-from .record import Record
+MOST_IMAGES = 240
+"""Images kept for drawing (300 kB each)."""
 
 ALL = QoSProfile(depth=200)
 """We want to hear everything, also when we are slow."""
@@ -42,6 +45,71 @@ we do, or a little later."""
 
 SETTLE_S = 0.5
 """Time in which all images of parts that were put elsewhere are answered [s]."""
+
+
+@dataclass
+class Thinned:
+    """A list that never grows beyond `most`: when full, every other item goes, and from then on
+    only every second, fourth, ... new one is taken."""
+
+    most: int = MOST_IMAGES
+    items: list[Any] = field(default_factory=list)
+    step: int = 1
+    count: int = 0
+
+    def add(self, item: Any) -> None:
+        """Take the item, or not."""
+        if self.count % self.step == 0:
+            self.items.append(item)
+            if len(self.items) >= self.most:
+                del self.items[1::2]
+                self.step *= 2
+        self.count += 1
+
+
+@dataclass
+class Record:
+    """Messages of one run, undecoded where decoding would steal time from the nodes.
+
+    Attributes
+    ----------
+    truth, tables : list of bytes
+        All of ground_truth and motor_setpoints.
+    answers : int
+        Number of plate_cycle messages.
+    images : Thinned
+        Some of image_raw, as bytes.
+    reports : dict of str to list of (stamp in ns, dict)
+        Diagnostics by node: keys and values, and the message under "message".
+    states : list of str
+        Of task_state.
+    driver_state : str
+        What the driver said last.
+    """
+
+    truth: list[bytes] = field(default_factory=list)
+    tables: list[bytes] = field(default_factory=list)
+    answers: int = 0
+    images: Thinned = field(default_factory=Thinned)
+    reports: dict[str, list[tuple[int, dict[str, str]]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+    states: list[str] = field(default_factory=list)
+    driver_state: str = ""
+
+    def last(self, node: str, key: str, default: str = "") -> str:
+        """Return the newest value that a node has reported."""
+        reports = self.reports.get(node)
+        return reports[-1][1].get(key, default) if reports else default
+
+    def numbers(self, node: str, key: str) -> list[float]:
+        """Return all numbers that a node has reported under a key."""
+        return [float(values[key]) for _, values in self.reports.get(node, []) if key in values]
+
+    @property
+    def ended(self) -> bool:
+        """Whether the task is over."""
+        return bool(self.states) and self.states[-1].split(":")[0] not in ("idle", "running")
 
 
 class Observer:
@@ -113,9 +181,9 @@ class Observer:
             stamp = nanoseconds(msg.header.stamp)
             self.record.reports[node].append((stamp, {"message": status.message, **values}))
 
-    def until(self, true: Callable[[], bool], patience_s: float) -> bool:
+    def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""
-        end = time.monotonic() + patience_s
+        end = time.monotonic() + timeout_s
         while not true():
             now = time.monotonic()
             if now > end:
@@ -132,7 +200,7 @@ class Observer:
         there = self.node.get_node_names()
         return [name for name in names if name in there]
 
-    def await_nodes(self, names: list[str], patience_s: float) -> list[str]:
+    def await_nodes(self, names: list[str], timeout_s: float) -> list[str]:
         """Wait until all nodes are in the graph, and return their names.
 
         Raises
@@ -140,14 +208,14 @@ class Observer:
         GraphError
             Names those that did not appear within the time [s].
         """
-        if not self.until(lambda: self.seen(names) == names, patience_s):
+        if not self.until(lambda: self.seen(names) == names, timeout_s):
             missing = [name for name in names if name not in self.seen(names)]
             raise GraphError(
-                f"not seen within {patience_s:g} s: {', '.join(missing)} (of {', '.join(names)})"
+                f"not seen within {timeout_s:g} s: {', '.join(missing)} (of {', '.join(names)})"
             )
         return self.seen(names)
 
-    def await_answers(self, patience_s: float) -> None:
+    def await_answers(self, timeout_s: float) -> None:
         """Wait until images are answered as far as the solver.
 
         Raises
@@ -155,9 +223,9 @@ class Observer:
         GraphError
             If that does not happen within the time [s].
         """
-        if not self.until(lambda: self.record.answers > 0, patience_s):
+        if not self.until(lambda: self.record.answers > 0, timeout_s):
             raise GraphError(
-                f"no plate_cycle within {patience_s:g} s: images are not answered "
+                f"no plate_cycle within {timeout_s:g} s: images are not answered "
                 f"({self.record.images.count} images seen)"
             )
 

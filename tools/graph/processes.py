@@ -14,7 +14,7 @@ from pathlib import Path
 from plate_core.graph import GraphError, GraphNode, RunOptions, Value
 from plate_core.rig import config_path
 
-PATIENCE_S = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 """Signals that stop a node, and how long each may take [s]; a node in a compiler needs a while."""
 
 TAIL_LINES = 12
@@ -222,11 +222,11 @@ class Processes:
     def stop(self) -> dict[str, int]:
         """End all nodes, politely at first, and return their exit codes."""
         with signals_wait():
-            for number, patience in PATIENCE_S:
+            for number, seconds in STOP_SIGNALS:
                 alive = [p for p in self._running.values() if p.poll() is None]
                 for process in alive:
                     process.send_signal(number)
-                until = time.monotonic() + patience
+                until = time.monotonic() + seconds
                 for process in alive:
                     with contextlib.suppress(subprocess.TimeoutExpired):
                         process.wait(max(0.0, until - time.monotonic()))

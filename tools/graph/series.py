@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from record.judge import check_limits
 
 from plate_core import load_rig
 from plate_core.graph import RunOptions
 
-from .film import check_limits
 from .forward import NAMESPACE, commands, environment
 from .hops import CHAIN, Hops
 from .session import Session, session

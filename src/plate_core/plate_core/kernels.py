@@ -39,4 +39,4 @@ def _digest(package: Path) -> bytes:
 
 # What numba keeps beside compiled code; where it differs, the code is compiled anew.
 _numbas_stamp = caching._SourceFileBackedLocatorMixin.get_source_stamp
-caching._SourceFileBackedLocatorMixin.get_source_stamp = _stamp
+caching._SourceFileBackedLocatorMixin.get_source_stamp = _stamp  # type: ignore[method-assign]

@@ -5,30 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
+from graph.observer import Record
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image, MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.motion import corner_accel, motor_state
-from plate_core.rig import homography
 from plate_core.ros import image_to_array, msg_to_motors, msg_to_parts, nanoseconds
-
-from .record import Record
-
-SAMPLES = 1000
-"""Instants of every motor table at which the limits are checked."""
-
-ROUNDING = 1e-6
-"""Share of a limit that rounding may add."""
-
-SAME = 12
-"""Pixels that differ no more from the picture without parts show the plate [grey values]."""
-
-BRIGHT = 85
-"""Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
 
 
 @dataclass(frozen=True)
@@ -85,63 +69,6 @@ class Film:
         return self.tables[m] if m >= 0 else None
 
 
-@dataclass(frozen=True)
-class LimitCheck:
-    """All motor tables against the rig's limits.
-
-    Attributes
-    ----------
-    tables : int
-        How many there were.
-    faults : tuple of str
-        What was wrong; empty: all was well.
-    stroke, speed, accel : float
-        Greatest shares of the limits [-].
-    """
-
-    tables: int
-    faults: tuple[str, ...]
-    stroke: float
-    speed: float
-    accel: float
-
-
-def check_limits(record: Record, rig: Rig) -> LimitCheck:
-    """Evaluate every motor table at `SAMPLES` instants, independently of who made it."""
-    faults: list[str] = []
-    most = np.zeros(3)
-    for number, data in enumerate(record.tables):
-        try:
-            cycle = msg_to_motors(rig, deserialize_message(data, JointTrajectory))
-        except PlateError as error:
-            faults.append(f"motor table {number}: {error}")
-            continue
-        share = limit_shares(rig, cycle)
-        most = np.maximum(most, share)
-        if np.any(share > 1 + ROUNDING):
-            faults.append(
-                f"motor table {number}: stroke {share[0]:.4f}, speed {share[1]:.4f}, "
-                f"acceleration {share[2]:.4f} of the limit"
-            )
-        if not cycle.starts_at_rest:
-            faults.append(f"motor table {number}: does not begin at rest at home")
-    return LimitCheck(len(record.tables), tuple(faults), *(float(share) for share in most))
-
-
-def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return the greatest shares (3,) of stroke, speed and acceleration in one cycle."""
-    t = np.linspace(0, cycle.period, SAMPLES)
-    state = cycle.pose(t), cycle.twist(t), cycle.accel(t)
-    q, qd, _ = motor_state(rig, *state)
-    return np.array(
-        [
-            np.max(np.abs(q)) / rig.limits.stroke_m,
-            np.max(np.abs(qd)) / rig.limits.speed,
-            np.max(corner_accel(rig, *state)) / rig.limits.accel,
-        ]
-    )
-
-
 def develop(record: Record, rig: Rig) -> Film:
     """Decode a record.
 
@@ -185,27 +112,3 @@ def develop(record: Record, rig: Rig) -> Film:
         image_time=since(images),
         images=tuple(image_to_array(msg) for msg in images),
     )
-
-
-def from_above(
-    film: Film, rig: Rig, px_per_m: float
-) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-    """Return the images as seen straight from above, plate_home, cut at the plate's edge.
-
-    Returns
-    -------
-    bare : (H, W)
-        The plate without parts: the bright end of what each pixel shows in the course of time.
-    views : list of (H, W)
-        The images.
-    parts : list of (H, W)
-        True where an image shows a part: where it differs from `bare` by more than the noise.
-    """
-    width, height = rig.plate.length_m * px_per_m, rig.plate.width_m * px_per_m
-    to_picture = np.array([[px_per_m, 0, width / 2], [0, -px_per_m, height / 2], [0, 0, 1.0]])
-    matrix = to_picture @ np.linalg.inv(homography(rig))
-    size = round(width), round(height)
-    views = [cv2.warpPerspective(i, matrix, size, flags=cv2.INTER_LINEAR) for i in film.images]
-    step = max(1, len(views) // 31)
-    bare = np.percentile(views[::step], BRIGHT, axis=0).astype(np.uint8)
-    return bare, views, [cv2.absdiff(view, bare) > SAME for view in views]

@@ -1,17 +1,85 @@
-"""Judge a recorded run."""
+"""A recorded run, judged: the motion against the rig's limits, and how the task ended."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from graph.observer import Record
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import Rig
+from plate_core import PlateCycle, PlateError, Rig
 from plate_core.graph import RunOptions
+from plate_core.motion import corner_accel, motor_state
+from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
 
-from .film import check_limits, develop
-from .record import Record
+from .film import develop
+
+SAMPLES = 1000
+"""Instants of every motor table at which the limits are checked."""
+
+ROUNDING = 1e-6
+"""Share of a limit that rounding may add."""
+
+
+@dataclass(frozen=True)
+class LimitCheck:
+    """All motor tables against the rig's limits.
+
+    Attributes
+    ----------
+    tables : int
+        How many there were.
+    faults : tuple of str
+        What was wrong; empty: all was well.
+    stroke, speed, accel : float
+        Greatest shares of the limits [-].
+    """
+
+    tables: int
+    faults: tuple[str, ...]
+    stroke: float
+    speed: float
+    accel: float
+
+
+def check_limits(record: Record, rig: Rig) -> LimitCheck:
+    """Evaluate every motor table at `SAMPLES` instants, independently of who made it."""
+    faults: list[str] = []
+    most = np.zeros(3)
+    for number, data in enumerate(record.tables):
+        try:
+            cycle = msg_to_motors(rig, deserialize_message(data, JointTrajectory))
+        except PlateError as error:
+            faults.append(f"motor table {number}: {error}")
+            continue
+        share = limit_shares(rig, cycle)
+        most = np.maximum(most, share)
+        if np.any(share > 1 + ROUNDING):
+            faults.append(
+                f"motor table {number}: stroke {share[0]:.4f}, speed {share[1]:.4f}, "
+                f"acceleration {share[2]:.4f} of the limit"
+            )
+        if not cycle.starts_at_rest:
+            faults.append(f"motor table {number}: does not begin at rest at home")
+    return LimitCheck(len(record.tables), tuple(faults), *(float(share) for share in most))
+
+
+def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+    """Return the greatest shares (3,) of stroke, speed and acceleration in one cycle."""
+    t = np.linspace(0, cycle.period, SAMPLES)
+    state = cycle.pose(t), cycle.twist(t), cycle.accel(t)
+    q, qd, _ = motor_state(rig, *state)
+    return np.array(
+        [
+            np.max(np.abs(q)) / rig.limits.stroke_m,
+            np.max(np.abs(qd)) / rig.limits.speed,
+            np.max(corner_accel(rig, *state)) / rig.limits.accel,
+        ]
+    )
 
 
 def judge(

@@ -13,14 +13,21 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 from PIL import Image, ImageDraw, ImageFont
 
 from plate_core import Rig, part_class
+from plate_core.rig import homography
 from plate_core.tasks import AssembleTask, Bin, FollowTask, Scenario, Side, SortTask, circle_points
 from plate_solver import average_force
 
-from .film import Film, from_above
+from .film import Film
 
 FACE = {"black": "#1a1a1a", "grey": "#a8a8a8"}
 TRAIL = {"black": "#d1495b", "grey": "#2e86ab"}
 FIELD, GOAL = "#8fa3ad", "#e9f0e4"
+
+SAME = 12
+"""Pixels that differ no more from the picture without parts show the plate [grey values]."""
+
+BRIGHT = 85
+"""Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
 
 SNAPSHOTS = 8
 COLUMNS = 2
@@ -231,3 +238,27 @@ def page(picture: np.ndarray, title: str, clock: str, speed: str) -> Image.Image
     pen.text((width // 2 + 40, 9), clock, fill="black", font=font, anchor="ra")
     pen.text((width + 8, 9), f"{speed} real time", fill="black", font=font, anchor="ra")
     return sheet
+
+
+def from_above(
+    film: Film, rig: Rig, px_per_m: float
+) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+    """Return the images as seen straight from above, plate_home, cut at the plate's edge.
+
+    Returns
+    -------
+    bare : (H, W)
+        The plate without parts: the bright end of what each pixel shows in the course of time.
+    views : list of (H, W)
+        The images.
+    parts : list of (H, W)
+        True where an image shows a part: where it differs from `bare` by more than the noise.
+    """
+    width, height = rig.plate.length_m * px_per_m, rig.plate.width_m * px_per_m
+    to_picture = np.array([[px_per_m, 0, width / 2], [0, -px_per_m, height / 2], [0, 0, 1.0]])
+    matrix = to_picture @ np.linalg.inv(homography(rig))
+    size = round(width), round(height)
+    views = [cv2.warpPerspective(i, matrix, size, flags=cv2.INTER_LINEAR) for i in film.images]
+    step = max(1, len(views) // 31)
+    bare = np.percentile(views[::step], BRIGHT, axis=0).astype(np.uint8)
+    return bare, views, [cv2.absdiff(view, bare) > SAME for view in views]
