@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -190,24 +190,20 @@ class DetectorNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _on_image(self, msg: Image) -> None:
-        self._hear()
-        try:
-            size_px = (msg.width, msg.height)
-            big = bool(msg.is_bigendian)
-            image = decode(msg.data, size_px, msg.encoding, msg.step, big, self._bits)
-        except PlateError as error:
-            self._refuse("image_raw", error)
-            return
-        self._answer(image, msg.header.stamp, "image_raw")
+        size_px, big = (msg.width, msg.height), bool(msg.is_bigendian)
+        self._answer(
+            "image_raw",
+            msg.header.stamp,
+            lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self._bits),
+        )
 
     def _on_file(self, msg: CompressedImage) -> None:
-        self._hear()
-        try:
-            image = decode_file(msg.data, msg.format, self._bits, self._vision.region.size_px)
-        except PlateError as error:
-            self._refuse("image_raw/compressed", error)
-            return
-        self._answer(image, msg.header.stamp, "image_raw/compressed")
+        size_px = self._vision.region.size_px
+        self._answer(
+            "image_raw/compressed",
+            msg.header.stamp,
+            lambda: decode_file(msg.data, msg.format, self._bits, size_px),
+        )
 
     def _open(self, values: DetectorParameters) -> None:
         """Take pictures for a camera."""
@@ -230,40 +226,34 @@ class DetectorNode(Node):
             self._timer.cancel()
             return
         name, image = self._picture
-        self._hear()
-        self._answer(image, self.get_clock().now().to_msg(), name)
+        self._answer(name, self.get_clock().now().to_msg(), lambda: image)
         try:
             self._picture = next(self._pictures, None)
         except PlateError as error:
             self._warn(f"no more pictures: {error}")
             self._picture = None
 
-    def _hear(self) -> None:
-        """Note that an image has come."""
+    def _answer(self, source: str, stamp: Time, unpack: Callable[[], np.ndarray]) -> None:
+        """Find the parts of one image, and publish them."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
-
-    def _refuse(self, topic: str, error: PlateError) -> None:
-        """Note that it cannot be used."""
-        self._warn(f"{topic} ignored: {error}")
-        self._tally.refused += 1
-        self._tally.why = str(error)
-        self._refused += 1
-
-    def _answer(self, image: np.ndarray, stamp: Time, topic: str) -> None:
-        began = time.perf_counter()
         try:
+            image = unpack()
+            began = time.perf_counter()
             if self._location is not None:
                 image = self._find_plate(self._location, image, stamp)
             self._tracker = observe(self._vision, self._tracker, image, seconds(stamp))
         except PlateError as error:
-            self._refuse(topic, error)
+            self._warn(f"{source} ignored: {error}")
+            self._tally.refused += 1
+            self._tally.why = str(error)
+            self._refused += 1
             return
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
-            self._warn(f"{topic}: {problem}")
+            self._warn(f"{source}: {problem}")
             self._tally.problem = problem
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
         if self._drawings.get_subscription_count():
@@ -357,8 +347,9 @@ class DetectorNode(Node):
             return
         self._lens_message = content  # judged once, not with every image
         try:
-            self._lens = lens_of(msg, self._vision.region.size_px)
-            self._vision = make_vision(self._rig, self._vision.options, self._lens)
+            lens = lens_of(msg, self._vision.region.size_px)
+            self._vision = make_vision(self._rig, self._vision.options, lens)
+            self._lens = lens
             self._location = self._unknown_location()
         except PlateError as error:
             self.get_logger().warning(f"camera_info ignored: {error}")

@@ -66,7 +66,7 @@ class Track:
         Plain numbers: for so few of them they are ten times faster than arrays.
     missed : int
         Images since it was last seen.
-    sights : int
+    hits : int
         Images in which it was seen.
     turns : tuple of (stamp [s], angle [rad])
         The same for its angle, which does not jump by whole turns.
@@ -76,7 +76,7 @@ class Track:
     number: int
     history: tuple[tuple[float, float, float], ...]
     missed: int = 0
-    sights: int = 0
+    hits: int = 0
     turns: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -110,14 +110,14 @@ class Track:
         (t0, angle0), (t1, angle1) = self.turns[0], self.turns[-1]
         return (angle1 - angle0) / (t1 - t0)
 
-    def expected(self, stamp: float, reach: float) -> tuple[float, float]:
+    def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
         """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m]."""
         last, x, y = self.history[-1]
         vx, vy = self.velocity
         time = min(stamp - last, reach / max(math.hypot(vx, vy), 1e-12))
         return x + vx * time, y + vy * time
 
-    def seen(self, stamp: float, position: np.ndarray, angle: float, keep: int) -> Track:
+    def extended(self, stamp: float, position: np.ndarray, angle: float, keep: int) -> Track:
         """Return the track with one more position (2,) [m] and angle [rad]; the last `keep` are
         kept."""
         point = (stamp, float(position[0]), float(position[1]))
@@ -126,7 +126,7 @@ class Track:
             self.label,
             self.number,
             (*self.history, point)[-keep:],
-            sights=self.sights + 1,
+            hits=self.hits + 1,
             turns=(*self.turns, turn)[-keep:],
         )
 
@@ -142,14 +142,14 @@ class Tracker:
         Of the last image [s].
     tracks : tuple of Track
         By class and number; also those that were missed in the last image.
-    given : mapping of str to int
+    last_number : mapping of str to int
         Greatest number given so far, by class; no number is given twice.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
     stamp: float | None = None
     tracks: tuple[Track, ...] = ()
-    given: Mapping[str, int] = field(default_factory=dict)
+    last_number: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def parts(self) -> Parts:
@@ -212,28 +212,29 @@ def update(
     for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
         if found >= 0:
             is_new[found] = False
-            tracks.append(track.seen(stamp, position[found], float(angles[found]), keep))
+            tracks.append(track.extended(stamp, position[found], float(angles[found]), keep))
         elif track.number and track.missed < options.max_missed:
             tracks.append(replace(track, missed=track.missed + 1))
     for i in np.flatnonzero(is_new):
         new = Track(labels[i], 0, ())
-        tracks.append(new.seen(stamp, position[i], float(angles[i]), keep))
-    tracks, given = _number(tracks, tracker.given, options.confirm if tracker.given else 1)
-    return Tracker(options, stamp, tuple(tracks), given)
+        tracks.append(new.extended(stamp, position[i], float(angles[i]), keep))
+    confirm = options.confirm if tracker.last_number else 1
+    tracks, numbers = _number(tracks, tracker.last_number, confirm)
+    return Tracker(options, stamp, tuple(tracks), numbers)
 
 
 def _number(
-    tracks: list[Track], given: Mapping[str, int], confirm: int
+    tracks: list[Track], numbers: Mapping[str, int], confirm: int
 ) -> tuple[list[Track], dict[str, int]]:
     """Number tracks that have been seen `confirm` times; all by class and number."""
-    given = dict(given)
+    numbers = dict(numbers)
     # From left to right, so that the first names do not depend on the order of detection.
     for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
         track = tracks[i]
-        if track.number == 0 and track.sights >= confirm:
-            given[track.label] = given.get(track.label, 0) + 1
-            tracks[i] = replace(track, number=given[track.label])
-    return sorted(tracks, key=lambda track: (track.label, track.number)), given
+        if track.number == 0 and track.hits >= confirm:
+            numbers[track.label] = numbers.get(track.label, 0) + 1
+            tracks[i] = replace(track, number=numbers[track.label])
+    return sorted(tracks, key=lambda track: (track.label, track.number)), numbers
 
 
 def _checked(
@@ -266,7 +267,7 @@ def _assign(
         return found
     reach = tracker.options.gate_m * np.array([1 + track.missed for track in tracker.tracks])
     expected = [
-        track.expected(stamp, gate) for track, gate in zip(tracker.tracks, reach, strict=True)
+        track.predicted(stamp, gate) for track, gate in zip(tracker.tracks, reach, strict=True)
     ]
     gap = np.array(expected)[:, None] - position[None, :]
     square = np.sum(gap**2, axis=2)

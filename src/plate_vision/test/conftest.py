@@ -99,6 +99,35 @@ def rng():
     return np.random.default_rng(20261121)
 
 
+RAYS = 3
+"""Rays of a traced picture along each side of a pixel."""
+
+
+@lru_cache(maxsize=4)
+def rays(matrix, distortion):
+    """Return the rays (n, 3) of all sub-pixels, x, y, 1, of a camera (3, 3) and lens (5,)."""
+    import cv2
+
+    matrix, distortion = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
+    pixel = np.stack(np.meshgrid(np.arange(WIDTH_PX), np.arange(HEIGHT_PX)), axis=2)
+    pixel = pixel.reshape(-1, 1, 2).astype(float)
+    ray = first = cv2.undistortPoints(pixel, matrix, distortion)[:, 0]
+    for _ in range(4):  # OpenCV's answer is not exact: each time a hundredth remains
+        space = np.column_stack([ray, np.ones(len(ray))])
+        seen = cv2.projectPoints(space, np.zeros(3), np.zeros(3), matrix, distortion)[0]
+        ray = ray + first - cv2.undistortPoints(seen, matrix, distortion)[:, 0]
+    ray = ray.reshape(HEIGHT_PX, WIDTH_PX, 2)
+    step = (np.arange(RAYS) + 0.5) / RAYS - 0.5
+    down, across = np.gradient(ray, axis=(0, 1))
+    fine = (
+        ray[:, None, :, None]
+        + step[:, None, None, None] * down[:, None, :, None]
+        + step[:, None] * across[:, None, :, None]
+    )  # (rows, sub-rows, columns, sub-columns, 2)
+    fine = fine.reshape(-1, 2)
+    return np.column_stack([fine, np.ones(len(fine))]).astype(np.float32)
+
+
 class Scene:
     """Pictures of a flat print through a lens: every pixel is traced back to the print.
 
@@ -110,32 +139,12 @@ class Scene:
         Its length along x and y [m]; the origin is its centre.
     """
 
-    SUB = 3
-    """Sub-pixels along each side of a pixel."""
-
     def __init__(self, texture, size, matrix, distortion=None):
-        import cv2
 
         self.texture, self.size = texture, size
         self.matrix = np.asarray(matrix, float)
         bend = np.zeros(5) if distortion is None else np.asarray(distortion, float)
-        pixel = np.stack(np.meshgrid(np.arange(WIDTH_PX), np.arange(HEIGHT_PX)), axis=2)
-        pixel = pixel.reshape(-1, 1, 2).astype(float)
-        ray = first = cv2.undistortPoints(pixel, self.matrix, bend)[:, 0]
-        for _ in range(4):  # OpenCV's answer is not exact: each time a hundredth remains
-            space = np.column_stack([ray, np.ones(len(ray))])
-            seen = cv2.projectPoints(space, np.zeros(3), np.zeros(3), self.matrix, bend)[0]
-            ray = ray + first - cv2.undistortPoints(seen, self.matrix, bend)[:, 0]
-        ray = ray.reshape(HEIGHT_PX, WIDTH_PX, 2)
-        step = (np.arange(self.SUB) + 0.5) / self.SUB - 0.5
-        down, across = np.gradient(ray, axis=(0, 1))
-        fine = (
-            ray[:, None, :, None]
-            + step[:, None, None, None] * down[:, None, :, None]
-            + step[:, None] * across[:, None, :, None]
-        )  # (rows, sub-rows, columns, sub-columns, 2)
-        fine = fine.reshape(-1, 2)
-        self.ray = np.column_stack([fine, np.ones(len(fine))]).astype(np.float32)
+        self.ray = rays(self.matrix.tobytes(), bend.tobytes())
 
     def take(self, rotation, translation, rng, blur=0.7, noise=2.0, light=1.0):
         """Return the picture (H, W) uint8 of the print at a pose in the camera's frame [m]."""
@@ -147,7 +156,7 @@ class Scene:
         rows, columns = self.texture.shape
         column = (place[:, 0] / self.size[0] + 0.5) * columns - 0.5
         row = (0.5 - place[:, 1] / self.size[1]) * rows - 0.5
-        shape = (HEIGHT_PX * self.SUB, WIDTH_PX * self.SUB)
+        shape = (HEIGHT_PX * RAYS, WIDTH_PX * RAYS)
         fine = cv2.remap(
             self.texture, column.reshape(shape).astype(np.float32),
             row.reshape(shape).astype(np.float32), cv2.INTER_LINEAR,

@@ -168,7 +168,7 @@ def test_ids_stay_when_a_crowd_is_missed_and_specks_come(rng):
                 seen_as += 1
     assert nearest < 0.9 * options.gate_m
     assert seen_as > 0.85 * 2000 * count
-    assert tracker.given["grey"] >= count
+    assert tracker.last_number["grey"] >= count
 
 
 @pytest.mark.parametrize("frames", [1, 2, 4])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
+from plate_core.rig import project
 
 from ..errors import CalibrationError
 from .lens import Lens
@@ -15,7 +17,7 @@ from .markers import draw_marker, find_markers
 REFINE_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 """When refining of a corner ends: after 50 steps or one of less than 0.001 px."""
 
-REFINE_SHARE = 0.25
+REFINE_FRACTION = 0.25
 """Half width of the window in which a corner is refined, over a square's side."""
 
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 2, 11
@@ -36,8 +38,8 @@ WORST_ERROR_PX = 1.0
 """Root mean square of the errors above which a lens is refused: good pictures leave 0.1 to 0.3."""
 
 LEAST_COVER = 0.5
-"""Share of the image's width and height that the corners of all pictures should span: beyond them
-the lens is a guess."""
+"""Fraction of the image's width and height that the corners of all pictures should span: beyond
+them the lens is a guess."""
 
 Corners = tuple[np.ndarray, np.ndarray]
 """Of one picture: which (n,) of a board's corners are seen, and where (n, 2) [px]."""
@@ -116,7 +118,7 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
     return np.pad(picture, square_px // 2, constant_values=255)
 
 
-def find_corners(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray] | None:
+def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
     """Find a board's inner corners.
 
     Parameters
@@ -126,10 +128,9 @@ def find_corners(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray
 
     Returns
     -------
-    (n,) int, (n, 2)
-        Which of `Board.corners`, and where they are seen [px]; or None if fewer than
-        `LEAST_CORNERS` are. Of a chessboard all corners must be seen, of a ChArUco board those
-        next to markers that are.
+    Corners or None
+        None if fewer than `LEAST_CORNERS` are seen. Of a chessboard all corners must be seen, of a
+        ChArUco board those next to markers that are.
     """
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
@@ -139,33 +140,30 @@ def find_corners(grey: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray
         if not seen:
             return None
         return np.arange(len(board.corners)), _refine(grey, corners, board)
-    found = find_markers(grey, board.dictionary)
+    which, corners = _corners_beside(find_markers(grey, board.dictionary), board)
+    inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
+    if np.count_nonzero(inside) < LEAST_CORNERS:
+        return None
+    return which[inside], _refine(grey, corners[inside], board)
+
+
+def _corners_beside(found: Mapping[int, np.ndarray], board: Board) -> Corners:
+    """Predict the corners next to markers that are found (4, 2) [px], by number."""
     known = board.markers
     numbers = [number for number in found if number < len(known)]
-    if len(numbers) < 2:
-        return None
+    which, corners_px = [], []
     middle = known[numbers].mean(axis=1)
-    which, guess = [], []
-    for k, corner in enumerate(board.corners):
+    for k, corner in enumerate(board.corners if len(numbers) > 1 else ()):
         near = np.argsort(np.linalg.norm(middle - corner, axis=1))[:NEAR]
         # A corner counts if a marker touches its square's corner: beyond that it may be covered.
         if np.linalg.norm(middle[near[0]] - corner) > 0.75 * board.square_m:
             continue
         place = known[[numbers[i] for i in near]].reshape(-1, 2)
-        seen_px = np.concatenate([found[numbers[i]] for i in near])
-        matrix, _ = cv2.findHomography(place, seen_px)
-        if matrix is None:
-            continue
-        point = matrix @ [*corner, 1.0]
-        which.append(k)
-        guess.append(point[:2] / point[2])
-    if len(which) < LEAST_CORNERS:
-        return None
-    corners = np.array(guess)
-    inside = np.all((corners > 3) & (corners < np.array(grey.shape[::-1]) - 4), axis=1)
-    if np.count_nonzero(inside) < LEAST_CORNERS:
-        return None
-    return np.array(which)[inside], _refine(grey, corners[inside], board)
+        matrix, _ = cv2.findHomography(place, np.concatenate([found[numbers[i]] for i in near]))
+        if matrix is not None:
+            which.append(k)
+            corners_px.append(project(matrix, corner)[0])
+    return np.array(which, int), np.reshape(corners_px, (-1, 2))
 
 
 def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray:
@@ -173,7 +171,7 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
     points = np.asarray(corner_px, dtype=np.float32).reshape(-1, 2)
     gap = np.linalg.norm(points[:, None] - points, axis=2)
     side = float(np.median(np.sort(gap, axis=1)[:, 1]))
-    reach = side * (REFINE_SHARE if board.marker_m == 0 else _clear_width(board))
+    reach = side * (REFINE_FRACTION if board.marker_m == 0 else _clear_width(board))
     window = round(float(np.clip(reach, LEAST_WINDOW_PX, MOST_WINDOW_PX)))
     refined = cv2.cornerSubPix(
         grey, points.reshape(-1, 1, 2), (window, window), (-1, -1), REFINE_STEPS
@@ -184,7 +182,7 @@ def _refine(grey: np.ndarray, corner_px: np.ndarray, board: Board) -> np.ndarray
 def _clear_width(board: Board) -> float:
     """Width of the white between corners and markers, over a square's side: no marker may be seen
     in the window."""
-    return min(REFINE_SHARE, 0.5 * (1 - board.marker_m / board.square_m))
+    return min(REFINE_FRACTION, 0.5 * (1 - board.marker_m / board.square_m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +204,7 @@ class LensFit:
     deviation : (9,)
         Standard deviations of fx, fy, cx, cy [px], k1, k2, p1, p2, k3 that the errors entail.
     cover : (float, float)
-        Share of the image's width and height that the corners span.
+        Fraction of the image's width and height that the corners span.
     """
 
     lens: Lens
@@ -266,19 +264,19 @@ def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) ->
     )
     everything = np.concatenate(errors)
     error_px = float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
-    spread = np.ravel(deviation)[:9]
+    deviation = np.ravel(deviation)[:9]
     if not np.all(np.isfinite(matrix)) or not error_px <= WORST_ERROR_PX:
         raise CalibrationError(
             f"corners are {error_px:.3g} px from where the lens has them, allowed: "
             f"{WORST_ERROR_PX:g} px (is the board flat, are its numbers right?)"
         )
-    if spread[0] > 0.05 * matrix[0, 0]:
+    if deviation[0] > 0.05 * matrix[0, 0]:
         raise CalibrationError(
-            f"focal length is {matrix[0, 0]:.0f} +- {spread[0]:.0f} px, allowed: 5 % (tilt the "
+            f"focal length is {matrix[0, 0]:.0f} +- {deviation[0]:.0f} px, allowed: 5 % (tilt the "
             "board against the camera, by 20 to 40 degrees, to all sides)"
         )
     width, height = np.ptp(np.concatenate([place for _, place in seen]), axis=0) / size_px
     return LensFit(
         Lens(np.asarray(matrix, dtype=float), bend.astype(float)), size_px, error_px, errors,
-        tuple(seen), spread, (float(width), float(height)),
+        tuple(seen), deviation, (float(width), float(height)),
     )  # fmt: skip

@@ -108,10 +108,10 @@ def _lens(args: argparse.Namespace) -> None:
 
 
 def _summary(fit: LensFit) -> str:
-    matrix, spread = fit.lens.matrix, fit.deviation
+    matrix, deviation = fit.lens.matrix, fit.deviation
     values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *fit.lens.distortion]
     names = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
-    lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, spread, strict=True)]
+    lines = [f"{n} = {v:.5g} +- {s:.2g}" for n, v, s in zip(names, values, deviation, strict=True)]
     lines.append(f"error {fit.error_px:.3f} px rms over {len(fit.errors)} pictures")
     if fit.warning:
         lines.append(f"warning: {fit.warning}")

@@ -145,26 +145,26 @@ def square_corners(grey: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
     """
     corners = np.array(corners_px, dtype=float).reshape(-1, 4, 2)
     for _ in range(ROUNDS):
-        corners = _look(grey, corners)
+        corners = _refine(grey, corners)
     return corners
 
 
-def _look(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _refine(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     along = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(along, axis=2, keepdims=True)
     x, y = np.moveaxis(along / np.maximum(length, 1e-9), 2, 0)
     outward = np.stack([y, -x], axis=2)
     middle = corners.mean(axis=1, keepdims=True)
     outward *= np.sign(np.sum(outward * (corners - middle), axis=2))[..., None]
-    share = np.linspace(*SPAN, SAMPLES)
+    at = np.linspace(*SPAN, SAMPLES)
     across = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    foot = corners[:, :, None] + share[:, None] * along[:, :, None]
+    foot = corners[:, :, None] + at[:, None] * along[:, :, None]
     place = foot[..., None, :] + across[:, None] * outward[:, :, None, None]
     crossing = _crossings(_values(grey, place), across)
-    line = _lines(share, crossing)  # offset at the edge's beginning, and its growth to the end
+    line = _lines(at, crossing)  # offset at the edge's beginning, and its growth to the end
     first = corners + line[..., :1] * outward
     last = corners + along + line.sum(axis=2, keepdims=True) * outward
-    return _meet(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
+    return _intersect(np.roll(first, 1, axis=1), np.roll(last, 1, axis=1), first, last)
 
 
 def _values(grey: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -193,34 +193,34 @@ def _crossings(value: np.ndarray, across: np.ndarray) -> np.ndarray:
         level = 0.5 * (dark + bright)
         rises = (value[..., :-1] < level) & (value[..., 1:] >= level)
         rises &= bright - dark >= LEAST_CONTRAST
-        share = (level - value[..., :-1]) / (value[..., 1:] - value[..., :-1])
-    place = np.where(rises, across[:-1] + STEP_PX * np.nan_to_num(share), np.inf)
+        fraction = (level - value[..., :-1]) / (value[..., 1:] - value[..., :-1])
+    place = np.where(rises, across[:-1] + STEP_PX * np.nan_to_num(fraction), np.inf)
     nearest = np.argmin(np.abs(place), axis=3)[..., None]
     found = np.take_along_axis(place, nearest, axis=3)[..., 0]
     return np.where(np.isfinite(found), found, np.nan)
 
 
-def _lines(share: np.ndarray, crossing: np.ndarray) -> np.ndarray:
-    """Fit a + b share to crossings (n, 4, s) without outliers: (n, 4, 2); NaN if too few."""
+def _lines(at: np.ndarray, crossing: np.ndarray) -> np.ndarray:
+    """Fit a + b at to crossings (n, 4, s) without outliers: (n, 4, 2); NaN if too few."""
     middle = np.nanmedian(np.where(np.isnan(crossing).all(axis=2, keepdims=True), 0, crossing), 2)
     weight = np.isfinite(crossing) & (np.abs(crossing - middle[..., None]) < 4 * OUTLIER_PX)
-    line = _fit(share, crossing, weight)
-    weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * share) < OUTLIER_PX
-    line = _fit(share, crossing, weight)
+    line = _fit(at, crossing, weight)
+    weight &= np.abs(crossing - line[..., :1] - line[..., 1:] * at) < OUTLIER_PX
+    line = _fit(at, crossing, weight)
     return np.where(weight.sum(axis=2, keepdims=True) >= LEAST_CROSSINGS, line, np.nan)
 
 
-def _fit(share: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fit(at: np.ndarray, crossing: np.ndarray, weight: np.ndarray) -> np.ndarray:
     count = np.maximum(weight.sum(axis=2), 1)
     value = np.where(weight, crossing, 0)
-    x = np.where(weight, share, 0)
+    x = np.where(weight, at, 0)
     mean_x, mean = x.sum(axis=2) / count, value.sum(axis=2) / count
-    spread = np.maximum((x * x).sum(axis=2) - count * mean_x**2, 1e-9)
-    growth = ((x * value).sum(axis=2) - count * mean_x * mean) / spread
+    variance = np.maximum((x * x).sum(axis=2) - count * mean_x**2, 1e-9)
+    growth = ((x * value).sum(axis=2) - count * mean_x * mean) / variance
     return np.stack([mean - growth * mean_x, growth], axis=2)
 
 
-def _meet(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+def _intersect(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Where lines through a, b and through c, d (n, 4, 2) meet; NaN for the whole square if one
     line is missing."""
     u, v, w = b - a, d - c, c - a

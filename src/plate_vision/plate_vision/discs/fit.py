@@ -8,7 +8,8 @@ the plate have no weight, and those that a neighbour covers the less the more it
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from ..plate.light import LitPlate, bare, solve
 from .measure import CORE, DISC, MIN_DARKNESS, RIM_PX
@@ -27,7 +28,7 @@ tenth of it, and a tenth of the effect of the image's noise."""
 MAX_ITERATIONS = 25
 
 DAMPING = 1e-3
-"""Added to the normal equations, also as a share of their diagonal: keeps them solvable when
+"""Added to the normal equations, also as a fraction of their diagonal: keeps them solvable when
 hardly anything of a disc is seen."""
 
 SIZE = 5
@@ -45,7 +46,7 @@ def fit_discs(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> np.ndarra
     return discs
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _fit_all(plate: LitPlate, state: np.ndarray, radius: float) -> np.ndarray:
     """Fit `state` (n, SIZE), a first guess but for the darkness; return misfits (n,)."""
     count = len(state)
@@ -87,7 +88,7 @@ def _fit_all(plate: LitPlate, state: np.ndarray, radius: float) -> np.ndarray:
     return misfit
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _gather(plate: LitPlate, seed: np.ndarray, radius: float, pixels: np.ndarray) -> int:
     """List the usable pixels around a seed: x, y [px], darkness; return how many."""
     grey, light, usable = plate
@@ -105,7 +106,7 @@ def _gather(plate: LitPlate, seed: np.ndarray, radius: float, pixels: np.ndarray
     return count
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: float) -> float:
     total, count = 0.0, 0
     for i in range(size):
@@ -116,7 +117,7 @@ def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: flo
     return max(total / max(count, 1), MIN_DARKNESS)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _without_others(
     pixels: np.ndarray, size: int, state: np.ndarray, neighbours: np.ndarray, work: np.ndarray
 ) -> None:
@@ -137,7 +138,7 @@ def _without_others(
             work[1, i] *= one - cover
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _improve(disc: np.ndarray, normal: np.ndarray, right: np.ndarray, first_radius: float) -> float:
     """Make one step of a disc (SIZE,) by its normal equations; return the change [px]."""
     for i in range(SIZE):
@@ -146,15 +147,15 @@ def _improve(disc: np.ndarray, normal: np.ndarray, right: np.ndarray, first_radi
             normal[j, i] = normal[i, j]
     solve(normal, right)
     largest = max(abs(right[0]), abs(right[1]), abs(right[2]))
-    share = min(1.0, MAX_STEP_PX / max(largest, 1e-9))
+    step = min(1.0, MAX_STEP_PX / max(largest, 1e-9))
     for i in range(SIZE):
-        disc[i] += share * right[i]
+        disc[i] += step * right[i]
     disc[2] = min(max(disc[2], 0.5 * first_radius), 1.5 * first_radius)
     disc[3] = min(max(disc[3], EDGE_PX[0]), EDGE_PX[2])
     return largest
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _sum_up(
     pixels: np.ndarray,
     size: int,

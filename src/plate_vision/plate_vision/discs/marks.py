@@ -9,7 +9,8 @@ from __future__ import annotations
 from math import pi
 
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from ..plate.light import LitPlate, bare
 from .measure import CORE
@@ -33,7 +34,7 @@ CONTRAST = 0.3
 part's black mark 1."""
 
 NOISE = 0.25
-"""Share of the contrast that may be noise: five deviations of a noise of 2 levels."""
+"""Fraction of the contrast that may be noise: five deviations of a noise of 2 levels."""
 
 ROUNDS = 4
 """Times that the centre is taken again, in the window round the last one."""
@@ -73,7 +74,7 @@ def paint_over(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> tuple[Li
     return plate, found
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _find(plate, seeds, radius, found, level):
     """Fill the places of marks (n, 2) [px], and the grey of their parts and their contrasts."""
     grey, light, _ = plate
@@ -108,11 +109,11 @@ def _find(plate, seeds, radius, found, level):
             x, y, mass = 0.0, 0.0, 1e-9
             for r in range(max(0, int(at_y - far)), min(height, int(at_y + far) + 2)):
                 for c in range(max(0, int(at_x - far)), min(width, int(at_x + far) + 2)):
-                    share = (grey[r, c] - part) / contrast
-                    if share > NOISE and (c - at_x) ** 2 + (r - at_y) ** 2 <= far**2:
-                        mass += share
-                        x += share * c
-                        y += share * r
+                    excess = (grey[r, c] - part) / contrast
+                    if excess > NOISE and (c - at_x) ** 2 + (r - at_y) ** 2 <= far**2:
+                        mass += excess
+                        x += excess * c
+                        y += excess * r
             x, y = x / mass, y / mass
         place = ((x - u) ** 2 + (y - v) ** 2) ** 0.5
         if not (PLACE[0] * radius <= place <= PLACE[1] * radius):
@@ -122,7 +123,7 @@ def _find(plate, seeds, radius, found, level):
             level[i, 0], level[i, 1] = part, contrast
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _paint(grey, centre, level, reach):
     """Give what stands out round the marks (n, 2) [px] the grey of their parts."""
     height, width = grey.shape

@@ -6,7 +6,8 @@ Darkness is 1 - grey / bare plate: 0 on the plate, the same all over a part what
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from ..plate.light import LitPlate, bare
 
@@ -75,7 +76,7 @@ def measure_alone(
     return discs, dirt <= RIM_DIRT_PX2 * discs["darkness"]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _moments(
     plate: LitPlate,
     seeds: np.ndarray,
@@ -135,7 +136,7 @@ def _moments(
         disc.darkness, disc.misfit, dirt[k] = darkness, misfit, rim
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def crowded(centre: np.ndarray, distance_px: float) -> np.ndarray:
     """Tell which centres (n, 2) [px] have another nearer than a distance: (n,) bool."""
     count = len(centre)

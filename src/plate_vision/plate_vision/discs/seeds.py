@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from ..plate.light import LitPlate, bare
 
@@ -93,7 +94,7 @@ def _disc(radius: int) -> np.ndarray:
     return (np.hypot(reach[:, None], reach[None, :]) <= radius + 0.3).astype(np.uint8)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _dark(
     plate: LitPlate, threshold: float, grid: tuple[int, int, int], outside: np.ndarray
 ) -> np.ndarray:
@@ -110,7 +111,7 @@ def _dark(
     return dark
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _blobs(
     core: np.ndarray, places: np.ndarray, least: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,10 +164,11 @@ def _split(
     (m, 4) are the pixels x0, x1, y0, y1, half open, around each of these areas.
     """
     found = np.empty((0, 2))
+    side = 2 * (2 * max(1, round(SPREAD * radius_px)) + 1,)
     for x0, x1, y0, y1 in boxes.tolist():
         votes = np.zeros((y1 - y0, x1 - x0), np.float32)
         _vote(plate, (x0, y0), radius_px, votes)
-        _count(votes, max(1, round(SPREAD * radius_px)))
+        votes = cv2.boxFilter(votes, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)
         # Boxes may overlap, so that a part is found in two of them.
         for x, y in _peaks(votes, (x0, y0), merged, grid, radius_px):
             if _nearest(found, x, y) > radius_px**2:
@@ -174,7 +176,7 @@ def _split(
     return found
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _vote(plate: LitPlate, corner: tuple[int, int], radius: float, votes: np.ndarray) -> None:
     """Let every piece of edge vote; `votes` (h, w) begins at the pixel `corner`.
 
@@ -207,22 +209,7 @@ def _vote(plate: LitPlate, corner: tuple[int, int], radius: float, votes: np.nda
             votes[to_y - y0, to_x - x0] += rise / here / max(dark, MIN_TARGET)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
-def _count(votes: np.ndarray, spread: int) -> None:
-    """Add to every vote those up to `spread` pixels away along x and y, in place."""
-    rows, columns = votes.shape
-    line = np.empty(max(rows, columns), np.float32)
-    for y in range(rows):
-        line[:columns] = votes[y]
-        for x in range(columns):
-            votes[y, x] = line[max(x - spread, 0) : min(x + spread + 1, columns)].sum()
-    for x in range(columns):
-        line[:rows] = votes[:, x]
-        for y in range(rows):
-            votes[y, x] = line[max(y - spread, 0) : min(y + spread + 1, rows)].sum()
-
-
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _peaks(
     votes: np.ndarray,
     corner: tuple[int, int],
@@ -272,7 +259,7 @@ def _peaks(
     return found[:size]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _nearest(centre: np.ndarray, x: float, y: float) -> float:
     """Return the squared distance [px2] of a point from the nearest of centres (n, 2)."""
     least = np.inf

@@ -125,7 +125,6 @@ def find_home(
     fiducials : Fiducials
         Where the markers are on the plate.
     lens : Lens, optional
-        To be taken into account.
 
     Returns
     -------
@@ -167,23 +166,10 @@ def find_pose(
     home: Calibration,
     last: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """Find the plate's pose by the markers that are seen.
+    """Return the plate's pose (3,) [m, m, rad], plate_home, by the markers that are seen.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8
-    fiducials : Fiducials
-    home : Calibration
-        Of plate_home.
-    last : (3,), optional
-        A pose [m, m, rad] that is not far, in pixels: there edges are looked for before markers
-        are, which takes half the time.
-
-    Returns
-    -------
-    (3,) or None
-        x, y [m], theta [rad], plate_home. None if fewer than `LEAST_SEEN` markers are seen, or they
-        contradict each other.
+    None if fewer than `LEAST_SEEN` are, or they contradict each other. `last` is a pose that is not
+    far, in pixels: there edges are looked for before markers are, which takes half the time.
     """
     grey = grey_levels(image)
     if last is not None:
@@ -199,21 +185,10 @@ def find_pose(
 
 
 def fit_pose(point: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find the rigid motion in the plane with the least sum of squares.
+    """Return the rigid motion (3,) [m, m, rad] with the least sum of squares, and what it leaves.
 
-    Parameters
-    ----------
-    point : (n, 2)
-        Points [m, plate frame].
-    seen : (n, 2)
-        Where they are [m, plate_home].
-
-    Returns
-    -------
-    (3,)
-        Pose x, y [m], theta [rad].
-    float
-        Root mean square deviation [m].
+    It takes points (n, 2) [m, plate frame] to where they are seen (n, 2) [m, plate_home]; what it
+    leaves is the root mean square deviation [m].
     """
     a, b = point - point.mean(axis=0), seen - seen.mean(axis=0)
     theta = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
@@ -227,16 +202,8 @@ def hide_markers(
 ) -> np.ndarray:
     """Return a copy of the image in which the markers have the brightness of the plate around.
 
-    So that no part is seen in them. A part that lies on a marker is not seen either.
-
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8
-    fiducials : Fiducials
-    home : Calibration
-        Of plate_home.
-    pose : (3,)
-        Of the plate [m, m, rad].
+    So that no part is seen in them. A part that lies on a marker is not seen either. `pose` (3,)
+    [m, m, rad] is the plate's.
     """
     copy = np.array(image)
     height, width = image.shape[:2]

@@ -6,7 +6,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from .region import Region, Samples
 
@@ -23,12 +24,12 @@ FINE_RANGE = (0.92, 1.08)
 RIDGE = 1e-9
 """Keeps the fit solvable for images one pixel high or wide; elsewhere without effect."""
 
-MIN_SHARE = 0.1
-"""Least share of the pixels looked at that must be plate."""
+MIN_FRACTION = 0.1
+"""Least fraction of the pixels looked at that must be plate."""
 
-DARK_SHARE, BURNT_SHARE = 95, 50
-"""Share of an image [%] below whose brightness there is too little light: a twentieth may be lamps
-and glare; or too much: a plate that is burnt out fills more than half of the image."""
+DARK_PERCENTILE, BURNT_PERCENTILE = 95, 50
+"""Percentage of an image: below its brightness there is too little light, a twentieth may be lamps
+and glare; too much, a plate that is burnt out fills more than half of the image."""
 
 BURNT_GREY = 254
 """Grey level from which a pixel may have been any brighter."""
@@ -57,7 +58,7 @@ class LitPlate(NamedTuple):
     usable: np.ndarray
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
     """Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`."""
     u = (np.float32(x_px) - light[6]) * light[8]
@@ -100,10 +101,10 @@ def light_problem(image: np.ndarray, min_grey: float) -> str | None:
     """
     sample = image[::EVERY, ::EVERY]
     grey = sample if sample.ndim == 2 else sample[:, :, 1]
-    bright, middle = np.percentile(grey, (DARK_SHARE, BURNT_SHARE))
+    bright, middle = np.percentile(grey, (DARK_PERCENTILE, BURNT_PERCENTILE))
     if bright < min_grey:
         return (
-            f"{DARK_SHARE} % of the image is darker than {bright:.0f} grey levels, allowed: "
+            f"{DARK_PERCENTILE} % of the image is darker than {bright:.0f} grey levels, allowed: "
             f"a plate of {min_grey:g} at least (is the light on, the lens open?)"
         )
     if middle >= BURNT_GREY:
@@ -114,7 +115,7 @@ def light_problem(image: np.ndarray, min_grey: float) -> str | None:
     return None
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
     """Return the coefficients (6,) of the surface through those of the samples that show the bare
     plate; empty if there is no bright plate."""
@@ -134,7 +135,7 @@ def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
     fitted = np.full(count, np.float32(guess))
     for low, high in (ROUGH_RANGE, FINE_RANGE):
         normal, right, kept = _normal_equations(value, fitted, design, low, high)
-        if kept < max(2 * len(design), MIN_SHARE * count):
+        if kept < max(2 * len(design), MIN_FRACTION * count):
             return nothing
         for a in range(len(design)):
             normal[a, a] += RIDGE * count
@@ -145,7 +146,7 @@ def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
     return right.astype(np.float32) if fitted.min() >= 0.5 * min_grey else nothing
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _normal_equations(
     value: np.ndarray, fitted: np.ndarray, design: np.ndarray, low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
@@ -167,7 +168,7 @@ def _normal_equations(
     return normal, right, kept
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
     """Return the scalar product of vectors (K,) of float32."""
     total = np.float32(0)
@@ -176,7 +177,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> float:
     return float(total)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def solve(normal: np.ndarray, right: np.ndarray) -> None:
     """Solve positive definite equations in place: `right` becomes the solution."""
     size = len(right)

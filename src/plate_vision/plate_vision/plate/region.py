@@ -11,7 +11,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from plate_core.kernels import kernel
 
 from ..camera.lens import check_quadrilateral, cross
 from ..errors import ImageError
@@ -162,7 +163,7 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
     )
 
 
-@njit(cache=True)
+@kernel(error_model="numpy")
 def _depth(edges: np.ndarray, bows: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return `Region.depth` (n,) of points (n,)."""
     depth = np.full(len(x), np.inf)

@@ -12,7 +12,7 @@ import numpy as np
 from ..plate.region import quadratic
 
 BORDER = 0.05
-"""Width of the border that shows mostly background, as a share of the image's shorter side."""
+"""Width of the border that shows mostly background, as a fraction of the image's shorter side."""
 
 SAMPLES = 6000
 """Pixels to which the background is fitted."""
@@ -32,11 +32,11 @@ MOST_PIXELS = 500_000
 MIN_AREA_PX2 = 50.0
 """Smallest part: a disc of 4 px radius."""
 
-MAX_SHARE = 0.9
-"""Largest share of the image that a part can fill."""
+MAX_FRACTION = 0.9
+"""Largest fraction of the image that a part can fill."""
 
 SOLID = (0.75, 0.88)
-"""Least share of its convex hull that a patch fills: at first, and with its own threshold."""
+"""Least fraction of its convex hull that a patch fills: at first, and with its own threshold."""
 
 COMPACT = 0.55
 """Least 4 pi area / length2 of a part's hull: a triangle with equal sides has 0.60."""
@@ -175,7 +175,7 @@ def _of_sign(height: np.ndarray, sigma: float, sign: float) -> np.ndarray:
         if shape[2] < SOLID[1] or min(contrast, level) < CONTRAST_SIGMA * sigma:
             continue
         centre, radius, solid, compact = shape
-        if compact < COMPACT or np.pi * radius**2 > MAX_SHARE * height.size:
+        if compact < COMPACT or np.pi * radius**2 > MAX_FRACTION * height.size:
             continue
         if contrast > SOFT * radius * _fall(slopes, outline[:, 0], centre):
             continue
@@ -202,21 +202,12 @@ def _middle(height: np.ndarray, centre: tuple[float, float], radius: float) -> f
 
 
 def _otsu(values: np.ndarray) -> float | None:
-    """Return the threshold that parts values (H, W) best in two; None if they are all alike."""
+    """Return the threshold that parts values (H, W) best in two; None if none is above 0."""
     top = float(values.max())
     if top <= 0:
         return None
-    counts, edges = np.histogram(values, 256, (0, top))
-    below = np.cumsum(counts)[:-1]
-    level = 0.5 * (edges[:-1] + edges[1:])
-    moment = np.cumsum(counts * level)
-    total = int(counts.sum())
-    share = below / total
-    inside = (share > 0) & (share < 1)
-    between = np.zeros(len(below))
-    gap = moment[-1] / total * share - moment[:-1] / total
-    between[inside] = gap[inside] ** 2 / (share * (1 - share))[inside]
-    return float(edges[1 + int(np.argmax(between))])
+    bins = np.minimum(values * (256 / top), 255).astype(np.uint8)
+    return (1 + cv2.threshold(bins, 0, 255, cv2.THRESH_OTSU)[0]) * top / 256
 
 
 def _patches(mask: np.ndarray) -> list[np.ndarray]:
