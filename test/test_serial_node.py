@@ -349,11 +349,13 @@ def test_an_end_in_mid_motion_stops_the_plate_for_good(desk, way):
     enables = board.count(Enable)
     way(desk)
     assert desk.until(lambda: not board.current)
+    at_rest = ("stopped", "disabled")
+    assert desk.until(lambda: desk.told[-1].startswith(at_rest) if desk.told else False)
     for _ in range(10):
         desk.send()
         desk.wait(0.2)
     assert (board.count(Enable), board.current) == (enables, False)
-    assert desk.told[-1].startswith(("stopped", "disabled")), desk.told
+    assert desk.told[-1].startswith(at_rest), desk.told
     if way.__name__ != "SIGKILL":
         assert board.count(Stop) >= 1  # it said so, and did not leave it to the device
 

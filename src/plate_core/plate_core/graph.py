@@ -15,7 +15,7 @@ Value = str | int | float | bool
 JUDGING = ("simulator", "detector", "planner", "solver")
 """Nodes with the parameter input_timeout_s."""
 
-UNTIMED_S = 30.0
+UNTIMED_S = 600.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
 
 

@@ -352,7 +352,7 @@ def test_services_stop_disable_and_enable(peer):
         for name in ("emergency_stop", "cut_power", "home", "calibrate")
     )
     enable = peer.node.create_client(SetBool, "enable")
-    assert peer.until(lambda: peer.told[-1] == "ready")
+    assert peer.until(lambda: peer.told[-1:] == ["ready"])
     stamp = LAST_STAMP
     for call, state in (
         (lambda: peer.call(stop, Trigger.Request()), EMERGENCY),

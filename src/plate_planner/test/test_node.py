@@ -280,7 +280,7 @@ def test_without_parts_the_task_ends_without_any_image(silenced):
     silenced.until(lambda: silenced.states[-1] != "running")
     assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for 0.")
     assert silenced.states[-1].endswith("does the detector run, does the camera?")
-    assert silenced.report()[0] == DiagnosticStatus.ERROR
+    silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.ERROR)
     # A stop acknowledges it; then diagnostics only tell what is missing.
     silenced.call("stop")
     silenced.until(lambda: silenced.states[-1] == "idle")
