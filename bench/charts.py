@@ -10,46 +10,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from harness import ROOT, is_done, optional, read, run_all
-from plate_core import PlateError
-from report.chart import Chart, Data
-from report.forces import force_map, inversion, learning, rotations
-from report.loop import control, tracking
-from report.plot import save_picture
-from report.results import FOLDER, write_results
-from report.solver import options, solver, steering
-from report.stability import STABILITY
-from report.world import cost, sim, vision
-
-CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
-    (force_map, ("force_map",)),
-    (solver, ("solver",)),
-    (options, ("options",)),
-    (steering, ("steering",)),
-    (rotations, ("rotations",)),
-    (inversion, ("inversion",)),
-    (sim, ("sim", "bodies")),
-    (vision, ("vision",)),
-    (control, ("control",)),
-    (tracking, ("tracking",)),
-    (cost, ("stages", "sim")),
-    (learning, ("learning",)),
-    *((make, ("stability",)) for make in STABILITY),
-)
-"""Every chart, and the measurements that it is drawn from."""
 
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     args = arguments()
-    if optional("plotly") is None:
-        print(
-            "error: plotly is not installed: pip install -r requirements-bench.txt", file=sys.stderr
-        )
-        return 1
+    for name in ("plotly", "kaleido", "pandas", "tabulate"):
+        if optional(name) is None:
+            told = f"error: {name} is not installed: pip install -r requirements-bench.txt"
+            print(told, file=sys.stderr)
+            return 1
+    from report import CHARTS, made, write_report, write_results
+
     folder = args.out / "bench"
     if not args.draw:
         needed = dict.fromkeys(name for _, names in CHARTS for name in names)
@@ -61,33 +36,11 @@ def main() -> int:
         return 1
     # The project's own text shows thorough measurements only.
     own = args.out == ROOT / "out" and not args.quick
-    draw(charts, data, ROOT / "docs" if own else args.out / "docs", args.out / "report/index.html")
+    text = (ROOT if own else args.out) / "docs/results.md"
+    write_results(text, data, charts)
+    write_report(args.out / "report/index.html", data, charts)
+    print(f"{text}\n{args.out / 'report/index.html'}")
     return 0
-
-
-def made(data: Data) -> Iterator[Chart]:
-    """Yield all charts for which there are measurements; the others are told."""
-    for make, names in CHARTS:
-        try:
-            if names[0] not in data:
-                raise PlateError(f"measurement {names[0]} is not there")
-            yield make(data)
-        except PlateError as error:
-            print(f"left out a chart: {error}", file=sys.stderr)
-
-
-def draw(charts: list[Chart], data: Data, docs: Path, page: Path) -> None:
-    """Write pictures and tables, the text that shows them, and the page."""
-    from report.page import csv_text, write_report  # needs plotly
-
-    folder = docs / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    for chart in charts:
-        (folder / f"{chart.key}.csv").write_text(csv_text(chart.rows), encoding="utf-8")
-        save_picture(chart, folder / f"{chart.key}.png")
-    write_results(docs / "results.md", data, charts)
-    write_report(page, data, charts)
-    print(f"{docs / 'results.md'}\n{page}")
 
 
 def arguments() -> argparse.Namespace:

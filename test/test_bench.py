@@ -12,6 +12,8 @@ import pytest
 import yaml
 from short_task import short_task
 
+from harness import MEASUREMENTS
+
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {"solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99"}
 
@@ -149,6 +151,12 @@ def test_wrong_arguments_are_refused_in_one_line(program, arguments, words):
     assert "error: " in last
     for word in words:
         assert word in last
+
+
+@pytest.mark.parametrize("chapter", ["stages", "tasks"])
+def test_every_measurement_has_its_name(chapter):
+    modules = {f.stem for f in (BENCH / chapter).glob("*.py") if "\ndef measure(" in f.read_text()}
+    assert modules == {name for name, (module, _) in MEASUREMENTS.items() if chapter in module}
 
 
 def test_a_measurement_writes_its_table_and_prints_it(tmp_path):

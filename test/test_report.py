@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from report.chart import Axis, Chart, Field, Mark, Panel, Points, Rule, pareto_front
+from harness import is_done
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 
@@ -22,6 +22,7 @@ CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 QUICK = "force_map"
+MISSING = "plotly is not installed (requirements-bench.txt)"
 
 BEFORE = """<script>
 window.errors = [];
@@ -31,28 +32,29 @@ console.error = (...words) => { errors.push(words.join(" ")); tell(...words); };
 </script>"""
 
 AFTER = """<pre id="probe"></pre><script>
-const shown = (panel) => panel.data.filter((trace) => trace.visible !== false).length;
-const panels = [...document.querySelectorAll(".panel")];
+const charts = [...document.querySelectorAll(".plotly-graph-div")];
+const shown = (chart) => chart.data.filter((trace) => trace.visible !== "legendonly").length;
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 const result = {
-  panels: panels.map((panel) => ({
-    title: panel.ariaLabel,
-    svgs: panel.querySelectorAll("svg.main-svg").length,
-    marks: panel.querySelectorAll(".point, .js-line, .heatmaplayer image").length,
-    width: panel.querySelector("svg.main-svg")?.getBoundingClientRect().width ?? 0,
+  charts: charts.map((chart) => ({
+    title: chart.closest(".chart").ariaLabel,
+    panels: chart.querySelectorAll(".cartesianlayer > .subplot").length,
+    marks: chart.querySelectorAll(".point, .js-line, .heatmaplayer image").length,
+    width: chart.querySelector("svg.main-svg")?.getBoundingClientRect().width ?? 0,
   })),
   resources: performance.getEntriesByType("resource").map((entry) => entry.name),
   wide: document.documentElement.scrollWidth > document.documentElement.clientWidth,
 };
 (async () => {
-  const button = document.querySelector(".key button");
-  if (window.Plotly && button) {
-    const panel = button.closest("section").querySelector(".panel");
-    const all = shown(panel);
-    button.click();
-    result.switched = [all, shown(panel)];
-    const range = [...panel._fullLayout.xaxis.range];
-    await Plotly.relayout(panel, { "xaxis.range": [range[0], (range[0] + range[1]) / 2] });
-    result.zoomed = [range, [...panel._fullLayout.xaxis.range]];
+  const chart = charts[0], key = chart?.querySelector(".legendtoggle");
+  if (window.Plotly && key) {
+    const all = shown(chart);
+    for (const kind of ["mousedown", "mouseup"]) key.dispatchEvent(new MouseEvent(kind));
+    await wait(1000);
+    result.switched = [all, shown(chart)];
+    const range = [...chart._fullLayout.xaxis.range];
+    await Plotly.relayout(chart, { "xaxis.range": [range[0], (range[0] + range[1]) / 2] });
+    result.zoomed = [range, [...chart._fullLayout.xaxis.range]];
   }
   result.errors = errors;
   document.getElementById("probe").textContent = JSON.stringify(result);
@@ -63,7 +65,8 @@ const result = {
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """Folder of a quick measurement and its chart."""
-    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
+    for name in ("plotly", "kaleido", "pandas", "tabulate"):
+        pytest.importorskip(name, reason=MISSING)
     out = tmp_path_factory.mktemp("charts")
     for arguments in (
         ["run.py", QUICK, "--quick", "--out", out / "bench"],
@@ -80,25 +83,26 @@ def drawn(tmp_path_factory):
 @pytest.fixture(scope="module")
 def chart():
     """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
-    points = Points("some", [1.0, 10.0, 100.0], [3.0, None, 1.0], marker="D", line="--")
-    bars = Points("bars", [1.0, 2.0], ["a", "b"], bars=True)
-    theory = Points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
-    field = Field([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
-    x, y = Axis("x [m]", log=True), Axis("y [s]")
-    panels = (
-        Panel("points", x, y, (points,), (Rule("wanted", x=20.0), Rule("limit", y=2.0)),
-              (Mark(1.0, 3.0),), "less less"),
-        Panel("bars", y, Axis("", names=("b", "a")), (bars,)),
-        Panel("field", y, y, (theory,), field=field),
-    )  # fmt: skip
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.chart import Axis, Chart, Panels
+
+    x, y, panels = Axis("x [m]", log=True), Axis("y [s]"), Panels()
+    first = panels.add("points", x, y, "less less")
+    first.points("some", [1.0, 10.0, 100.0], [3.0, None, 1.0], marker="D", line="--")
+    first.rule("wanted", x=20.0)
+    first.rule("limit", y=2.0)
+    first.mark(1.0, 3.0)
+    panels.add("bars", y, Axis("", names=("b", "a"))).bars("bars", [1.0, 2.0], ["a", "b"])
+    field = panels.add("field", y, y)
+    field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
+    field.points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
     return Chart("one", "a", "Title </script>", "reading", "finding", "why", (), panels, [{"x": 1}])
 
 
 @pytest.fixture(scope="module")
 def every_kind(chart, tmp_path_factory):
     """A page with that chart."""
-    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
-    from report.page import write_report
+    from report import write_report
 
     path = tmp_path_factory.mktemp("page") / "index.html"
     write_report(path, {}, [chart])
@@ -139,50 +143,46 @@ class References(HTMLParser):
         self.found += [value for name, value in attrs if name in ("src", "href", "data") and value]
 
 
-def assert_drawn(result, console, titles):
+def assert_drawn(result, console, panels):
     assert result["errors"] == []
     assert console == []
-    assert [panel["title"] for panel in result["panels"]] == titles
-    for panel in result["panels"]:
-        assert panel["svgs"] >= 1, panel
-        assert panel["marks"] >= 1, panel
-        assert panel["width"] > 250, panel
+    assert {chart["title"]: chart["panels"] for chart in result["charts"]} == panels
+    for chart in result["charts"]:
+        assert chart["marks"] >= chart["panels"], chart
+        assert chart["width"] > 250 * chart["panels"], chart
     assert result["resources"] == []
     assert not result["wide"]
 
 
 def test_the_report_draws_every_chart_without_a_network(drawn):
-    page = drawn / "report/index.html"
-    result, console = look_at(page)
-    titles = re.findall(r'class="panel" role="img" aria-label="([^"]*)"', page.read_text("utf-8"))
-    assert len(titles) == 2
-    assert_drawn(result, console, titles)
+    result, console = look_at(drawn / "report/index.html")
+    assert_drawn(result, console, {"Force map: error against time": 2})
 
 
 @pytest.mark.parametrize("width", [500, 1300])
 def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
     result, console = look_at(every_kind, width)
-    assert_drawn(result, console, ["points", "bars", "field"])
-    assert result["switched"] == [3, 2]  # points, front and default: one is switched off
+    assert_drawn(result, console, {"Title </script>": 3})
+    assert result["switched"] == [6, 5]  # one of six kinds is switched off
     before, after = result["zoomed"]
     assert after == pytest.approx([before[0], sum(before) / 2])
 
 
 def test_a_page_that_cannot_draw_is_noticed(every_kind):
     def without_library(text):
-        start = text.index("<script>", text.index("</main>"))
+        start = text.index("<script>/**")
         return text[:start] + text[text.index("</script>", start) :]
 
     result, console = look_at(every_kind, change=without_library)
     assert "Plotly is not defined" in result["errors"][0]
     assert "Plotly is not defined" in console[0]
-    assert all(panel["svgs"] == 0 for panel in result["panels"])
+    assert all(chart["panels"] == 0 for chart in result["charts"])
 
 
+@pytest.mark.filterwarnings("ignore:setDaemon", "ignore:unclosed file")  # kaleido's own
 def test_every_kind_of_panel_is_drawn_as_a_picture(chart, tmp_path):
-    from report.plot import save_picture
-
-    save_picture(chart, tmp_path / "one.png")
+    pytest.importorskip("kaleido", reason=MISSING)
+    chart.panels.draw().write_image(tmp_path / "one.png")
     with Image.open(tmp_path / "one.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
     assert len(np.unique(pixels, axis=0)) > 200  # colours of a field, not a blank sheet
@@ -210,8 +210,6 @@ def test_every_chart_has_a_picture_and_its_rows(drawn):
 
 
 def test_a_measurement_that_is_there_is_not_made_again(drawn):
-    from harness import is_done
-
     assert is_done(drawn / "bench", QUICK, quick=True)
     assert not is_done(drawn / "bench", QUICK, quick=False)
     assert not is_done(drawn / "bench", "sim", quick=True)
@@ -222,19 +220,25 @@ def test_a_measurement_that_is_there_is_not_made_again(drawn):
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
-def panel_of(better, *places, hollow=()):
-    x, y = zip(*places, strict=True)
-    return Panel("", Axis(""), Axis(""), (Points("", x, y, hollow=hollow),), better=better)
+def front_of(better, *places):
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.chart import pareto_front
+
+    return pareto_front(places, better)
 
 
 def test_the_front_is_a_staircase_along_what_nobody_beats():
     places = [(1, 5), (2, 2), (3, 3), (4, 1), (4, 2)]
-    assert pareto_front(panel_of("less less", *places)) == [(1, 5), (2, 5), (2, 2), (4, 2), (4, 1)]
-    assert pareto_front(panel_of("more less", *places)) == [(4, 1)]
-    assert pareto_front(panel_of("", *places)) == []
+    assert front_of("less less", *places) == [(1, 5), (2, 5), (2, 2), (4, 2), (4, 1)]
+    assert front_of("more less", *places) == [(4, 1)]
+    assert front_of("", *places) == []
 
 
 def test_no_front_goes_through_what_does_not_count():
-    places = [(1, 1), (2, 3), (3, 2)]
-    front = pareto_front(panel_of("less less", *places, hollow=(True, False, False)))
-    assert front == [(2, 3), (3, 3), (3, 2)]
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.chart import Axis, Panels
+
+    panel = Panels().add("", Axis(""), Axis(""), "less less")
+    panel.points("", [1, 2, 3], [1, 3, 2], hollow=[True, False, False])
+    [front] = panel.front()
+    assert list(zip(front.x, front.y, strict=True)) == [(2, 3), (3, 3), (3, 2)]

@@ -12,11 +12,9 @@ from report.chart import (
     Axis,
     Chart,
     Data,
-    Mark,
-    Panel,
-    Points,
+    Panels,
     Row,
-    Rule,
+    column,
     columns,
     table,
 )
@@ -32,40 +30,33 @@ def force_map(data: Data) -> Chart:
     """Return time and error of every way to the averaged force."""
     batched = [r for r in table(data, "force_map", "batched") if r["harmonics"] == 2]
     one = table(data, "force_map", "methods")
-    rows = [
-        {"case": case, "method": row["method"], "us": row[time], "median": row["median"],
-         "p99": row["p99"]}
-        for case, found, time in (("many", batched, "us"), ("one", one, "one_us"))
-        for row in found
-    ]  # fmt: skip
-    ours = {"many": "forces", "one": "average_force"}
-    titles = {"many": "Many motions in one call, N = 2", "one": "One finished cycle, 1 part"}
-    panels = []
-    for case, title in titles.items():
-        mine = [r for r in rows if r["case"] == case]
-        best = next(r for r in mine if r["method"] == ours[case])
-        points = [
-            Points(
-                "ours" if look == OURS else "others", [r["us"] for r in kind],
-                [max(r["p99"], LEAST_ERROR) for r in kind], look,
-                notes=tuple(f"{r['method']}, median error {shown(r['median'])}" for r in kind),
-                labels=tuple(r["method"] for r in kind),
-            )
-            for look, kind in (
-                (OURS, [best]), (PEER, [r for r in mine if r is not best]),
-            )
+    rows: list[Row] = []
+    panels = Panels()
+    for case, title, found, time, name in (
+        ("many", "Many motions in one call, N = 2", batched, "us", "forces"),
+        ("one", "One finished cycle, 1 part", one, "one_us", "average_force"),
+    ):
+        mine: list[Row] = [
+            {"case": case, "method": r["method"], "us": r[time], "median": r["median"],
+             "p99": r["p99"]}
+            for r in found
         ]  # fmt: skip
-        log = case == "one"
-        limits = (1, 3e4) if log else (0, 1.6 * max(r["us"] for r in mine))
-        panels.append(
-            Panel(
-                title,
-                Axis("time of one part's force [µs]", log=log, limits=limits),
-                Axis("error, worst 1 % of cases [µmg]", log=True),
-                tuple(points), (Rule("wanted", y=WANTED),),
-                (Mark(best["us"], best["p99"]),), "less less",
-            )
+        rows += mine
+        limits = (1, 3e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
+        panel = panels.add(
+            title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
+            Axis("error, worst 1 % of cases [µmg]", log=True), "less less",
         )  # fmt: skip
+        best = next(r for r in mine if r["method"] == name)
+        others = [r for r in mine if r is not best]
+        for who, colour, kind in (("ours", OURS, [best]), ("others", PEER, others)):
+            panel.points(
+                who, column(kind, "us"), column(kind, "p99", LEAST_ERROR), colour,
+                notes=[f"{r['method']}, median error {shown(r['median'])}" for r in kind],
+                labels=column(kind, "method"),
+            )  # fmt: skip
+        panel.rule("wanted", y=WANTED)
+        panel.mark(best["us"], best["p99"])
     best = next(r for r in one if r["method"] == "average_force")
     quad = next(r for r in one if r["method"].startswith("quad"))
     return Chart(
@@ -79,7 +70,7 @@ def force_map(data: Data) -> Chart:
         "average_force for judging, forces inside the search: the fastest that keep the worst "
         f"1 % below {WANTED:g} µmg; what is faster on the front is wrong just at the dips where "
         "a search ends.",
-        ("force_map",), tuple(panels), rows,
+        ("force_map",), panels, rows,
         {"us": "time of one force [µs]", "median": "median error [µmg]",
          "p99": "worst 1 % [µmg]"},
     )  # fmt: skip
@@ -101,11 +92,17 @@ def rotations(data: Data) -> Chart:
          "ours": r["method"].startswith("ours")}
         for r in table(data, "rotations", "times")
     ]  # fmt: skip
-    titles = {
-        "force": ("Force at 10 parts, 10 % quantile", "[µmg]"),
-        "time": ("Linear problem of 10 parts", "[ms]"),
-    }
-    panels = [bar_panel([r for r in rows if r["case"] == c], *titles[c]) for c in titles]
+    panels = Panels()
+    for case, title, unit in (
+        ("force", "Force at 10 parts, 10 % quantile", "[µmg]"),
+        ("time", "Linear problem of 10 parts", "[ms]"),
+    ):
+        mine = [r for r in rows if r["case"] == case]
+        panel = panels.add(title, Axis(unit), Axis("", names=tuple(column(mine, "label")[::-1])))
+        for name, colour, ours in (("ours", OURS, True), ("others", PEER, False)):
+            kind = [r for r in mine if r["ours"] is ours]
+            labels = [f"{r['value']:.2g}" for r in kind]
+            panel.bars(name, column(kind, "value"), column(kind, "label"), colour, labels)
     value = {r["label"]: r["value"] for r in rows}
     ours, svd = value["library, least time"], value["24 on a grid, SVD"]
     return Chart(
@@ -117,47 +114,25 @@ def rotations(data: Data) -> Chart:
         f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
         "Library, least time, closed as a sequence: ten times the force of the SVD for a fraction "
         "of the time of a general linear programme.",
-        ("rotations",), tuple(panels), rows,
-        {"value": "value [µmg or ms]"},
+        ("rotations",), panels, rows, {"value": "value [µmg or ms]"},
     )  # fmt: skip
-
-
-def bar_panel(rows: list[Row], title: str, unit: str) -> Panel:
-    """Return a bar for each row, ours and others."""
-    names = tuple(r["label"] for r in rows[::-1])
-    points = [
-        Points(
-            name, [r["value"] for r in mine], [r["label"] for r in mine], colour, bars=True,
-            labels=tuple(f"{r['value']:.2g}" for r in mine),
-        )
-        for name, colour, mine in (
-            ("ours", OURS, [r for r in rows if r["ours"]]),
-            ("others", PEER, [r for r in rows if not r["ours"]]),
-        )
-    ]  # fmt: skip
-    return Panel(title, Axis(unit), Axis("", names=names), tuple(points))
 
 
 def inversion(data: Data) -> Chart:
     """Return what becomes of requests, and the time that it takes."""
     rows = table(data, "inversion", "fate")
     names = [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows]
-    rest = [100 - r["solved"] - r["proven"] for r in rows]
-    out = [r["proven"] for r in rows]
-    proven = [Points("proven out of reach", out, names, SECOND, bars=True)] if any(out) else []
     y = Axis("", names=tuple(names[::-1]))
-    left = Panel(
-        "What becomes of requests up to 0.2 µmg", Axis("requests [%]", limits=(0, 100)), y,
-        (
-            Points("solved", [r["solved"] for r in rows], names, OURS, bars=True),
-            *proven,
-            Points("in part only", rest, names, "#cccccc", bars=True),
-        ),
-    )  # fmt: skip
-    right = Panel(
-        "Time", Axis("median time of a cold solve [ms]", log=True), y,
-        (Points("median time", [r["median_ms"] for r in rows], names, THIRD),),
-    )  # fmt: skip
+    panels = Panels()
+    left = panels.add(
+        "What becomes of requests up to 0.2 µmg", Axis("requests [%]", limits=(0, 100)), y
+    )
+    left.bars("solved", column(rows, "solved"), names, OURS)
+    if any(column(rows, "proven")):
+        left.bars("proven out of reach", column(rows, "proven"), names, SECOND)
+    left.bars("in part only", [100 - r["solved"] - r["proven"] for r in rows], names, "#cccccc")
+    right = panels.add("Time", Axis("median time of a cold solve [ms]", log=True), y)
+    right.points("median time", column(rows, "median_ms"), names, THIRD)
     free = [r for r in rows if "(" in str(r["harmonics"])]
     least = min(r["share"] for r in free if r["share"] is not None)
     told = ", ".join(f"{r['solved']:.0f} % of {r['parts']} parts" for r in free)
@@ -167,7 +142,7 @@ def inversion(data: Data) -> Chart:
         f"Met with as many harmonics as the solver chooses: {told}; of "
         f"the rest at least a share of {least:.2f} in the median.",
         "As many harmonics as the solver chooses: with the fewest that the rank allows, "
-        "many requests are out of reach.", ("inversion",), (left, right), rows,
+        "many requests are out of reach.", ("inversion",), panels, rows,
         columns(data, "inversion", "fate"),
     )  # fmt: skip
 
@@ -175,22 +150,21 @@ def inversion(data: Data) -> Chart:
 def learning(data: Data) -> Chart:
     """Return the error of realised harmonics against the number of experiments."""
     rows = table(data, "learning", "learning")
-    x = [r["iteration"] for r in rows]
-    panel = Panel(
+    x = column(rows, "iteration")
+    panels = Panels()
+    panel = panels.add(
         "Error of realised harmonics", Axis("experiments", ticks=tuple(x)),
         Axis("error [%]", log=True),
-        (
-            Points("largest of the cycles", x, [r["most"] for r in rows], SECOND, "s", "--"),
-            Points("median", x, [r["median"] for r in rows], OURS, "o", "-"),
-        ),
-        (Rule("2 %", y=2, colour=LIMIT),),
     )  # fmt: skip
+    panel.points("largest of the cycles", x, column(rows, "most"), SECOND, "s", "--")
+    panel.points("median", x, column(rows, "median"), OURS, "o", "-")
+    panel.rule("2 %", y=2, colour=LIMIT)
     first, last = rows[0], rows[-1]
     return Chart(
         "learning", "", "Learning the plate",
         "A plate on flexures, 35 Hz, damping 3 %, motors 15 % apart: error of the harmonics of "
         "cycles not used for learning, after each experiment; three are the calibration.",
         f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
-        f"{last['iteration']} experiments.", "", ("learning",), (panel,), rows,
+        f"{last['iteration']} experiments.", "", ("learning",), panels, rows,
         columns(data, "learning", "learning"),
     )  # fmt: skip

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from harness import shown
-from report.chart import Chart, Data, Row
+import pandas as pd
+
+from report.chart import Chart, Data
+from report.page import cells, machines
 
 FOLDER = "results"
 """Beside the text: pictures and CSV files."""
@@ -26,41 +28,32 @@ programs count little, but on a busy machine (its load is told) times are up to 
 
 
 def write_results(path: Path, data: Data, charts: Sequence[Chart]) -> None:
-    """Write the text; pictures and tables are in a folder beside it, made by others."""
-    used = dict.fromkeys(name for chart in charts for name in chart.sources)
-    seconds = sum(data[name]["seconds"] for name in used)
+    """Write the text, and beside it pictures and CSV files."""
+    folder = path.parent / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in charts:
+        pd.DataFrame(one.rows).to_csv(folder / f"{one.key}.csv", index=False)
+        width, height = one.panels.size_px
+        one.panels.draw().write_image(folder / f"{one.key}.png", width=width, height=height)
+    used = {name: data[name] for one in charts for name in one.sources}
+    lines = [
+        f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(mine)}: {facts}."
+        for facts, mine in machines(used).items()
+    ]
+    quick = ", ".join(name for name, item in used.items() if item["quick"])
+    lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
+    minutes = sum(item["seconds"] for item in used.values()) / 60
     parts = [
         ABOUT,
-        machines(data, used),
-        f"All measurements behind the charts: {seconds / 60:.0f} minutes.\n",
+        "\n".join(lines) + "\n",
+        f"All measurements behind the charts: {minutes:.0f} minutes.\n",
         "## Summary\n",
-        *(f"- [{titled(chart)}](#{anchor(titled(chart))}): {chart.finding}" for chart in charts),
+        *(f"- [{one.full_title}](#{anchor(one.full_title)}): {one.finding}" for one in charts),
         "",
-        *(section(chart, data) for chart in charts),
-        demos(path.parent / FOLDER),
+        *(section(one, data) for one in charts),
+        demos(folder),
     ]
     path.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
-
-
-def machines(data: Data, names: Iterable[str]) -> str:
-    """Say what the figures were measured on, and which are quick ones."""
-    kinds: dict[str, list[str]] = {}
-    for name in names:
-        facts = {k: v for k, v in data[name]["machine"].items() if k != "load"}
-        kinds.setdefault(", ".join(f"{k} {v}" for k, v in facts.items()), []).append(name)
-    lines = [
-        f"Machine{'' if len(kinds) == 1 else ' of ' + ', '.join(mine)}: {facts}."
-        for facts, mine in kinds.items()
-    ]
-    quick = [name for name in names if data[name]["quick"]]
-    if quick:
-        lines.append(f"**Quick measurements with few cases: {', '.join(quick)}.**")
-    return "\n".join(lines) + "\n"
-
-
-def titled(chart: Chart) -> str:
-    """Return a chart's title with its letter."""
-    return f"({chart.letter}) {chart.title}" if chart.letter else chart.title
 
 
 def anchor(title: str) -> str:
@@ -71,38 +64,24 @@ def anchor(title: str) -> str:
 
 def section(chart: Chart, data: Data) -> str:
     """Return one chart in words and figures."""
-    picture, rows = f"{FOLDER}/{chart.key}.png", f"{FOLDER}/{chart.key}.csv"
-    repeat = ", ".join(
-        f"`make bench ARGS={name}` ({data[name]['seconds']:.0f} s)" for name in chart.sources
-    )
     lines = [
-        f"## {titled(chart)}\n",
+        f"## {chart.full_title}\n",
         f"{chart.finding}\n",
-        f"![{chart.title}]({picture})\n",
+        f"![{chart.title}]({FOLDER}/{chart.key}.png)\n",
         f"*{chart.reading}*\n",
     ]
     if chart.default:
         lines.append(f"Our default: {chart.default}\n")
     if len(chart.rows) <= MOST_ROWS:
-        lines.append(markdown_table(chart.headings, chart.rows))
-    made = ", ".join(
-        f"commit {data[name].get('commit') or 'unknown'}, load {data[name]['machine']['load']:g}"
+        lines.append(cells(chart.frame).to_markdown(index=False, disable_numparse=True) + "\n")
+    told = [
+        f"`make bench ARGS={name}` ({data[name]['seconds']:.0f} s, commit "
+        f"{data[name].get('commit') or 'unknown'}, load {data[name]['machine']['load']:g})"
         for name in chart.sources
-    )
-    lines.append(
-        f"[All {len(chart.rows)} rows]({rows}). To repeat: {repeat}. Measured at {made}.\n"
-    )
-    return "\n".join(lines)
-
-
-def markdown_table(columns: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """Return a table."""
-    lines = [
-        "| " + " | ".join(columns.values()) + " |",
-        "|" + "---|" * len(columns),
-        *("| " + " | ".join(shown(row.get(key)) for key in columns) + " |" for row in rows),
     ]
-    return "\n".join(lines) + "\n"
+    rows = f"[All {len(chart.rows)} rows]({FOLDER}/{chart.key}.csv)."
+    lines.append(f"{rows} To repeat: {', '.join(told)}.\n")
+    return "\n".join(lines)
 
 
 def demos(folder: Path) -> str:

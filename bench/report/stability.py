@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from maps.grid import StabilityMap
 from maps.stability import MAPS, nearness
-from report.chart import PEER, Axis, Chart, Data, Field, Panel, Points, columns, edges, table
+from report.chart import PEER, Axis, Chart, Data, Panels, columns, edges, table
 
 MOST_NAMED = 14
 """As many whole numbers on an axis are all named."""
@@ -22,63 +21,53 @@ Line = list[tuple[float, float]]
 def chart_of(data: Data, one: StabilityMap) -> Chart:
     """Return the chart of one map."""
     samples = [s for s in data["stability"]["samples"] if s["key"] == one.key]
-    rows = table(data, "stability", one.key)
-    heads = columns(data, "stability", one.key)
+    rows, heads = table(data, "stability", one.key), columns(data, "stability", one.key)
+    panels = Panels()
+    for sample in samples:
+        add_panel(panels, one, sample)
     return Chart(
-        f"stability_{one.key}",
-        "",
-        one.title,
+        f"stability_{one.key}", "", one.title,
         f"Colour: {one.z_label}. Black: where it passes {one.level:g}. Dashed: {one.line_label}. "
         f"{one.note}",
-        f"{one.finding} {nearness(samples)}",
-        "",
-        ("stability",),
-        tuple(panel(one, s) for s in samples),
-        [{key: row[key] for key in heads} for row in rows],
-        heads,
+        f"{one.finding} {nearness(samples)}", "", ("stability",), panels,
+        [{key: row[key] for key in heads} for row in rows], heads,
+    )  # fmt: skip
+
+
+def add_panel(panels: Panels, one: StabilityMap, sample: dict[str, Any]) -> None:
+    """Add one grid with its lines."""
+    x = sample["x"]
+    panel = panels.add(
+        sample["panel"], axis(one, "x", one.x_label, x), axis(one, "y", one.y_label, sample["y"])
     )
-
-
-def panel(one: StabilityMap, sample: dict[str, Any]) -> Panel:
-    """Return one grid with its lines."""
-    across, up = (axis(one, name, sample[name]) for name in ("x", "y"))
-    border = [(a, b) for a, b in zip(sample["x"], sample["observed"], strict=True) if b is not None]
-    theory = list(zip(sample["line_x"], sample["line_y"], strict=True))
-    if one.steps:
-        border, theory = (steps(line, sample["x"], across) for line in (border, theory))
     low, high = one.bounds
     z = [[None if v is None else float(np.clip(v, low, high)) for v in row] for row in sample["z"]]
-    return Panel(
-        sample["panel"],
-        across,
-        up,
-        (
-            Points("measured border", *split(border), "black", "", "-", in_front=False),
-            Points("theory", *split(theory), PEER, "", "--", in_front=False),
-        ),
-        field=Field(sample["x"], sample["y"], z, one.z_label, one.bounds),
+    panel.heat(x, sample["y"], z, one.z_label, one.bounds)
+    lines = {
+        "measured border": ([(a, b) for a, b in zip(x, sample["observed"], strict=True) if b], "-"),
+        "theory": (list(zip(sample["line_x"], sample["line_y"], strict=True)), "--"),
+    }
+    for name, (line, dash) in lines.items():
+        corners = steps(line, x, "x" in one.log) if one.steps else line
+        colour = PEER if name == "theory" else "black"
+        along, up = [a for a, _ in corners], [b for _, b in corners]
+        panel.points(name, along, up, colour, "", dash, in_front=False)
+
+
+def axis(one: StabilityMap, name: str, label: str, values: Sequence[float]) -> Axis:
+    """Return the axis of one parameter, x or y, from edge to edge of the cells."""
+    few = one.steps and len(values) <= MOST_NAMED and all(float(v).is_integer() for v in values)
+    ends = edges(values, name in one.log)
+    return Axis(
+        label, name in one.log, ticks=tuple(values) if few else (), limits=(ends[0], ends[-1])
     )
 
 
-def axis(one: StabilityMap, name: str, values: Sequence[float]) -> Axis:
-    """Return the axis of one parameter, x or y, from edge to edge of the cells."""
-    few = one.steps and len(values) <= MOST_NAMED and all(float(v).is_integer() for v in values)
-    label = one.x_label if name == "x" else one.y_label
-    plain = Axis(label, name in one.log, ticks=tuple(values) if few else ())
-    ends = edges(plain, values)
-    return replace(plain, limits=(ends[0], ends[-1]))
-
-
-def steps(line: Line, x: Sequence[float], across: Axis) -> Line:
+def steps(line: Line, x: Sequence[float], log: bool) -> Line:
     """Return the line as steps, level across each cell."""
-    ends = edges(across, x)
-    column = {value: k for k, value in enumerate(x)}
-    return [(ends[column[a] + side], b) for a, b in line for side in (0, 1)]
-
-
-def split(line: Line) -> tuple[list[float], list[float]]:
-    """Return x and y of a line."""
-    return [a for a, _ in line], [b for _, b in line]
+    ends = edges(x, log)
+    number = {value: k for k, value in enumerate(x)}
+    return [(ends[number[a] + side], b) for a, b in line for side in (0, 1)]
 
 
 STABILITY: tuple[Callable[[Data], Chart], ...] = tuple(

@@ -1,4 +1,4 @@
-"""The charts of simulator, vision and the closed loop."""
+"""The charts of simulator, vision and the closed loop's cost."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from report.chart import (
     Axis,
     Chart,
     Data,
-    Mark,
-    Panel,
-    Points,
+    Panels,
     Row,
-    Rule,
+    by,
+    column,
     columns,
     table,
 )
@@ -34,7 +33,8 @@ DEFAULT_TOLERANCE = f"{TOLERANCE:g} m"
 
 SIMULATORS = {
     "by events": (OURS, "o"), "in steps": (SECOND, "s"), "plate_sim": (OURS, "o"),
-    "pymunk": (PEER, "D"), "MuJoCo": (THIRD, "^"),
+    "pymunk": (PEER, "D"), "MuJoCo": (THIRD, "^"), "bodies": (SECOND, "s"),
+    "scipy RK45": (FAINT, "x"),
 }  # fmt: skip
 """Colour and marker of our integrators and the peers."""
 
@@ -42,41 +42,51 @@ SIMULATORS = {
 def sim(data: Data) -> Chart:
     """Return error against speed of the simulator: parts alone, and parts that collide."""
     rows = table(data, "sim", "error")
-    looks = {
-        method: (f"points, {method}" if method in ("by events", "in steps") else method, *look, "-")
-        for method, look in SIMULATORS.items()
-    }
-    panels = [
+    names = {
+        "by events": "points, by events", "in steps": "points, in steps",
+        "plate_sim": "discs, ours",
+        "bodies": "bodies that turn, ours", "scipy RK45": "scipy",
+    }  # fmt: skip
+    panels = Panels()
+    for gamma, mine in sorted(by(rows, "gamma").items()):
         speed_panel(
-            f"1 part, shaken at {gamma} µg", "error of the travel after 1 s [mm]", looks,
-            [r | {"error": max(r["error_mm"], LEAST_MM)} for r in rows if r["gamma"] == gamma],
+            panels, f"1 part, shaken at {gamma} µg", "error of the travel after 1 s [mm]", names,
+            [r | {"error": max(r["error_mm"], LEAST_MM)} for r in mine], "-",
             lambda r: r["method"] == "by events" and r["setting"] == DEFAULT_TOLERANCE,
-        )
-        for gamma in sorted({r["gamma"] for r in rows})
-    ]  # fmt: skip
-    panels += disc_panels(data)
+        )  # fmt: skip
+    for count, mine in sorted(by(table(data, "sim", "discs"), "parts").items()):
+        speed_panel(
+            panels, f"{count} discs that collide", "deepest overlap [µm]", names,
+            [r | {"error": max(r["overlap_um"], 0.01), "setting": f"steps of {r['step_ms']:g} ms"}
+             for r in mine], "",
+            lambda r: r["method"] == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP,
+        )  # fmt: skip
     if "bodies" in data:
-        panels.append(body_panel(data))
-    speeds = table(data, "sim", "speed")
-    lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["scene"] == "all ways")
-    counts = ", ".join(str(r["parts"]) for r in speeds if r["scene"] == "all ways")
+        speed_panel(
+            panels, "1 body that slides and turns", "error of centre or rim after 0.2 s [mm]",
+            names, [r | {"error": r["error_mm"]} for r in table(data, "bodies", "bodies")], "-",
+            lambda r: r["setting"] == f"{1e3 * BODY_STEP:g} ms",
+        )  # fmt: skip
+    speeds = [r for r in table(data, "sim", "speed") if r["scene"] == "all ways"]
+    lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["lead"])
+    counts = ", ".join(str(r["parts"]) for r in speeds)
     return Chart(
         "sim", "c", "Simulator: error against speed, beside its peers",
         "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
         "answer is known; discs that collide by how deep they overlap, which true ones never do; "
         "a body that turns against scipy. Down and to the right is better.",
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
-        f"ways, and to an error of {min(r['error_mm'] for r in rows):.0e} mm where that is wanted.",
+        f"ways, and to an error of {min(column(rows, 'error_mm')):.0e} mm where that is wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}: at once the fastest and the most "
         f"exact. Discs in steps of {1e3 * STEP:g} ms where parts touch: friction and knocks in one "
         f"step, at an overlap that no camera sees. Bodies that turn, in {1e3 * BODY_STEP:g} ms, "
         "only where a scene needs it.",
-        tuple(n for n in ("sim", "bodies") if n in data), tuple(panels), [*rows, *disc_rows(data)],
+        tuple(n for n in ("sim", "bodies") if n in data), panels, [*rows, *other_rows(data)],
         columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
     )  # fmt: skip
 
 
-def disc_rows(data: Data) -> list[Row]:
+def other_rows(data: Data) -> list[Row]:
     """Return the settings of discs and bodies in the form of the other rows."""
     found: list[Row] = [
         {"method": r["method"], "gamma": "a body", "setting": r["setting"],
@@ -90,106 +100,54 @@ def disc_rows(data: Data) -> list[Row]:
     ]  # fmt: skip
 
 
-def disc_panels(data: Data) -> list[Panel]:
-    """Return overlap against speed for colliding discs."""
-    rows = [
-        r | {"error": max(r["overlap_um"], 0.01), "setting": f"steps of {r['step_ms']:g} ms"}
-        for r in table(data, "sim", "discs")
-    ]
-    looks = {
-        method: ("discs, ours" if method == "plate_sim" else method, *look, "")
-        for method, look in SIMULATORS.items()
-    }
-    return [
-        speed_panel(
-            f"{count} discs that collide", "deepest overlap [µm]", looks,
-            [r for r in rows if r["parts"] == count],
-            lambda r: r["method"] == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP,
-        )
-        for count in sorted({r["parts"] for r in rows})
-    ]  # fmt: skip
-
-
-def body_panel(data: Data) -> Panel:
-    """Return error against speed of a disc that turns."""
-    looks = {
-        "bodies": ("bodies that turn, ours", SECOND, "s", "-"),
-        "scipy RK45": ("scipy", FAINT, "x", "-"),
-    }
-    return speed_panel(
-        "1 body that slides and turns", "error of centre or rim after 0.2 s [mm]", looks,
-        [r | {"error": r["error_mm"]} for r in table(data, "bodies", "bodies")],
-        lambda r: r["setting"] == f"{1e3 * BODY_STEP:g} ms",
-    )  # fmt: skip
-
-
 def speed_panel(
-    title: str,
-    label: str,
-    looks: Mapping[str, tuple[str, str, str, str]],
-    rows: list[Row],
+    panels: Panels, title: str, label: str, names: Mapping[str, str], rows: list[Row], line: str,
     is_default: Callable[[Row], bool],
-) -> Panel:
-    """Return a panel of `error` against `speed`; `looks` are name, colour, marker and line of each
-    method, and our default has a mark."""
-    points = []
-    for method in dict.fromkeys(r["method"] for r in rows):
-        mine = [r for r in rows if r["method"] == method]
-        name, colour, marker, line = looks[method]
-        points.append(
-            Points(
-                name, [r["speed"] for r in mine], [r["error"] for r in mine], colour, marker, line,
-                notes=tuple(r["setting"] for r in mine),
-            )
+) -> None:  # fmt: skip
+    """Add a panel of `error` against `speed` by method; our default has a mark."""
+    panel = panels.add(
+        title, Axis("simulated s per s of one core", log=True), Axis(label, log=True), "more less"
+    )
+    for method, mine in by(rows, "method").items():
+        panel.points(
+            names.get(method, method), column(mine, "speed"), column(mine, "error"),
+            *SIMULATORS[method], line, notes=column(mine, "setting"),
         )  # fmt: skip
-    return Panel(
-        title, Axis("simulated s per s of one core", log=True), Axis(label, log=True),
-        tuple(points), better="more less",
-        marks=tuple(Mark(r["speed"], r["error"]) for r in rows if is_default(r)),
-    )  # fmt: skip
+    for row in filter(is_default, rows):
+        panel.mark(row["speed"], row["error"])
 
 
 def cost(data: Data) -> Chart:
     """Return the cost of every stage, and of every model of the simulator, by parts."""
-    stages = table(data, "stages", "stages")
-    counts = [r["parts"] for r in stages]
-    names = (
-        ("solver", OURS, "o", "-"), ("vision", PEER, "s", "-"), ("driver", SECOND, "D", "-"),
-        ("planner", THIRD, "^", "-"), ("simulator", FAINT, "v", ":"), ("camera", FAINT, "x", "--"),
-    )  # fmt: skip
-    points = [
-        Points(name, counts, [r[name] for r in stages], colour, marker, line)
-        for name, colour, marker, line in names
-    ]
-    points.append(
-        Points("image to setpoints", counts, [r["answer"] for r in stages], "#111111", "", "-")
-    )
-    points.append(
-        Points("one cycle: the limit", counts, [r["period"] for r in stages], LIMIT, "", "-")
-    )
-    first = Panel(
+    stages, models = table(data, "stages", "stages"), table(data, "sim", "cost")
+    counts = column(stages, "parts")
+    panels = Panels()
+    first = panels.add(
         "Every stage, one image", Axis("parts on the plate", ticks=tuple(counts)),
-        Axis("median time for one image [ms]", log=True), tuple(points),
+        Axis("median time for one image [ms]", log=True),
     )  # fmt: skip
-    models = table(data, "sim", "cost")
-    looks = {
-        "by events": (OURS, "o", "points, by events"), "points": (SECOND, "s", "points, in steps"),
-        "discs": (THIRD, "D", "discs that touch"), "bodies": (FAINT, "^", "bodies that turn"),
-        "pymunk": (PEER, "x", "pymunk, 1 ms"),
-    }  # fmt: skip
-    second = Panel(
+    for key, name, colour, marker, line in (
+        ("solver", "solver", OURS, "o", "-"), ("vision", "vision", PEER, "s", "-"),
+        ("driver", "driver", SECOND, "D", "-"), ("planner", "planner", THIRD, "^", "-"),
+        ("simulator", "simulator", FAINT, "v", ":"), ("camera", "camera", FAINT, "x", "--"),
+        ("answer", "image to setpoints", "#111111", "", "-"),
+        ("period", "one cycle: the limit", LIMIT, "", "-"),
+    ):  # fmt: skip
+        first.points(name, counts, column(stages, key), colour, marker, line)
+    second = panels.add(
         "The simulator's models", Axis("parts", log=True),
         Axis("time of 1 simulated s [s]", log=True),
-        tuple(
-            Points(
-                label, [r["parts"] for r in models],
-                [1 / r[name] if r.get(name) else None for r in models], colour, marker, "-",
-            )
-            for name, (colour, marker, label) in looks.items()
-            if any(r.get(name) for r in models)
-        ),
-        (Rule("real time", y=1),),
     )  # fmt: skip
+    for key, name, colour, marker in (
+        ("by events", "points, by events", OURS, "o"), ("points", "points, in steps", SECOND, "s"),
+        ("discs", "discs that touch", THIRD, "D"), ("bodies", "bodies that turn", FAINT, "^"),
+        ("pymunk", "pymunk, 1 ms", PEER, "x"),
+    ):  # fmt: skip
+        there = [r for r in models if r.get(key)]
+        if there:
+            seconds = [1 / r[key] for r in there]
+            second.points(name, column(there, "parts"), seconds, colour, marker, "-")
+    second.rule("real time", y=1)
     last = stages[-1]
     return Chart(
         "cost", "g", "Cost against the number of parts",
@@ -198,54 +156,39 @@ def cost(data: Data) -> Chart:
         f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
         f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms; "
         f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.", "",
-        ("stages", "sim"), (first, second), stages, columns(data, "stages", "stages"),
+        ("stages", "sim"), panels, stages, columns(data, "stages", "stages"),
     )  # fmt: skip
 
 
 def span(rows: list[Row], key: str) -> str:
     """Return the least and greatest value of a column."""
-    values = [row[key] for row in rows]
-    return f"{min(values):.2g} to {max(values):.2g}"
+    return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
 
 def vision(data: Data) -> Chart:
     """Return error against time of finding discs, a panel for each scene."""
     rows = table(data, "vision", "vision")
+    methods, looks = list(by(rows, "method")), list("osD^vx")
     colours = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT)
-    methods = list(dict.fromkeys(r["method"] for r in rows))
-    panels = []
-    for place in ("apart", "touching"):
-        for discs in sorted({r["discs"] for r in rows}):
-            points = []
-            for method, colour, marker in zip(methods, colours, "osD^vx", strict=False):
-                mine = [
-                    r for r in rows
-                    if (r["discs"], r["place"], r["method"]) == (discs, place, method)
-                    and r["rms_px"] is not None
-                ]  # fmt: skip
-                wrong = [r["missed_percent"] + r["false_percent"] for r in mine]
-                points.append(
-                    Points(
-                        method, [r["loop_ms"] for r in mine], [r["rms_px"] for r in mine],
-                        colour, marker, hollow=tuple(w > 0 for w in wrong),
-                        notes=tuple(
-                            f"missed {r['missed_percent']:.0f} %, invented "
-                            f"{r['false_percent']:.0f} %" for r in mine
-                        ),
-                        labels=tuple(
-                            f"{r['missed_percent']:.0f} % missed" if w else ""
-                            for r, w in zip(mine, wrong, strict=True)
-                        ),
-                    )
-                )  # fmt: skip
-            ours = points[0]
-            panels.append(
-                Panel(
-                    f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
-                    Axis("error of the centres, RMS [px]", log=True), tuple(points),
-                    marks=(Mark(ours.x[0], ours.y[0]),), better="less less",
-                )
+    scenes = by([r for r in rows if r["rms_px"] is not None], "place", "discs")
+    panels = Panels()
+    for (place, discs), mine in sorted(scenes.items()):
+        panel = panels.add(
+            f"{discs} discs, {place}", Axis("time for one image, in a loop [ms]", log=True),
+            Axis("error of the centres, RMS [px]", log=True), "less less",
+        )  # fmt: skip
+        for method, these in by(mine, "method").items():
+            wrong = [r["missed_percent"] + r["false_percent"] > 0 for r in these]
+            number = methods.index(method)
+            panel.points(
+                method, column(these, "loop_ms"), column(these, "rms_px"), colours[number],
+                looks[number], hollow=wrong,
+                notes=[f"missed {r['missed_percent']:.0f} %, invented {r['false_percent']:.0f} %"
+                       for r in these],
+                labels=[f"{r['missed_percent']:.0f} % missed" if w else ""
+                        for r, w in zip(these, wrong, strict=True)],
             )  # fmt: skip
+        panel.mark(mine[0]["loop_ms"], mine[0]["rms_px"])
     ours = [r for r in rows if r["method"] == methods[0]]
     return Chart(
         "vision", "d", "Vision: error against time, beside its peers",
@@ -256,5 +199,5 @@ def vision(data: Data) -> Chart:
         "where they touch.",
         "plate_vision.detect: the most exact in every scene. Contours are faster where discs "
         "touch, but cannot part them, and err four to six times as much.",
-        ("vision",), tuple(panels), rows, columns(data, "vision", "vision"),
+        ("vision",), panels, rows, columns(data, "vision", "vision"),
     )  # fmt: skip
