@@ -26,9 +26,8 @@ from emulated_board import (
 
 from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import Enable, Fault, State, Status, Stop
-from plate_driver.motor_table import MotorTable
-from plate_driver.serial_transport import SerialTransport, open_port
-from plate_driver.transport import Condition
+from plate_driver.setpoints import MotorTable
+from plate_driver.transports import Condition, SerialTransport, open_port
 from plate_sim.device import DeviceLimits, c_header
 
 ROOT = Path(__file__).resolve().parents[1]

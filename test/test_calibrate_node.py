@@ -18,9 +18,8 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros import cycle_to_msg, to_time  # noqa: E402
-from plate_driver.keeper import Keeper  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.serial_transport import SerialTransport  # noqa: E402
+from plate_driver.transports import SerialTransport, TransportThread  # noqa: E402
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
 
 RIG = load_rig()
@@ -60,11 +59,12 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     hung, line = load_rig(rig_file), FaultSchedule(LineFaults(baud=921_600.0))
     emulator = Emulator(DeviceLimits.of_rig(hung), 3, line, plate=SuspendedPlate(hung, TICK_S))
     monkeypatch.setattr(DriverNode, "_now", lambda self: emulator.now)
-    monkeypatch.setattr(Keeper, "start", lambda self: None)  # we look after it, in its time
     monkeypatch.setattr(
-        DriverNode,
-        "_make_transport",
-        lambda self: SerialTransport(
+        TransportThread, "start", lambda self: None
+    )  # we look after it, in its time
+    monkeypatch.setattr(
+        "plate_driver.node.make_transport",
+        lambda name, context: SerialTransport(
             lambda: opened(emulator), lambda: emulator.now, next(sessions)
         ),
     )
@@ -83,7 +83,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
             emulator.tick()
             measured.append(emulator.device.measured[1])
             if tick % 5 == 0:
-                driver._keeper.look()
+                driver._transport.poll()
             if tick % 20 == 0:
                 driver._watch()
         return np.array(measured)
@@ -92,13 +92,13 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         """As a person does; the service would wait in real time."""
         run(0.3)
         number = driver.latch.number
-        order = driver._keeper.enable(number)
+        order = driver._transport.enable(number)
         for _ in range(20):
             run(0.0 if order.settled else 0.2)
         assert order.done, order.failure
         assert driver.latch.open(number)
         run(0.1)
-        assert driver.told() == "ready"
+        assert driver.state_text() == "ready"
 
     def shaken(stamp_ns: int) -> np.ndarray:
         """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
@@ -109,7 +109,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
 
     def calibrated() -> None:
         assert driver._on_calibrate(Trigger.Request(), Trigger.Response()).success
-        assert driver.told() == "calibrating"
+        assert driver.state_text() == "calibrating"
 
     try:
         enable()
@@ -120,21 +120,21 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         emulator.reset()  # it fails, with the reason; nothing begins again by itself
         run(3.0)
         assert not learned.exists()
-        assert driver._run is None
-        assert driver.told().startswith(("disabled", "stopped"))
+        assert driver._experiment is None
+        assert driver.state_text().startswith(("disabled", "stopped"))
         enable()
         calibrated()
         for _ in range(40):
-            if driver._run is not None:
+            if driver._experiment is not None:
                 run(1.0)
-        assert driver.told() == "ready"
+        assert driver.state_text() == "ready"
         assert learned.exists()
         assert [path.name for path in learned.parent.iterdir() if "plate.npz" in path.name] == [
             "plate.npz"
         ]
         for change in ("deactivate", "cleanup", "configure", "activate"):
             if change == "deactivate":
-                driver._keeper.stop()
+                driver._transport.stop()
                 run(1.5)
             getattr(driver, f"trigger_{change}")()
         enable()

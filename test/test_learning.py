@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_driver.calibration import Calibration, save_response, saved_response
-from plate_driver.learning import Response, harmonics
-from plate_driver.motor_table import prepare
+from plate_driver.calibration import Calibration, Response, harmonics, save_response, saved_response
+from plate_driver.setpoints import prepare
 from stages.learning import Plate, error, hung, wanted
 
 RIG = load_rig()
@@ -21,10 +20,12 @@ def steady_error(cycle: PlateCycle, command: PlateCycle) -> float:
 @pytest.fixture(name="learned", scope="module")
 def _learned() -> tuple[Response, int]:
     """The response after a calibration, and how many experiments that took."""
-    plate, calibration, count = Plate(HUNG, 0), Calibration.begun(RIG), 0
+    plate, calibration, count = Plate(HUNG, 0), Calibration.start(RIG), 0
     while calibration.cycle is not None:
         plate.play(calibration.cycle, calibration.settle)
-        calibration = calibration.heard(*plate.read(calibration.cycle, calibration.measure))
+        calibration = calibration.with_experiment(
+            *plate.read(calibration.cycle, calibration.measure)
+        )
         count += 1
     return calibration.response, count
 
@@ -66,7 +67,7 @@ def test_what_is_measured_later_corrects_it(learned):
         command = response.command(wanted(seed))
         motion = Plate(HUNG, 0).play(command, 12)
         got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1:30]
-        response = response.learned(harmonics(command, 29), got)
+        response = response.updated(harmonics(command, 29), got)
     assert steady_error(wanted(7), response.command(wanted(7))) < 0.04
 
 

@@ -11,7 +11,7 @@ from harness.serial import Judge, Operator, Port, serial_run
 from plate_core import load_rig
 from plate_core.motion import motor_state
 from plate_core.serial_protocol import Fault, State
-from plate_driver.serial_transport import SerialTransport
+from plate_driver.transports import SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 from stages.upload import shaking
 

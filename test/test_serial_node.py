@@ -199,7 +199,7 @@ class Desk:
     def moving(self) -> None:
         """Enable, and send cycles until the plate plays them."""
         answer = self.enable()
-        while "is not told by the device yet" in answer.message:  # we are quicker than a person
+        while "has not reported the last stop" in answer.message:  # we are quicker than people
             answer = self.enable()
         assert answer.success, answer.message
         self.tells("ready")
@@ -265,7 +265,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(desk):
     assert desk.reports[-1].message.startswith("no plate_cycle for ")
     values = {v.key: v.value for v in desk.reports[-1].values}
     assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
-            "round_trip_ms", "device_heat"} <= set(values)  # fmt: skip
+            "round_trip_ms", "device_thermal_load"} <= set(values)  # fmt: skip
     assert desk.told[-1] == "ready"
     # And goes on with the next one, which needs no enable.
     desk.play()
@@ -304,6 +304,7 @@ def ended(number: int):
         desk.end(number)
         desk.told.clear()
         desk.start()
+        assert desk.until(lambda: desk.told and desk.told[-1].startswith(("stopped", "disabled")))
 
     end.__name__ = signal.Signals(number).name
     return end

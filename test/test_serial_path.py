@@ -10,9 +10,8 @@ from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.serial_protocol import Commit, Enable, Hello, Message, Reader, State, Stop, parse
-from plate_driver.motor_table import MotorTable, prepare
-from plate_driver.serial_transport import SerialTransport
-from plate_driver.transport import Condition, Measured, Order
+from plate_driver.setpoints import MotorTable, prepare
+from plate_driver.transports import Condition, Measured, Order, SerialTransport
 
 RIG = load_rig()
 PERIOD = 0.1
@@ -548,7 +547,7 @@ def test_a_jam_is_told(desk):
     assert transport.report().reason == "following"
     [told] = transport.troubles()
     assert told.startswith("device has stopped: following (a motor was 3.")
-    assert told.endswith("mm from where it was told to be, allowed: 3)")
+    assert told.endswith("mm from its setpoint, allowed: 3)")
     assert float(transport.values()["following_error_mm"]) > 3
 
 

@@ -6,9 +6,8 @@ import pytest
 from harness.serial import Judge, opened
 from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import State
-from plate_driver.motor_table import MotorTable
-from plate_driver.serial_transport import LEAD_S, SerialTransport
-from plate_driver.transport import Condition
+from plate_driver.setpoints import MotorTable
+from plate_driver.transports import LEAD_S, Condition, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 
 RIG = load_rig()

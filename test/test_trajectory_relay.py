@@ -10,8 +10,8 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
-from plate_driver.motor_table import MotorTable, prepare
-from plate_driver.transport import Condition
+from plate_driver.setpoints import MotorTable, prepare
+from plate_driver.transports import Condition
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plate_trajectory_controller"
 RIG = load_rig()

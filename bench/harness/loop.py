@@ -16,7 +16,7 @@ import numpy as np
 from harness.race import cpu_time
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
-from plate_driver.motor_table import MotorTable, prepare
+from plate_driver.setpoints import MotorTable, prepare
 from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
 from plate_planner.assembling import Assembly
 from plate_planner.following import Follower

@@ -16,9 +16,8 @@ from harness.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
-from plate_driver.motor_table import MotorTable
-from plate_driver.serial_transport import SerialTransport
-from plate_driver.transport import Condition, Order
+from plate_driver.setpoints import MotorTable
+from plate_driver.transports import Condition, Order, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 from plate_sim.plate_motion import PlateMotion
 

@@ -38,7 +38,7 @@ from plate_core.serial_protocol import (
     parse,
     table_crc,
 )
-from plate_driver.link import Link
+from plate_driver.transports import Link
 
 CHUNK = 2000
 """Frames that are given at once."""

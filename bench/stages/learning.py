@@ -15,8 +15,14 @@ import numpy as np
 from harness import Result, Table
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
-from plate_driver.calibration import COUNT, PERIOD_S, Calibration
-from plate_driver.learning import Response, harmonic_error, harmonics, settled
+from plate_driver.calibration import (
+    COUNT,
+    PERIOD_S,
+    Calibration,
+    Response,
+    closed_at_rest,
+    harmonics,
+)
 from plate_sim.drive import PlateState
 from plate_sim.suspension import motor_record, realise
 
@@ -83,7 +89,7 @@ def wanted(seed: int) -> PlateCycle:
     rate = 2 * np.pi * np.maximum(frequency, frequency[1])[:, None]
     amplitude = rng.normal(size=(HARMONICS + 1, 3, 2)) @ [1, 1j] * [1, 1, 2] / rate**2
     amplitude[0] = 0
-    amplitude = settled(frequency, amplitude, np.tile(rate**4, 3))
+    amplitude = closed_at_rest(frequency, amplitude, np.tile(rate**4, 3))
     t = np.linspace(0, PERIOD, 8 * HARMONICS + 1)
     turn = 2j * np.pi * frequency[:, None]
     waves = np.exp(np.outer(t, turn[:, 0]))
@@ -127,7 +133,8 @@ def error(rig: Rig, cycle: PlateCycle, command: PlateCycle) -> float:
     t = np.arange(512) * cycle.period / 512
     got = 2 / 512 * np.fft.rfft(motion.accel(t), axis=0)[1 : HARMONICS + 1]
     lever = float(np.hypot(*rig.plate.half))
-    return 100 * harmonic_error(harmonics(cycle, HARMONICS), got, lever)
+    scale, wanted = np.array([1.0, 1.0, lever]), harmonics(cycle, HARMONICS)
+    return 100 * float(np.linalg.norm((got - wanted) * scale) / np.linalg.norm(wanted * scale))
 
 
 def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[str, Any]:
@@ -140,23 +147,24 @@ def judged(rig: Rig, iteration: int, response: Response, cycles: int) -> dict[st
 def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
     """Return a row for each iteration."""
     real = hung(rig)
-    plate, calibration = Plate(real, 1), Calibration.begun(rig)
+    plate, calibration = Plate(real, 1), Calibration.start(rig)
     frequency = np.arange(1, COUNT + 1) / PERIOD_S
-    response = Response.obedient(rig, frequency)
+    response = Response.identity(rig, frequency)
     rows = [judged(real, 0, response, cycles)]
     while calibration.cycle is not None:
         plate.play(calibration.cycle, calibration.settle)
-        calibration = calibration.heard(*plate.read(calibration.cycle, calibration.measure))
-        response = response.learned(calibration.commanded[-1], calibration.measured[-1])
+        read = plate.read(calibration.cycle, calibration.measure)
+        calibration = calibration.with_experiment(*read)
+        response = response.updated(calibration.commanded[-1], calibration.measured[-1])
         rows.append(judged(real, len(rows), response, cycles))
     response = calibration.response
     while len(rows) <= MOST:
-        again = Calibration.begun(rig, seed=len(rows))
+        again = Calibration.start(rig, seed=len(rows))
         cycle = again.cycles[len(rows) % 3]
         again = replace(again, cycles=(cycle,))
         plate.play(cycle, again.settle)
-        again = again.heard(*plate.read(cycle, again.measure))
-        response = response.learned(again.commanded[0], again.measured[0], TRUST)
+        again = again.with_experiment(*plate.read(cycle, again.measure))
+        response = response.updated(again.commanded[0], again.measured[0], TRUST)
         rows.append(judged(real, len(rows), response, cycles))
     return rows
 
@@ -164,10 +172,11 @@ def iterations(rig: Rig, cycles: int) -> list[dict[str, Any]]:
 def in_a_row(rig: Rig, cycles: int) -> list[dict[str, Any]]:
     """Return rows: how velocities err when every cycle is another one."""
     real = hung(rig)
-    plate, calibration = Plate(real, 1), Calibration.begun(rig)
+    plate, calibration = Plate(real, 1), Calibration.start(rig)
     while calibration.cycle is not None:
         plate.play(calibration.cycle, calibration.settle)
-        calibration = calibration.heard(*plate.read(calibration.cycle, calibration.measure))
+        read = plate.read(calibration.cycle, calibration.measure)
+        calibration = calibration.with_experiment(*read)
     t, rows = np.linspace(0, PERIOD, 400), []
     for what, correct in (("as it is", lambda c: c), ("corrected", calibration.response.command)):
         still, miss, size = Plate(real, 2), 0.0, 0.0

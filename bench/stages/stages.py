@@ -17,7 +17,7 @@ from harness import Result, Table, cpu_time
 from harness.loop import Moment, Setup, run
 from plate_core import PlateCycle, Rig, load_rig, part_class
 from plate_core.tasks import Scenario, load_scenario
-from plate_driver.motor_table import prepare
+from plate_driver.setpoints import prepare
 from plate_planner import Planner
 from plate_sim import Camera, part_greys, run_cycle
 from plate_solver import Controller

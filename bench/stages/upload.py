@@ -14,9 +14,8 @@ import numpy as np
 
 from harness.serial import Port
 from plate_core import PlateCycle, load_rig
-from plate_driver.motor_table import MotorTable, prepare
-from plate_driver.serial_transport import SerialTransport, open_port
-from plate_driver.transport import Condition
+from plate_driver.setpoints import MotorTable, prepare
+from plate_driver.transports import Condition, SerialTransport, open_port
 from plate_sim.device import (
     TICK_US,
     DeviceLimits,

@@ -10,8 +10,7 @@ from harness import Cache, Result, Table, processes, resumed
 from harness.serial import POLL_TICKS, Operator, Port
 from plate_core import CycleError, load_rig
 from plate_core.serial_protocol import State
-from plate_driver.serial_transport import SerialTransport
-from plate_driver.transport import Condition
+from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults
 from stages.upload import PERIOD_S, shaking
 

@@ -23,8 +23,8 @@ setup(
     entry_points={
         "console_scripts": [f"driver = {NAME}.node:main"],
         f"{NAME}.transports": [
-            f"sim = {NAME}.transport:make_sim",
-            f"serial = {NAME}.serial_transport:make_serial",
+            f"sim = {NAME}.transports:make_sim",
+            f"serial = {NAME}.transports:make_serial",
         ],
     },
 )

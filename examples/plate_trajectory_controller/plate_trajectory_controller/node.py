@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros import DATA, trajectory_to_msg
-from plate_driver.transport import TransportContext
+from plate_driver.transports import TransportContext
 
 from .relay import Relay, Trajectory
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from plate_core import CycleError, Rig
 from plate_core.motion import motor_state
-from plate_driver.motor_table import MAX_KNOTS, MotorTable
-from plate_driver.transport import Condition, Measured, Order, Report
+from plate_driver.setpoints import MAX_KNOTS, MotorTable
+from plate_driver.transports import Condition, Measured, Order, Report
 
 SILENCE_S = 0.25
 """Joint states that are older say nothing of the motors now [s]."""
@@ -48,7 +48,7 @@ class Trajectory:
 
 
 class Relay:
-    """A transport of plate_driver; see `plate_driver.transport.Transport` for its methods.
+    """A transport of plate_driver; see `plate_driver.transports.Transport` for its methods.
 
     Parameters
     ----------

@@ -1,1 +1,6 @@
-"""Applies the rig's limits to plate motions and sends them to the motors."""
+"""Takes plate cycles to the motors, within the rig's limits and with a stop that latches.
+
+Others use its chapters `setpoints`, `transports` and `calibration`.
+"""
+
+__all__: list[str] = []

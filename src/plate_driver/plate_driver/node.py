@@ -5,23 +5,15 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import rclpy
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import CycleError, PlateError, load_rig
@@ -29,7 +21,6 @@ from plate_core.motion import motor_state
 from plate_core.ros import (
     DATA,
     DIAGNOSTICS_PERIOD_S,
-    LATCHED,
     Diagnostics,
     SafeLifecycleNode,
     UnlockedSubscription,
@@ -45,41 +36,30 @@ from plate_core.ros import (
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding
 
-from .calibration import Calibration, Run, check_writable, save_response, saved_response
-from .guard import Guard
-from .keeper import STOPPED_SINCE, Keeper, Latch, urgent
-from .motor_table import MAX_KNOTS, MotorTable
+from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
-from .state import (
-    CALIBRATING,
-    CUT,
-    DISABLED,
-    EMERGENCY,
-    READY,
-    UNANSWERED,
-    driver_state,
-    health,
-)
-from .transport import (
+from .safety_node import FAREWELL_S, SafetyNode
+from .setpoints import MAX_KNOTS, Guard, MotorTable
+from .state import CALIBRATING, DISABLED, READY, UNANSWERED, driver_state, health
+from .transports import (
     Condition,
+    Latch,
     Measured,
     Order,
-    Transport,
     TransportContext,
+    TransportThread,
     check_transport,
     make_transport,
+    urgent,
 )
 
 CYCLE_PERIOD_S = 0.002
-"""Time between looks for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
+"""Time between polls for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
 
 MOST_CYCLES = 5
-"""Cycles that are taken in one look."""
+"""Cycles that are taken in one poll."""
 
 WATCH_PERIOD_S = 0.02
-STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
-"""Time between looks whether driver_state has changed, and after which it is said again [s]."""
-
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
 
@@ -88,12 +68,6 @@ REST_S = 3.0
 
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
-
-FAREWELL_S = 0.5
-"""How long to wait until the last table has arrived [s]."""
-
-THREADS = 16
-"""For stops, while others wait for an answer."""
 
 
 @dataclass(frozen=True)
@@ -139,9 +113,9 @@ class DriverNode(SafeLifecycleNode):
         check_transport(self._options.transport, self._options.port)
         self._follow = follow(self, self._options, self._set_options)
         self._latch = Latch()
-        self._keeper: Keeper | None = None
+        self._transport: TransportThread | None = None
         self._making = threading.Lock()
-        self._run: Run | None = None
+        self._experiment: Experiment | None = None
         self._outcome = ""  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
@@ -151,7 +125,7 @@ class DriverNode(SafeLifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._diagnostics = Diagnostics(self, self._find, self._values, "plate", self._begin_report)
         with urgent():  # for the participant's own threads too
-            self._safety = Safety(self)
+            self._safety = SafetyNode(self)
         if self._options.autostart:
             try:
                 self.start()
@@ -189,7 +163,8 @@ class DriverNode(SafeLifecycleNode):
         self._setpoints = self.create_lifecycle_publisher(JointTrajectory, "motor_setpoints", DATA)
         self._states = self.create_lifecycle_publisher(JointState, "motor_states", DATA)
         self.keep(self.destroy_lifecycle_publisher, self._setpoints, self._states)
-        self._open()
+        with self._making:
+            self._transport = self._start_transport()
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
         self._cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
         self.keep(UnlockedSubscription.destroy, self._cycles)
@@ -206,65 +181,61 @@ class DriverNode(SafeLifecycleNode):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
-        keeper = self._keeper
-        if keeper is not None and not keeper.motors:
+        transport = self._transport
+        if transport is not None and not transport.motors:
             if self._latch.reason:
-                keeper.stop()
-            elif keeper.enable(self._latch.number).done:
+                transport.stop()
+            elif transport.enable(self._latch.number).done:
                 self._latch.open(self._latch.number)
-        self._safety.say()
+        self._safety.publish_state()
 
     def rest(self) -> None:
         """Have the motors stop, and wait until they are off."""
-        keeper = self._keeper
-        if keeper is None:
+        transport = self._transport
+        if transport is None:
             return
-        self._latch.close(DISABLED if keeper.motors else "")
+        self._latch.close(DISABLED if transport.motors else "")
         self._halted()
-        done = keeper.stop().wait()
+        done = transport.stop().wait()
         self._latch.unanswered = not done
         if not done:
             self.get_logger().error(UNANSWERED)
         else:
             end = self._now() + REST_S
-            while keeper.report.condition not in (Condition.OFF, Condition.GONE):
+            while transport.report.condition not in (Condition.OFF, Condition.GONE):
                 if self._now() > end:
                     self.get_logger().error(f"the plate still moves after {REST_S:g} s")
                     break
                 time.sleep(0.01)
         if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
             self.get_logger().debug("not everyone has confirmed the last motor table")
-        self._safety.say()
+        self._safety.publish_state()
 
     def release(self) -> None:
         """Let go of the transport."""
         self._close()
-        self._measured, self._run = None, None
-        self._safety.say()
+        self._measured, self._experiment = None, None
+        self._safety.publish_state()
 
     # The transport
 
-    def _make_transport(self) -> Transport:
+    def _start_transport(self) -> TransportThread:
+        """Open the transport, in a thread of its own."""
         context = TransportContext(
             self._rig, self._publish, time.monotonic, asdict(self._options), time.time_ns() % 2**32
         )
-        return make_transport(self._options.transport, context)
-
-    def _open(self) -> None:
-        """Open the transport, and have it looked after."""
-        with self._making:
-            transport = self._make_transport()
-            transport.open()
-            keeper = Keeper(transport, self._latch, self._on_defect)
-            keeper.start()
-            self._keeper = keeper
+        made = make_transport(self._options.transport, context)
+        made.open()
+        thread = TransportThread(made, self._latch, self._on_defect)
+        thread.start()
+        return thread
 
     def _close(self) -> None:
         """Stop and release the transport, if one is open."""
         with getattr(self, "_making", contextlib.nullcontext()):
-            keeper, self._keeper = getattr(self, "_keeper", None), None
-            if keeper is not None:
-                keeper.close()
+            transport, self._transport = getattr(self, "_transport", None), None
+            if transport is not None:
+                transport.close()
 
     def _on_defect(self, error: Exception) -> None:
         self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=QUIET_S)
@@ -272,46 +243,43 @@ class DriverNode(SafeLifecycleNode):
     def stop_motors(self, cut: bool) -> Order:
         """Stop, in any state: where no transport is open one is opened for it."""
         with contextlib.ExitStack() as stack:
-            keeper = self._keeper
-            if keeper is None:
+            transport = self._transport
+            if transport is None:
                 stack.enter_context(self._making)
-                keeper = self._keeper
-            own = keeper is None
-            if keeper is None:
+                transport = self._transport
+            own = transport is None
+            if transport is None:
                 try:
                     self._rig = load_rig(self._options.rig_file)
-                    transport = self._make_transport()
-                    transport.open()
+                    transport = self._start_transport()
                 except PlateError as error:
                     self._latch.unanswered = True
                     return Order().settle(str(error))
-                keeper = Keeper(transport, self._latch, self._on_defect)
-                keeper.start()
-            order = keeper.stop(cut)
+            order = transport.stop(cut)
             self._latch.unanswered = not order.wait()
-            keeper.look()
+            transport.poll()
             if own:
-                keeper.close()
+                transport.close()
             return order
 
     @property
-    def keeper(self) -> Keeper | None:
+    def transport(self) -> TransportThread | None:
         """The open transport."""
-        return self._keeper
+        return self._transport
 
     @property
     def latch(self) -> Latch:
         """Why no cycle is let through."""
         return self._latch
 
-    def told(self) -> str:
+    def state_text(self) -> str:
         """Return what driver_state is to say."""
-        keeper = self._keeper
-        report = None if keeper is None else keeper.report
-        run = self._run
-        lifecycle = "active" if self.active else ("unconfigured" if keeper is None else "inactive")
-        latch = self._latch
-        return driver_state(lifecycle, latch.reason, report, run is not None, latch.unanswered)
+        transport = self._transport
+        report = None if transport is None else transport.report
+        latch, calibrating = self._latch, self._experiment is not None
+        lifecycle = "unconfigured" if transport is None else "inactive"
+        lifecycle = "active" if self.active else lifecycle
+        return driver_state(lifecycle, latch.reason, report, calibrating, latch.unanswered)
 
     # Work
 
@@ -319,7 +287,7 @@ class DriverNode(SafeLifecycleNode):
         return time.monotonic()
 
     def _take(self) -> None:
-        """Look whether cycles have come: a few, so that a flood leaves time for all else."""
+        """Take cycles that have come: a few, so that a flood leaves time for all else."""
         for _ in range(MOST_CYCLES):
             taken = self._cycles.take()
             if taken is None:
@@ -328,35 +296,35 @@ class DriverNode(SafeLifecycleNode):
 
     def take_cycle(self, data: bytes, size: int) -> None:
         """Send on a cycle that came as `size` bytes, the first of which are `data`."""
-        keeper = self._keeper
-        if not self.active or keeper is None:
+        transport = self._transport
+        if not self.active or transport is None:
             return
         number = self._latch.number
         try:
-            state = self.told()
+            state = self.state_text()
             if state != READY:
                 raise CycleError(f"the driver is {state}")
-            check_length(data, size, min(MAX_KNOTS, keeper.max_knots))
+            check_length(data, size, min(MAX_KNOTS, transport.max_knots))
             msg = deserialize_message(data, JointTrajectory)
             stamp_ns = nanoseconds(msg.header.stamp)
-            guard, fit = self._guarded(keeper).accepted(msg_to_cycle(msg), stamp_ns, self._now())
-            self._send(keeper, guard, number)
+            guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, self._now())
+            self._send(transport, guard, number)
         except PlateError as error:
             self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
             return
         if fit.factor < WORTH_A_WARNING:
-            self.get_logger().warning(fit.told, throttle_duration_sec=QUIET_S)
+            self.get_logger().warning(fit.summary, throttle_duration_sec=QUIET_S)
 
-    def _guarded(self, keeper: Keeper) -> Guard:
+    def _guarded(self, transport: TransportThread) -> Guard:
         """The guard, with what the device is now known to hold."""
-        return self._guard.holding(keeper.hold_s)
+        return replace(self._guard, hold_s=transport.hold_s)
 
-    def _send(self, keeper: Keeper, guard: Guard, number: int) -> None:
+    def _send(self, transport: TransportThread, guard: Guard, number: int) -> None:
         """Send the table of a guard, and take the guard for ours."""
         assert guard.table is not None
-        keeper.send(guard.table, guard.plays, number)
-        if keeper.motors:
+        transport.send(guard.table, guard.plays, number)
+        if transport.motors:
             self._publish(guard.table)
         self._guard = guard
 
@@ -369,35 +337,35 @@ class DriverNode(SafeLifecycleNode):
 
     def _halted(self) -> None:
         """Take note that the plate rests, and that an experiment is over."""
-        self._run = None
+        self._experiment = None
         self._guard = self._guard.resting(self._now())
 
     def _watch(self) -> None:
         """Take note of what the motors do, and what goes wrong."""
-        keeper = self._keeper
-        if keeper is None:
+        transport = self._transport
+        if transport is None:
             return
-        for measured in keeper.measured():
+        for measured in transport.measured():
             self._measured = measured
-            if self._run is not None:
-                self._run = self._run.noted(measured)
-        for trouble in keeper.troubles():
-            self._guard = self._guard.troubled(trouble)
+            if self._experiment is not None:
+                self._experiment = self._experiment.with_sample(measured)
+        for trouble in transport.troubles():
+            self._guard = self._guard.noted(trouble)
             self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
         if not self.active:
             return
-        state, now = self.told(), self._now()
+        state, now = self.state_text(), self._now()
         if state not in (READY, CALIBRATING):
             self._ready_since = now
-            if self._run is not None:
+            if self._experiment is not None:
                 self._calibrated(f"failed: {state}", now)
             if self._guard.table is not None:
                 self._halted()
             return
-        if self._run is not None:
-            self._calibrate(keeper, now)
+        if self._experiment is not None:
+            self._calibrate(transport, now)
             return
-        hold_s = self._guard.watchdog.hold_s
+        hold_s = self._guard.lasts_s
         self._guard, over = self._guard.watched(now)
         if over:
             self.get_logger().warning(
@@ -409,10 +377,10 @@ class DriverNode(SafeLifecycleNode):
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = False
-        keeper, state = self._keeper, self.told()
+        transport, state = self._transport, self.state_text()
         if not self._options.calibration_file:
             response.message = "calibration_file is '', allowed: the name of a file"
-        elif keeper is None or not keeper.calibrates:
+        elif transport is None or not transport.calibrates:
             response.message = "transport is sim or streams, allowed: serial with cycles"
         elif state != READY:
             response.message = f"the driver is {state}, allowed: ready"
@@ -420,34 +388,37 @@ class DriverNode(SafeLifecycleNode):
             try:
                 check_writable(self._options.calibration_file)
                 self._outcome = ""
-                self._experiment(keeper, Run(Calibration.begun(self._rig)), self._now())
+                self._begin_experiment(transport, Calibration.start(self._rig), self._now())
                 response.success, response.message = True, "see driver_state and diagnostics"
             except PlateError as error:
-                self._run, response.message = None, str(error)
+                self._experiment, response.message = None, str(error)
         return response
 
-    def _experiment(self, keeper: Keeper, run: Run, now: float) -> None:
+    def _begin_experiment(
+        self, transport: TransportThread, calibration: Calibration, now: float
+    ) -> None:
         """Begin the next experiment of a calibration."""
+        experiment = Experiment(calibration)
         number = self._latch.number
-        before = self._guarded(keeper)
-        guard, played = before.experimenting(run.cycle, now)
-        self._run = run.playing(played)
-        self._send(keeper, guard, number)
+        before = self._guarded(transport)
+        guard, played = before.experimenting(experiment.cycle, now)
+        self._experiment = replace(experiment, played=played)
+        self._send(transport, guard, number)
         self._guard = guard.after_experiment(before)
-        self.get_logger().info(f"calibration: {run.calibration.progress}")
+        self.get_logger().info(f"calibration: {experiment.calibration.progress}")
 
-    def _calibrate(self, keeper: Keeper, now: float) -> None:
+    def _calibrate(self, transport: TransportThread, now: float) -> None:
         """Go on with the calibration when an experiment is over."""
-        run = self._run
-        assert run is not None
+        experiment = self._experiment
+        assert experiment is not None
         try:
-            if not run.over:
-                if self._guard.watchdog.tripped(now - self._guard.watchdog.hold_s):
+            if not experiment.over:
+                if self._guard.over(now - self._guard.lasts_s):
                     raise PlateError("the motors have not played the experiment to its end")
                 return
-            calibration = run.heard()
+            calibration = experiment.finished()
             if calibration.cycle is not None:
-                self._experiment(keeper, Run(calibration), now)
+                self._begin_experiment(transport, calibration, now)
                 return
             save_response(self._options.calibration_file, calibration.response)
             text = f"done: {self._options.calibration_file}, used from the next configure on"
@@ -464,16 +435,16 @@ class DriverNode(SafeLifecycleNode):
             self.get_logger().info(f"calibration {text}")
         self._halted()
 
-    # What it tells
+    # What it reports
 
     def _publish_state(self) -> None:
         """Publish what was measured, or else what the motors were told to do now."""
-        keeper = self._keeper
-        if not self.active or keeper is None:
+        transport = self._transport
+        if not self.active or transport is None:
             return
         msg = JointState(name=[motor.name for motor in self._rig.motors])
         now = self.get_clock().now()
-        if keeper.motors:
+        if transport.motors:
             measured, self._measured = self._measured, None
             if measured is None:
                 return
@@ -502,18 +473,20 @@ class DriverNode(SafeLifecycleNode):
         lasting = [f"calibration {self._outcome}"] if self._outcome.startswith("failed") else []
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")
-        return health(self.told(), self._guard.record, self._again, self._quiet_s(now), lasting)
+        state, statistics = self.state_text(), self._guard.statistics
+        return health(state, statistics, self._again, self._quiet_s(now), lasting)
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""
-        run, keeper = self._run, self._keeper
-        values = self._guard.values(DIAGNOSTICS_PERIOD_S, self._now()) | {"state": self.told()}
-        if run is not None:
-            values["calibration"] = run.calibration.progress
+        experiment, transport = self._experiment, self._transport
+        values = self._guard.values(DIAGNOSTICS_PERIOD_S, self._now())
+        values["state"] = self.state_text()
+        if experiment is not None:
+            values["calibration"] = experiment.calibration.progress
         elif self._outcome:
             values["calibration"] = self._outcome
-        if keeper is not None:
-            values |= dict(keeper.report.values) | keeper.values()
+        if transport is not None:
+            values |= dict(transport.report.values) | transport.values()
         before, now = (int(v.get("retries", "0")) for v in (self._reported, values))
         self._again, self._reported = max(0, now - before), values
         return values
@@ -524,158 +497,10 @@ class DriverNode(SafeLifecycleNode):
 
     def _quiet_s(self, now: float) -> float | None:
         """Time for which no cycle has come [s], if the plate rests because of that."""
-        if self._guard.watchdog.fed_at is not None:
+        if self._guard.table is not None:
             return None
         quiet = now - max(self._guard.sent_at, self._ready_since)
-        return quiet if quiet > max(INPUT_TIMEOUT_S, self._guard.watchdog.hold_s) else None
-
-
-class Safety:
-    """Stops, enable, home and driver_state, apart from all that cycles do: a participant of its own
-    receives nothing else, threads of its own answer, and the clock is the steady one.
-
-    Parameters
-    ----------
-    driver : DriverNode
-    """
-
-    def __init__(self, driver: DriverNode) -> None:
-        self._driver, self._latch = driver, driver.latch
-        self._context = rclpy.Context()
-        rclpy.init(
-            args=[], context=self._context, domain_id=driver.context.get_domain_id(),
-            signal_handler_options=SignalHandlerOptions.NO,
-        )  # fmt: skip
-        self.node = node = Node(
-            f"{driver.get_name()}_safety", context=self._context,
-            namespace=driver.get_namespace(), use_global_arguments=False,
-            start_parameter_services=False,
-        )  # fmt: skip
-        group = ReentrantCallbackGroup()
-        for kind, name, answer in (
-            (Trigger, "emergency_stop", self._on_emergency_stop),
-            (Trigger, "cut_power", self._on_cut_power),
-            (SetBool, "enable", self._on_enable),
-            (Trigger, "home", self._on_home),
-        ):
-            full = driver.resolve_service_name(name)
-            node.create_service(kind, full, self._guarded(answer), callback_group=group)
-        topic = driver.resolve_topic_name("driver_state")
-        self._states = node.create_publisher(String, topic, LATCHED)
-        self._state, self._said_at = "", float("-inf")
-        self._saying = threading.Lock()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        own = MutuallyExclusiveCallbackGroup()
-        node.create_timer(STATE_PERIOD_S, self.say, clock=steady, callback_group=own)
-        self._executor = MultiThreadedExecutor(THREADS, context=self._context)
-        self._executor.add_node(node)
-        self._thread = threading.Thread(target=self._spin, name="safety", daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            while self._context.ok():
-                try:
-                    self._executor.spin()
-                except ExternalShutdownException:
-                    raise
-                except Exception as error:
-                    self.node.get_logger().error(f"safety: {error!r}")
-
-    def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-        """Return a callback that answers whatever goes wrong: these threads must not end."""
-
-        def callback(request: Any, response: Any) -> Any:
-            try:
-                return answer(request, response)
-            except Exception as error:
-                self.node.get_logger().error(f"{type(request).__name__}: {error!r}")
-                response.success, response.message = False, UNANSWERED
-                return response
-
-        return callback
-
-    def say(self) -> None:
-        """Publish driver_state if it has changed, or was not said for a while."""
-        with self._saying:
-            state, now = self._driver.told(), time.monotonic()
-            if state == READY:  # another text after each enable: nobody can miss a stop in between
-                state = f"{READY}: enabled at {self._latch.opened}"
-            if state == self._state and now - self._said_at < LIFE_PERIOD_S:
-                return
-            self._state, self._said_at = state, now
-            self._states.publish(String(data=state))
-
-    def close(self) -> None:
-        """Say the last state, and end."""
-        self.say()
-        self._states.wait_for_all_acked(Duration(seconds=FAREWELL_S))
-        self._executor.shutdown(timeout_sec=FAREWELL_S)
-        self._thread.join(FAREWELL_S)
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-
-    def _on_emergency_stop(
-        self, _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        return self._stopped(response, EMERGENCY, False)
-
-    def _on_cut_power(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._stopped(response, CUT, True)
-
-    def _stopped(self, response: Any, reason: str, cut: bool) -> Any:
-        self._latch.close(reason, over=("", DISABLED) if not cut else ())
-        order = self._driver.stop_motors(cut)
-        response.success = order.done
-        response.message = self._driver.told() if order.done else UNANSWERED
-        self.say()
-        if order.done:
-            self.node.get_logger().warning(reason)
-        else:
-            self.node.get_logger().error(f"{reason}: {UNANSWERED}")
-        return response
-
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if not request.data:
-            self._latch.close(DISABLED)
-            order = self._driver.stop_motors(False)
-            response.success = order.done
-            response.message = self._driver.told() if order.done else UNANSWERED
-            self.say()
-            return response
-        keeper, number = self._driver.keeper, self._latch.number
-        if keeper is None or not self._driver.active:
-            response.success = False
-            response.message = f"the driver is {self._driver.told()}, allowed: active"
-            return response
-        order = keeper.enable(number)
-        self.say()
-        order.wait()
-        if not order.settled:
-            order.settle(f"the motors are not ready after {order.longest_s:.2g} s")
-        failure = order.failure
-        if not failure and not self._latch.open(number):
-            failure = STOPPED_SINCE
-            keeper.stop()  # whatever it has found
-        keeper.look()
-        self.say()
-        response.success, response.message = not failure, failure or self._driver.told()
-        return response
-
-    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        keeper = self._driver.keeper
-        response.success = False
-        if keeper is None or keeper.report.condition is not Condition.OFF:
-            response.message = (
-                f"the driver is {self._driver.told()}, allowed: motors off; call enable, false"
-            )
-            return response
-        order = keeper.home()
-        response.success = order.wait()
-        response.message = "the next enable finds home"
-        if not response.success:
-            response.message = order.failure or UNANSWERED
-        return response
+        return quiet if quiet > max(INPUT_TIMEOUT_S, self._guard.lasts_s) else None
 
 
 def main() -> None:

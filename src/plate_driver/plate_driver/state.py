@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 from plate_core.status import Finding, Level
 
-from .record import Record
-from .transport import Condition, Report
+from .setpoints import Statistics
+from .transports import Condition, Report
+
+__all__ = ["LOOK", "OFF", "UNANSWERED", "driver_state", "health"]
 
 READY, CALIBRATING = "ready", "calibrating"
 EMERGENCY, CUT, DISABLED = "emergency stop", "power cut", "disabled"
@@ -76,7 +78,7 @@ def _off(latch: str, reason: str) -> str:
 
 def health(
     state: str,
-    record: Record,
+    statistics: Statistics,
     retries: int,
     quiet_s: float | None,
     lasting: Sequence[str] = (),
@@ -87,7 +89,7 @@ def health(
     ----------
     state : str
         What driver_state says.
-    record : Record
+    statistics : Statistics
         Of the last second.
     retries : int
         Messages that were repeated in it.
@@ -102,11 +104,11 @@ def health(
     if word not in (READY, CALIBRATING):
         return Finding(Level.WARN, "; ".join([state, *lasting]))
     if quiet_s is not None:
-        told = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
-        return Finding(Level.STALE, "; ".join([told, *lasting]))
-    troubles = (*record.troubles, *lasting)
+        quiet = f"no plate_cycle for {quiet_s:.1f} s, the plate rests"
+        return Finding(Level.STALE, "; ".join([quiet, *lasting]))
+    problems = (*statistics.problems, *lasting)
     if retries > MANY_RETRIES:
-        troubles = (*troubles, f"{retries} messages were repeated: the line is bad")
-    if troubles:
-        return Finding(Level.WARN, ", ".join(troubles))
+        problems = (*problems, f"{retries} messages were repeated: the line is bad")
+    if problems:
+        return Finding(Level.WARN, ", ".join(problems))
     return Finding(Level.OK, "all cycles as asked")

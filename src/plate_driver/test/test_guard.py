@@ -12,13 +12,13 @@ from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.motion import corner_accel, motor_state
-from plate_driver.guard import Guard
-from plate_driver.learning import Response
+from plate_driver.calibration.response import Response
+from plate_driver.setpoints.guard import Guard
 
 RIG = load_rig()
 LIMITS = RIG.limits
 EXCESS = 1e-5
-"""What rounding may add to a limit [share]."""
+"""What rounding may add to a limit [fraction]."""
 
 SIZES = st.sampled_from([0.0, 1e-9, 1e-4, 1e-3, 0.01, 1.0, 1e4, 1e60, 1e200, np.nan, np.inf])
 TIMES = st.sampled_from([0.0, 1e-4, 0.02, 0.2, 3.0, 1e6])
@@ -131,7 +131,7 @@ class Anything(RuleBasedStateMachine):
     @rule()
     def the_plate_is_stopped(self):
         self.take(self.guard.resting(self.now))
-        assert self.guard.watchdog.fed_at is None
+        assert self.guard.table is None
 
     @precondition(lambda self: self.guard.table is None)
     @rule(gain=st.floats(0.05, 20), seed=st.integers(0, 100))
@@ -180,16 +180,16 @@ def test_when_cycles_cease_to_come_the_plate_counts_as_resting():
     assert rested.table is None
     assert rested.watched(20.0) == (rested, False)  # told once
     # Motors that hold for less than that are not taken to go on.
-    guard, _ = Guard(RIG, hold_cycles=5).holding(0.5).accepted(cycle, 1, 10.0)
+    guard, _ = Guard(RIG, hold_cycles=5, hold_s=0.5).accepted(cycle, 1, 10.0)
     assert guard.plays == 2
     assert guard.watched(10.4001)[1]
 
 
 def test_an_experiment_lasts_less_than_motors_hold_and_leaves_no_trace():
-    from plate_driver.calibration import Calibration
+    from plate_driver.calibration.calibration import Calibration
 
-    before = Guard(RIG).holding(10.0)
-    calibration = Calibration.begun(RIG)
+    before = Guard(RIG, hold_s=10.0)
+    calibration = Calibration.start(RIG)
     guard, _ = before.experimenting(calibration.cycle, 0.0)
     assert guard.plays * guard.table.cycle.period <= 10.0
     assert (guard.plays - 1) * guard.table.cycle.period >= calibration.duration - 1e-9
@@ -197,7 +197,7 @@ def test_an_experiment_lasts_less_than_motors_hold_and_leaves_no_trace():
 
 
 def test_hot_motors_get_less():
-    """At full force for minutes: the share that may be used falls to what lasts for ever."""
+    """At full force for minutes: the fraction that may be used falls to what lasts for ever."""
     limits = replace(LIMITS, continuous_force=5.0, thermal_time_s=5.0)
     small = Guard(replace(RIG, limits=limits))
     t = np.arange(64) / 64
@@ -209,5 +209,5 @@ def test_hot_motors_get_less():
         now += 0.2
     assert factors[0] == pytest.approx(max(factors))
     assert factors[-1] < 0.8 * factors[0]
-    assert float(np.max(guard.heat.now(guard.rig, now).share)) == pytest.approx(1, abs=0.02)
-    assert fit.usage.heat.max() == pytest.approx(1, abs=0.02)
+    assert float(np.max(guard.thermal.at_time(guard.rig, now).rise)) == pytest.approx(1, abs=0.02)
+    assert fit.usage.thermal_load.max() == pytest.approx(1, abs=0.02)

@@ -7,8 +7,8 @@ import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import corner_accel, motor_state
-from plate_driver.limits import ROUNDING, check_setpoints, fit
-from plate_driver.peaks import peaks
+from plate_driver.setpoints.limits import ROUNDING, check_setpoints, fit
+from plate_driver.setpoints.peaks import peaks
 
 RIG = load_rig()
 

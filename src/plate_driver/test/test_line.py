@@ -15,7 +15,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     frame,
     pack,
 )
-from plate_driver.line import HEARTBEAT_S, MOST_COPIES, LineModel, frame_bytes, upload_s
+from plate_driver.transports.line import HEARTBEAT_S, MOST_COPIES, LineModel, frame_bytes, upload_s
 
 REST = (0.0,) * 4
 ROUND = 17 + 25

@@ -25,8 +25,8 @@ from plate_core.serial_protocol import (  # fmt: skip
     Stop,
     Telemetry,
 )
-from plate_driver.line import ANSWER_S, frame_bytes
-from plate_driver.link import (
+from plate_driver.transports.line import ANSWER_S, frame_bytes
+from plate_driver.transports.link import (
     GREETING_S,
     GREETING_TRIES,
     LATER_GREETING_S,

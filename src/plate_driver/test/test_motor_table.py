@@ -6,7 +6,13 @@ from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import motor_state, plate_state
-from plate_driver.motor_table import MAX_KNOTS, RESTART_NS, MotorTable, check_order, prepare
+from plate_driver.setpoints.motor_table import (
+    MAX_KNOTS,
+    RESTART_NS,
+    MotorTable,
+    check_order,
+    prepare,
+)
 
 RIG = load_rig()
 SECOND = 1_000_000_000

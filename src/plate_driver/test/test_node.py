@@ -243,7 +243,7 @@ def test_good_and_bad_cycles(peer, rig):
 
     assert peer.until(lambda: any(r["refused"] == "6" and r["cycles"] == "6" for r in totals()))
     assert totals()[-1]["scaled"] == "1"
-    assert any(float(r["worst_limit_share"]) > 5 for r in totals())
+    assert any(float(r["worst_limit_fraction"]) > 5 for r in totals())
     assert peer.until(lambda: len(peer.states) > 0)
     assert peer.states[-1].name == motors.joint_names
 

@@ -8,8 +8,8 @@ import pytest
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import corner_accel, motor_state, quintic_pieces
 from plate_core.rig import Suspension
-from plate_driver.heat import AMBIENT_C, Heat
-from plate_driver.peaks import CERTAINTY, peaks, polynomial_peaks
+from plate_driver.setpoints.peaks import CERTAINTY, peaks, polynomial_peaks
+from plate_driver.setpoints.thermal import AMBIENT_C, ThermalState
 
 RIG = load_rig()
 MASS = RIG.plate.mass_kg
@@ -62,7 +62,9 @@ def test_forces_carry_the_plate():
     # Motors 1 and 2 push along x, at equal distances from the centre: they share it.
     assert found.force == pytest.approx(MASS * accel.max() / 2, rel=1e-5)
     expected = np.mean((MASS * accel[:-1] / 2) ** 2) / RIG.limits.continuous_force**2
-    np.testing.assert_allclose(found.heat, [expected, expected, 0, 0], rtol=1e-3, atol=1e-12)
+    np.testing.assert_allclose(
+        found.thermal_load, [expected, expected, 0, 0], rtol=1e-3, atol=1e-12
+    )
 
 
 def test_flexures_are_stretched_by_the_motors():
@@ -80,26 +82,26 @@ def test_flexures_are_stretched_by_the_motors():
 
 def test_heat_follows_its_equation():
     limits = RIG.limits
-    heat = Heat().under(np.array([0.5, 1.0, 2.0, 0.0]))
-    later = heat.now(RIG, limits.thermal_time_s)
-    np.testing.assert_allclose(later.share, (1 - np.exp(-1)) * heat.load)
-    steps = Heat().under(heat.load)
+    heat = ThermalState().under(np.array([0.5, 1.0, 2.0, 0.0]))
+    later = heat.at_time(RIG, limits.thermal_time_s)
+    np.testing.assert_allclose(later.rise, (1 - np.exp(-1)) * heat.load)
+    steps = ThermalState().under(heat.load)
     for k in range(1, 11):
-        steps = steps.now(RIG, k * limits.thermal_time_s / 10)
-    np.testing.assert_allclose(steps.share, later.share)
+        steps = steps.at_time(RIG, k * limits.thermal_time_s / 10)
+    np.testing.assert_allclose(steps.rise, later.rise)
     assert later.celsius(RIG) == pytest.approx(
         AMBIENT_C + 2 * (1 - np.exp(-1)) * limits.heat_rise_k
     )
     # The clock was put back: nothing has happened yet.
-    np.testing.assert_array_equal(later.now(RIG, 0.0).share, later.share)
+    np.testing.assert_array_equal(later.at_time(RIG, 0.0).rise, later.rise)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.999, 1.0])
-def test_there_is_room_up_to_the_limit_and_no_further(share):
-    heat = Heat(share=np.full(4, share))
-    room = heat.room(RIG, 3.0)
+@pytest.mark.parametrize("rise", [0.0, 0.5, 0.999, 1.0])
+def test_there_is_room_up_to_the_limit_and_no_further(rise):
+    heat = ThermalState(rise=np.full(4, rise))
+    room = heat.allowed_load(RIG, 3.0)
     assert np.all(room >= 1)
-    np.testing.assert_allclose(heat.under(room).now(RIG, 3.0).share, 1.0)
+    np.testing.assert_allclose(heat.under(room).at_time(RIG, 3.0).rise, 1.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,8 +9,8 @@ import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.serial_protocol import Hello, Reader, parse
-from plate_driver.motor_table import MotorTable
-from plate_driver.serial_transport import SerialTransport, knots, open_port
+from plate_driver.setpoints.motor_table import MotorTable
+from plate_driver.transports.serial import SerialTransport, knots, open_port
 
 RIG = load_rig()
 

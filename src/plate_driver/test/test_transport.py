@@ -5,23 +5,23 @@ import sys
 import pytest
 
 from plate_core import PlateError, load_rig
-from plate_driver.keeper import Keeper, Latch
-from plate_driver.motor_table import MotorTable
-from plate_driver.transport import (
+from plate_driver.setpoints.motor_table import MotorTable
+from plate_driver.transports import (
     Condition,
     SimTransport,
     Transport,
     TransportContext,
     check_transport,
-    installed,
     make_transport,
 )  # fmt: skip
+from plate_driver.transports.thread import Latch, TransportThread
+from plate_driver.transports.transport import installed
 
 RIG = load_rig()
 TABLE = MotorTable.rest(RIG, 0.05, 1)
 FOREIGN = """
 from plate_core import PlateError
-from plate_driver.transport import Condition, Order, Report
+from plate_driver.transports import Condition, Order, Report
 
 
 class Drives:
@@ -155,12 +155,12 @@ def test_a_transport_from_outside_is_found_and_driven(outside):
     transport = make_transport("drives", context(port="bus0"))
     latch = Latch()
     transport.open()
-    keeper = Keeper(transport, latch, lambda error: pytest.fail(repr(error)))
-    keeper.look()
-    assert keeper.report.condition is Condition.OFF
-    assert keeper.enable(latch.number).done
-    keeper.send(TABLE, 3, latch.number)
-    assert keeper.stop(cut=True).done
-    assert keeper.home().failure == "no home here"
-    keeper.close()
+    thread = TransportThread(transport, latch, lambda error: pytest.fail(repr(error)))
+    thread.poll()
+    assert thread.report.condition is Condition.OFF
+    assert thread.enable(latch.number).done
+    thread.send(TABLE, 3, latch.number)
+    assert thread.stop(cut=True).done
+    assert thread.home().failure == "no home here"
+    thread.close()
     assert transport.log == ["open", 3, "cut", "stop", "close"]

@@ -1,4 +1,4 @@
-"""A transport in a thread of its own: nothing that messages do can hold up a stop."""
+"""A transport in a thread of its own, so that no message can delay a stop; and the latch."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import TypeVar
 
 from plate_core import CycleError, PlateError
 
-from .motor_table import MotorTable
+from ..setpoints import MotorTable
 from .transport import Condition, Measured, Order, Report, Transport
 
 T = TypeVar("T")
 
 POLL_PERIOD_S = 0.005
-"""Time between two looks at the transport [s]: an upload takes some ten of them."""
+"""Time between two polls of the transport [s]: an upload takes some ten of them."""
 
 STOPPED_SINCE = "another stop has come since; call enable again"
 
@@ -27,7 +27,6 @@ BUSY_S, CLOSE_S = 0.3, 2.0
 
 REMEMBERED = 2000
 """Measurements that are kept until somebody asks for them: 20 s of them."""
-
 
 URGENT = -15
 """Niceness of the threads that stop motors, where the system allows it (CAP_SYS_NICE)."""
@@ -86,22 +85,22 @@ class Latch:
             return True
 
 
-class Keeper:
-    """Looks after a transport every few milliseconds; everyone else speaks to it through here.
+class TransportThread:
+    """Polls a transport every few milliseconds; everyone else speaks to it through here.
 
     Parameters
     ----------
     transport : Transport
         Already open.
     latch : Latch
-    wrong : callable
-        Told what a defect of the transport raises: the motors are stopped then, and count as gone.
+    on_defect : callable
+        Gets what a defect of the transport raises: the motors are stopped then, and count as gone.
     """
 
     def __init__(
-        self, transport: Transport, latch: Latch, wrong: Callable[[Exception], None]
+        self, transport: Transport, latch: Latch, on_defect: Callable[[Exception], None]
     ) -> None:
-        self._transport, self._latch, self._wrong = transport, latch, wrong
+        self._transport, self._latch, self._on_defect = transport, latch, on_defect
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._measured: deque[Measured] = deque(maxlen=REMEMBERED)
@@ -111,36 +110,33 @@ class Keeper:
 
     @property
     def motors(self) -> bool:
-        """Whether there are motors that need an enable."""
+        """See `Transport`, like the other three."""
         return self._transport.motors
 
     @property
     def calibrates(self) -> bool:
-        """Whether what it measures is good for a calibration."""
         return self._transport.calibrates
 
     @property
     def max_knots(self) -> int:
-        """Most knots of a table."""
         return self._transport.max_knots
 
     @property
     def hold_s(self) -> float:
-        """Longest time for which a table is played again [s]."""
         return self._transport.hold_s
 
     def start(self) -> None:
-        """Begin to look after it."""
+        """Begin to poll."""
         self._thread.start()
 
-    def look(self) -> None:
-        """Look after it once."""
+    def poll(self) -> None:
+        """Poll once."""
         with self._lock:
-            self._tried(self._looked)
+            self._tried(self._polled)
             if self.report.condition is Condition.OFF:
                 self._latch.unanswered = False  # whatever became of the answer
 
-    def _looked(self) -> None:
+    def _polled(self) -> None:
         self._measured.extend(self._transport.poll())
         self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
         self.report = self._transport.report()
@@ -159,13 +155,13 @@ class Keeper:
             self.report = Report(Condition.GONE, f"the transport has a defect: {error!r}")
             with contextlib.suppress(Exception):  # the same defect, most likely
                 self._transport.stop()
-            self._wrong(error)
+            self._on_defect(error)
             return None
 
     def _run(self) -> None:
         with urgent():
             while not self._ended.wait(POLL_PERIOD_S):
-                self.look()
+                self.poll()
 
     def _ordered(self, ask: Callable[[], Order]) -> Order:
         """Ask the transport for something that a person wants."""
@@ -225,15 +221,15 @@ class Keeper:
     def measured(self) -> list[Measured]:
         """Return what was measured since the last call."""
         with self._lock:
-            told = list(self._measured)
+            measured = list(self._measured)
             self._measured.clear()
-            return told
+            return measured
 
     def troubles(self) -> list[str]:
         """Return what went wrong since the last call."""
         with self._lock:
-            told, self._troubles = self._troubles, []
-            return told
+            troubles, self._troubles = self._troubles, []
+            return troubles
 
     def values(self) -> dict[str, str]:
         """Return what is to be reported since the last call."""

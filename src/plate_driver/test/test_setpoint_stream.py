@@ -1,11 +1,11 @@
-"""Cycles as an endless row of setpoints."""
+"""Cycles as an endless stream of setpoints."""
 
 import numpy as np
 from scipy.interpolate import BPoly
 
 from plate_core import PlateCycle, load_rig
-from plate_driver.motor_table import MotorTable
-from plate_driver.unrolled import LONGEST_S, TICKS, Unrolled, finer, knots
+from plate_driver.setpoints.motor_table import MotorTable
+from plate_driver.setpoints.setpoint_stream import LONGEST_S, TICKS, SetpointStream, knots, refined
 
 RIG = load_rig()
 
@@ -18,9 +18,9 @@ def cycle(period: float, count: int, seed: int) -> MotorTable:
     return MotorTable.of(RIG, PlateCycle.from_knots(t, *states), 1)
 
 
-def test_finer_pieces_are_the_same_motion():
+def test_refined_pieces_are_the_same_motion():
     table = cycle(0.5, 5, 0)
-    made = finer(table)
+    made = refined(table)
     t = np.array([k.ticks * 1e-8 for k in made])
     assert np.max(np.diff(t)) <= LONGEST_S + 1e-8
     ends = np.stack([table.q, table.qd, table.qdd], axis=1)
@@ -33,18 +33,18 @@ def test_finer_pieces_are_the_same_motion():
 
 def test_a_fine_table_stays_as_it_is():
     table = cycle(0.2, 49, 1)
-    assert finer(table) == knots(table)
+    assert refined(table) == knots(table)
 
 
 def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
     first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
-    row, told = Unrolled.of(first, 9).until(0.3)
-    assert told[0] == first[0]
-    assert abs(row.time - 0.3) <= 0.025
-    row = row.followed_by(second, 9)
-    row, more = row.until(0.7)
-    both = [*told, *more]
-    assert row.told == len(both)
+    stream, sent = SetpointStream.of(first, 9).until(0.3)
+    assert sent[0] == first[0]
+    assert abs(stream.time - 0.3) <= 0.025
+    stream = stream.followed_by(second, 9)
+    stream, more = stream.until(0.7)
+    both = [*sent, *more]
+    assert stream.sent == len(both)
     assert [k.ticks for k in both] == [2_500_000 * i for i in range(len(both))]
     states = [(k.position, k.velocity) for k in both]
     wanted = [*first, *first[1:], *second[1:], *second[1:]]
@@ -52,27 +52,27 @@ def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
 
 
 def test_times_wrap():
-    row = Unrolled.of(knots(cycle(0.2, 9, 2)), 1000)
-    row, told = row.until(50.0)
-    ticks = np.array([k.ticks for k in told])
+    stream = SetpointStream.of(knots(cycle(0.2, 9, 2)), 1000)
+    stream, sent = stream.until(50.0)
+    ticks = np.array([k.ticks for k in sent])
     assert np.all(np.diff(ticks) % TICKS == 2_500_000)
     assert ticks.max() < TICKS
 
 
-def test_a_row_ends_at_rest_when_its_cycles_have_been_told():
+def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
     cycle_knots = knots(cycle(0.2, 9, 2))
-    row, told = Unrolled.of(cycle_knots, 3).until(50.0)
-    assert row.ended
-    assert len(told) == 3 * 8 + 1 + 1
-    assert told[-2].ticks == 60_000_000
-    last = told[-1]
+    stream, sent = SetpointStream.of(cycle_knots, 3).until(50.0)
+    assert stream.ended
+    assert len(sent) == 3 * 8 + 1 + 1
+    assert sent[-2].ticks == 60_000_000
+    last = sent[-1]
     assert not any((*last.position, *last.velocity, *last.acceleration))
-    assert 0 < last.ticks - told[-2].ticks <= 5_000_000  # no piece may be longer
-    assert abs(row.time - last.ticks * 1e-8) < 1e-12
-    assert row.until(60.0) == (row, ())
+    assert 0 < last.ticks - sent[-2].ticks <= 5_000_000  # no piece may be longer
+    assert abs(stream.time - last.ticks * 1e-8) < 1e-12
+    assert stream.until(60.0) == (stream, ())
     # The way to rest: no acceleration beyond what there was, hardly any way.
-    ends = [[k.position[0], k.velocity[0], 100.0 if k is told[-2] else 0.0] for k in told[-2:]]
-    way = BPoly.from_derivatives([0.0, (last.ticks - told[-2].ticks) * 1e-8], ends)
+    ends = [[k.position[0], k.velocity[0], 100.0 if k is sent[-2] else 0.0] for k in sent[-2:]]
+    way = BPoly.from_derivatives([0.0, (last.ticks - sent[-2].ticks) * 1e-8], ends)
     t = np.linspace(0, way.x[-1], 200)
     assert np.max(np.abs(way(t, 2))) <= 100.0 * (1 + 1e-9)
     assert np.max(np.abs(way(t))) < 2e-4
@@ -80,6 +80,6 @@ def test_a_row_ends_at_rest_when_its_cycles_have_been_told():
 
 def test_a_newer_cycle_begins_the_count_anew():
     first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
-    row, _ = Unrolled.of(first, 2).until(0.3)
-    row, _ = row.followed_by(second, 3).until(50.0)
-    assert abs(row.time - (0.4 + 0.6 + 0.01)) < 1e-9
+    stream, _ = SetpointStream.of(first, 2).until(0.3)
+    stream, _ = stream.followed_by(second, 3).until(50.0)
+    assert abs(stream.time - (0.4 + 0.6 + 0.01)) < 1e-9

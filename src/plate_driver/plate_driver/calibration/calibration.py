@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
@@ -14,20 +16,20 @@ import numpy as np
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import plate_state
 
-from .learning import (
+from ..transports import Measured
+from .response import (
     Response,
     excitation,
-    fitted,
+    fit_harmonics,
     harmonics,
     identified,
     plate_amplitudes,
     pose_harmonics,
 )
-from .transport import Measured
 
 PERIOD_S = 1.033
 """Of the motions [s]: harmonics are then 1 Hz apart, finer than a resonance is wide; and samples
-every 10 ms fall on other places of each cycle, so that they tell more than 50 harmonics."""
+every 10 ms fall on other places of each cycle, so that they resolve more than 50 harmonics."""
 
 COUNT = 150
 """Harmonics: up to 145 Hz. Well beyond what motions consist of, to begin and end them at rest."""
@@ -39,10 +41,10 @@ SETTLE, MEASURE = 2, 6
 """Cycles until the plate has found its rhythm, and that are measured then."""
 
 SLOWEST = 4
-"""Harmonics that tell when a cycle began: up to 3.9 Hz."""
+"""Harmonics that show when a cycle began: up to 3.9 Hz."""
 
 FOLLOWED = 0.2
-"""Least share of the slow motion that the plate must do: else the motors are off, or miswired."""
+"""Least fraction of the slow motion that the plate must do; else motors are off, or miswired."""
 
 RESPONSE_BYTES = 32_768
 """Length of a response's file, and more [bytes]."""
@@ -77,7 +79,7 @@ class Calibration:
     measure: int = MEASURE
 
     @classmethod
-    def begun(cls, rig: Rig, seed: int = 0) -> Calibration:
+    def start(cls, rig: Rig, seed: int = 0) -> Calibration:
         """Return the calibration at its beginning."""
         rng = np.random.default_rng(seed)
         axes = range(len(AXES))
@@ -96,13 +98,13 @@ class Calibration:
 
     @property
     def progress(self) -> str:
-        """Say how far it is."""
+        """How far it is, in words."""
         done = len(self.measured)
         if done == len(self.cycles):
             return "done"
         return f"shaking {AXES[done]}, experiment {done + 1} of {len(self.cycles)}"
 
-    def heard(
+    def with_experiment(
         self, t: np.ndarray, q: np.ndarray, qdd: np.ndarray, played: PlateCycle | None = None
     ) -> Calibration:
         """Return the calibration after an experiment.
@@ -112,7 +114,7 @@ class Calibration:
         t : (n,)
             Times since a cycle's start [s].
         q, qdd : (n, 4)
-            Travel [m] and acceleration [m/s2] that the motors' sensors told then.
+            Travel [m] and acceleration [m/s2] that the motors' sensors measured then.
         played : PlateCycle, optional
             What was commanded, if the rig's limits made it less than `cycle`.
 
@@ -134,8 +136,8 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Run:
-    """An experiment under way, and what its sensors have said.
+class Experiment:
+    """An experiment under way, and what the sensors have measured.
 
     Attributes
     ----------
@@ -159,15 +161,11 @@ class Run:
         assert self.calibration.cycle is not None
         return self.calibration.cycle
 
-    def playing(self, played: PlateCycle) -> Run:
-        """Return the run whose cycle was sent as `played`."""
-        return replace(self, played=played)
-
-    def noted(self, told: Measured) -> Run:
-        """Return the run with a sample; it begins anew where another table does, or none plays."""
-        sample = told.device_s, told.position, told.acceleration
-        if told.table == 0 or told.table != self.table:
-            return replace(self, table=told.table, samples=())
+    def with_sample(self, new: Measured) -> Experiment:
+        """Return it with a sample; it begins anew where another table does, or none plays."""
+        sample = new.device_s, new.position, new.acceleration
+        if new.table == 0 or new.table != self.table:
+            return replace(self, table=new.table, samples=())
         return replace(self, samples=(*self.samples, sample))
 
     @property
@@ -177,7 +175,7 @@ class Run:
             return False
         return self.samples[-1][0] - self.samples[0][0] >= self.calibration.duration
 
-    def heard(self) -> Calibration:
+    def finished(self) -> Calibration:
         """Return the calibration after this experiment.
 
         Raises
@@ -190,7 +188,7 @@ class Run:
         time, q, qdd = time[kept] - time[kept][0], q[kept], qdd[kept]
         played = self.played or self.cycle
         time = aligned(self.calibration.rig, played, time, q)
-        return self.calibration.heard(time, q, qdd, played)
+        return self.calibration.with_experiment(time, q, qdd, played)
 
 
 def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -207,7 +205,7 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
     """
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
-    found = fitted(t, pose, cycle.period, COUNT)[:SLOWEST]
+    found = fit_harmonics(t, pose, cycle.period, COUNT)[:SLOWEST]
     asked = pose_harmonics(cycle, SLOWEST)[1:]
     turn = np.sum(found * np.conj(asked), axis=1)
     followed = float(np.sum(np.abs(turn)) / np.sum(np.abs(asked) ** 2))
@@ -224,24 +222,15 @@ def aligned(rig: Rig, cycle: PlateCycle, t: np.ndarray, q: np.ndarray) -> np.nda
 
 
 def check_writable(path: str | Path) -> None:
-    """See whether a response can be written to a file, before the plate is shaken for it.
+    """Check that a response can be written to a file, before the plate is shaken for it.
 
     Raises
     ------
     PlateError
         If it cannot.
     """
-    draft = Path(path).with_name(f".{Path(path).name}.{os.getpid()}")
-    try:
-        with draft.open("wb") as file:
-            file.write(bytes(RESPONSE_BYTES))
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
+    with _draft(path) as file:
+        file.write(bytes(RESPONSE_BYTES))
 
 
 def save_response(path: str | Path, response: Response) -> None:
@@ -252,20 +241,27 @@ def save_response(path: str | Path, response: Response) -> None:
     PlateError
         If that cannot be written.
     """
+    with _draft(path, keeps=True) as file:
+        np.savez(file, frequency=response.frequency, matrix=response.matrix, lever=response.lever)
+
+
+@contextlib.contextmanager
+def _draft(path: str | Path, keeps: bool = False) -> Iterator[BinaryIO]:
+    """Open a file beside `path`, which takes its place once all is on the disk, or is removed."""
     path = Path(path)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with draft.open("wb") as file:
-            np.savez(
-                file, frequency=response.frequency, matrix=response.matrix, lever=response.lever
-            )
+            yield file
             file.flush()
             os.fsync(file.fileno())
-        draft.replace(path)
+        if keeps:
+            draft.replace(path)
     except OSError as error:
+        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
+    finally:
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
-        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
 
 
 def saved_response(path: str | Path) -> Response:

@@ -1,4 +1,4 @@
-"""Motor tables over a serial port: opens it, keeps the link alive, begins anew when it fails."""
+"""The transport to a motor controller on a serial port, which it reopens when the link fails."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ from plate_core.serial_protocol import (
     parse,
 )
 
+from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays, refined
 from .line import upload_s
 from .link import Link
-from .motor_table import MAX_KNOTS, MotorTable, plays
 from .transport import Condition, Measured, Order, Report, TransportContext
-from .unrolled import Unrolled, finer, knots
 
 BAUD = 921_600
 
@@ -44,9 +43,6 @@ REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
-
-JOINED_S = 0.15
-"""Least lead with which a stream that is about to end goes on [s]; else a new one is begun."""
 
 QUIET_S = 0.5
 """So long, and a round trip, without a word, and the device does not answer [s]."""
@@ -175,8 +171,8 @@ class SerialTransport:
         self._reset = False  # and not enabled since
         self._closed = False
         self._streams, self._baud = streams, baud
-        self._row: Unrolled | None = None
-        self._row_began: float | None = None  # on the device's clock [s]
+        self._streamed: SetpointStream | None = None
+        self._stream_began: float | None = None  # on the device's clock [s]
         self._next: tuple[MotorTable, int] | None = None  # begins the next stream
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
@@ -184,15 +180,15 @@ class SerialTransport:
         self._reader = Reader()
         self._link = Link.begun(self._session, clock(), baud)
         self._stops: list[Order] = []
-        self._wish: Order | None = None  # an enable or a home
+        self._request: Order | None = None  # an enable or a home
         self._cut = False
         self._table = 0
         self._failures = 0
         self._reopen_at = 0.0
-        self._gone = UNANSWERED
+        self._gone_reason = UNANSWERED
         self._troubles: list[str] = []
-        self._stop_told = -1
-        self._followed_m = self._load = 0.0
+        self._stop_noted = -1
+        self._following_m = self._load = 0.0
         self.refused = 0
         self.retries = 0
 
@@ -239,8 +235,8 @@ class SerialTransport:
         if not self._streams:
             self._table = self._table % 65_535 + 1
             self._link = self._link.uploading(self._table, knots(table), repeats)
-        elif self._row is not None and not self._row.ended:
-            self._row = self._row.followed_by(finer(table), repeats)
+        elif self._streamed is not None and not self._streamed.ended:
+            self._streamed = self._streamed.followed_by(refined(table), repeats)
         else:
             self._next = table, repeats
         self.poll()
@@ -262,42 +258,42 @@ class SerialTransport:
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
                     measured.append(_measured(telemetry, min(when, now)))
-            self._settle()
-            self._stream(now)
+            self._settle_orders()
+            self._feed_stream(now)
             link, due = self._link.due(now)
             self.retries += link.retries - self._link.retries
             self._link = link
             if due:
                 self._write(self._port, due)
         except OSError as error:
-            self._fail(f"serial port: {error}", now)
+            self._give_up(f"serial port: {error}", now)
             return measured
         if self._link.failed:
-            self._fail(self._link.failed, now)
+            self._give_up(self._link.failed, now)
         elif self._link.refusal:
-            self._tell(self._link.refusal)
-            self._link = self._link.forgiven()
-            self._row = None  # the device would miss what follows, and brakes
+            self._note(self._link.refusal)
+            self._link = self._link.without_refusal()
+            self._streamed = None  # the device would miss what follows, and brakes
         return measured
 
     def report(self) -> Report:
         """Say what the device says that the motors do."""
-        told, now = self._link.told, self._clock()
-        if self._port is None or self._link.device is None or told is None:
-            return Report(Condition.GONE, self._gone)
+        telemetry, now = self._link.telemetry, self._clock()
+        if self._port is None or self._link.device is None or telemetry is None:
+            return Report(Condition.GONE, self._gone_reason)
         longest = QUIET_S + self._link.line.round_s
         if now - self._link.heard_at > longest:
             return Report(Condition.GONE, UNANSWERED)
-        if now - self._link.told_at > longest:
+        if now - self._link.telemetry_at > longest:
             return Report(Condition.GONE, "the device does not tell its state")
         if self._unfit:
             return Report(Condition.GONE, self._unfit)
         # Where home is not known the next enable finds it: that is no reason to look at the rig.
-        faults = told.faults & ~Fault.NO_HOME
-        reason = named(faults) if told.state in (State.OFF, State.BRAKING) else ""
-        if told.state is State.OFF and self._reset:
+        faults = telemetry.faults & ~Fault.NO_HOME
+        reason = named(faults) if telemetry.state in (State.OFF, State.BRAKING) else ""
+        if telemetry.state is State.OFF and self._reset:
             reason = "the device was reset"
-        return Report(CONDITIONS[told.state], reason)
+        return Report(CONDITIONS[telemetry.state], reason)
 
     @property
     def busy(self) -> bool:
@@ -306,8 +302,8 @@ class SerialTransport:
 
     def troubles(self) -> list[str]:
         """Return what went wrong since the last call."""
-        told, self._troubles = self._troubles, []
-        return told
+        troubles, self._troubles = self._troubles, []
+        return troubles
 
     def values(self) -> dict[str, str]:
         """Return what is to be reported since the last call, name to value."""
@@ -319,17 +315,17 @@ class SerialTransport:
         }
         if link.line.trip_s is not None:
             values["round_trip_ms"] = f"{1e3 * link.line.trip_s:.1f}"
-        if link.told is not None:
+        if link.telemetry is not None:
             values |= {
-                "device_state": link.told.state.name.lower(),
-                "faults": named(link.told.faults) or "none",
-                "stop": str(link.told.stop),
-                "following_error_mm": f"{1e3 * self._followed_m:.3f}",
+                "device_state": link.telemetry.state.name.lower(),
+                "faults": named(link.telemetry.faults) or "none",
+                "stop": str(link.telemetry.stop),
+                "following_error_mm": f"{1e3 * self._following_m:.3f}",
                 "following_watched": "yes" if link.device and link.device.following_m else "no",
-                "device_heat": f"{link.told.heat:.4f}",
+                "device_thermal_load": f"{link.telemetry.heat:.4f}",
                 "device_load": f"{self._load:.3f}",
             }
-            self._followed_m, self._load = link.told.following_m, link.told.load
+            self._following_m, self._load = link.telemetry.following_m, link.telemetry.load
         if np.isfinite(lead):
             values["least_lead_ms"] = f"{1e3 * lead:.1f}"
         return values
@@ -338,8 +334,8 @@ class SerialTransport:
 
     def stop(self, cut: bool = False) -> Order:
         """Have the device brake, or take the current away at once; all else is forgotten."""
-        self._row = self._next = None
-        self._grant("another stop has come since; call enable again")
+        self._streamed = self._next = None
+        self._settle_request("another stop has come since; call enable again")
         order = self._ordered(STOP_ANSWER_S)
         if self._closed:
             return order.settle(UNANSWERED)
@@ -351,17 +347,17 @@ class SerialTransport:
 
     def enable(self) -> Order:
         """Ask for current, once, after the stop that the device tells now."""
-        told = self._link.told
+        telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
             return order.settle(self._unfit)
-        if self.report().condition is Condition.GONE or told is None:
+        if self.report().condition is Condition.GONE or telemetry is None:
             return order.settle(UNANSWERED)
-        if self._stops or self._link.telemetry is None:  # nobody knows which stop it would clear
-            return order.settle("the last stop is not told by the device yet; call enable again")
-        if self._wish is not None:
+        if self._stops or self._link.fresh_telemetry is None:  # which stop would it clear?
+            return order.settle("the device has not reported the last stop yet; call enable again")
+        if self._request is not None:
             return order.settle("another enable or home is not answered yet")
-        self._wish, self._link = order, self._link.enabling(told.stop)
+        self._request, self._link = order, self._link.enabling(telemetry.stop)
         self.poll()
         return order
 
@@ -370,26 +366,26 @@ class SerialTransport:
         order = self._ordered(HOME_ANSWER_S)
         if self.report().condition is Condition.GONE:
             return order.settle(UNANSWERED)
-        if self._stops or self._wish is not None:
+        if self._stops or self._request is not None:
             return order.settle("a stop, an enable or a home is not answered yet")
-        self._wish, self._link = order, self._link.homing()
+        self._request, self._link = order, self._link.homing()
         self.poll()
         return order
 
     def close(self) -> None:
         """Have the device brake unless its motors are off, and release the port."""
-        told = self._link.told
-        off = told is not None and told.state is State.OFF
+        telemetry = self._link.telemetry
+        off = telemetry is not None and telemetry.state is State.OFF
         if self._port is not None and not self._stops and not off:
             self.stop()
-        self._row = self._next = None
+        self._streamed = self._next = None
         self._closed = True
         self._release()
 
     def _ordered(self, longest_s: float) -> Order:
         return Order(longest_s + 4 * self._link.line.round_s)
 
-    def _settle(self) -> None:
+    def _settle_orders(self) -> None:
         """Tell those who wait what has become of their order."""
         answer = self._link.answer
         if answer is None or answer.status is None:
@@ -399,24 +395,24 @@ class SerialTransport:
             for order in self._stops:
                 order.settle(failure)
             self._stops, self._cut = [], False
-        elif self._wish is None:
+        elif self._request is None:
             return
         elif failure or isinstance(answer.message, Home):
-            self._grant(failure)
-        elif isinstance(answer.message, Enable) and self._link.telemetry is not None:
-            state = self._link.telemetry.state
+            self._settle_request(failure)
+        elif isinstance(answer.message, Enable) and self._link.fresh_telemetry is not None:
+            state = self._link.fresh_telemetry.state
             if state in (State.READY, State.PLAYING):
                 self._reset = False
-                self._grant()
+                self._settle_request()
             elif state is not State.HOMING:
-                reason = named(self._link.telemetry.faults)
-                self._grant(f"it has stopped again: {reason}")
+                reason = named(self._link.fresh_telemetry.faults)
+                self._settle_request(f"it has stopped again: {reason}")
 
-    def _grant(self, failure: str = "") -> None:
+    def _settle_request(self, failure: str = "") -> None:
         """Say what has become of the enable or home that somebody waits for."""
-        wish, self._wish = self._wish, None
-        if wish is not None:
-            wish.settle(failure)
+        request, self._request = self._request, None
+        if request is not None:
+            request.settle(failure)
 
     # The line
 
@@ -424,9 +420,9 @@ class SerialTransport:
         # A zero first ends whatever noise has left on the line.
         data = b"\0" + b"".join(frame(pack(packet)) for packet in due)
         if port.write(data) != len(data):
-            self._tell("serial line is full: what is lost is repeated")
+            self._note("serial line is full: what is lost is repeated")
 
-    def _tell(self, trouble: str) -> None:
+    def _note(self, trouble: str) -> None:
         if trouble not in self._troubles:
             self._troubles.append(trouble)
 
@@ -439,18 +435,18 @@ class SerialTransport:
         before = self._link.device
         self._link = self._link.heard(packet, now)
         if before is None and self._link.device is not None:
-            self._failures, self._gone = 0, UNANSWERED
+            self._failures, self._gone_reason = 0, UNANSWERED
             self._greeted(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
             return None
-        self._followed_m = max(self._followed_m, message.following_m)
+        self._following_m = max(self._following_m, message.following_m)
         self._load = max(self._load, message.load)
-        if message.faults & ~(Fault.STOPPED | Fault.NO_HOME) and message.stop != self._stop_told:
-            self._stop_told = message.stop
-            self._tell(f"device has stopped: {named(message.faults)}{self._strayed(message)}")
+        if message.faults & ~(Fault.STOPPED | Fault.NO_HOME) and message.stop != self._stop_noted:
+            self._stop_noted = message.stop
+            self._note(f"device has stopped: {named(message.faults)}{self._following(message)}")
         if message.state not in (State.READY, State.PLAYING):
-            self._row = self._next = None
+            self._streamed = self._next = None
         # Until a pulse has come nobody knows when it was.
         return message if np.isfinite(self._link.clock.trip_s) else None
 
@@ -460,45 +456,46 @@ class SerialTransport:
         self._boot = device.boot
         self._unfit = "" if self._limits is None else differing(device, self._limits)
         if self._unfit:
-            self._tell(self._unfit)
+            self._note(self._unfit)
 
-    def _strayed(self, told: Telemetry) -> str:
+    def _following(self, telemetry: Telemetry) -> str:
         device = self._link.device
-        if not told.faults & Fault.FOLLOWING or device is None:
+        if not telemetry.faults & Fault.FOLLOWING or device is None:
             return ""
-        most, allowed = 1e3 * self._followed_m, 1e3 * device.following_m
-        return f" (a motor was {most:.2g} mm from where it was told to be, allowed: {allowed:.2g})"
+        most, allowed = 1e3 * self._following_m, 1e3 * device.following_m
+        return f" (a motor was {most:.2g} mm from its setpoint, allowed: {allowed:.2g})"
 
     def _lead(self, now: float) -> float:
         """How far the stream is ahead of the device [s]; infinite if none plays, or it ends."""
-        if self._row is None or self._row_began is None or self._row.ended:
+        if self._streamed is None or self._stream_began is None or self._streamed.ended:
             return float("inf")
-        return self._row.time - (now - self._link.clock.offset_s - self._row_began)
+        return self._streamed.time - (now - self._link.clock.offset_s - self._stream_began)
 
-    def _stream(self, now: float) -> None:
+    def _feed_stream(self, now: float) -> None:
         """Add to the stream what keeps it `LEAD_S` ahead of the device, or begin the next one."""
-        row, told = self._row, self._link.telemetry
-        if told is None:
+        stream, telemetry = self._streamed, self._link.fresh_telemetry
+        if telemetry is None:
             return
-        if row is not None and row.ended and told.state is State.READY and not self.busy:
-            row = self._row = None
-        if row is None:
-            if self._next is not None and told.state is State.READY:
+        ready = telemetry.state is State.READY
+        if stream is not None and stream.ended and ready and not self.busy:
+            stream = self._streamed = None
+        if stream is None:
+            if self._next is not None and ready:
                 (table, repeats), self._next = self._next, None
                 self._table = self._table % 65_535 + 1
-                self._row, first = Unrolled.of(finer(table), repeats).until(LEAD_S)
-                self._row_began = None
+                self._streamed, first = SetpointStream.of(refined(table), repeats).until(LEAD_S)
+                self._stream_began = None
                 self._link = self._link.streaming(self._table, first)
             return
-        if told.table != self._table or not np.isfinite(self._link.clock.trip_s):
+        if telemetry.table != self._table or not np.isfinite(self._link.clock.trip_s):
             return  # it does not play yet, or nobody knows what the time is there
-        if self._row_began is None:
-            self._row_began = told.device_us * 1e-6
-        if row.ended:
+        if self._stream_began is None:
+            self._stream_began = telemetry.device_us * 1e-6
+        if stream.ended:
             return
-        self._row, more = row.until(row.time - self._lead(now) + LEAD_S)
+        self._streamed, more = stream.until(stream.time - self._lead(now) + LEAD_S)
         if more:
-            self._link = self._link.adding(self._table, row.told, more)
+            self._link = self._link.adding(self._table, stream.sent, more)
 
     def _connect(self, port: Port) -> None:
         self._port, self._reader = port, Reader()
@@ -513,13 +510,13 @@ class SerialTransport:
         try:
             self._connect(self._make_port())
         except PlateError as error:
-            self._fail(str(error), now)
+            self._give_up(str(error), now)
 
-    def _fail(self, reason: str, now: float) -> None:
-        self._tell(reason)
-        self._gone = reason
-        self._row = self._next = None
-        self._grant(reason)
+    def _give_up(self, reason: str, now: float) -> None:
+        self._note(reason)
+        self._gone_reason = reason
+        self._streamed = self._next = None
+        self._settle_request(reason)
         self._release()
         self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
         self._failures += 1
@@ -530,7 +527,7 @@ class SerialTransport:
             try:
                 port.close()
             except OSError as error:
-                self._tell(f"serial port: {error}")
+                self._note(f"serial port: {error}")
 
 
 def named(faults: Fault) -> str:
@@ -560,5 +557,6 @@ def _refused(status: Status) -> str:
     return REFUSED.get(status, f"the device answers: {status.name.lower().replace('_', ' ')}")
 
 
-def _measured(told: Telemetry, time: float) -> Measured:
-    return Measured(time, told.device_us * 1e-6, told.table, told.position, told.acceleration)
+def _measured(telemetry: Telemetry, time: float) -> Measured:
+    device_s, table = telemetry.device_us * 1e-6, telemetry.table
+    return Measured(time, device_s, table, telemetry.position, telemetry.acceleration)

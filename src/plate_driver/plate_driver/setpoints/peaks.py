@@ -12,7 +12,7 @@ from plate_core.motion import motor_state, quintic_pieces
 from plate_core.rig import mass_matrix
 
 CERTAINTY = 1e-6
-"""A peak is told too high by this share of its value at most."""
+"""A peak is told too high by this fraction of its value at most."""
 
 MOST_PIECES = 4000
 """More halves than this, beyond the motion's own pieces, are not looked at: the bound so far is the
@@ -37,27 +37,27 @@ class Peaks:
         Of the plate's corners [m/s2], so of any point of the plate: it is convex in the point.
     force : float
         Of the motor that pushes hardest [N].
-    heat : (4,)
+    thermal_load : (4,)
         Mean square force of each motor over that of its continuous force [-].
     worst : float
-        Greatest of them as a share of its limit; of heat the root.
+        Greatest of them as a fraction of its limit; of the thermal load its root.
     """
 
     stroke_m: float
     speed: float
     accel: float
     force: float
-    heat: np.ndarray
+    thermal_load: np.ndarray
     worst: float
 
 
-def peaks(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Peaks:
+def peaks(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Peaks:
     """Return the peaks of a plate cycle, its motors on the quintics through the cycle's knots.
 
     Parameters
     ----------
-    heat : (4,) or float
-        What is allowed of `Peaks.heat`; more than 1 for motors that are cold.
+    thermal_load : (4,) or float
+        What is allowed of `Peaks.thermal_load`; more than 1 for motors that are cold.
     """
     limits, steps = rig.limits, np.diff(cycle.times)
     q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
@@ -67,12 +67,12 @@ def peaks(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Peaks:
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
     accel = _corner_peak(rig, cycle)
-    warmth = mean_square(pushes, steps) / limits.continuous_force**2
+    load = mean_square(pushes, steps) / limits.continuous_force**2
     worst = max(
         stroke / limits.stroke_m, speed / limits.speed, accel / limits.accel, force / limits.force,
-        float(np.sqrt(np.max(warmth / heat))),
+        float(np.sqrt(np.max(load / thermal_load))),
     )  # fmt: skip
-    return Peaks(stroke, speed, accel, force, warmth, worst)
+    return Peaks(stroke, speed, accel, force, load, worst)
 
 
 def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
@@ -84,19 +84,19 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     point = np.array([motor.point for motor in rig.motors])
     direction = np.array([motor.direction for motor in rig.motors])
     turn = point[:, 0] * direction[:, 1] - point[:, 1] * direction[:, 0]
-    share = np.linalg.pinv(np.stack([direction[:, 0], direction[:, 1], turn]))
+    inverse = np.linalg.pinv(np.stack([direction[:, 0], direction[:, 1], turn]))
     pose = cycle.coefficients
-    hung = rig.suspension
-    if hung is None:
+    suspension = rig.suspension
+    if suspension is None:
         sides = rig.plate.length_m**2 + rig.plate.width_m**2
         need = _padded(derivative(pose, 2)) @ np.array(
             mass_matrix(rig.plate.mass_kg, rig.plate.mass_kg * sides / 12)
         )
     else:
-        need = pose @ np.array(hung.stiffness)
-        need = need + _padded(derivative(pose)) @ np.array(hung.damping)
-        need = need + _padded(derivative(pose, 2)) @ np.array(hung.mass)
-    return np.asarray(need @ share.T)
+        need = pose @ np.array(suspension.stiffness)
+        need = need + _padded(derivative(pose)) @ np.array(suspension.damping)
+        need = need + _padded(derivative(pose, 2)) @ np.array(suspension.mass)
+    return np.asarray(need @ inverse.T)
 
 
 def polynomial_peaks(

@@ -121,7 +121,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Link:
-    """What the host knows of the device, and what it has yet to tell it.
+    """What the host knows of the device, and what it has yet to send.
 
     Attributes
     ----------
@@ -137,11 +137,11 @@ class Link:
         The newest table, while another one is still on its way.
     device : Capabilities or None
         None until it has answered.
-    told : Telemetry or None
-        The last one.
-    told_at : float
-        When it came [s].
     telemetry : Telemetry or None
+        The last one.
+    telemetry_at : float
+        When it came [s].
+    fresh_telemetry : Telemetry or None
         The same, but None after each command that changes what it says, until the next one.
     answer : Answer or None
         What became of the last Stop, Enable or Home.
@@ -150,7 +150,7 @@ class Link:
     failed : str
         Why the link is of no use any more; empty while it is.
     refusal : str
-        What the device refused since the last `forgiven`.
+        What the device refused since the last `without_refusal`.
     retries : int
         Messages repeated so far.
     """
@@ -162,9 +162,9 @@ class Link:
     next_table: tuple[Message, ...] = ()
     sequence: int = 0
     device: Capabilities | None = None
-    told: Telemetry | None = None
-    told_at: float = float("-inf")
     telemetry: Telemetry | None = None
+    telemetry_at: float = float("-inf")
+    fresh_telemetry: Telemetry | None = None
     clock: DeviceClock = field(default_factory=DeviceClock)
     heartbeat_at: float = float("-inf")
     answer: Answer | None = None
@@ -189,7 +189,7 @@ class Link:
     @property
     def movable(self) -> bool:
         """Whether the device takes tables."""
-        return self.told is not None and self.told.state in MOVABLE
+        return self.telemetry is not None and self.telemetry.state in MOVABLE
 
     # What the host wants
 
@@ -234,8 +234,8 @@ class Link:
         """Return the link that has the device, which must be off, forget where home is."""
         return self._ordered(Home())
 
-    def forgiven(self) -> Link:
-        """Return the link without its refusal, which was told."""
+    def without_refusal(self) -> Link:
+        """Return the link without its refusal, which was reported."""
         return replace(self, refusal="")
 
     def _ordered(self, message: Message) -> Link:
@@ -265,9 +265,11 @@ class Link:
             return link._answered(message)
         return link
 
-    def _reported(self, told: Telemetry) -> Link:
-        link = replace(self, told=told, telemetry=told, told_at=self.heard_at)
-        if told.state in MOVABLE:
+    def _reported(self, telemetry: Telemetry) -> Link:
+        link = replace(
+            self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.heard_at
+        )
+        if telemetry.state in MOVABLE:
             return link
         # A device that has stopped takes no table, and must not find one when it is enabled.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
@@ -303,7 +305,7 @@ class Link:
         if answer.status is Status.DONE:
             # State and waiting table are known by the next telemetry: the last is from before.
             changed = isinstance(message, Commit | Home | Enable | Stop)
-            return replace(link, telemetry=None if changed else self.telemetry)
+            return replace(link, fresh_telemetry=None if changed else self.fresh_telemetry)
         if isinstance(message, Stop | Enable | Home):
             return link
         name = type(message).__name__
@@ -385,9 +387,10 @@ class Link:
 
     def _fed(self, now: float) -> Link:
         """Return the link with the next table in an empty queue."""
-        if self.queue or not self.next_table or self.device is None or self.telemetry is None:
+        telemetry = self.fresh_telemetry
+        if self.queue or not self.next_table or self.device is None or telemetry is None:
             return self
-        if self.telemetry.waiting:
+        if telemetry.waiting:
             return self  # Begin would throw it away
         return replace(self, next_table=())._asked(*self.next_table)
 

@@ -12,16 +12,16 @@ from plate_core.motion import quintic_pieces
 from .peaks import Peaks, derivative, peaks, polynomial_peaks
 
 TARGET = 0.999
-"""Share of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
+"""Fraction of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
 
 CLOSE_ENOUGH = 0.99
-"""A scaled cycle that uses this share or more of the worst limit is not scaled up again."""
+"""A scaled cycle that uses this fraction or more of the worst limit is not scaled up again."""
 
 ROUNDS = 60
 """Trials of a factor: most cycles need one or two, absurd ones (poses of 1e100 m) some ten."""
 
 ROUNDING = 3e-6
-"""Excess that is none: peaks are told up to 1e-6 too high, and solvers round too."""
+"""Excess that is none: peaks come out up to 1e-6 too high, and solvers round too."""
 
 HOME_TOLERANCE = 2e-5
 """How far a motor may be from home where a table begins and ends [m], for each metre from the
@@ -49,8 +49,8 @@ class Fit:
     usage: Peaks
 
     @property
-    def told(self) -> str:
-        """Say by how much it was scaled down, and why."""
+    def summary(self) -> str:
+        """By how much it was scaled down, and why."""
         return (
             f"cycle scaled by {self.factor:.3g}: it used {self.asked.worst:.3g} times the limits "
             f"({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
@@ -58,7 +58,7 @@ class Fit:
         )
 
 
-def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
+def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> Fit:
     """Scale a cycle down, as a whole, until no limit of the rig is exceeded.
 
     Scaling keeps the directions of the surface's motion, and those alone decide friction;
@@ -66,7 +66,7 @@ def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
 
     Parameters
     ----------
-    heat : (4,) or float
+    thermal_load : (4,) or float
         What the motors may take, see `peaks`.
 
     Raises
@@ -75,7 +75,7 @@ def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
         If the cycle's peaks are too large to compute, or no factor makes it fit.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        asked = peaks(rig, cycle, heat)
+        asked = peaks(rig, cycle, thermal_load)
         if not np.isfinite(asked.worst):
             raise CycleError(
                 "plate_cycle: its speed or acceleration is too large to compute, "
@@ -83,10 +83,10 @@ def fit(rig: Rig, cycle: PlateCycle, heat: np.ndarray | float = 1.0) -> Fit:
             )
         if asked.worst <= 1 + ROUNDING:
             return Fit(cycle, 1.0, asked, asked)
-        return _scaled(rig, cycle, asked, heat)
+        return _scaled(rig, cycle, asked, thermal_load)
 
 
-def _scaled(rig: Rig, cycle: PlateCycle, asked: Peaks, heat: np.ndarray | float) -> Fit:
+def _scaled(rig: Rig, cycle: PlateCycle, asked: Peaks, thermal_load: np.ndarray | float) -> Fit:
     """Search the largest factor that fits.
 
     Peaks are not quite proportional to the factor (turning adds its square), so this is a search
@@ -98,7 +98,7 @@ def _scaled(rig: Rig, cycle: PlateCycle, asked: Peaks, heat: np.ndarray | float)
     factor = TARGET / asked.worst
     for trial in range(ROUNDS):
         scaled = cycle.scaled(factor)
-        used = peaks(rig, scaled, heat)
+        used = peaks(rig, scaled, thermal_load)
         if used.worst <= TARGET * (1 + ROUNDING):
             small = Fit(scaled, factor, asked, used)
             if used.worst >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
@@ -122,8 +122,8 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
         return float(np.exp((low + high) / 2))
     below, above = np.log(small.usage.worst / TARGET), np.log(large_worst / TARGET)
     # A little below the root: the next trial then most likely fits, and ends the search.
-    share = -below / (above - below)
-    return float(np.exp(low + share * (high - low)) * 0.998)
+    fraction = -below / (above - below)
+    return float(np.exp(low + fraction * (high - low)) * 0.998)
 
 
 def check_setpoints(

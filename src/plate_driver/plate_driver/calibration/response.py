@@ -74,7 +74,7 @@ class Response:
             raise PlateError("response: a value is not finite, or frequencies do not rise from 0")
 
     @classmethod
-    def obedient(cls, rig: Rig, frequency: np.ndarray) -> Response:
+    def identity(cls, rig: Rig, frequency: np.ndarray) -> Response:
         """Return the response of a plate that does as commanded."""
         matrix = np.tile(np.eye(3, dtype=complex), (len(frequency), 1, 1))
         return cls(np.asarray(frequency, dtype=float), matrix, float(np.hypot(*rig.plate.half)))
@@ -111,7 +111,7 @@ class Response:
         more = (np.einsum("kij,kj->ki", inverse, wanted) - wanted) / self._scale
         strong = np.abs(wanted * frequency[:, None] ** 2)
         stress = 1 + STRESS * strong / np.max(strong)
-        more = settled(frequency, more, stress * self._costs(frequency))
+        more = closed_at_rest(frequency, more, stress * self._costs(frequency))
         pieces = max(len(cycle.times) - 1, KNOTS_PER_WAVE * count)
         t = np.linspace(0, cycle.period, pieces + 1)
         added = _motion(frequency, more, t)
@@ -131,7 +131,7 @@ class Response:
         rate = 2 * np.pi * np.where(frequency > 0, frequency, own)
         return np.asarray(np.maximum(gain, FAINT**2) * rate[:, None] ** 4)
 
-    def learned(self, commanded: np.ndarray, measured: np.ndarray, trust: float = 1.0) -> Response:
+    def updated(self, commanded: np.ndarray, measured: np.ndarray, trust: float = 1.0) -> Response:
         """Return the response after a look at what a command did.
 
         Parameters
@@ -168,7 +168,7 @@ def identified(
     PlateError
         If they do not excite x, y and theta at all frequencies.
     """
-    response = Response.obedient(rig, frequency)
+    response = Response.identity(rig, frequency)
     asked = (commanded * response._scale).transpose(1, 2, 0)
     got = (measured * response._scale).transpose(1, 2, 0)
     gain = np.linalg.svd(asked, compute_uv=False)
@@ -192,7 +192,7 @@ def pose_harmonics(cycle: PlateCycle, count: int) -> np.ndarray:
     return np.asarray(amplitude)
 
 
-def fitted(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
+def fit_harmonics(t: np.ndarray, values: np.ndarray, period: float, count: int) -> np.ndarray:
     """Amplitudes (count, m) of samples (n, m) at times t (n,) [s] of a motion of known period.
 
     By least squares, with a constant besides, so times need not be equal nor cover whole periods.
@@ -228,17 +228,17 @@ def plate_amplitudes(
     nothing = np.zeros_like(q)
     pose, _, _ = plate_state(rig, q, nothing, nothing, tolerance=np.inf)
     # Turning makes speed appear in the motors' acceleration, so twist is needed: from the poses.
-    amplitude = fitted(t, pose, period, count)
+    amplitude = fit_harmonics(t, pose, period, count)
     rate = 2j * np.pi * np.arange(1, count + 1)[:, None] / period
     waves = np.exp(np.outer(t, rate[:, 0]))
     twist = (waves @ (rate * amplitude)).real
     _, qd, _ = motor_state(rig, pose, twist, np.zeros_like(pose))
     _, _, accel = plate_state(rig, q, qd, qdd, tolerance=np.inf)
     slow = np.arange(1, count + 1)[:, None] / period < SLOW_HZ
-    return np.where(slow, rate**2 * amplitude, fitted(t, accel, period, count))
+    return np.where(slow, rate**2 * amplitude, fit_harmonics(t, accel, period, count))
 
 
-def settled(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarray) -> np.ndarray:
+def closed_at_rest(frequency: np.ndarray, amplitude: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Change amplitudes (k, 3) of a pose least so that it begins at rest at home.
 
     Parameters
@@ -288,19 +288,12 @@ def excitation(
     amplitude[1:, axis] = accel * np.sqrt(2 / count) * phases / slowest**2
     if axis == 2:
         amplitude /= float(np.hypot(*rig.plate.half))
-    amplitude = settled(frequency, amplitude, np.tile(rate**4, 3))
+    amplitude = closed_at_rest(frequency, amplitude, np.tile(rate**4, 3))
     t = np.linspace(0, period, KNOTS_PER_WAVE * count + 1)
     states = _motion(frequency, amplitude, t)
     for state in states:
         state[[0, -1]] = 0.0
     return PlateCycle.from_knots(t, *states)
-
-
-def harmonic_error(wanted: np.ndarray, measured: np.ndarray, lever: float) -> float:
-    """Size of the difference of two sets of amplitudes (k, 3) over that of the first."""
-    scale = np.array([1.0, 1.0, lever])
-    size = np.linalg.norm(wanted * scale)
-    return float(np.linalg.norm((measured - wanted) * scale) / size)
 
 
 def _motion(frequency: np.ndarray, amplitude: np.ndarray, t: np.ndarray) -> list[np.ndarray]:

@@ -6,9 +6,9 @@ import pytest
 
 from plate_core import CycleError, load_rig
 from plate_core.status import Finding, Level
-from plate_driver.keeper import Keeper, Latch
-from plate_driver.motor_table import MotorTable
 from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
+from plate_driver.setpoints import Statistics
+from plate_driver.setpoints.motor_table import MotorTable
 from plate_driver.state import (
     CUT,
     DISABLED,
@@ -16,34 +16,36 @@ from plate_driver.state import (
     LOOK,
     OFF,
     UNCERTAIN,
-    Record,
     driver_state,
     health,
 )
-from plate_driver.transport import Condition, Order, Report, SimTransport
+from plate_driver.transports import Condition, Order, Report, SimTransport
+from plate_driver.transports.thread import Latch, TransportThread
 
 RIG = load_rig()
 TABLE = MotorTable.rest(RIG, 0.1, 1)
 
 
-def kept() -> tuple[Keeper, Latch, list[MotorTable]]:
+def kept() -> tuple[TransportThread, Latch, list[MotorTable]]:
     sent: list[MotorTable] = []
     latch = Latch()
-    keeper = Keeper(SimTransport(RIG, sent.append), latch, lambda error: pytest.fail(repr(error)))
-    return keeper, latch, sent
+    thread = TransportThread(
+        SimTransport(RIG, sent.append), latch, lambda error: pytest.fail(repr(error))
+    )
+    return thread, latch, sent
 
 
 def test_a_table_made_before_a_stop_is_not_sent_after_it():
-    keeper, latch, sent = kept()
-    keeper.send(TABLE, 1, latch.number)
+    thread, latch, sent = kept()
+    thread.send(TABLE, 1, latch.number)
     number = latch.number
     latch.close(EMERGENCY)
     with pytest.raises(CycleError, match="was stopped meanwhile"):
-        keeper.send(TABLE, 1, latch.number)
+        thread.send(TABLE, 1, latch.number)
     assert latch.open(latch.number)
     with pytest.raises(CycleError, match="was stopped meanwhile"):
-        keeper.send(TABLE, 1, number)  # of before
-    keeper.send(TABLE, 1, latch.number)
+        thread.send(TABLE, 1, number)  # of before
+    thread.send(TABLE, 1, latch.number)
     assert len(sent) == 2
 
 
@@ -72,33 +74,33 @@ def test_a_weaker_reason_does_not_replace_a_stronger_one():
 
 def test_a_stop_does_not_wait_behind_an_enable():
     """The enable of a transport that never becomes ready is waited for without a lock."""
-    keeper, _, _ = kept()
+    thread, _, _ = kept()
     never = Order(longest_s=60.0)
-    keeper._transport.enable = lambda: never
-    waiting = threading.Thread(target=lambda: keeper.enable(0).wait(), daemon=True)
+    thread._transport.enable = lambda: never
+    waiting = threading.Thread(target=lambda: thread.enable(0).wait(), daemon=True)
     waiting.start()
-    assert keeper.stop().done
+    assert thread.stop().done
     assert waiting.is_alive()
     never.settle("stopped")
     waiting.join(10)
     assert not waiting.is_alive()
 
 
-def refused(keeper: Keeper, number: int) -> None:
+def refused(thread: TransportThread, number: int) -> None:
     with pytest.raises(CycleError, match="defect"):
-        keeper.send(TABLE, 1, number)
+        thread.send(TABLE, 1, number)
 
 
 def test_an_enable_that_was_called_before_a_stop_does_not_reach_the_transport():
-    keeper, latch, _ = kept()
+    thread, latch, _ = kept()
     number = latch.number
     latch.close(EMERGENCY)
-    assert keeper.stop().done
+    assert thread.stop().done
     asked = []
-    keeper._transport.enable = lambda: asked.append(1) or Order().settle()
-    assert "another stop has come since" in keeper.enable(number).failure
+    thread._transport.enable = lambda: asked.append(1) or Order().settle()
+    assert "another stop has come since" in thread.enable(number).failure
     assert not asked
-    assert keeper.enable(latch.number).done
+    assert thread.enable(latch.number).done
     assert asked
 
 
@@ -108,33 +110,33 @@ def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
     told: list[Exception] = []
     sent: list = []
     latch = Latch()
-    keeper = Keeper(SimTransport(RIG, sent.append), latch, told.append)
-    keeper.send(TABLE, 1, latch.number)
+    thread = TransportThread(SimTransport(RIG, sent.append), latch, told.append)
+    thread.send(TABLE, 1, latch.number)
     stops = []
-    stop = keeper._transport.stop
-    keeper._transport.stop = lambda cut=False: stops.append(cut) or stop(cut)
+    stop = thread._transport.stop
+    thread._transport.stop = lambda cut=False: stops.append(cut) or stop(cut)
 
     def defect(*_):
         raise RuntimeError("a defect")
 
-    setattr(keeper._transport, broken, defect)
+    setattr(thread._transport, broken, defect)
     calls = {
-        "stop": keeper.stop, "enable": lambda: keeper.enable(0), "home": keeper.home,
-        "report": keeper.look, "poll": keeper.look, "values": keeper.values,
-        "send": lambda: refused(keeper, latch.number),
+        "stop": thread.stop, "enable": lambda: thread.enable(0), "home": thread.home,
+        "report": thread.poll, "poll": thread.poll, "values": thread.values,
+        "send": lambda: refused(thread, latch.number),
     }  # fmt: skip
     answer = calls[broken]()
     if isinstance(answer, Order):
         assert answer.settled
         assert not answer.done
     assert [str(error) for error in told] == ["a defect"]
-    assert keeper.report.condition is Condition.GONE
-    assert "defect" in keeper.report.reason
+    assert thread.report.condition is Condition.GONE
+    assert "defect" in thread.report.reason
     assert bool(stops) == (broken != "stop")
 
 
 def test_a_transport_that_hangs_does_not_hold_up_an_answer():
-    keeper, _, _ = kept()
+    thread, _, _ = kept()
     hangs, go_on = threading.Event(), threading.Event()
 
     def poll():
@@ -142,19 +144,19 @@ def test_a_transport_that_hangs_does_not_hold_up_an_answer():
         go_on.wait(30)
         return []
 
-    keeper._transport.poll = poll
-    keeper.start()
+    thread._transport.poll = poll
+    thread.start()
     assert hangs.wait(10)
-    order = keeper.stop()
+    order = thread.stop()
     assert order.failure == "the transport is busy"
     go_on.set()
-    keeper.close()
+    thread.close()
 
 
 def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
     told: list[Exception] = []
     again = threading.Event()
-    keeper = Keeper(SimTransport(RIG, lambda table: None), Latch(), told.append)
+    thread = TransportThread(SimTransport(RIG, lambda table: None), Latch(), told.append)
 
     def poll():
         if len(told) >= 2:
@@ -162,10 +164,10 @@ def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
             return []
         raise RuntimeError("a defect")
 
-    keeper._transport.poll = poll
-    keeper.start()
+    thread._transport.poll = poll
+    thread.start()
     assert again.wait(10)
-    keeper.close()
+    thread.close()
     assert [str(error) for error in told] == ["a defect"] * 2
 
 
@@ -228,7 +230,7 @@ def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(lifec
     ],
 )
 def test_levels(state, troubles, retries, quiet_s, level, message):
-    assert health(state, Record(troubles=troubles), retries, quiet_s) == Finding(level, message)
+    assert health(state, Statistics(problems=troubles), retries, quiet_s) == Finding(level, message)
 
 
 def test_long_messages_are_refused_by_their_beginning():

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 
 from plate_core import PlateError, Rig
 
-from .motor_table import MAX_KNOTS, MotorTable
+from ..setpoints import MotorTable
 
 GROUP = "plate_driver.transports"
 """Entry points of this group are transports."""
@@ -211,77 +211,6 @@ class TransportContext:
     clock: Callable[[], float]
     parameters: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
-
-
-class SimTransport:
-    """To the simulator, which listens to the published setpoints, and repeats them as often as its
-    own parameter says. There are no motors: it is ready until it is stopped.
-
-    Parameters
-    ----------
-    rig : Rig
-    publish : callable
-        Publishes a table; the node gives it, so that no ROS is needed here.
-    """
-
-    motors = False
-    calibrates = False
-    max_knots = MAX_KNOTS
-    hold_s = float("inf")
-
-    def __init__(self, rig: Rig, publish: Callable[[MotorTable], None]) -> None:
-        self._rig, self._publish = rig, publish
-        self._last: MotorTable | None = None
-        self._stopped = False
-
-    def open(self) -> None:
-        """Nothing to open."""
-
-    def poll(self) -> list[Measured]:
-        """Nothing to measure."""
-        return []
-
-    def report(self) -> Report:
-        """Say whether it was stopped."""
-        return Report(Condition.OFF if self._stopped else Condition.READY)
-
-    def send(self, table: MotorTable, repeats: int) -> None:
-        """Publish the table."""
-        self._last = table
-        self._publish(table)
-
-    def stop(self, cut: bool = False) -> Order:
-        """Publish rest, if anything was sent: the simulator takes it at the end of its cycle."""
-        last, self._last, self._stopped = self._last, None, True
-        if last is not None:
-            self._publish(MotorTable.rest(self._rig, last.cycle.period, last.stamp_ns))
-        return Order().settle()
-
-    def enable(self) -> Order:
-        """Go on."""
-        self._stopped = False
-        return Order().settle()
-
-    def home(self) -> Order:
-        """Nothing: it never loses home."""
-        return Order().settle()
-
-    def troubles(self) -> list[str]:
-        """Nothing goes wrong."""
-        return []
-
-    def values(self) -> dict[str, str]:
-        """Nothing to report."""
-        return {}
-
-    def close(self) -> None:
-        """Publish rest."""
-        self.stop()
-
-
-def make_sim(context: TransportContext) -> SimTransport:
-    """Return the transport to the simulator."""
-    return SimTransport(context.rig, context.publish)
 
 
 def installed() -> dict[str, EntryPoint]:

@@ -1,0 +1,183 @@
+"""Stops, enable, home and driver_state: a node with a participant and threads of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from plate_core.ros import LATCHED
+
+from .state import CUT, DISABLED, EMERGENCY, READY, UNANSWERED
+from .transports import STOPPED_SINCE, Condition
+
+if TYPE_CHECKING:
+    from .node import DriverNode
+
+STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
+"""Time between looks whether driver_state has changed, and after which it is repeated [s]."""
+
+FAREWELL_S = 0.5
+"""How long to wait until the last messages have arrived [s]."""
+
+THREADS = 16
+"""For stops, while others wait for an answer."""
+
+
+class SafetyNode:
+    """Stops, enable, home and driver_state, apart from all that cycles do: a participant of its own
+    receives nothing else, threads of its own answer, and the clock is the steady one.
+
+    Parameters
+    ----------
+    driver : DriverNode
+    """
+
+    def __init__(self, driver: DriverNode) -> None:
+        self._driver, self._latch = driver, driver.latch
+        self._context = rclpy.Context()
+        rclpy.init(
+            args=[], context=self._context, domain_id=driver.context.get_domain_id(),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )  # fmt: skip
+        self.node = node = Node(
+            f"{driver.get_name()}_safety", context=self._context,
+            namespace=driver.get_namespace(), use_global_arguments=False,
+            start_parameter_services=False,
+        )  # fmt: skip
+        group = ReentrantCallbackGroup()
+        for kind, name, answer in (
+            (Trigger, "emergency_stop", self._on_emergency_stop),
+            (Trigger, "cut_power", self._on_cut_power),
+            (SetBool, "enable", self._on_enable),
+            (Trigger, "home", self._on_home),
+        ):
+            full = driver.resolve_service_name(name)
+            node.create_service(kind, full, self._guarded(answer), callback_group=group)
+        topic = driver.resolve_topic_name("driver_state")
+        self._states = node.create_publisher(String, topic, LATCHED)
+        self._state, self._state_at = "", float("-inf")
+        self._publishing = threading.Lock()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        own = MutuallyExclusiveCallbackGroup()
+        node.create_timer(STATE_PERIOD_S, self.publish_state, clock=steady, callback_group=own)
+        self._executor = MultiThreadedExecutor(THREADS, context=self._context)
+        self._executor.add_node(node)
+        self._thread = threading.Thread(target=self._spin, name="safety", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            while self._context.ok():
+                try:
+                    self._executor.spin()
+                except ExternalShutdownException:
+                    raise
+                except Exception as error:
+                    self.node.get_logger().error(f"safety: {error!r}")
+
+    def _guarded(self, answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Return a callback that answers whatever goes wrong: these threads must not end."""
+
+        def callback(request: Any, response: Any) -> Any:
+            try:
+                return answer(request, response)
+            except Exception as error:
+                self.node.get_logger().error(f"{type(request).__name__}: {error!r}")
+                response.success, response.message = False, UNANSWERED
+                return response
+
+        return callback
+
+    def publish_state(self) -> None:
+        """Publish driver_state if it has changed, or was not published for a while."""
+        with self._publishing:
+            state, now = self._driver.state_text(), time.monotonic()
+            if state == READY:  # another text after each enable: nobody can miss a stop in between
+                state = f"{READY}: enabled at {self._latch.opened}"
+            if state == self._state and now - self._state_at < LIFE_PERIOD_S:
+                return
+            self._state, self._state_at = state, now
+            self._states.publish(String(data=state))
+
+    def close(self) -> None:
+        """Publish the last state, and end."""
+        self.publish_state()
+        self._states.wait_for_all_acked(Duration(seconds=FAREWELL_S))
+        self._executor.shutdown(timeout_sec=FAREWELL_S)
+        self._thread.join(FAREWELL_S)
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def _on_emergency_stop(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        return self._stop_and_log(response, EMERGENCY, over=("", DISABLED))
+
+    def _on_cut_power(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._stop_and_log(response, CUT, over=())
+
+    def _stop(self, response: Any, reason: str, over: tuple[str, ...] = ("",)) -> Any:
+        """Close the latch, have the motors stop, and answer whether they do."""
+        self._latch.close(reason, over)
+        order = self._driver.stop_motors(cut=reason == CUT)
+        response.success = order.done
+        response.message = self._driver.state_text() if order.done else UNANSWERED
+        self.publish_state()
+        return response
+
+    def _stop_and_log(self, response: Any, reason: str, over: tuple[str, ...]) -> Any:
+        self._stop(response, reason, over)
+        if response.success:
+            self.node.get_logger().warning(reason)
+        else:
+            self.node.get_logger().error(f"{reason}: {UNANSWERED}")
+        return response
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if not request.data:
+            return self._stop(response, DISABLED)
+        transport, number = self._driver.transport, self._latch.number
+        if transport is None or not self._driver.active:
+            response.success = False
+            response.message = f"the driver is {self._driver.state_text()}, allowed: active"
+            return response
+        order = transport.enable(number)
+        self.publish_state()
+        order.wait()
+        if not order.settled:
+            order.settle(f"the motors are not ready after {order.longest_s:.2g} s")
+        failure = order.failure
+        if not failure and not self._latch.open(number):
+            failure = STOPPED_SINCE
+            transport.stop()  # whatever it has found
+        transport.poll()
+        self.publish_state()
+        response.success, response.message = not failure, failure or self._driver.state_text()
+        return response
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        transport = self._driver.transport
+        response.success = False
+        if transport is None or transport.report.condition is not Condition.OFF:
+            state = self._driver.state_text()
+            response.message = f"the driver is {state}, allowed: motors off; call enable, false"
+            return response
+        order = transport.home()
+        response.success = order.wait()
+        response.message = "the next enable finds home"
+        if not response.success:
+            response.message = order.failure or UNANSWERED
+        return response

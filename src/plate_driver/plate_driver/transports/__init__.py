@@ -1,0 +1,43 @@
+"""What brings a motor table to the motors: the interface `Transport`, and `sim` and `serial`.
+
+A package of one's own makes a transport of a `TransportContext`, see docs/transports.md.
+"""
+
+from .line import upload_s
+from .link import Link
+from .serial import LEAD_S, SerialTransport, make_serial, open_port
+from .sim import SimTransport, make_sim
+from .thread import STOPPED_SINCE, Latch, TransportThread, urgent
+from .transport import (
+    Condition,
+    Measured,
+    Order,
+    Report,
+    Transport,
+    TransportContext,
+    check_transport,
+    make_transport,
+)
+
+__all__ = [
+    "LEAD_S",
+    "STOPPED_SINCE",
+    "Condition",
+    "Latch",
+    "Link",
+    "Measured",
+    "Order",
+    "Report",
+    "SerialTransport",
+    "SimTransport",
+    "Transport",
+    "TransportContext",
+    "TransportThread",
+    "check_transport",
+    "make_serial",
+    "make_sim",
+    "make_transport",
+    "open_port",
+    "upload_s",
+    "urgent",
+]
