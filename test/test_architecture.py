@@ -13,7 +13,6 @@ SHARED = "plate_core"
 
 NOT_YET = {
     "plate_core",
-    "plate_driver",
     "plate_planner",
     "plate_sim",
     "plate_solver",
