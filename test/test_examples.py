@@ -37,7 +37,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import MultiDOFJointState
 
-    from plate_core.graph import RunOptions, load_graph
+    from plate_bringup import RunOptions, load_graph
     from plate_core.ros import msg_to_parts
 
     options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)

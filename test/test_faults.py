@@ -8,7 +8,7 @@ from faults import Faults, Times
 from graph.observer import Observer
 from graph.processes import Processes
 
-from plate_core.graph import RunOptions, load_graph
+from plate_bringup import RunOptions, load_graph
 
 START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)

@@ -3,9 +3,7 @@
 import contextlib
 import signal
 import socket
-import sys
 import time
-import types
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +23,8 @@ from record.judge import check_limits
 from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PlateError, load_rig
-from plate_core.graph import GraphError, RunOptions, load_graph
+from plate_bringup import GraphError, RunOptions, load_graph
+from plate_core import load_rig
 from plate_core.ros import IMAGE, array_to_image, msg_to_motors, to_time
 from plate_core.tasks import load_scenario
 from plate_sim.camera import Camera, part_greys
@@ -209,73 +207,6 @@ def test_parameters_of_the_file_are_those_of_the_nodes(tmp_path, domain):
             assert set(options.parameters(GRAPH[name])) <= known
 
 
-def test_the_list_of_nodes_is_checked(tmp_path):
-    path = tmp_path / "graph.yaml"
-    node = "{name: a, package: p, executable: e, on_hardware: true}"
-    path.write_text(f"nodes: [{node}]")
-    assert load_graph(path)[0].package == "p"
-    path.write_text(f"nodes: [{node}, {node}]")
-    with pytest.raises(GraphError, match="each name once"):
-        load_graph(path)
-    path.write_text("nodes: [{name: a, package: p, executable: e}]")
-    with pytest.raises(PlateError, match="on_hardware is missing"):
-        load_graph(path)
-
-
-@pytest.fixture
-def launch_stand_in(monkeypatch):
-    """Modules that record what a launch file asks for: `launch` is not needed to run the graph."""
-
-    def record(**values):
-        return types.SimpleNamespace(**values)
-
-    def argument(name, **values):
-        return record(argument=name, **values)
-
-    launch = types.ModuleType("launch")
-    launch.LaunchDescription = list
-    launch.actions = types.ModuleType("launch.actions")
-    launch.actions.DeclareLaunchArgument = argument
-    launch.actions.OpaqueFunction = record
-    launch.actions.ExecuteProcess = record
-    launch_ros = types.ModuleType("launch_ros")
-    launch_ros.actions = types.ModuleType("launch_ros.actions")
-    launch_ros.actions.Node = record
-    for module in (launch, launch.actions, launch_ros, launch_ros.actions):
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-
-
-@pytest.mark.parametrize(
-    ("file", "names", "transport"),
-    [("closed_loop", NAMES, "sim"), ("hardware", NAMES[1:], "serial")],
-)
-def test_launch_files_start_the_same_list(launch_stand_in, file, names, transport):
-    path = ROOT / "launch" / f"{file}.launch.py"
-    scope = {"__name__": file}
-    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), scope)
-    *arguments, start = scope["generate_launch_description"]()
-    configuration = {a.argument: a.default_value for a in arguments} | {"scenario": "sort_6"}
-    nodes = start.function(types.SimpleNamespace(launch_configurations=configuration))
-    assert [node.name for node in nodes] == names
-    for node in nodes:
-        listed = GRAPH[node.name]
-        assert (node.package, node.executable) == (listed.package, listed.executable)
-        assert Path(node.parameters[0]).name == "nodes.yaml"
-    values = {node.name: node.parameters[1] for node in nodes}
-    assert values["planner"]["scenario"] == "sort_6"
-    assert values["driver"]["transport"] == transport
-    configuration["record"] = "true"
-    *_, recorder = start.function(types.SimpleNamespace(launch_configurations=configuration))
-    assert recorder.cmd[:3] == ["ros2", "bag", "record"]
-
-
-def test_with_simulated_time_all_but_its_source_follow_it():
-    for options in (RunOptions(lockstep=True), RunOptions(rate=2.0)):
-        follows = [n for n in NAMES if options.parameters(GRAPH[n]).get("use_sim_time")]
-        assert follows == NAMES[1:]
-    assert all("use_sim_time" not in RunOptions().parameters(node) for node in GRAPH.values())
-
-
 def test_images_can_be_thinned_without_losing_beginning_or_end():
     from graph.observer import Thinned
 
@@ -286,26 +217,6 @@ def test_images_can_be_thinned_without_losing_beginning_or_end():
     assert kept.items[0] == 0
     assert kept.items[-1] > 80
     assert len(set(np.diff(kept.items))) == 1
-
-
-def test_each_transport_has_its_nodes():
-    listed = load_graph()
-    names = {
-        words: [node.name for node in RunOptions(**dict(words)).nodes(listed)]
-        for words in (
-            (("transport", "sim"),),
-            (("transport", "serial"),),
-            (("transport", "serial"), ("port", "/dev/ttyUSB0")),
-        )
-    }
-    sim, serial, hardware = names.values()
-    assert sim == NAMES
-    assert serial == [NAMES[0], "device", *NAMES[1:]]
-    assert hardware == NAMES[1:]
-    options = RunOptions(transport="serial", link="/tmp/x")
-    given = {node.name: options.parameters(node) for node in listed}
-    assert given["driver"]["port"] == given["device"]["link"] == "/tmp/x"
-    assert given["simulator"]["driven_by"] == "device"
 
 
 def test_nobody_gets_a_domain_that_is_taken(monkeypatch):

@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 from graph.series import STAGES, Series, Task, stages_ms, work_again
 from soak import slope, summed_up, text
 
-from plate_core.graph import RunOptions
+from plate_bringup import RunOptions
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
 

@@ -36,8 +36,8 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from plate_bringup import GraphError, GraphNode, RunOptions, load_graph
 from plate_core import load_rig
-from plate_core.graph import GraphError, GraphNode, RunOptions, load_graph
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import Level
 

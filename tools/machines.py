@@ -27,8 +27,8 @@ from graph.observer import Observer
 from graph.processes import Processes, ros_environment, signals_raise
 from graph.series import rows
 
+from plate_bringup import RunOptions, load_graph
 from plate_core import PlateError
-from plate_core.graph import RunOptions, load_graph
 
 EYES, HANDS = "10.77.0.1", "10.77.0.2"
 SEEING = ("simulator", "detector")

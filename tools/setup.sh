@@ -124,14 +124,14 @@ prepare_environment() {
 
 # What the build reads, as "hash  path" lines; tests are not installed, so they do not count.
 build_inputs() {
-    find $(ls -d src config launch 2>/dev/null) \( -name test -o -name __pycache__ \) -prune -o -type f -print0 |
+    find src config \( -name test -o -name __pycache__ \) -prune -o -type f -print0 |
         xargs -0 sha256sum | sort
 }
 
 paths() { cut -c 67- "$@" | sort; }
 
 changed_packages() { # reads the differing "hash  path" lines
-    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^(config\|launch)/.*|plate_core|' | sort -u
+    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/rig.yaml$|plate_core|; s|^config/.*|plate_bringup|' | sort -u
 }
 
 build_packages() {

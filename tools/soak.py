@@ -22,7 +22,7 @@ import numpy as np
 from graph.series import Series, Task, work_again
 from scipy import stats
 
-from plate_core.graph import RunOptions
+from plate_bringup import RunOptions
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""

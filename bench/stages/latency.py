@@ -28,7 +28,7 @@ def measure(quick: bool) -> Result:
     from graph.forward import NAMESPACE
     from graph.series import STAGES, stages_ms, work_again
 
-    from plate_core.graph import RunOptions
+    from plate_bringup import RunOptions
 
     most = 1 if quick else TASKS
     with TemporaryDirectory() as logs:

@@ -1,19 +1,8 @@
 """Build plate_core as an ament_python package."""
 
-from pathlib import Path
-
 from setuptools import find_packages, setup
 
 NAME = "plate_core"
-
-
-def shared_files(folder):
-    """List the files under `folder`, a link to the workspace's, for share/plate_core/<folder>."""
-    by_target = {}
-    for path in sorted(Path(folder).glob("**/*.*")):
-        if path.suffix in (".yaml", ".xml", ".py", ".rviz", ".json"):
-            by_target.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
-    return list(by_target.items())
 
 
 setup(
@@ -24,8 +13,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *shared_files("config"),
-        *shared_files("launch"),
+        (f"share/{NAME}/config", ["config/rig.yaml"]),  # a link to the workspace's
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -18,8 +18,8 @@ from typing import Any
 from record.bag import Recorder
 from record.judge import judge, summary
 
+from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import PlateError, Rig, load_rig
-from plate_core.graph import GraphError, RunOptions, load_graph
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.transports import check_transport
 from plate_solver.controller import METHODS

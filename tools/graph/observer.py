@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core.graph import GraphError
+from plate_bringup import GraphError
 from plate_core.ros import CAMERA, LATCHED, nanoseconds
 
 MOST_IMAGES = 240

@@ -11,8 +11,8 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from plate_core.graph import GraphError, GraphNode, RunOptions, Value
-from plate_core.rig import config_path
+from plate_bringup import GraphError, GraphNode, RunOptions, Value
+from plate_core import config_path
 
 STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
 """Signals that stop a node, and how long each may take [s]; a node in a compiler needs a while."""

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from record.judge import check_limits
 
+from plate_bringup import RunOptions
 from plate_core import load_rig
-from plate_core.graph import RunOptions
 
 from .forward import NAMESPACE, commands, environment
 from .hops import CHAIN, Hops

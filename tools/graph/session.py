@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from plate_core.graph import RunOptions, load_graph
+from plate_bringup import RunOptions, load_graph
 
 from .domains import own_domain
 from .observer import Observer

@@ -10,8 +10,8 @@ from graph.observer import Record
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from plate_bringup import RunOptions
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.graph import RunOptions
 from plate_core.motion import corner_accel, motor_state
 from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario

@@ -8,6 +8,7 @@ from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError
 from .motion import PlateCycle
 from .parts import Parts, Wanted, part_class
 from .rig import Rig, load_rig
+from .yaml_fields import config_path
 
 __all__ = [
     "CycleError",
@@ -19,6 +20,7 @@ __all__ = [
     "RigError",
     "ScenarioError",
     "Wanted",
+    "config_path",
     "load_rig",
     "part_class",
 ]

@@ -1,8 +1,9 @@
-"""Read YAML mappings field by field, so that a wrong file is refused with a useful message."""
+"""Files of config/: found, and read field by field, so that wrong ones are refused usefully."""
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -156,3 +157,27 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
         reason = getattr(problem, "problem", None) or "no valid YAML"
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     return Fields(data, path.name, error)
+
+
+CONFIGURED_BY = ("plate_core", "plate_bringup")
+"""Packages that install files of config/."""
+
+
+def config_path(name: str) -> Path:
+    """Return the path of a file of config/, installed or in the source tree.
+
+    Raises
+    ------
+    PlateError
+        If it is in neither.
+    """
+    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    places = [p / "share" / package / "config" for p in prefixes for package in CONFIGURED_BY]
+    places += [parent / "config" for parent in Path(__file__).resolve().parents]
+    for place in places:
+        if (place / name).exists():
+            return place / name
+    raise PlateError(
+        f"config file {name}: in no share/{' or share/'.join(CONFIGURED_BY)} of AMENT_PREFIX_PATH, "
+        "nor in the source tree; are these packages installed and sourced?"
+    )

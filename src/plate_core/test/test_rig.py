@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from plate_core import RigError, load_rig
-from plate_core.rig import config_path, default_rig_path
+from plate_core import PlateError, RigError, config_path, load_rig
+from plate_core.rig import default_rig_path
 
 
 @pytest.fixture(name="data")
@@ -51,7 +51,7 @@ def test_rig_of_the_environment(data, tmp_path, monkeypatch):
 
 
 def test_missing_config_file_is_named():
-    with pytest.raises(RigError, match=r"config file nothing\.yaml: not found in "):
+    with pytest.raises(PlateError, match=r"config file nothing\.yaml: in no share/plate_core"):
         config_path("nothing.yaml")
 
 

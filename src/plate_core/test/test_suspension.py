@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from plate_core import RigError, load_rig
-from plate_core.rig import Suspension, config_path, mass_matrix, modal_matrices
+from plate_core import RigError, config_path, load_rig
+from plate_core.rig import Suspension, mass_matrix, modal_matrices
 
 SHARES = {"mass": 0, "damping": 0, "stiffness": 1}
 MODES = {"frequency_hz": [35, 30, 40], "damping_ratio": [0.03, 0.02, 0.05], "feedforward": SHARES}

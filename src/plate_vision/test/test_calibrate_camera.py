@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core.rig import config_path
+from plate_core import config_path
 from plate_vision.camera import Board, draw_board, find_markers, load_lens
 from plate_vision.camera.calibrate_camera import main
 

@@ -17,8 +17,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointSta
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import PlateError  # noqa: E402
-from plate_core.rig import config_path  # noqa: E402
+from plate_core import PlateError, config_path  # noqa: E402
 from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, to_time  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 

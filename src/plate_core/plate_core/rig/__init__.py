@@ -14,7 +14,6 @@ from .rig import (
     PartFacts,
     Plate,
     Rig,
-    config_path,
     default_rig_path,
     load_rig,
 )
@@ -32,7 +31,6 @@ __all__ = [
     "Rig",
     "Suspension",
     "camera_pose",
-    "config_path",
     "default_rig_path",
     "homography",
     "load_rig",

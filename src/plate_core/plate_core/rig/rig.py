@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RigError
-from ..yaml_fields import Fields, read_yaml
+from ..yaml_fields import Fields, config_path, read_yaml
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .suspension import Suspension, read_suspension
@@ -142,24 +142,6 @@ def default_rig_path() -> Path:
     if "PLATE_RIG" in os.environ:
         return Path(os.environ["PLATE_RIG"])
     return config_path("rig.yaml")
-
-
-def config_path(name: str) -> Path:
-    """Return the path of a file of config/, installed or in the source tree.
-
-    Raises
-    ------
-    RigError
-        If it is in neither.
-    """
-    here = Path(__file__).resolve()
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
-    places = [p / "share" / "plate_core" / "config" for p in prefixes]
-    places += [parent / "config" for parent in here.parents]
-    for place in places:
-        if (place / name).exists():
-            return place / name
-    raise RigError(f"config file {name}: not found in {places[0]} nor in the source tree")
 
 
 def load_rig(path: str | Path | None = None) -> Rig:

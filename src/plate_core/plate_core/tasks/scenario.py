@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import PlateError, ScenarioError
-from ..rig import Rig, config_path
-from ..yaml_fields import Fields, read_yaml
+from ..rig import Rig
+from ..yaml_fields import Fields, config_path, read_yaml
 from .task_fields import pairs, read_task
 from .tasks import (
     AssembleTask,

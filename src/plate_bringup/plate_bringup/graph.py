@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from .errors import PlateError
-from .rig import config_path
-from .yaml_fields import Fields, read_yaml
+from plate_core import PlateError, config_path
+from plate_core.yaml_fields import Fields, read_yaml
 
 Value = str | int | float | bool
 
 JUDGING = ("simulator", "detector", "planner", "solver")
 """Nodes with the parameter input_timeout_s."""
+
+OWN = {
+    "simulator": ("scenario", "seed", "lockstep", "rate"),
+    "device": ("seed",),
+    "planner": ("scenario",),
+    "solver": ("method", "seed"),
+    "driver": ("transport", "autostart"),
+}
+"""Options of a run that are parameters of a node, under the same name."""
 
 UNTIMED_S = 600.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
@@ -91,7 +99,9 @@ class RunOptions:
     seed : int
         Of simulator and solver.
     transport, port : str
-        Of the driver; serial without a port: to the simulated device.
+        Of the driver.
+    hardware : bool
+        Nothing stands in for the hardware; so too if there is a port.
     link : str
         The simulated device's port.
     lockstep : bool
@@ -110,6 +120,7 @@ class RunOptions:
     seed: int = 0
     transport: str = "sim"
     port: str = ""
+    hardware: bool = False
     link: str = "/tmp/plate_device"
     lockstep: bool = False
     rate: float = 1.0
@@ -121,33 +132,35 @@ class RunOptions:
         return tuple(
             node
             for node in graph
-            if (node.on_hardware or not self.port) and node.transport in ("", self.transport)
+            if (node.on_hardware or not (self.hardware or self.port))
+            and node.transport in ("", self.transport)
         )
 
-    def parameters(self, node: GraphNode) -> dict[str, Value]:
-        """Return the parameters of a node, over those of nodes.yaml."""
-        own: dict[str, dict[str, Value]] = {
-            "simulator": {
-                "scenario": self.scenario,
-                "seed": self.seed,
-                "lockstep": self.lockstep,
-                "rate": self.rate,
-            },
-            "planner": {
-                "scenario": self.scenario,
-                "autostart": self.lockstep and not self.autostart,
-            },
-            "solver": {"method": self.method, "seed": self.seed},
-            "driver": {"transport": self.transport, "autostart": self.autostart},
-        }
-        values = dict(own.get(node.name, {}))
-        if self.transport == "serial":
-            added: dict[str, dict[str, Value]] = {
-                "driver": {"port": self.port or self.link},
-                "device": {"link": self.link, "seed": self.seed},
-                "simulator": {"driven_by": "device"},
-            }
-            values |= added.get(node.name, {})
+    @property
+    def over_link(self) -> bool:
+        """Whether the driver talks to the simulated device."""
+        return self.transport == "serial" and not (self.hardware or self.port)
+
+    def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
+        """Return the parameters of a node, over those of nodes.yaml.
+
+        Parameters
+        ----------
+        given : names, optional
+            Options that were chosen: all others are left as nodes.yaml has them. If left out all
+            options were.
+        """
+        chosen = {option.name for option in fields(self)} if given is None else {*given}
+        names = [name for name in OWN.get(node.name, ()) if name in chosen]
+        values: dict[str, Value] = {name: getattr(self, name) for name in names}
+        if node.name == "planner" and self.lockstep and not self.autostart:
+            values["autostart"] = True
+        if node.name == "driver" and (self.port or self.over_link):
+            values["port"] = self.port or self.link
+        if node.name == "device":
+            values["link"] = self.link
+        if node.name == "simulator" and self.over_link:
+            values["driven_by"] = "device"
         if self.rig_file:
             values["rig_file"] = self.rig_file
         if self.lockstep or self.rate != 1:

@@ -1,0 +1,14 @@
+"""The closed loop in simulation: the nodes of config/graph.yaml.
+
+ros2 launch plate_bringup closed_loop.launch.py scenario:=sort_10 method:=sinusoids
+ros2 launch plate_bringup closed_loop.launch.py transport:=serial  # a simulated motor controller
+ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # with transport:=serial only
+ros2 service call /start std_srvs/srv/Trigger
+"""
+
+from plate_bringup.actions import describe
+
+
+def generate_launch_description():
+    """Return what `ros2 launch` runs."""
+    return describe(hardware=False)

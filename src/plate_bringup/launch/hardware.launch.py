@@ -1,0 +1,17 @@
+"""The closed loop on hardware: the nodes of config/graph.yaml without the simulator.
+
+ros2 launch plate_bringup hardware.launch.py port:=/dev/ttyUSB0 image_topic:=/camera/image_raw
+
+ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # when you have looked at the rig
+ros2 service call /start std_srvs/srv/Trigger
+
+The camera's driver is started separately; it publishes image and camera_info, triggered at the
+start of each plate cycle.
+"""
+
+from plate_bringup.actions import describe
+
+
+def generate_launch_description():
+    """Return what `ros2 launch` runs."""
+    return describe(hardware=True)

@@ -1,0 +1,143 @@
+"""What the launch files start: the nodes of config/graph.yaml, and a recorder if it is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+    TimerAction,
+)
+from launch.event_handlers import OnProcessIO
+from launch_ros.actions import Node
+
+from plate_core import config_path
+
+from .graph import GraphError, RunOptions, load_graph
+
+COMMON = {
+    "scenario": "name in config/scenarios, or path of a .yaml file",
+    "method": "of the solver",
+    "seed": "of scattered parts, image noise and the solver",
+    "transport": "what moves the plate",
+    "rig_file": "measured facts of the rig",
+    "params_file": "ROS parameters of the nodes, over those of config/nodes.yaml",
+    "record": "all messages into a bag (MCAP), by ros2 bag",
+    "namespace": "of all nodes and topics",
+}
+SIMULATED = {
+    "lockstep": "the simulator waits for every answer",
+    "rate": "simulated seconds per second",
+}
+HARDWARE = {
+    "port": "serial port of the motor controller",
+    "image_topic": "the camera's image",
+    "info_topic": "the camera's calibration",
+}
+"""Arguments of the launch files. What is left out is as the files of parameters have it."""
+
+CHOICES = {
+    "method": ("rotations", "sinusoids"),
+    "transport": ("sim", "serial"),
+    "lockstep": ("true", "false"),
+    "record": ("true", "false"),
+}
+
+OPTIONS: Mapping[str, Callable[[str], Any]] = {
+    "scenario": str, "method": str, "seed": int, "transport": str, "rig_file": str,
+    "lockstep": "true".__eq__, "rate": float, "port": str,
+}  # fmt: skip
+"""Arguments that are options of a run, and how they are read."""
+
+POLL_S = 0.2
+"""Between two looks whether the simulated device is there, for which the driver waits [s]."""
+
+
+def describe(hardware: bool) -> LaunchDescription:
+    """Return what `ros2 launch` runs: the loop in simulation, or on hardware."""
+    # On hardware there may be transports that are not ours.
+    choices = {name: CHOICES[name] for name in CHOICES if not (hardware and name == "transport")}
+    arguments = [
+        DeclareLaunchArgument(
+            name,
+            default_value="",
+            description=text,
+            choices=["", *choices[name]] if name in choices else None,
+        )
+        for name, text in (COMMON | (HARDWARE if hardware else SIMULATED)).items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=partial(start, hardware))])
+
+
+def start(hardware: bool, context: Any) -> list[Any]:
+    """Return the actions that start every node, and the recorder.
+
+    Raises
+    ------
+    GraphError
+        If there is no such file of parameters: ROS would go on without it.
+    """
+    given = {name: text for name, text in context.launch_configurations.items() if text}
+    values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
+    options = RunOptions(
+        **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
+    )
+    files = [config_path("nodes.yaml"), *([config_path("hardware.yaml")] if hardware else [])]
+    if "params_file" in given:
+        files.append(Path(given["params_file"]))
+        if not files[-1].is_file():
+            raise GraphError(f"params_file is {given['params_file']!r}: no such file")
+    topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
+    actions: list[Any] = []
+    for node in options.nodes(load_graph()):
+        last_words = [""]
+        process = Node(
+            package=node.package,
+            executable=node.executable,
+            name=node.name,
+            namespace=given.get("namespace", ""),
+            parameters=[*map(str, files), options.parameters(node, given)],
+            remappings=[(topic, other) for topic, other in topics.items() if other],
+            output="screen",
+            on_exit=partial(_end, node.name, last_words),
+        )
+        listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
+        actions.append(RegisterEventHandler(listen))
+        if node.name == "driver" and options.over_link:
+            actions.append(OpaqueFunction(function=partial(_await, Path(options.link), process)))
+        else:
+            actions.append(process)
+    if given.get("record") == "true":
+        record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
+        actions.append(ExecuteProcess(cmd=record, output="screen"))
+    return actions
+
+
+def _await(link: Path, process: Any, context: Any) -> list[Any]:
+    """Start a process as soon as the simulated device is there."""
+    if link.exists():
+        return [process]
+    again = OpaqueFunction(function=partial(_await, link, process))
+    return [TimerAction(period=POLL_S, actions=[again])]
+
+
+def _remember(last_words: list[str], event: Any) -> None:
+    lines = event.text.decode(errors="replace").strip().splitlines()
+    last_words[:] = lines[-1:] or last_words
+
+
+def _end(name: str, last_words: list[str], event: Any, context: Any) -> list[Any] | None:
+    """Take everything down with a node that has ended, and say why."""
+    if context.is_shutdown:
+        return None
+    why = f"{name} ended with exit code {event.returncode}: {last_words[0]}"
+    return [LogInfo(msg=why), Shutdown(reason=why)]

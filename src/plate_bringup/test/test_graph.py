@@ -1,0 +1,62 @@
+"""The list of nodes, and the parameters that a run gives them."""
+
+import pytest
+
+from plate_bringup import GraphError, RunOptions, load_graph
+from plate_core import PlateError
+
+NAMES = ["simulator", "detector", "planner", "solver", "driver"]
+GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}
+
+
+def test_the_list_of_nodes_is_checked(tmp_path):
+    path = tmp_path / "graph.yaml"
+    node = "{name: a, package: p, executable: e, on_hardware: true}"
+    path.write_text(f"nodes: [{node}]")
+    assert load_graph(path)[0].package == "p"
+    path.write_text(f"nodes: [{node}, {node}]")
+    with pytest.raises(GraphError, match="each name once"):
+        load_graph(path)
+    path.write_text("nodes: [{name: a, package: p, executable: e}]")
+    with pytest.raises(PlateError, match="on_hardware is missing"):
+        load_graph(path)
+
+
+def test_with_simulated_time_all_but_its_source_follow_it():
+    for options in (RunOptions(lockstep=True), RunOptions(rate=2.0)):
+        follows = [n for n in NAMES if options.parameters(GRAPH[n]).get("use_sim_time")]
+        assert follows == NAMES[1:]
+    assert all("use_sim_time" not in RunOptions().parameters(node) for node in GRAPH.values())
+
+
+def test_each_transport_has_its_nodes():
+    listed = load_graph()
+    names = {
+        words: [node.name for node in RunOptions(**dict(words)).nodes(listed)]
+        for words in (
+            (("transport", "sim"),),
+            (("transport", "serial"),),
+            (("transport", "serial"), ("port", "/dev/ttyUSB0")),
+        )
+    }
+    sim, serial, hardware = names.values()
+    assert sim == NAMES
+    assert serial == [NAMES[0], "device", *NAMES[1:]]
+    assert hardware == NAMES[1:]
+    options = RunOptions(transport="serial", link="/tmp/x")
+    given = {node.name: options.parameters(node) for node in listed}
+    assert given["driver"]["port"] == given["device"]["link"] == "/tmp/x"
+    assert given["simulator"]["driven_by"] == "device"
+
+
+def test_on_hardware_nothing_stands_in_for_it():
+    options = RunOptions(transport="serial", hardware=True)
+    assert [node.name for node in options.nodes(load_graph())] == NAMES[1:]
+    assert "port" not in options.parameters(GRAPH["driver"])
+
+
+def test_options_that_were_not_chosen_are_left_as_the_file_has_them():
+    options = RunOptions(scenario="sort_6")
+    given = {name: options.parameters(node, {"scenario"}) for name, node in GRAPH.items()}
+    assert given["simulator"] == given["planner"] == {"scenario": "sort_6"}
+    assert given["solver"] == given["driver"] == given["detector"] == {}

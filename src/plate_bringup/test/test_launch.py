@@ -1,0 +1,167 @@
+"""The launch files: what they start by stand-ins of `launch`, and by itself where that is there."""
+
+import importlib.util
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from plate_bringup import GraphError, RunOptions, load_graph
+
+LAUNCH = Path(__file__).resolve().parents[1] / "launch"
+NAMES = ["simulator", "detector", "planner", "solver", "driver"]
+ACTIONS = ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction")
+HAVE_LAUNCH = importlib.util.find_spec("launch_ros") is not None
+
+
+class Recorded:
+    """Stands for any action, and keeps what it was made with."""
+
+    def __init__(self, kind, *args, **values):
+        self.kind, self.args = kind, args
+        self.__dict__ |= values
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Modules that record what a launch file asks for."""
+
+    def module(name, kinds):
+        made = types.ModuleType(name)
+        for kind in kinds:
+            setattr(made, kind, lambda *args, kind=kind, **values: Recorded(kind, *args, **values))
+        monkeypatch.setitem(sys.modules, name, made)
+
+    module("launch", ())
+    sys.modules["launch"].LaunchDescription = list
+    module("launch.actions", (*ACTIONS, "RegisterEventHandler", "Shutdown", "TimerAction"))
+    module("launch.event_handlers", ("OnProcessIO",))
+    module("launch_ros", ())
+    module("launch_ros.actions", ("Node",))
+    monkeypatch.delitem(sys.modules, "plate_bringup.actions", raising=False)
+    yield
+    sys.modules.pop("plate_bringup.actions", None)
+
+
+def described(file):
+    path = LAUNCH / f"{file}.launch.py"
+    scope = {"__name__": file}
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), scope)
+    return scope["generate_launch_description"]()
+
+
+def started(file, **given):
+    """Actions of a launch file by the name of their node; `given` are its arguments."""
+    *arguments, start = described(file)
+    values = {a.args[0]: a.default_value for a in arguments}
+    assert set(given) <= set(values)
+    actions = start.function(types.SimpleNamespace(launch_configurations=values | given))
+    nodes = [action for action in actions if action.kind == "Node"]
+    # One that waits for another is given as a function of what there is.
+    nodes += [a.function.args[1] for a in actions if a.kind == "OpaqueFunction"]
+    others = [action for action in actions if action.kind == "ExecuteProcess"]
+    return {node.name: node for node in nodes}, others
+
+
+@pytest.mark.parametrize(
+    ("file", "names", "files"),
+    [
+        ("closed_loop", NAMES, ["nodes.yaml"]),
+        ("hardware", NAMES[1:], ["nodes.yaml", "hardware.yaml"]),
+    ],
+)
+def test_launch_files_start_the_same_list(stand_in, file, names, files):
+    nodes, others = started(file, scenario="sort_6")
+    assert list(nodes) == names
+    assert others == []
+    listed = {node.name: node for node in load_graph()}
+    for name, node in nodes.items():
+        assert (node.package, node.executable) == (listed[name].package, listed[name].executable)
+        assert [Path(path).name for path in node.parameters[:-1]] == files
+        wanted = {"scenario": "sort_6"} if name in ("simulator", "planner") else {}
+        assert node.parameters[-1] == wanted  # what is left out is as the files have it
+
+
+def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.touch()
+    given = {"port": "/dev/ttyS9", "image_topic": "/eye", "record": "true", "seed": "3"}
+    nodes, (recorder,) = started("hardware", params_file=str(mine), method="rotations", **given)
+    assert nodes["driver"].parameters[-1] == {"port": "/dev/ttyS9"}
+    assert nodes["solver"].parameters[-1] == {"method": "rotations", "seed": 3}
+    assert nodes["detector"].parameters[-2] == str(mine)
+    assert nodes["detector"].remappings == [("image_raw", "/eye")]
+    assert recorder.cmd[:3] == ["ros2", "bag", "record"]
+    with pytest.raises(GraphError, match=r"params_file is 'none\.yaml': no such file"):
+        started("hardware", params_file="none.yaml")
+
+
+def test_few_values_are_choices(stand_in):
+    choices = {a.args[0]: a.choices for a in described("closed_loop")[:-1]}
+    assert choices["method"] == ["", "rotations", "sinusoids"]
+    assert choices["transport"] == ["", "sim", "serial"]
+    assert choices["scenario"] is None
+    # On hardware there may be transports of others.
+    assert {a.args[0]: a.choices for a in described("hardware")[:-1]}["transport"] is None
+
+
+def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(stand_in, tmp_path):
+    nodes, _ = started("closed_loop")
+    ended = types.SimpleNamespace(returncode=2)
+    running, over = (types.SimpleNamespace(is_shutdown=flag) for flag in (False, True))
+    told, shutdown = nodes["solver"].on_exit(ended, running)
+    assert told.msg == shutdown.reason == "solver ended with exit code 2: "
+    assert shutdown.kind == "Shutdown"
+    assert nodes["solver"].on_exit(ended, over) is None
+
+
+def test_the_driver_waits_for_the_simulated_device(stand_in, tmp_path):
+    nodes, _ = started("closed_loop", transport="serial")
+    link = RunOptions().link
+    assert list(nodes) == ["simulator", "device", *NAMES[1:]]
+    assert nodes["driver"].parameters[-1] == {"transport": "serial", "port": link}
+    assert nodes["device"].parameters[-1] == {"link": link}
+    assert nodes["simulator"].parameters[-1] == {"driven_by": "device"}
+    start, driver = sys.modules["plate_bringup.actions"]._await, nodes["driver"]
+    (later,) = start(tmp_path / "link", driver, None)
+    assert later.kind == "TimerAction"
+    (tmp_path / "link").touch()
+    assert later.actions[0].function(None) == [driver]
+
+
+RUN = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+arguments = [word.split(":=") for word in sys.argv[2:]]
+service = LaunchService(noninteractive=True)
+source = PythonLaunchDescriptionSource(sys.argv[1])
+service.include_launch_description(
+    LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments)])
+)
+sys.exit(service.run())
+"""
+
+
+@pytest.mark.skipif(not HAVE_LAUNCH, reason="launch and launch_ros are not installed")
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("scenario:=sort_3", "ended with exit code 2: error: scenario is 'sort_3', allowed: "),
+        ("method:=C", "method"),
+        ("params_file:=none.yaml", "params_file is 'none.yaml': no such file"),
+    ],
+)
+def test_launch_itself_ends_with_the_reason(argument, message):
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, str(LAUNCH / "closed_loop.launch.py"), argument],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert message in done.stdout + done.stderr
