@@ -12,6 +12,7 @@ root_doc = "docs/index"
 include_patterns = [
     "*.md",
     "docs/*.md",
+    "docs/guide/*.md",
     "docs/api/*.rst",
     "firmware/README.md",
     "firmware/boards/*/README.md",
