@@ -17,12 +17,15 @@ from harness.race import cpu_time
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.setpoints import MotorTable, prepare
-from plate_planner import FollowOptions, Planner, PlannerOptions, SortOptions
-from plate_planner.assembling import Assembly
-from plate_planner.following import Follower
-from plate_planner.planner import PlannerState
-from plate_planner.posing import Poser
-from plate_planner.progress import Progress
+from plate_planner import (
+    FollowOptions,
+    Planner,
+    PlannerOptions,
+    PlannerState,
+    Progress,
+    SortOptions,
+)
+from plate_planner.tasks import Assembler, Follower, Poser
 from plate_sim.camera import NOISE
 from plate_sim.dirt import CLEAN, Dirt
 from plate_sim.ladder import check_model
@@ -286,16 +289,17 @@ def _true_error(
     task, true = scenario.task, world.position
     if isinstance(task, AssembleTask) and len(true):
         names = Parts.make(world.ids, true)
-        distance = Assembly(task, rig).distance(names)
+        distance = Assembler(task, rig).distance(names)
         return distance[~np.isnan(distance)]
-    if isinstance(task, PoseTask) and len(true):
-        return Poser(task, rig).errors(state.pose, _named(parts, state.pose.match, world))[0]
-    if not isinstance(task, FollowTask) or not state.follow.match or not len(true):
+    if isinstance(task, PoseTask) and state.memory is not None and len(true):
+        true_parts = _named(parts, state.memory.match, world)
+        return Poser(task, rig).errors(state.memory, true_parts)[0]
+    if not isinstance(task, FollowTask) or state.memory is None or not len(true):
         return np.zeros(0)
-    reference = Follower(task, rig).reference(state.follow, t)
+    reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
     errors = []
-    for k, name in enumerate(state.follow.match):
+    for k, name in enumerate(state.memory.match):
         if name in seen:
             nearest = np.argmin(np.sum((true - seen[name]) ** 2, axis=1))
             errors.append(np.linalg.norm(true[nearest] - reference[k]))
@@ -306,10 +310,10 @@ def _true_turn_error(
     scenario: Scenario, rig: Rig, state: PlannerState, parts: Parts, world: WorldState
 ) -> np.ndarray:
     """What is missing to the angles (P,) [rad] of the true parts, in a task of poses."""
-    if not isinstance(scenario.task, PoseTask):
+    if not isinstance(scenario.task, PoseTask) or state.memory is None:
         return np.zeros(0)
-    true = _named(parts, state.pose.match, world)
-    return np.abs(Poser(scenario.task, rig).errors(state.pose, true)[1])
+    true = _named(parts, state.memory.match, world)
+    return np.abs(Poser(scenario.task, rig).errors(state.memory, true)[1])
 
 
 def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:

@@ -7,7 +7,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
 from plate_planner import FollowOptions
-from plate_planner.pd import pd_drift
+from plate_planner.tasks import pd_drift
 from plate_sim import simulate
 from plate_solver import Goal, SinusoidSolver
 from plate_solver.controller import DRIFT_TOLERANCE, EXACT_SHARE
@@ -54,9 +54,7 @@ class Loop:
         """Return the next cycle, and the velocity (1, 2) [m/s] that is expected at its start."""
         friction = np.full(1, self.rig.friction.accel)
         ahead, then = after(running, seen, velocity, friction)
-        drift = pd_drift(
-            ahead, self.home, self.home, self.period, KP, np.zeros((1, 2)), np.full(1, SPEED)
-        )
+        drift = pd_drift(ahead, self.home, self.home, self.period, KP, np.full(1, SPEED))
         return self.motion(ahead, then, drift * self.period), then
 
     def motion(self, position: np.ndarray, velocity: np.ndarray, wanted: np.ndarray) -> PlateCycle:

@@ -1,14 +1,15 @@
-"""Turns a task and the parts' positions into the force wanted on each part."""
+"""Turns a task and the parts' positions into the force wanted on each part.
 
-from .assembling import AssembleOptions
-from .pd import FollowOptions
-from .planner import Planner, PlannerOptions, PlannerState
-from .posing import PoseOptions
-from .progress import Progress
-from .sorting import SortOptions
-from .task import Phase, TaskState
+Chapters: `estimation` (where the parts are), `tasks` (what is asked of them) and `supervision`
+(whether a task goes on).
+"""
+
+from .planner import NOTHING, Planner, PlannerOptions, PlannerState
+from .supervision import Phase, Progress, TaskState
+from .tasks import AssembleOptions, FollowOptions, PoseOptions, SortOptions
 
 __all__ = [
+    "NOTHING",
     "AssembleOptions",
     "FollowOptions",
     "Phase",

@@ -40,14 +40,10 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
 from plate_core.tasks import load_scenario
 
-from .assembling import AssembleOptions
-from .inputs import Inputs
-from .pd import FollowOptions
+from .estimation import warm_up
 from .planner import NOTHING, Planner, PlannerOptions
-from .progress import Progress
-from .sorting import SortOptions
-from .task import Phase
-from .watch import warm_up
+from .supervision import Inputs, Phase, Progress
+from .tasks import AssembleOptions, FollowOptions, SortOptions
 
 WATCH_PERIOD_S = 0.1
 """Time between looks whether a running task can go on [s]."""
@@ -79,14 +75,17 @@ class PlannerParameters:
     default_period: float = parameter(
         PlannerOptions.default_period, "Cycle length until two images tell it [s]", 0.005, 1.0
     )
-    wait_s: float = parameter(
-        PlannerOptions.wait_s, "Longest wait for all parts after start [s]", 0.0, 3600.0
+    start_timeout_s: float = parameter(
+        PlannerOptions.start_timeout_s, "Longest wait for all parts after start [s]", 0.0, 3600.0
     )
-    patience_s: float = parameter(
-        PlannerOptions.patience_s, "A part unseen for longer is lost [s]", 0.0, 60.0
+    unseen_timeout_s: float = parameter(
+        PlannerOptions.unseen_timeout_s, "A part unseen for longer is lost [s]", 0.0, 60.0
     )
-    stuck_s: float = parameter(
-        PlannerOptions.stuck_s, "A task no nearer to its goal for longer is stuck [s]", 1.0, 3600.0
+    stuck_timeout_s: float = parameter(
+        PlannerOptions.stuck_timeout_s,
+        "A task no nearer to its goal for longer is stuck [s]",
+        1.0,
+        3600.0,
     )
     image_age_s: float = parameter(
         -1.0, "How old an image is at its stamp [s]; negative: found out", -1.0, 0.5
@@ -113,11 +112,15 @@ class PlannerParameters:
         live=True,
     )
     kp: float = parameter(
-        FollowOptions.kp, "Following: share of the error corrected a cycle [-]", 0.0, 2.0, live=True
+        FollowOptions.kp,
+        "Following: fraction of the error corrected a cycle [-]",
+        0.0,
+        2.0,
+        live=True,
     )
     observer_gain: float = parameter(
         FollowOptions.observer_gain,
-        "Following: share of a cycle's surprise expected of the next one",
+        "Following: fraction of what a cycle does otherwise than predicted, expected of the next",
         0.0,
         1.0,
         live=True,
@@ -130,9 +133,9 @@ class PlannerParameters:
             follow=FollowOptions(kp=self.kp, observer_gain=self.observer_gain),
             assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
-            wait_s=self.wait_s,
-            patience_s=self.patience_s,
-            stuck_s=self.stuck_s,
+            start_timeout_s=self.start_timeout_s,
+            unseen_timeout_s=self.unseen_timeout_s,
+            stuck_timeout_s=self.stuck_timeout_s,
             image_age_s=None if self.image_age_s < 0 else self.image_age_s,
         )
 
@@ -148,12 +151,12 @@ class PlannerNode(Node):
         self._planner = Planner(rig, load_scenario(values.scenario), values.options())
         self._state = self._planner.initial()
         self._progress: Progress | None = None
-        self._wait_s = max(values.wait_s, values.input_timeout_s)
+        self._start_timeout_s = max(values.start_timeout_s, values.input_timeout_s)
         self._autostart = values.autostart
         self._began = 0.0  # when the task was started, by the steady clock
         self._stopped = False  # by a person, which is no failure
         self._refused = ""
-        warm_up()
+        warm_up(rig)
         self._reported = ""
         follow(self, values, self._retune)
 
@@ -249,7 +252,7 @@ class PlannerNode(Node):
 
     def _stood_still(self) -> bool:
         now = time.monotonic()
-        why = self._inputs.stood_still(now, self._state.period)
+        why = self._inputs.stood_still(now, self._period)
         self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:
             self._abort(why)
@@ -260,10 +263,14 @@ class PlannerNode(Node):
         task = self._state.task
         if task.phase is not Phase.RUNNING:
             return
-        why = self._inputs.problem(now, self._began, self._state.period, self._publisher_count)
-        if not why and task.began is None and now - self._began > self._wait_s + WATCH_PERIOD_S:
+        why = self._inputs.problem(now, self._began, self._period, self._publisher_count)
+        if (
+            not why
+            and task.began is None
+            and now - self._began > self._start_timeout_s + WATCH_PERIOD_S
+        ):
             # Where stamps stand still, the planner's own wait for all parts never ends.
-            why = f"not all parts seen within {self._wait_s:g} s of start"
+            why = f"not all parts seen within {self._start_timeout_s:g} s of start"
         if why:
             self._abort(why)
 
@@ -271,6 +278,10 @@ class PlannerNode(Node):
         if self._state.task.phase is Phase.RUNNING:
             self._state = self._planner.stop(self._state, why)
             self._report()
+
+    @property
+    def _period(self) -> float:
+        return self._state.estimator.period
 
     def _publisher_count(self, topic: str) -> int:
         """How many publish a topic, by the name that it has for us."""
@@ -358,7 +369,7 @@ class PlannerNode(Node):
         return {
             **progress,
             "task_state": self._state.task.text,
-            "driver_state": self._inputs.driver_state,
+            "driver_state": self._inputs.driver_state.text,
             "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
         }
 

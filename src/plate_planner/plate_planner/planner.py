@@ -4,61 +4,55 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from plate_core import Parts, PlateCycle, Rig, Wanted
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, SortTask
-from plate_core.tasks import check_scenario as check
+from plate_core.tasks import Scenario, check_scenario
 
-from .ages import Ages
-from .assembling import AssembleOptions, Assembly
-from .bins import check_bins
-from .clock import CycleClock
-from .following import Follower, FollowState
-from .pd import FollowOptions
-from .plight import plight_of
-from .posing import PoseOptions, Poser, PoseState
-from .progress import Progress
-from .requests import Asked, DriftRequest
-from .sorting import Sorter, SortOptions
-from .task import NEARER_M, Findings, Phase, TaskLimits, TaskState, begin, judge, started, stopped
-from .watch import Watch, missing_parts, on_plate
+from .estimation import DriftBias, Estimator
+from .supervision import (
+    Findings,
+    Phase,
+    Progress,
+    TaskLimits,
+    TaskState,
+    begin,
+    judge,
+    missing_parts,
+    shortfall_text,
+    started,
+    stopped,
+)
+from .tasks import Assessment, DriftRequest, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
 
 
 @dataclass(frozen=True)
-class PlannerOptions:
-    """All that can be tuned.
+class PlannerOptions(TaskOptions):
+    """All that can be tuned: of each task as `TaskOptions`, and of the planner.
 
     Attributes
     ----------
-    sort : SortOptions
-    follow : FollowOptions
-    assemble : AssembleOptions
-    pose : PoseOptions
     default_period : float
         Length of a cycle until two images have told it [s].
-    wait_s : float
+    start_timeout_s : float
         Longest time from start until all parts are seen [s].
-    patience_s : float
+    unseen_timeout_s : float
         A part unseen for longer than this is lost [s].
-    stuck_s : float
+    stuck_timeout_s : float
         A task that comes no nearer to its goal for longer than this is stuck [s].
     image_age_s : float or None
         How old an image is at its stamp [s]; None: found out from the motion.
     """
 
-    sort: SortOptions = field(default_factory=SortOptions)
-    follow: FollowOptions = field(default_factory=FollowOptions)
-    assemble: AssembleOptions = field(default_factory=AssembleOptions)
-    pose: PoseOptions = field(default_factory=PoseOptions)
     default_period: float = 0.1
-    wait_s: float = 10.0
-    patience_s: float = 1.0
-    stuck_s: float = 30.0
+    start_timeout_s: float = 10.0
+    unseen_timeout_s: float = 1.0
+    stuck_timeout_s: float = 30.0
     image_age_s: float | None = None
 
 
@@ -69,13 +63,9 @@ class PlannerState:
     Attributes
     ----------
     task : TaskState
-    clock : CycleClock
-    watch : Watch
-        Estimate of the parts.
-    follow : FollowState
-    pose : PoseState
-    asked : Asked
-        The last request.
+    estimator : Estimator
+    memory
+        What the rules of the task remember; None before it begins.
     known : tuple of str
         Ids in the last image with all parts.
     answer : (Wanted, Progress) or None
@@ -83,44 +73,10 @@ class PlannerState:
     """
 
     task: TaskState
-    clock: CycleClock
-    watch: Watch
-    follow: FollowState = field(default_factory=FollowState)
-    pose: PoseState = field(default_factory=PoseState)
-    asked: Asked = field(default_factory=Asked)
+    estimator: Estimator
+    memory: Any = None
     known: tuple[str, ...] = ()
     answer: tuple[Wanted, Progress] | None = None
-
-    @property
-    def period(self) -> float:
-        """Length of a cycle [s]: of the one that runs, or what the images' stamps tell."""
-        return self.watch.log.period if self.watch.log.known else self.clock.period
-
-    @property
-    def next_start(self) -> float:
-        """Stamp at which the answer to the last image begins to act [s]."""
-        return self.watch.log.end if self.watch.log.known else self.watch.stamp + self.clock.period
-
-
-@dataclass(frozen=True)
-class View:
-    """What one image means for the task.
-
-    Attributes
-    ----------
-    findings : Findings
-    request : DriftRequest or None
-        What is wanted of the parts, if the task goes on.
-    count : int
-        Parts that are where they belong.
-    error : (K,)
-        Distances of parts from where they should be now [m].
-    """
-
-    findings: Findings
-    request: DriftRequest | None
-    count: int = 0
-    error: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -128,7 +84,7 @@ class Planner:
     """Plans one scenario on one rig.
 
     Use: `state = planner.start(planner.initial())`, then for every image
-    `state, asked, progress = planner.plan(state, parts, t)`.
+    `state, wanted, progress = planner.plan(state, parts, t)`.
     """
 
     rig: Rig
@@ -136,44 +92,46 @@ class Planner:
     options: PlannerOptions = field(default_factory=PlannerOptions)
 
     def __post_init__(self) -> None:
-        check(self.scenario, self.rig)
-        check_bins(self.scenario, self.rig)
+        check_scenario(self.scenario, self.rig)
+        self.rules.check(self.scenario)
+
+    @cached_property
+    def rules(self) -> TaskRules:
+        """The rules of the task: kept, since they hold tables of paths and bins."""
+        return rules_for(self.scenario.task, self.rig, self.options)
 
     @property
     def limits(self) -> TaskLimits:
         """When to give up, and when to call it done."""
-        task = self.scenario.task
         return TaskLimits(
             time_limit_s=self.scenario.time_limit_s,
-            hold_s=0.0 if isinstance(task, FollowTask) else task.hold_s,
-            wait_s=self.options.wait_s,
-            patience_s=self.options.patience_s,
-            stuck_s=self.options.stuck_s,
-            # References are known without noise: however slow, they come nearer or stand still.
-            nearer_m=0.0 if isinstance(task, FollowTask) else NEARER_M,
+            hold_s=self.rules.hold_s,
+            start_timeout_s=self.options.start_timeout_s,
+            unseen_timeout_s=self.options.unseen_timeout_s,
+            stuck_timeout_s=self.options.stuck_timeout_s,
+            nearer_m=self.rules.nearer_m,
         )
 
     def initial(self) -> PlannerState:
         """Return the state of a planner that has seen nothing and does nothing."""
-        clock = CycleClock.starting(self.options.default_period)
-        facts = self.rig.friction.accel, self.rig.parts.mass_kg
-        watch = Watch(*facts, ages=Ages.known(self.options.image_age_s))
-        return PlannerState(TaskState(), clock, watch)
+        options = self.options
+        estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
+        return PlannerState(TaskState(), estimator)
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen twice."""
-        return replace(state, task=started(), follow=FollowState(), pose=PoseState(), asked=Asked())
+        return replace(state, task=started(), memory=None)
 
     def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
-        return replace(state, task=stopped(state.task, state.clock.stamp, why))
+        return replace(state, task=stopped(state.task, state.estimator.clock.stamp, why))
 
     def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
         """Take in a cycle that the solver sent, and when [s, the time of the stamps].
 
         Without it the planner takes parts to do as was asked of them.
         """
-        return replace(state, watch=state.watch.hear(cycle, arrival))
+        return replace(state, estimator=state.estimator.hear(cycle, arrival))
 
     def plan(
         self, state: PlannerState, parts: Parts, t: float
@@ -196,155 +154,101 @@ class Planner:
             Of the same parts; of none when nothing is asked.
         progress : Progress
         """
-        if state.answer is not None and t == state.clock.stamp:
+        clock = state.estimator.clock
+        if state.answer is not None and t == clock.stamp:
             return state, *state.answer
-        if state.clock.went_back(t) and state.task.phase is Phase.RUNNING:
+        if clock.went_back(t) and state.task.phase is Phase.RUNNING:
             state = self.start(state)
-        state = replace(state, clock=state.clock.tick(t), watch=state.watch.look(parts, t))
-        turns = isinstance(self.scenario.task, PoseTask)  # the watch takes parts for points
-        inside = on_plate(parts if turns else state.watch.parts, self.rig)
-        state, view = self._advance(state, inside, t)
+        state = replace(state, estimator=state.estimator.update(parts, t))
+        present = self._on_plate(state.estimator.parts if self.rules.estimated else parts)
+        state, found = self._advance(state, present)
         wanted = NOTHING
-        if state.task.active and view.request is not None and len(inside):
-            wanted, state = self._ask(state, inside, view.request, t)
-        progress = self._progress(state, len(inside), view, t)
+        if state.task.active and found.request is not None and len(present):
+            state, wanted = self._ask(state, present, found.request, found.torque)
+        progress = self._progress(state, len(present), found)
         return replace(state, answer=(wanted, progress)), wanted, progress
 
-    def _advance(self, state: PlannerState, parts: Parts, t: float) -> tuple[PlannerState, View]:
+    def _on_plate(self, parts: Parts) -> Parts:
+        """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
+        keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
+        return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
+
+    def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
         """Bring the task up to date."""
+        t = state.estimator.stamp
         missing = missing_parts(self.scenario, state.known, parts)
-        again = set(state.known) == set(parts.ids) <= set(state.watch.seen.ids)
+        again = set(state.known) == set(parts.ids) <= set(state.estimator.seen.ids)
         task = begin(state.task, t, missing, again, self.limits)
-        begins = task.active and not state.task.active
-        state = replace(state, task=task, known=state.known if missing else parts.ids)
-        if isinstance(self._rules, Sorter):
-            view = self._sort(self._rules, state, parts, missing)
-        elif isinstance(self._rules, Poser):
-            state, view = self._pose(self._rules, state, parts, missing, t, begins)
-        elif isinstance(self._rules, Assembly):
-            view = self._assemble(self._rules, state, parts, missing)
-        else:
-            state, view = self._follow(self._rules, state, parts, t, begins)
-        return replace(state, task=judge(task, t, view.findings, self.limits)), view
-
-    @cached_property
-    def _rules(self) -> Sorter | Assembly | Poser | Follower:
-        """The rules of the task: kept, since they hold tables of paths and bins."""
-        task = self.scenario.task
-        if isinstance(task, SortTask):
-            return Sorter(task, self.rig)
-        if isinstance(task, AssembleTask):
-            return Assembly(task, self.rig)
-        if isinstance(task, PoseTask):
-            return Poser(task, self.rig)
-        return Follower(task, self.rig)
-
-    def _sort(
-        self, sorter: Sorter, state: PlannerState, parts: Parts, missing: tuple[str, ...]
-    ) -> View:
-        to_go = sorter.to_go(parts)
-        count = int(np.sum(to_go == 0))
-        met = count == np.count_nonzero(~np.isnan(to_go))
-        to_go = np.nan_to_num(to_go)
-        plight = plight_of(state.asked, self.rig, parts, to_go)
-        found = Findings(missing, met, float(np.sum(to_go)), plight=plight)
-        return View(found, sorter.request(parts, state.period, self.options.sort), count)
-
-    def _assemble(
-        self, assembly: Assembly, state: PlannerState, parts: Parts, missing: tuple[str, ...]
-    ) -> View:
-        distance = assembly.distance(parts)  # NaN for a part that has no place
-        error = distance[~np.isnan(distance)]
-        count = int(np.sum(error <= assembly.task.tolerance_m))
-        plight = plight_of(state.asked, self.rig, parts, np.nan_to_num(distance))
-        met = count == len(assembly.task.place)
-        found = Findings(missing, met, float(np.sum(error)), plight=plight)
-        request = assembly.request(parts, state.period, self.options.assemble)
-        return View(found, request, count, error)
-
-    def _pose(
-        self,
-        poser: Poser,
-        state: PlannerState,
-        parts: Parts,
-        missing: tuple[str, ...],
-        t: float,
-        begins: bool,
-    ) -> tuple[PlannerState, View]:
-        if not state.task.active:
-            return state, View(Findings(missing, False, 0.0), None)
-        pose = poser.begin(parts) if begins else state.pose
-        distance, angle = poser.errors(pose, parts)
-        short = distance + self.rig.parts.radius_m * np.abs(angle)  # the way of the rim
-        count, plight = poser.count(pose, parts), plight_of(state.asked, self.rig, parts, short)
-        met, problem = count == len(poser.task.poses), poser.problem(pose, parts)
-        found = Findings(missing, met, float(np.sum(short)), problem, plight)
-        ahead = state.asked.places(parts, t, state.period)
-        pose, request = poser.request(pose, parts, ahead, state.period, self.options.pose)
-        return replace(state, pose=pose), View(found, request, count, distance)
-
-    def _follow(
-        self, follower: Follower, state: PlannerState, parts: Parts, t: float, begins: bool
-    ) -> tuple[PlannerState, View]:
-        period, options, follow = state.period, self.options.follow, state.follow
-        start = state.next_start
-        if not state.task.active:
-            return state, View(Findings((), False, 0.0), None)
-        known = state.watch.log.known
-        if begins or (known and t < follow.began - period / 2):
-            # How long the solver's cycles are is known from the first that runs: so wait for it.
-            follow = follower.begin(parts, start if known else start + period)
-        hoped = state.asked.places(parts, t, period)
-        ahead = state.watch.ahead(parts.ids)
-        if ahead is None:
-            ahead = hoped
-        short = np.hypot(*(hoped - ahead).T) / period
-        age = state.watch.ages.age if state.watch.ages.found or not known else None
-        follow = follower.observe(follow, parts, t, ahead, start, age, options)
-        follow = follower.measure(follow, parts, t, start, short, options)
-        error = follower.errors(follow, parts, t)
-        found = Findings(
-            follower.missing(follow, parts),
-            follower.finished(follow, t),
-            follower.to_go(follow, t),
-            follower.problem(follow, parts, t, options),
-            plight_of(state.asked, self.rig, parts, error),
+        estimator = self._observe(state, parts, task.active and not state.task.active)
+        now = self._situation(estimator, state.memory, parts, task.active)
+        memory, found = self.rules.assess(state.memory, now)
+        findings = Findings(
+            missing if found.missing is None else found.missing,
+            found.goal_met,
+            found.to_go_m,
+            found.problem,
+            shortfall_text(estimator.request, self.rig, parts, found.distance),
         )
-        request = follower.request(follow, parts, ahead, start, period, options)
-        return replace(state, follow=follow), View(found, request, 0, error)
+        task = judge(task, t, findings, self.limits)
+        known = state.known if missing else parts.ids
+        return replace(state, task=task, estimator=estimator, memory=memory, known=known), found
+
+    def _observe(self, state: PlannerState, parts: Parts, begins: bool) -> Estimator:
+        """Learn what parts do otherwise than predicted; a task begins without knowing."""
+        estimator, rules = state.estimator, self.rules
+        if begins:
+            estimator = replace(estimator, bias=DriftBias())
+        axes = rules.bias_axes(state.memory, parts, estimator.stamp - estimator.period / 2)
+        limit = rules.bias_limit(state.memory, parts, estimator.period)
+        predicted = estimator.predict(parts) if rules.estimated else estimator.as_asked(parts)
+        return estimator.observe(parts, predicted, axes, rules.bias_gain, limit)
+
+    def _situation(
+        self, estimator: Estimator, memory: Any, parts: Parts, active: bool
+    ) -> Situation:
+        """Return what the rules are told."""
+        period, start, place = estimator.period, estimator.next_start, estimator.bias.place
+        axes = self.rules.bias_axes(memory, parts, start - period / 2)
+        return Situation(
+            parts=parts,
+            stamp=estimator.stamp,
+            start=start,
+            period=period,
+            motion_known=estimator.log.known,
+            predicted=place + period * estimator.bias.along(axes),
+            shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / period,
+            active=active,
+        )
 
     def _ask(
-        self, state: PlannerState, parts: Parts, request: DriftRequest, t: float
-    ) -> tuple[Wanted, PlannerState]:
+        self,
+        state: PlannerState,
+        parts: Parts,
+        request: DriftRequest,
+        torque: np.ndarray | None,
+    ) -> tuple[PlannerState, Wanted]:
         """Put a request into forces, and remember the drift that they lead to."""
-        task, period = self.scenario.task, state.period
-        kinds = {SortTask: "sort", AssembleTask: "assemble", PoseTask: "pose", FollowTask: "follow"}
-        share = getattr(self.options, kinds[type(task)]).force_share_max
-        free = isinstance(task, SortTask | AssembleTask)  # following has an observer of its own
-        velocity = parts.velocity + (state.watch.surprise(parts.ids) if free else 0.0)
-        force, tolerance = request.force(velocity, self.rig, period, share)
-        drift = velocity + force * period / self.rig.parts.mass_kg
-        state = replace(state, asked=Asked(parts.ids, drift, t, force))
-        poser, torque = self._rules, np.zeros(len(parts))
-        if isinstance(poser, Poser):
-            torque = poser.torque(state.pose, parts, period)
-        return Wanted(parts, force, tolerance, torque), state
+        estimator, period = state.estimator, state.estimator.period
+        axes = self.rules.bias_axes(state.memory, parts, estimator.next_start + period / 2)
+        request = request.less(estimator.bias.along(axes))
+        force, tolerance = request.force(parts.velocity, self.rig, period)
+        drift = parts.velocity + force * period / self.rig.parts.mass_kg
+        state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
+        return state, Wanted.make(parts, force, tolerance, torque)
 
-    def _progress(self, state: PlannerState, seen: int, view: View, t: float) -> Progress:
-        rms, most = state.follow.rms_error_m, state.follow.max_error_m
-        if isinstance(self.scenario.task, AssembleTask | PoseTask) and len(view.error):
-            rms, most = float(np.sqrt(np.mean(view.error**2))), float(np.max(view.error))
+    def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
+        estimator, task = state.estimator, state.task
         return Progress(
-            phase=state.task.phase.value,
-            text=state.task.text,
-            time_s=state.task.elapsed(t),
+            phase=task.phase,
+            text=task.text,
+            time_s=task.elapsed(estimator.stamp),
             parts_total=self.scenario.count,
             parts_seen=seen,
-            parts_sorted=view.count,
-            to_go_m=view.findings.to_go_m,
-            rms_error_m=rms,
-            max_error_m=most,
-            pace=state.follow.paces[1],
-            period_s=state.period,
-            image_age_s=state.watch.ages.age,
+            parts_sorted=found.count,
+            to_go_m=found.to_go_m,
+            rms_error_m=found.rms_error_m,
+            max_error_m=found.max_error_m,
+            speed_scaling=found.speed_scaling,
+            period_s=estimator.period,
+            image_age_s=estimator.latency.latency,
         )

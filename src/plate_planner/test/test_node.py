@@ -58,7 +58,7 @@ class Graph:
         # The latched state arrives on its own, which shows that the two have found each other.
         self.until(lambda: self.states and self.parts.get_subscription_count())
         self.until(lambda: self.planner.count_subscribers("part_forces"))
-        self.until(lambda: not driver or self.planner._inputs.driver_state)
+        self.until(lambda: not driver or self.planner._inputs.driver_state.known)
 
     def say(self):
         if self.driver:
@@ -182,14 +182,14 @@ def test_a_start_is_refused_with_the_reason(graph):
     )
     for state in ("stopped: emergency stop; look at the rig, then call enable", "disabled"):
         graph.driver = state
-        graph.until(lambda state=state: graph.planner._inputs.driver_state == state)
+        graph.until(lambda state=state: graph.planner._inputs.driver_state.text == state)
         answer = graph.call("start")
         assert (answer.success, answer.message) == (
             False,
             f"sort_4 is not started: driver: {state}",
         )
     graph.driver = "ready"
-    graph.until(lambda: graph.planner._inputs.driver_state == "ready")
+    graph.until(lambda: graph.planner._inputs.driver_state.text == "ready")
     assert graph.call("start").message == (
         "sort_4 is not started: no parts yet: does the detector run, does the camera?"
     )
@@ -208,7 +208,7 @@ def test_it_starts_by_itself_once_and_only_when_the_driver_is_ready(graph):
     graph.driver = "stopped"
     graph.until(lambda: graph.states[-1] == "aborted: driver: stopped")
     graph.driver = "ready"
-    graph.until(lambda: graph.planner._inputs.driver_state == "ready")
+    graph.until(lambda: graph.planner._inputs.driver_state.text == "ready")
     graph.image(0.1, APART)
     graph.report()
     assert graph.states[-1] == "aborted: driver: stopped"
@@ -328,7 +328,7 @@ def test_a_planner_that_stood_still_does_not_go_on(silenced):
 
 
 def test_a_failure_tells_its_reason(graph):
-    graph = graph(autostart=True, patience_s=0.1)
+    graph = graph(autostart=True, unseen_timeout_s=0.1)
     graph.answering = False  # else the planner carries the part on
     for t in (0.9, 1.0):
         graph.image(t, APART)

@@ -1,4 +1,4 @@
-"""What is said of a part for which a task does not get on."""
+"""What is said of a part for which a task does not get on: part of the failure's reason."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import numpy as np
 
 from plate_core import Parts, Rig
 
-from .requests import Asked
+from ..estimation import LastRequest
 
 
-def plight_of(asked: Asked, rig: Rig, parts: Parts, short: np.ndarray) -> str:
+def shortfall_text(request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray) -> str:
     """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
-    if not len(parts):
+    if not len(distance):
         return ""
-    worst = int(np.argmax(short))
+    worst = int(np.argmax(distance))
     name = parts.ids[worst]
-    text = f"{name} is {short[worst] * 1e3:.1f} mm short"
-    if name not in asked.ids:
+    text = f"{name} is {distance[worst] * 1e3:.1f} mm short"
+    if name not in request.ids:
         return text
-    row = asked.ids.index(name)
-    drift, force = 1e3 * asked.drift[row], 1e3 * asked.force[row]
+    row = request.ids.index(name)
+    drift, force = 1e3 * request.drift[row], 1e3 * request.force[row]
     got, most = 1e3 * parts.velocity[worst], 1e3 * rig.force_unit
     return (
         f"{text}, asked for ({drift[0]:.1f}, {drift[1]:.1f}) mm/s with ({force[0]:.2f}, "

@@ -1,4 +1,4 @@
-"""Sorting: which drift to ask of each part so that every class ends in its region.
+"""Sort: which drift to ask of each part so that every class ends in its region.
 
 Only what the task needs is asked: a part on its way may be faster than asked, a part that has
 arrived may stay anywhere in its region, and what the region leaves open is free until an edge or
@@ -8,25 +8,38 @@ to waste.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from plate_core import Parts, Rig, part_class
-from plate_core.tasks import Bin, Side, SortTask
+from plate_core import Parts, Rig, ScenarioError, part_class
+from plate_core.tasks import Bin, Scenario, Side, SortTask
 
-from .bins import inside, outline_distance, slots
-from .places import approach_drift, assign, hold_back, paces, pass_by
-from .requests import DriftRequest, nearness, stay_within
+from .targets import (
+    approach_drift,
+    assign,
+    hold_back,
+    nearness,
+    pass_by,
+    speed_scaling,
+    stay_within,
+)
+from .task import Assessment, DriftRequest, Situation, TaskRules
 
 CLOSING = 0.5
 """Speed of approach at which parts begin to dodge [drift_max]."""
 
+SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
+"""Distance of neighbouring slots, and of slots from the bin's sides [part radii]."""
+
+GRID_TRIES = 4
+"""Shifts of the grid of slots that are tried along each axis: the one with most slots is taken."""
+
 
 @dataclass(frozen=True)
 class SortOptions:
-    """Speeds [m/s] and places [share of the plate's half side] of the sorting rules.
+    """Speeds [m/s] and places [fraction of the plate's half side] of the sorting rules.
 
     Attributes
     ----------
@@ -41,19 +54,17 @@ class SortOptions:
     wander : float
         Drift allowed where nothing is asked, in multiples of drift_max [-].
     margin : float
-        How far beyond the goal line parts are asked to go [share of half length].
+        How far beyond the goal line parts are asked to go [fraction of half length].
     edge_inner, edge_outer : float
-        Where the edges along y begin to push back, and where they do so fully [share of half].
+        Where the edges along y begin to push back, and where they do so fully [fraction of half].
     end : float
-        Where parts are asked back from the ends of the plate [share of half length].
+        Where parts are asked back from the ends of the plate [fraction of half length].
     dodge : float
         Drift along y asked of two parts about to run into each other, in drift_max [-]; 0: none.
     dodge_reach : float
         Distance of centres along x at which they begin to dodge [part radii].
     dodge_clear : float
         Distance of centres along y at which they need not dodge [part radii].
-    force_share_max : float
-        Greatest component of the force to ask for [mu m g].
     """
 
     drift_max: float = 0.024
@@ -68,15 +79,49 @@ class SortOptions:
     dodge: float = 0.4
     dodge_reach: float = 5.0
     dodge_clear: float = 3.0
-    force_share_max: float = 1.0
 
 
 @dataclass(frozen=True)
-class Sorter:
+class Sorter(TaskRules):
     """The rules of sorting for one task on one rig."""
 
     task: SortTask
     rig: Rig
+    options: SortOptions = field(default_factory=SortOptions)
+
+    @property
+    def hold_s(self) -> float:
+        """Done when all parts have been sorted for this long [s]."""
+        return self.task.hold_s
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse a scenario with a bin that has no room for the parts of its class.
+
+        Raises
+        ------
+        ScenarioError
+            Names the class, how many parts it has and how many there is room for.
+        """
+        for group in scenario.parts:
+            region = self.task.regions[group.label]
+            room = len(slots(region, self.rig)) if isinstance(region, Bin) else group.count
+            if group.count > room:
+                raise ScenarioError(
+                    f"scenario {scenario.name}: bin of {group.label} is for {group.count} parts, "
+                    f"allowed: at most {room}, {SLOT_SPACING:g} part radii apart"
+                )
+
+    def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
+        """Judge one image, and say what is wanted; nothing is remembered."""
+        to_go = self.to_go(now.parts)
+        count, distance = int(np.sum(to_go == 0)), np.nan_to_num(to_go)
+        return None, Assessment(
+            request=self.request(now.parts, now.period),
+            goal_met=count == np.count_nonzero(~np.isnan(to_go)),
+            count=count,
+            distance=distance,
+            to_go_m=float(np.sum(distance)),
+        )
 
     def to_go(self, parts: Parts) -> np.ndarray:
         """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
@@ -93,7 +138,7 @@ class Sorter:
             result[rows] = np.where(inside(point, corner), 0, away)
         return result
 
-    def request(self, parts: Parts, period: float, options: SortOptions) -> DriftRequest:
+    def request(self, parts: Parts, period: float) -> DriftRequest:
         """Return the drift wanted of each part.
 
         Parameters
@@ -102,19 +147,19 @@ class Sorter:
             Parts as seen, M of them.
         period : float
             Length of a cycle [s]: the request acts one cycle after `parts` was seen.
-        options : SortOptions
 
         Returns
         -------
         DriftRequest
             Intervals (M, 2) [m/s, plate_home].
         """
+        options = self.options
         position = parts.position + period * parts.velocity
         sign, half, goal = self._signs(parts), self.rig.plate.half, self.task.goal_fraction
         ends = (options.end, options.edge_outer)
-        pace = options.drift_max * paces(self.to_go(parts), options.least)
+        speed = options.drift_max * speed_scaling(self.to_go(parts), options.least)
         axes = [
-            _along(position[:, k], sign[:, k], goal, half[k], ends[k], pace, options)
+            _along(position[:, k], sign[:, k], goal, half[k], ends[k], speed, options)
             for k in range(2)
         ]
         # Parts dodge across the axis along which they are sorted; to a corner that is x.
@@ -126,18 +171,17 @@ class Sorter:
         for axis, (low, high) in enumerate(dodged):
             request.low[:, axis] = np.where(across == axis, low, request.low[:, axis])
             request.high[:, axis] = np.where(across == axis, high, request.high[:, axis])
-        return self._to_slots(parts, position, pace, request, options)
+        return self._to_slots(parts, position, speed, request)
 
     def _to_slots(
         self,
         parts: Parts,
         position: np.ndarray,
-        pace: np.ndarray,
+        speed: np.ndarray,
         request: DriftRequest,
-        options: SortOptions,
     ) -> DriftRequest:
         """Replace what is asked of parts that belong in bins."""
-        radius = self.rig.parts.radius_m
+        options, radius = self.options, self.rig.parts.radius_m
         low, high, aim = request.low.copy(), request.high.copy(), position.copy()
         binned = np.zeros(len(parts), dtype=bool)
         for rows, corner, slot in self._binned(parts):
@@ -146,7 +190,7 @@ class Sorter:
             place = slot[assign((label,) * len(slot), slot, mine)]
             room = outline_distance(place, corner).min() - radius
             wanted = approach_drift(
-                position[rows], place, max(room, 0), pace[rows],
+                position[rows], place, max(room, 0), speed[rows],
                 options.over * options.drift_max, options.approach,
             )  # fmt: skip
             low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
@@ -183,19 +227,19 @@ def _along(
     goal: float,
     half: float,
     end: float,
-    pace: np.ndarray,
+    slowest: np.ndarray,
     options: SortOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interval of drift (M,) along one axis that leads into the band beyond the goal line.
 
-    Far from the band it is from `pace` (M,) [m/s] to over drift_max towards the own side; inside
+    Far from the band it is from `slowest` (M,) [m/s] to over drift_max towards the own side; inside
     it, whatever does not lead out soon; beyond it, back.
     """
     speed, wander = options.drift_max, options.wander * options.drift_max
     own = x * side  # grows towards the own side, for either side
     inner = half * (goal + options.margin)
     outer = half * max(end, goal + 2 * options.margin)
-    low = np.clip(options.approach * (inner - own), -wander, pace)
+    low = np.clip(options.approach * (inner - own), -wander, slowest)
     high = np.clip(options.approach * (outer - own), -speed, options.over * speed)
     low = np.minimum(low, high)
     free_low, free_high = stay_within(
@@ -218,7 +262,7 @@ def _dodge(
 
     Of two parts that are asked towards each other, and nearly level in y, the upper one is sent
     up, the lower one down (of two exactly level, the first in the list goes down). Parts on the
-    same way at different paces are left alone. The nearer the edge, the less they are sent: the
+    same way at different speeds are left alone. The nearer the edge, the less they are sent: the
     edge comes first. With `across` 0, x and y change places.
     """
     drift_x = request.centre[:, 1 - across]
@@ -244,3 +288,39 @@ def _dodge(
     return np.where(push > 0, np.minimum(up, high), low), np.where(
         push < 0, np.maximum(down, low), high
     )
+
+
+def inside(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Whether points (..., 2) are in a polygon (n, 2): a ray from each crosses it an odd number."""
+    after = np.roll(corner, -1, axis=0)
+    x, y = point[..., 0, None], point[..., 1, None]
+    crosses = (corner[:, 1] > y) != (after[:, 1] > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fraction = (y - corner[:, 1]) / (after[:, 1] - corner[:, 1])
+        right = x < corner[:, 0] + fraction * (after[:, 0] - corner[:, 0])
+    return np.asarray(np.sum(crosses & right, axis=-1) % 2 == 1)
+
+
+def outline_distance(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Distance (...) [m] of points (..., 2) from the sides of a polygon (n, 2) [m]."""
+    edge = np.roll(corner, -1, axis=0) - corner
+    offset = point[..., None, :] - corner
+    fraction = np.clip(np.sum(offset * edge, axis=-1) / np.sum(edge**2, axis=-1), 0, 1)
+    nearest = offset - fraction[..., None] * edge
+    return np.asarray(np.min(np.hypot(nearest[..., 0], nearest[..., 1]), axis=-1))
+
+
+def slots(region: Bin, rig: Rig) -> np.ndarray:
+    """Return places (n, 2) [m] in a bin, on a square grid, apart from each other and its sides."""
+    corner = np.array(region.corner)
+    spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
+    low, high = np.min(corner, axis=0), np.max(corner, axis=0)
+    best = np.zeros((0, 2))
+    for shift in np.ndindex(GRID_TRIES, GRID_TRIES):
+        start = low + clear + spacing * np.array(shift) / GRID_TRIES
+        axes = [np.arange(a, b - clear + 1e-9, spacing) for a, b in zip(start, high, strict=True)]
+        point = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        fits = inside(point, corner) & (outline_distance(point, corner) >= clear - 1e-9)
+        if np.sum(fits) > len(best):
+            best = point[fits]
+    return best

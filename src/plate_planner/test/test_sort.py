@@ -7,20 +7,21 @@ import pytest
 
 from plate_core import Parts, ScenarioError, load_rig
 from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
-from plate_planner.bins import check_bins, inside, outline_distance, slots
-from plate_planner.sorting import Sorter, SortOptions
+from plate_planner.tasks import Sorter, SortOptions
+from plate_planner.tasks.sort import inside, outline_distance, slots
 
 RIG = load_rig()
 HALF = RIG.plate.half
 TASK = SortTask({"black": Side(-1, 0), "grey": Side(1, 0)}, goal_fraction=0.6, hold_s=0.5)
 OPTIONS = SortOptions(drift_max=0.01)
+SORTER = Sorter(TASK, RIG, OPTIONS)
 TINY = 1e-9
 
 
 def interval(part_id: str, x: float, y: float = 0.0, options: SortOptions = OPTIONS):
-    """Return low, high (2,) in multiples of drift_max for one part at shares of the half sides."""
+    """Return low, high (2,) [drift_max] for one part at fractions of the half sides."""
     parts = Parts.make((part_id,), np.array([[x, y]]) * HALF)
-    request = Sorter(TASK, RIG).request(parts, 0.1, options)
+    request = Sorter(TASK, RIG, options).request(parts, 0.1)
     return request.low[0] / options.drift_max, request.high[0] / options.drift_max
 
 
@@ -80,7 +81,7 @@ def test_intervals_are_never_empty_and_never_lead_off_the_plate():
     for _ in range(200):
         position = rng.uniform(-HALF, HALF, (13, 2))
         parts = Parts.make(ids, position, 0.01 * rng.normal(size=(13, 2)))
-        request = Sorter(TASK, RIG).request(parts, 0.1, OPTIONS)
+        request = SORTER.request(parts, 0.1)
         assert np.all(request.low <= request.high + TINY)
         ahead = position + 0.1 * parts.velocity
         outside = np.abs(ahead) >= 0.9 * HALF
@@ -95,8 +96,8 @@ def test_the_mirror_image_asks_for_the_mirror_image():
     swapped = tuple(
         i.replace("black", "x").replace("grey", "black").replace("x", "grey") for i in ids
     )
-    request = Sorter(TASK, RIG).request(Parts.make(ids, position), 0.1, OPTIONS)
-    mirror = Sorter(TASK, RIG).request(Parts.make(swapped, position * [-1, 1]), 0.1, OPTIONS)
+    request = SORTER.request(Parts.make(ids, position), 0.1)
+    mirror = SORTER.request(Parts.make(swapped, position * [-1, 1]), 0.1)
     assert mirror.low[:, 0] == pytest.approx(-request.high[:, 0])
     assert mirror.low[:, 1] == pytest.approx(request.low[:, 1])
 
@@ -109,14 +110,14 @@ def test_a_class_without_a_goal_is_only_kept_on_the_plate():
     assert low == pytest.approx([1, -1])
     assert high == pytest.approx([1, -1])
     parts = Parts.make(("red_1",), np.array([[0.29, 0]]))
-    assert np.isnan(Sorter(TASK, RIG).to_go(parts)[0])
+    assert np.isnan(SORTER.to_go(parts)[0])
 
 
 def pair(gap_x: float, gap_y: float, left="grey_1", right="black_1", options=OPTIONS):
     """Request for two parts this far apart, in radii."""
     r = RIG.parts.radius_m
     position = np.array([[-gap_x / 2 * r, -gap_y / 2 * r], [gap_x / 2 * r, gap_y / 2 * r]])
-    return Sorter(TASK, RIG).request(Parts.make((left, right), position), 0.1, options)
+    return Sorter(TASK, RIG, options).request(Parts.make((left, right), position), 0.1)
 
 
 def test_parts_that_would_meet_dodge_along_y():
@@ -138,7 +139,7 @@ def test_dodging_begins_and_ends_gradually():
 
 def test_the_edge_comes_before_dodging():
     position = np.array([[-0.01, 0.9 * HALF[1]], [0.01, 0.9 * HALF[1] - 0.01]])
-    request = Sorter(TASK, RIG).request(Parts.make(("grey_1", "black_1"), position), 0.1, OPTIONS)
+    request = SORTER.request(Parts.make(("grey_1", "black_1"), position), 0.1)
     assert request.high[0, 1] == pytest.approx(-0.01)  # back from the edge, though upper
 
 
@@ -158,7 +159,7 @@ def test_others_are_left_alone(request_):
 
 
 @pytest.mark.parametrize(
-    ("part_id", "share", "expected"),
+    ("part_id", "fraction", "expected"),
     [
         ("grey_1", 0.6 + TINY, True),
         ("grey_1", 0.6 - TINY, False),
@@ -167,36 +168,36 @@ def test_others_are_left_alone(request_):
         ("black_1", -0.6 + TINY, False),
     ],
 )
-def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, share, expected):
-    parts = Parts.make((part_id,), np.array([[share * HALF[0], 0.0]]))
-    assert (Sorter(TASK, RIG).to_go(parts)[0] == 0) == expected
+def test_sorted_means_beyond_the_goal_line_on_its_own_side(part_id, fraction, expected):
+    parts = Parts.make((part_id,), np.array([[fraction * HALF[0], 0.0]]))
+    assert (SORTER.to_go(parts)[0] == 0) == expected
 
 
-def shares(*points: tuple[float, float]) -> np.ndarray:
-    """Return places [m] at shares of the half sides."""
+def fractions(*points: tuple[float, float]) -> np.ndarray:
+    """Return places [m] at fractions of the half sides."""
     return np.array(points) * HALF
 
 
 def test_a_corner_wants_both_axes_and_top_is_left_turned_round():
     task = SortTask({"black": Side(-1, 1), "grey": Side(0, 1)}, goal_fraction=0.6, hold_s=0.5)
-    sorter = Sorter(task, RIG)
+    sorter = Sorter(task, RIG, OPTIONS)
     ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
-    points = shares((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.9, 0.7), (0.0, 0.0))
+    points = fractions((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.9, 0.7), (0.0, 0.0))
     parts = Parts.make(ids, points)
     short = [0, 0.3 * HALF[1], np.hypot(0.9 * HALF[0], 0.4 * HALF[1]), 0, 0.6 * HALF[1]]
     assert sorter.to_go(parts) == pytest.approx(np.array(short))
-    low, high = (x / OPTIONS.drift_max for x in vars(sorter.request(parts, 0.1, OPTIONS)).values())
+    low, high = (x / OPTIONS.drift_max for x in vars(sorter.request(parts, 0.1)).values())
     assert (low[2, 1], high[2, 1]) == pytest.approx((1, 2))  # up
     assert (low[2, 0], high[2, 0]) == pytest.approx((-2, -1))  # and to the left
     assert (low[4, 0], high[4, 0]) == pytest.approx((-0.6, 0.6))  # grey's x is free
     # On a square plate the rules along y are those along x.
     square = replace(RIG, plate=replace(RIG.plate, width_m=RIG.plate.length_m))
-    up = Sorter(SortTask({"grey": Side(0, 1)}, 0.6, 0.5), square)
-    right = Sorter(SortTask({"grey": Side(1, 0)}, 0.6, 0.5), square)
+    up = Sorter(SortTask({"grey": Side(0, 1)}, 0.6, 0.5), square, OPTIONS)
+    right = Sorter(SortTask({"grey": Side(1, 0)}, 0.6, 0.5), square, OPTIONS)
     point = np.array([[0.05, 0.06], [0.03, 0.09], [-0.2, -0.27]])
     names = ("grey_1", "grey_2", "grey_3")
-    a = up.request(Parts.make(names, point), 0.1, OPTIONS)
-    b = right.request(Parts.make(names, point[:, ::-1]), 0.1, OPTIONS)
+    a = up.request(Parts.make(names, point), 0.1)
+    b = right.request(Parts.make(names, point[:, ::-1]), 0.1)
     assert a.low == pytest.approx(b.low[:, ::-1])
     assert a.high == pytest.approx(b.high[:, ::-1])
 
@@ -228,9 +229,9 @@ def test_a_bin_too_small_for_its_parts_is_refused():
     assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
     scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
     with pytest.raises(ScenarioError, match=rf"bin of black is for {room + 1} parts, .*{room},"):
-        check_bins(scenario, RIG)
+        Sorter(scenario.task, RIG).check(scenario)
 
 
 def test_no_parts_no_request():
-    request = Sorter(TASK, RIG).request(Parts.make((), np.zeros((0, 2))), 0.1, OPTIONS)
+    request = SORTER.request(Parts.make((), np.zeros((0, 2))), 0.1)
     assert request.low.shape == request.high.shape == (0, 2)

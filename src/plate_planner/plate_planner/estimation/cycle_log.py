@@ -1,9 +1,10 @@
-"""Which plate cycle ran when: what the solver has sent, on the time of the images' stamps."""
+"""Which plate cycle ran when, and how long a cycle is: from cycles sent, and the images' stamps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from statistics import median_low
 
 from plate_core import PlateCycle
 
@@ -11,30 +12,35 @@ HANDOVER_S = 4e-3
 """Time from a cycle's publication until the device has it [s]: two hops and the driver."""
 
 SNAP = 0.25
-"""An image at most this share of a cycle from its expected end was taken at its end."""
+"""An image at most this fraction of a cycle from its expected end was taken at its end."""
 
 MEMORY_S = 1.5
 """How far back runs are kept [s]: longer than an image may be old, and a longest cycle."""
 
+SHORTEST_S = 0.005
+"""A shorter cycle is none that a driver would play [s]."""
 
-LEAST_PERIOD_S = 0.005
-"""A cycle shorter than this is none that a driver would play [s]."""
+PERIOD_RANGE_S = (0.005, 1.0)
+"""Intervals of stamps that may be a period [s]: the design has 0.02 to 0.2, with room beside."""
+
+INTERVALS_KEPT = 3
+"""Intervals remembered: the median of three is not deceived by one lost image."""
 
 
 @dataclass(frozen=True)
-class PlateLog:
-    """The plate's runs, oldest first.
+class CycleLog:
+    """The cycles that the plate ran, oldest first.
 
     Attributes
     ----------
     runs : tuple of (begin [s], PlateCycle)
         Each ends where the next begins; before the first the plate rests.
-    heard : tuple of (arrival [s], PlateCycle), or None
+    sent : tuple of (arrival [s], PlateCycle), or None
         The newest cycle sent that has not begun.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
-    heard: tuple[float, PlateCycle] | None = None
+    sent: tuple[float, PlateCycle] | None = None
 
     @property
     def known(self) -> bool:
@@ -52,22 +58,22 @@ class PlateLog:
         """Length of the last run [s]."""
         return self.runs[-1][1].period
 
-    def hear(self, cycle: PlateCycle, arrival: float) -> PlateLog:
+    def hear(self, cycle: PlateCycle, arrival: float) -> CycleLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps]."""
-        if cycle.period < LEAST_PERIOD_S:
+        if cycle.period < SHORTEST_S:
             return self
-        return replace(self, heard=(arrival, cycle))
+        return replace(self, sent=(arrival, cycle))
 
-    def advance(self, t: float) -> PlateLog:
+    def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]: a cycle begins there.
 
         At a cycle's end the newest one follows, if it was there in time, else the same again.
         """
         log = self
         if self.runs and t < self.runs[-1][0]:
-            log = PlateLog()  # time began anew
+            log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
-            log = PlateLog(heard=self.heard)  # nothing has been seen for long
+            log = CycleLog(sent=self.sent)  # nothing has been seen for long
         if not log.runs:
             return log._begin(t, None)
         while log.end <= t - SNAP * log.period:
@@ -77,9 +83,9 @@ class PlateLog:
         kept = tuple(run for run in log.runs if run[0] + run[1].period > t - MEMORY_S)
         return replace(log, runs=kept)
 
-    def _begin(self, t: float, same: PlateCycle | None) -> PlateLog:
-        if self.heard is not None and self.heard[0] + HANDOVER_S <= t:
-            return PlateLog((*self.runs, (t, self.heard[1])))
+    def _begin(self, t: float, same: PlateCycle | None) -> CycleLog:
+        if self.sent is not None and self.sent[0] + HANDOVER_S <= t:
+            return CycleLog((*self.runs, (t, self.sent[1])))
         return self if same is None else replace(self, runs=(*self.runs, (t, same)))
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float]]:
@@ -92,3 +98,39 @@ class PlateLog:
             a, b = max(begin, start), min(end, stop, start + cycle.period)
             if b > a:
                 yield cycle, a - start, b - start
+
+
+@dataclass(frozen=True)
+class CycleClock:
+    """The period, from the stamps of successive images.
+
+    Attributes
+    ----------
+    stamp : float or None
+        The last stamp [s].
+    intervals : tuple of float
+        The last plausible differences of successive stamps [s].
+    period : float
+        What the length of a cycle is taken to be [s].
+    """
+
+    stamp: float | None
+    intervals: tuple[float, ...]
+    period: float
+
+    @classmethod
+    def starting(cls, default_period: float) -> CycleClock:
+        """Return a clock that has seen nothing yet."""
+        return cls(None, (), default_period)
+
+    def tick(self, t: float) -> CycleClock:
+        """Take in the next stamp [s]; going back or a long gap leaves the period as it was."""
+        step = None if self.stamp is None else t - self.stamp
+        if step is None or not PERIOD_RANGE_S[0] <= step <= PERIOD_RANGE_S[1]:
+            return replace(self, stamp=t)
+        intervals = (*self.intervals, step)[-INTERVALS_KEPT:]
+        return CycleClock(t, intervals, median_low(intervals))
+
+    def went_back(self, t: float) -> bool:
+        """Whether a stamp [s] is earlier than the last: the source was started again."""
+        return self.stamp is not None and t < self.stamp

@@ -14,7 +14,7 @@ from plate_core.status import Finding, Input, Level
 CYCLES = 3.0
 """Silence of so many cycles is none yet, however short the timeout."""
 
-HEARSAY_S = 0.2
+SECOND_HAND_S = 0.2
 """How much longer the planner waits than the node before it does [s]: what that one misses is the
 better reason."""
 
@@ -31,12 +31,35 @@ FRESH_S, LIFE_S = 0.5, 0.8
 """Silence of parts or cycles [s], unless cycles are long, and of driver_state, which is said again
 each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
 
-READY = "ready"
-"""What driver_state begins with when cycles reach the motors."""
+
+@dataclass(frozen=True)
+class DriverState:
+    """What driver_state tells: one word, or a word, a colon, and the reason."""
+
+    text: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether the driver has said anything."""
+        return bool(self.text)
+
+    @property
+    def ready(self) -> bool:
+        """Whether cycles reach the motors."""
+        return self._word == "ready"
+
+    @property
+    def failed(self) -> bool:
+        """Whether the device cannot be reached, or has not done what it was to do."""
+        return self._word == "error"
+
+    @property
+    def _word(self) -> str:
+        return self.text.partition(":")[0]
 
 
 @dataclass(frozen=True)
-class Said:
+class Report:
     """The newest diagnostics of a node: when they came, their level and message."""
 
     at: float
@@ -58,15 +81,15 @@ class Inputs:
         Of the last parts [ns].
     unanswered : float or None
         Since when part_forces have been published without a plate_cycle after them.
-    driver_state : str
-        What the driver last said; empty: nothing.
+    driver_state : DriverState
+        The newest.
     error_since : float or None
         Since when it has told an error.
-    ready : str
-        What it said when it was ready last: another text after each enable.
+    ready : DriverState
+        The newest that was ready: its text is another after each enable.
     enabled_again : float or None
         When that has changed: the motors were stopped meanwhile, even if nothing else told.
-    said : mapping of str to Said
+    reports : mapping of str to Report
         Diagnostics by node.
     """
 
@@ -75,11 +98,11 @@ class Inputs:
     ran: float
     stamp: int | None = None
     unanswered: float | None = None
-    driver_state: str = ""
+    driver_state: DriverState = DriverState()
     error_since: float | None = None
-    ready: str = ""
+    ready: DriverState = DriverState()
     enabled_again: float | None = None
-    said: Mapping[str, Said] = field(default_factory=dict)
+    reports: Mapping[str, Report] = field(default_factory=dict)
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float) -> Inputs:
@@ -104,43 +127,44 @@ class Inputs:
         """Take in that the solver has answered."""
         return replace(self, unanswered=None)
 
-    def heard_driver(self, now: float, state: str) -> Inputs:
-        """Take in what the driver says."""
-        since, again = None, self.enabled_again
-        if state.startswith(READY):
-            if self.ready not in ("", state):
-                again = now
-            self = replace(self, ready=state)
-        if state.startswith("error"):
-            since = now if self.error_since is None else self.error_since
+    def heard_driver(self, now: float, text: str) -> Inputs:
+        """Take in what driver_state tells."""
+        state = DriverState(text)
+        again = state.ready and self.ready.known and state != self.ready
+        since = now if self.error_since is None else self.error_since
         return replace(
             self,
             driver=self.driver.heard(now),
             driver_state=state,
-            error_since=since,
-            enabled_again=again,
+            error_since=since if state.failed else None,
+            ready=state if state.ready else self.ready,
+            enabled_again=now if again else self.enabled_again,
         )
 
     def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
         """Take in diagnostics of a node; those of nodes outside the loop do not count."""
         if name not in LOOP:
             return self
-        return replace(self, said={**self.said, name: Said(now, level, message)})
+        return replace(self, reports={**self.reports, name: Report(now, level, message)})
 
     # What follows
 
     def timeout(self, period: float) -> float:
         """Longest silence [s] at cycles of `period` [s]."""
-        return max(self.parts.timeout_s, CYCLES * period) + HEARSAY_S
+        return max(self.parts.timeout_s, CYCLES * period) + SECOND_HAND_S
 
     def driver_problem(self, now: float) -> str:
         """Say why no task can be started with the driver; empty if one can."""
         gone = self.driver.gone(now)
         if gone is not None:
             return gone.message
-        if not self.driver_state:
+        if not self.driver_state.known:
             return f"no driver_state yet: {self.driver.question}"
-        return "" if self.driver_state.startswith(READY) else f"driver: {self.driver_state}"
+        return "" if self.driver_state.ready else self._driver_text
+
+    @property
+    def _driver_text(self) -> str:
+        return f"driver: {self.driver_state.text}"
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
         """Say why no task can be started with what comes of the camera; empty if one can."""
@@ -167,7 +191,7 @@ class Inputs:
         """
         why = self._missing(now, began, period, publishers)
         # A line that has failed is the reason, whatever is missed because of it.
-        return f"driver: {self.driver_state}" if why and self.error_since is not None else why
+        return self._driver_text if why and self.error_since is not None else why
 
     def _missing(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
@@ -179,19 +203,20 @@ class Inputs:
             return f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
-                return f"driver: {self.driver_state}"
-        elif not self.driver_state.startswith(READY):
-            return f"driver: {self.driver_state}"
+                return self._driver_text
+        elif not self.driver_state.ready:
+            return self._driver_text
         if self.enabled_again is not None and self.enabled_again > began:
             return "driver: the motors were stopped and enabled again"
         silence = min(self.parts.silence(now), now - began)
         if silence > timeout:
             return self._no_parts(now, silence, publishers)
         if self.unanswered is not None and now - max(self.unanswered, began) > timeout:
-            silence = now - max(self.unanswered, began)
-            return f"no plate_cycle for {silence:.1f} s: {self._blame_for_cycles(now, publishers)}"
+            silence, question = now - max(self.unanswered, began), "does the solver run?"
+            why = self._blame("plate_cycle", "solver", question, now, publishers)
+            return f"no plate_cycle for {silence:.1f} s: {why}"
         name = self._cut_off(now, began, period)
-        return f"{name}: {self.said[name].message}" if name else ""
+        return f"{name}: {self.reports[name].message}" if name else ""
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
         """Name the first node around the loop that says that it has no input; empty if none does.
@@ -201,11 +226,11 @@ class Inputs:
         fresh = max(FRESH_S, CYCLES * period)
         stale = {
             name
-            for name, said in self.said.items()
-            if said.level is Level.STALE and said.at - began > self.parts.timeout_s
+            for name, report in self.reports.items()
+            if report.level is Level.STALE and report.at - began > self.parts.timeout_s
         }
         if "detector" in stale:  # beside a simulated device images come only with its motion
-            driven = "device" in self.said and "simulator" in stale
+            driven = "device" in self.reports and "simulator" in stale
             return "simulator" if driven else "detector"
         if self.parts.silence(now) > fresh:
             return ""
@@ -245,32 +270,23 @@ class Inputs:
             replace(each, since=now, came=None if each.came is None else now)
             for each in (self.parts, self.driver)
         )
-        return replace(self, parts=parts, driver=driver, ran=now, unanswered=None, said={})
+        return replace(self, parts=parts, driver=driver, ran=now, unanswered=None, reports={})
 
     def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
         return f"no parts for {silence:.1f} s: {self._blame_for_parts(now, publishers)}"
 
     def _blame_for_parts(self, now: float, publishers: Callable[[str], int]) -> str:
-        if not publishers("parts"):
-            return "nobody publishes them, does the detector run?"
-        detector = self._lives("detector", now)
-        if detector is None:
-            return self.parts.question
-        if not detector:
-            return "the detector is silent, does it run?"
-        return f"the detector runs and says: {self.said['detector'].message}"
+        return self._blame("parts", "detector", self.parts.question, now, publishers)
 
-    def _blame_for_cycles(self, now: float, publishers: Callable[[str], int]) -> str:
-        if not publishers("plate_cycle"):
-            return "nobody publishes them, does the solver run?"
-        solver = self._lives("solver", now)
-        if solver is None:
-            return "does the solver run?"
-        if not solver:
-            return "the solver is silent, does it run?"
-        return f"the solver runs and says: {self.said['solver'].message}"
-
-    def _lives(self, name: str, now: float) -> bool | None:
-        """Whether a node publishes diagnostics; None if it never did."""
-        said = self.said.get(name)
-        return None if said is None else now - said.at <= REPORT_TIMEOUT_S
+    def _blame(
+        self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
+    ) -> str:
+        """Say why nothing comes on a topic of a node, or ask a question if it is not known."""
+        if not publishers(topic):
+            return f"nobody publishes them, does the {node} run?"
+        report = self.reports.get(node)
+        if report is None:
+            return question
+        if now - report.at > REPORT_TIMEOUT_S:
+            return f"the {node} is silent, does it run?"
+        return f"the {node} runs and says: {report.message}"

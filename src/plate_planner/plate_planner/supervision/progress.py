@@ -1,8 +1,10 @@
-"""How a task is getting on."""
+"""How a task is getting on: what progress and diagnostics show."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from .phase import Phase
 
 
 @dataclass(frozen=True)
@@ -11,8 +13,7 @@ class Progress:
 
     Attributes
     ----------
-    phase : str
-        idle, running, done, stuck, lost part or aborted.
+    phase : Phase
     text : str
         The phase, and time and reason of a failure.
     time_s : float
@@ -26,15 +27,15 @@ class Progress:
         assembling and posing: of parts from their places in this image [m].
     max_error_m : float
         The greatest such distance [m].
-    pace : float
-        Following: how fast the references are, 1 at full speed [-].
+    speed_scaling : float
+        Following: speed of the references, 1 is full speed [-].
     period_s : float
         Length of a cycle [s].
     image_age_s : float
         How old images are taken to be at their stamps [s].
     """
 
-    phase: str
+    phase: Phase
     text: str
     time_s: float
     parts_total: int
@@ -43,14 +44,14 @@ class Progress:
     to_go_m: float
     rms_error_m: float
     max_error_m: float
-    pace: float
+    speed_scaling: float
     period_s: float
     image_age_s: float
 
     @property
     def ended(self) -> bool:
         """Whether the task has come to an end, good or bad."""
-        return self.phase not in ("idle", "running")
+        return self.phase.is_end
 
     def values(self) -> dict[str, str]:
         """Return the numbers as diagnostics show them."""
@@ -62,7 +63,7 @@ class Progress:
             "to_go_m": f"{self.to_go_m:.6f}",
             "rms_error_m": f"{self.rms_error_m:.6f}",
             "max_error_m": f"{self.max_error_m:.6f}",
-            "pace": f"{self.pace:.3f}",
+            "speed_scaling": f"{self.speed_scaling:.3f}",
             "period_s": f"{self.period_s:.4f}",
             "image_age_s": f"{self.image_age_s:.4f}",
         }

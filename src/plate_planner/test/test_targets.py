@@ -1,13 +1,23 @@
-"""Parts to places: intervals that lead there, round others, clear of the edges."""
+"""Parts to targets: the best match, intervals that lead there, round others, clear of edges."""
+
+from itertools import permutations
 
 import numpy as np
 import pytest
 
 from plate_core import Parts, load_rig
 from plate_core.tasks import AssembleTask
-from plate_planner.assembling import AssembleOptions, Assembly
-from plate_planner.places import LOOSE, approach_drift, assign, hold_back, paces, pass_by
-from plate_planner.requests import DriftRequest
+from plate_planner.tasks import AssembleOptions, Assembler, DriftRequest
+from plate_planner.tasks.targets import (
+    LOOSE,
+    approach_drift,
+    assign,
+    hold_back,
+    match_targets,
+    pass_by,
+    rematch_targets,
+    speed_scaling,
+)
 
 RIG = load_rig()
 SPEED, OVER, RATE, BAND = 0.012, 2.0, 1.5, 0.001
@@ -15,8 +25,8 @@ SPEED, OVER, RATE, BAND = 0.012, 2.0, 1.5, 0.001
 
 def drift(position, aim):
     position = np.array(position)
-    pace = np.full(len(position), SPEED)
-    return approach_drift(position, np.array(aim), BAND, pace, OVER * SPEED, RATE)
+    speed = np.full(len(position), SPEED)
+    return approach_drift(position, np.array(aim), BAND, speed, OVER * SPEED, RATE)
 
 
 def test_any_drift_in_the_interval_leads_nearer_until_the_band_is_reached():
@@ -76,25 +86,59 @@ def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
     place = np.array([[0.0, 0.0], [0.1, 0.01], [0.1, 0.02]])
     assert list(assign(("black", "grey", "black"), place, parts)) == [1, -1, 2, 0]
     task = AssembleTask(("black", "grey", "black"), tuple(map(tuple, place)), 0.003, 1.0)
-    assembly = Assembly(task, RIG)
+    assembly = Assembler(task, RIG)
     distance = assembly.distance(parts)
     assert distance == pytest.approx([np.hypot(0.1, 0.01), np.nan, 0.02, 0.01], nan_ok=True)
-    request = assembly.request(parts, 0.1, AssembleOptions())
+    request = assembly.request(parts, 0.1)
     assert request.low[1] == pytest.approx([-AssembleOptions.drift_max] * 2)
     assert request.high[1] == pytest.approx([AssembleOptions.drift_max] * 2)
 
 
 def test_nobody_is_asked_nothing():
     nobody = Parts.make((), np.zeros((0, 2)))
-    assembly = Assembly(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
-    assert assembly.request(nobody, 0.1, AssembleOptions()).low.shape == (0, 2)
+    assembly = Assembler(AssembleTask(("black",), ((0.0, 0.0),), 0.003, 1.0), RIG)
+    assert assembly.request(nobody, 0.1).low.shape == (0, 2)
     assert assembly.distance(nobody).shape == (0,)
 
 
 def test_parts_with_shorter_ways_are_asked_for_less_and_all_arrive_together():
-    pace = paces(np.array([0.3, 0.24, 0.02, 0.0, np.nan]), 0.3)
-    assert pace[0] == 1
-    assert pace[1] == pytest.approx(0.8, abs=0.02)
-    assert list(pace[2:]) == [0.3, 0.3, 0.3]
-    assert list(paces(np.zeros(2), 0.3)) == [1, 1]  # all there: nobody is slowed for others
-    assert len(paces(np.zeros(0), 0.3)) == 0
+    scaling = speed_scaling(np.array([0.3, 0.24, 0.02, 0.0, np.nan]), 0.3)
+    assert scaling[0] == 1
+    assert scaling[1] == pytest.approx(0.8, abs=0.02)
+    assert list(scaling[2:]) == [0.3, 0.3, 0.3]
+    assert list(speed_scaling(np.zeros(2), 0.3)) == [1, 1]  # all there: nobody is slowed for others
+    assert len(speed_scaling(np.zeros(0), 0.3)) == 0
+
+
+def test_the_match_is_the_best_of_all_permutations():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        target, position = rng.normal(size=(2, 5, 2))
+        parts = Parts.make(tuple(f"black_{i}" for i in range(5)), position)
+        match = match_targets(["black"] * 5, target, parts)
+        order = [parts.ids.index(i) for i in match]
+        best = min(permutations(range(5)), key=lambda p: np.sum((target - position[list(p)]) ** 2))
+        assert order == list(best)
+
+
+def test_a_part_takes_only_a_target_of_its_class():
+    parts = Parts.make(("grey_1", "black_1"), np.array([[0.0, 0.0], [1.0, 0.0]]))
+    target = np.array([[0.0, 0.0], [1.0, 0.0]])
+    assert match_targets(["black", "grey"], target, parts) == ("black_1", "grey_1")
+    assert match_targets(["black", "red"], target, parts) == ("black_1", "")
+
+
+def test_nobody_to_match():
+    empty = Parts.make((), np.zeros((0, 2)))
+    assert match_targets(["black"], np.zeros((1, 2)), empty) == ("",)
+    assert match_targets([], np.zeros((0, 2)), empty) == ()
+
+
+def test_a_part_back_under_a_new_number_takes_its_target_again():
+    match, labels = ("black_1", "black_2"), ["black", "black"]
+    target = np.array([[0.0, 0.0], [0.1, 0.0]])
+    parts = Parts.make(("black_1", "black_7"), np.array([[0.0, 0.0], [0.105, 0.0]]))
+    assert rematch_targets(match, labels, target, parts, 0.03) == ("black_1", "black_7")
+    assert rematch_targets(match, labels, target, parts, 0.001) == match
+    only = Parts.make(("black_1",), np.zeros((1, 2)))
+    assert rematch_targets(match, labels, target, only, 0.03) == match

@@ -7,7 +7,7 @@ import pytest
 
 from plate_core import Parts, load_rig
 from plate_core.tasks import Pose, PoseTask
-from plate_planner.posing import PoseOptions, Poser
+from plate_planner.tasks import PoseOptions, Poser
 
 RIG = load_rig()
 T = 0.2
@@ -47,7 +47,7 @@ def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
     for _ in range(80):
         # What was asked acts in the cycle after the one that runs.
         ahead = seen.position + T * drift
-        state, request = poser.request(state, seen, ahead, T, OPTIONS)
+        state, request = poser.request(state, seen, ahead, T)
         assert np.all(np.abs(state.spin) <= OPTIONS.spin_max)
         assert np.all(np.hypot(*request.low.T) <= OPTIONS.drift_max * (1 + 1e-9))
         place, angle = seen.position + T * drift, seen.angle + T * spin
@@ -62,7 +62,7 @@ def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
 def test_torque_is_what_changes_the_turning_within_a_cycle():
     poser = Poser(task(Pose("black", None, 1.0)), RIG)
     seen = parts([[0.0, 0.0]], [0.0])
-    state, _ = poser.request(poser.begin(seen), seen, seen.position, T, OPTIONS)
+    state, _ = poser.request(poser.begin(seen), seen, seen.position, T)
     inertia = RIG.parts.mass_kg * RIG.parts.radius_m**2 / 2
     assert poser.torque(state, seen, T) * T / inertia == pytest.approx(state.spin)
 

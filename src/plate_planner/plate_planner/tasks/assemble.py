@@ -1,16 +1,16 @@
-"""Assembling: which drift to ask of each part so that a pattern of places is filled."""
+"""Assemble: which drift to ask of each part so that a pattern of places is filled."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from plate_core import Parts, Rig
 from plate_core.tasks import AssembleTask
 
-from .places import approach_drift, assign, hold_back, paces, pass_by
-from .requests import DriftRequest
+from .targets import approach_drift, assign, hold_back, pass_by, speed_scaling
+from .task import Assessment, DriftRequest, Situation, TaskRules
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,6 @@ class AssembleOptions:
         Rate at which the asked drift falls with the distance still to go [1/s].
     band : float
         Where a part may stay: a square of this half side round its place [tolerance].
-    force_share_max : float
-        Greatest component of the force to ask for [mu m g].
     """
 
     drift_max: float = 0.024
@@ -38,22 +36,42 @@ class AssembleOptions:
     over: float = 2.0
     approach: float = 1.5
     band: float = 0.3
-    force_share_max: float = 1.0
 
 
 @dataclass(frozen=True)
-class Assembly:
+class Assembler(TaskRules):
     """The rules of assembling for one task on one rig."""
 
     task: AssembleTask
     rig: Rig
+    options: AssembleOptions = field(default_factory=AssembleOptions)
+
+    @property
+    def hold_s(self) -> float:
+        """Done when all parts have been in their places for this long [s]."""
+        return self.task.hold_s
+
+    def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
+        """Judge one image, and say what is wanted; nothing is remembered."""
+        distance = self.distance(now.parts)
+        error = distance[~np.isnan(distance)]
+        count = int(np.sum(error <= self.task.tolerance_m))
+        return None, Assessment(
+            request=self.request(now.parts, now.period),
+            goal_met=count == len(self.task.place),
+            count=count,
+            distance=np.nan_to_num(distance),
+            to_go_m=float(np.sum(error)),
+            rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
+            max_error_m=float(np.max(error, initial=0.0)),
+        )
 
     def distance(self, parts: Parts) -> np.ndarray:
         """How far each part (M,) is from its place [m]; NaN for a part that has none."""
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
-    def request(self, parts: Parts, period: float, options: AssembleOptions) -> DriftRequest:
+    def request(self, parts: Parts, period: float) -> DriftRequest:
         """Return the drift wanted of each part.
 
         Parameters
@@ -62,25 +80,26 @@ class Assembly:
             Parts as seen, M of them; one without a place is only kept clear of the edges.
         period : float
             Length of a cycle [s]: the request acts one cycle after `parts` was seen.
-        options : AssembleOptions
 
         Returns
         -------
         DriftRequest
             Intervals (M, 2) [m/s, plate_home].
         """
+        options = self.options
         aim, placed = self._aim(parts)
         position = parts.position + period * parts.velocity
-        speed, rate = options.drift_max, options.approach
+        fastest = options.over * options.drift_max
         band = options.band * self.task.tolerance_m
-        pace = speed * paces(self.distance(parts), options.least)
-        wanted = approach_drift(position, aim, band, pace, options.over * speed, rate)
+        speed = options.drift_max * speed_scaling(self.distance(parts), options.least)
+        wanted = approach_drift(position, aim, band, speed, fastest, options.approach)
         free = ~placed[:, None]
         wanted = DriftRequest(
-            np.where(free, -speed, wanted.low), np.where(free, speed, wanted.high)
+            np.where(free, -options.drift_max, wanted.low),
+            np.where(free, options.drift_max, wanted.high),
         )
         wanted = pass_by(position, wanted, self.rig.parts.radius_m)
-        return hold_back(position, aim, self.rig.plate.half, wanted, rate)
+        return hold_back(position, aim, self.rig.plate.half, wanted, options.approach)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""

@@ -27,16 +27,16 @@ class PolygonPath:
         Greatest speed along the path [m/s].
     laps : float
         Times round; 1 for an open path.
-    profile : (k, 3), or None
+    profile : (k, 3)
         Arc length [m], speed [m/s] and time since the lap began [s] at the entries of the speed
-        profile; None: `speed` all the way.
+        profile.
     """
 
     corner: np.ndarray
     arc: np.ndarray
     speed: float
     laps: float
-    profile: np.ndarray | None = None
+    profile: np.ndarray
 
     @classmethod
     def from_task(cls, task: PathTask) -> PolygonPath:
@@ -45,8 +45,8 @@ class PolygonPath:
         if task.closed:
             corner = np.vstack([corner, corner[:1]])
         arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(corner, axis=0).T)))
-        profile = _profile(task.profile, float(arc[-1])) if task.profile else None
-        return cls(corner, arc, task.speed, task.laps, profile)
+        profile = task.profile or ((0.0, task.speed), (1.0, task.speed))
+        return cls(corner, arc, task.speed, task.laps, _profile(profile, float(arc[-1])))
 
     @property
     def length(self) -> float:
@@ -56,8 +56,8 @@ class PolygonPath:
     @cached_property
     def duration(self) -> float:
         """Time from the first corner to the end of the last lap [s]."""
-        whole, rest = divmod(self.laps, 1.0)
-        return float(whole * self._lap_time + self._time_at(rest * self.length))
+        whole, part = divmod(self.laps, 1.0)
+        return float(whole * self._lap_time + self._time_at(part * self.length))
 
     def position(self, t: np.ndarray | float) -> np.ndarray:
         """Reference position (..., 2) [m, plate_home] at times t (...) [s].
@@ -67,34 +67,18 @@ class PolygonPath:
         along = self._along(t)
         return np.stack([np.interp(along, self.arc, axis) for axis in self.corner.T], axis=-1)
 
-    def velocity(self, t: np.ndarray | float) -> np.ndarray:
-        """Reference velocity (..., 2) [m/s] at times t (...) [s]: zero before and after the path.
-
-        At a corner it is that of the edge that begins there.
-        """
-        moving = (np.asarray(t) >= 0) & (np.asarray(t) < self.duration)
-        return self._speed(t)[..., None] * self.heading(t) * moving[..., None]
-
     def heading(self, t: np.ndarray | float) -> np.ndarray:
         """Direction (..., 2) of the edge that the reference is on at times t (...) [s]."""
         edge = np.searchsorted(self.arc, self._along(t), side="right") - 1
         edge = np.clip(edge, 0, len(self.arc) - 2)
         return np.asarray((np.diff(self.corner, axis=0) / np.diff(self.arc)[:, None])[edge])
 
-    def lap(self, t: float) -> int:
-        """Number of laps completed at time t [s]."""
-        return int(np.floor(np.clip(t, 0, self.duration) / self._lap_time + 1e-9))
-
     @property
     def _lap_time(self) -> float:
-        if self.profile is None:
-            return self.length / self.speed
         return float(self.profile[-1, 2])
 
     def _time_at(self, along: float) -> float:
         """Time [s] from the beginning of a lap to an arc length [m]."""
-        if self.profile is None:
-            return along / self.speed
         s, v, t = self.profile.T
         i = int(np.clip(np.searchsorted(s, along, side="right") - 1, 0, len(s) - 2))
         there = np.interp(along, s, v)
@@ -103,9 +87,6 @@ class PolygonPath:
     def _along(self, t: np.ndarray | float) -> np.ndarray:
         """Arc length within the lap (...) [m]; the end of a lap is the start of the next."""
         since = np.clip(np.asarray(t, dtype=float), 0, self.duration)
-        if self.profile is None:
-            total = since * self.speed
-            return total if self.laps == 1 else np.mod(total, self.length)
         if self.laps != 1:
             since = np.mod(since, self._lap_time)
         s, v, begin = self.profile.T
@@ -114,22 +95,16 @@ class PolygonPath:
         since = since - begin[i]
         return np.asarray(s[i] + v[i] * since * _expm1_over(slope * since))
 
-    def _speed(self, t: np.ndarray | float) -> np.ndarray:
-        """Speed (...) [m/s] at times t (...) [s]."""
-        if self.profile is None:
-            return np.full(np.shape(t), self.speed)
-        return np.asarray(np.interp(self._along(t), self.profile[:, 0], self.profile[:, 1]))
-
 
 def _profile(pairs: tuple[tuple[float, float], ...], length: float) -> np.ndarray:
-    """Arc length, speed and time (k, 3) at the entries (share of the length, speed)."""
-    share, speed = np.array(pairs).T
-    step = length * np.diff(share) / _log_mean(speed[:-1], speed[1:])
-    return np.column_stack([length * share, speed, np.append(0.0, np.cumsum(step))])
+    """Arc length, speed and time (k, 3) at the entries (fraction of the length, speed)."""
+    fraction, speed = np.array(pairs).T
+    step = length * np.diff(fraction) / _log_mean(speed[:-1], speed[1:])
+    return np.column_stack([length * fraction, speed, np.append(0.0, np.cumsum(step))])
 
 
 def _log_mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Mean speed over a stretch on which speed grows from a to b linearly with the way."""
+    """Mean speed over a segment on which speed grows from a to b linearly with the way."""
     ratio = np.log(np.asarray(b) / a)
     return np.asarray(a * _expm1_over(ratio))
 

@@ -1,4 +1,4 @@
-"""The supervisor: where a task is, how it ended, when and why. A pure state machine.
+"""The phase of a task: where it is, how it ended, when and why. A pure state machine.
 
 Done, stuck, lost part and aborted are ends: only a new start leads out of them.
 """
@@ -6,17 +6,18 @@ Done, stuck, lost part and aborted are ends: only a new start leads out of them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
-from enum import Enum
+from enum import StrEnum
 
-NEARER_M = 0.002
-"""What counts as nearer to the goal, summed over parts [m]: more than the camera's noise."""
+from plate_core import Parts, part_class
+from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
 """Stamps are sums of periods in nanoseconds: closer than this, two times are the same."""
 
 
-class Phase(Enum):
+class Phase(StrEnum):
     """Where a task is."""
 
     IDLE = "idle"
@@ -31,6 +32,11 @@ class Phase(Enum):
         """Whether a task ended without being done."""
         return self in (Phase.STUCK, Phase.LOST, Phase.ABORTED)
 
+    @property
+    def is_end(self) -> bool:
+        """Whether a task has come to its end, good or bad."""
+        return self is Phase.DONE or self.is_failure
+
 
 @dataclass(frozen=True)
 class TaskLimits:
@@ -42,11 +48,11 @@ class TaskLimits:
         Longest run.
     hold_s : float
         Done when the goal has been met for this long.
-    wait_s : float
+    start_timeout_s : float
         Longest time from `start` until all parts are seen.
-    patience_s : float
+    unseen_timeout_s : float
         A part unseen for longer than this is lost.
-    stuck_s : float
+    stuck_timeout_s : float
         A task that comes no nearer to its goal for longer than this is stuck.
     nearer_m : float
         What counts as nearer, summed over parts [m].
@@ -54,10 +60,10 @@ class TaskLimits:
 
     time_limit_s: float
     hold_s: float = 0.0
-    wait_s: float = 10.0
-    patience_s: float = 1.0
-    stuck_s: float = 30.0
-    nearer_m: float = NEARER_M
+    start_timeout_s: float = 10.0
+    unseen_timeout_s: float = 1.0
+    stuck_timeout_s: float = 30.0
+    nearer_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -115,6 +121,19 @@ class TaskState:
         return (t if self.ended is None else self.ended) - self.began
 
 
+def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
+    """Name the parts of the scenario that are not there, by id where it is `known`."""
+    there = Counter(part_class(i) for i in parts.ids)
+    names: list[str] = []
+    for label, wanted in Counter(scenario.labels).items():
+        short = wanted - there[label]
+        if short <= 0:
+            continue
+        gone = [i for i in known if part_class(i) == label and i not in parts.ids]
+        names += gone[:short] if len(gone) >= short else [f"{short} of {wanted} {label} parts"]
+    return tuple(names)
+
+
 def started() -> TaskState:
     """Return the state of a task that was just told to start."""
     return TaskState(phase=Phase.RUNNING)
@@ -143,9 +162,9 @@ def begin(
     asked = t if state.asked is None else state.asked
     if again and not missing:
         return replace(state, asked=asked, began=t)
-    if t - asked > limits.wait_s + TIME_TOLERANCE_S:
+    if t - asked > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
-        return _end(state, t, Phase.ABORTED, f"{what} within {limits.wait_s:g} s of start")
+        return _end(state, t, Phase.ABORTED, f"{what} within {limits.start_timeout_s:g} s of start")
     return replace(state, asked=asked)
 
 
@@ -170,7 +189,7 @@ class Findings:
         Distance to the goal, summed over parts [m].
     problem : str
         Why the task cannot go on; empty if it can.
-    plight : str
+    detail : str
         Which part is furthest from its goal, and what was asked of it.
     """
 
@@ -178,7 +197,7 @@ class Findings:
     goal_met: bool
     to_go_m: float
     problem: str = ""
-    plight: str = ""
+    detail: str = ""
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -194,8 +213,8 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     # Unseen parts have no distance: the sum without them would look like progress.
     if not found.missing and found.to_go_m < state.nearest_m - limits.nearer_m:
         state = replace(state, nearest_m=found.to_go_m, nearest_at=t)
-    patience = limits.patience_s + TIME_TOLERANCE_S
-    lost = tuple(name for name, since in missing_since if t - since > patience)
+    timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
+    lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
         return _end(state, t, Phase.LOST, _listed(lost))
     if found.problem:
@@ -206,11 +225,11 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     reason = ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:
         reason = f"time limit of {limits.time_limit_s:g} s"
-    elif met_since is None and t - state.nearest_at > limits.stuck_s + TIME_TOLERANCE_S:
-        reason = f"no nearer to the goal for {limits.stuck_s:g} s"
+    elif met_since is None and t - state.nearest_at > limits.stuck_timeout_s + TIME_TOLERANCE_S:
+        reason = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
     if not reason:
         return state
-    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.plight))))
+    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.detail))))
 
 
 def _end(state: TaskState, t: float | None, phase: Phase, reason: str) -> TaskState:

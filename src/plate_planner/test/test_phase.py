@@ -1,11 +1,11 @@
-"""The supervisor: every way from one phase to another, just before and just after."""
+"""The phase of a task: every way from one phase to another, just before and just after."""
 
 import math
 from dataclasses import replace
 
 import pytest
 
-from plate_planner.task import (
+from plate_planner.supervision import (
     Findings,
     Phase,
     TaskLimits,
@@ -16,7 +16,9 @@ from plate_planner.task import (
     stopped,
 )
 
-LIMITS = TaskLimits(time_limit_s=10.0, hold_s=0.5, wait_s=3.0, patience_s=1.0)
+LIMITS = TaskLimits(
+    time_limit_s=10.0, hold_s=0.5, start_timeout_s=3.0, unseen_timeout_s=1.0, nearer_m=0.002
+)
 EPS = 1e-3
 RUNNING = begin(started(), 100.0, (), True, LIMITS)
 GONE = ("black_1",)
@@ -99,11 +101,11 @@ def test_a_problem_ends_the_task_with_its_reason():
     assert (state.phase, state.text) == (Phase.STUCK, "stuck after 1.0 s: black_1 is off")
 
 
-def at_distances(*to_go, missing=(), met=False, stuck_s=3.0):
+def at_distances(*to_go, missing=(), met=False, stuck_timeout_s=3.0):
     """Return the last state after images a second apart with these distances to the goal [m]."""
-    state, limits = RUNNING, replace(LIMITS, stuck_s=stuck_s, patience_s=50.0)
+    state, limits = RUNNING, replace(LIMITS, stuck_timeout_s=stuck_timeout_s, unseen_timeout_s=50.0)
     for k, distance in enumerate(to_go):
-        found = Findings(missing, met, distance, plight="grey_2 is 8.0 mm short")
+        found = Findings(missing, met, distance, detail="grey_2 is 8.0 mm short")
         state = judge(state, 100.0 + k, found, limits)
     return state
 
@@ -119,7 +121,7 @@ def test_no_nearer_for_long_is_stuck_and_says_who():
 def test_unseen_parts_are_no_progress_and_a_goal_that_is_met_is_not_stuck():
     hidden = at_distances(0.1, 0.02, 0.02, missing=GONE)
     assert hidden.nearest_m == math.inf
-    limits = replace(LIMITS, stuck_s=0.2)
+    limits = replace(LIMITS, stuck_timeout_s=0.2)
     state = judge(RUNNING, 100.0, Findings((), True, 0.0), limits)
     assert judge(state, 100.4, Findings((), True, 0.0), limits).phase is Phase.RUNNING
 
@@ -137,7 +139,7 @@ def test_what_has_ended_stays_ended(phase):
     assert run((104.0, (), True), (999.0, GONE, False), state=ended) == ended
 
 
-def test_patience_is_for_each_part():
+def test_the_timeout_is_for_each_part():
     # Every image lacks a part, but never the same one for long.
     images = [(100.0 + 0.4 * k, (f"black_{k % 2 + 1}",), False) for k in range(20)]
     assert run(*images).active

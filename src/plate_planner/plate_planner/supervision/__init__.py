@@ -1,0 +1,34 @@
+"""Whether a task goes on: its phase, why it failed, how it gets on, and what the planner hears.
+
+`begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
+"""
+
+from .failure import shortfall_text
+from .inputs import Inputs
+from .phase import (
+    Findings,
+    Phase,
+    TaskLimits,
+    TaskState,
+    begin,
+    judge,
+    missing_parts,
+    started,
+    stopped,
+)
+from .progress import Progress
+
+__all__ = [
+    "Findings",
+    "Inputs",
+    "Phase",
+    "Progress",
+    "TaskLimits",
+    "TaskState",
+    "begin",
+    "judge",
+    "missing_parts",
+    "shortfall_text",
+    "started",
+    "stopped",
+]

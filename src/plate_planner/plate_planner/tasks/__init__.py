@@ -1,0 +1,62 @@
+"""What each task asks of the parts; `rules_for` picks the rules of a task, `TaskRules` says what
+the planner wants of them.
+
+A new task is one file here with a class of `TaskRules`, and two lines below: its options and its
+case in `rules_for`. How a scenario file describes it is written down in `plate_core.tasks`.
+"""
+
+from dataclasses import dataclass, field
+from typing import assert_never
+
+from plate_core import Rig
+from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
+
+from .assemble import AssembleOptions, Assembler
+from .follow import Follower, FollowMemory, FollowOptions, pd_drift
+from .pose import PoseMemory, PoseOptions, Poser
+from .sort import Sorter, SortOptions
+from .task import Assessment, DriftRequest, Situation, TaskRules
+
+__all__ = [
+    "AssembleOptions",
+    "Assembler",
+    "Assessment",
+    "DriftRequest",
+    "FollowMemory",
+    "FollowOptions",
+    "Follower",
+    "PoseMemory",
+    "PoseOptions",
+    "Poser",
+    "Situation",
+    "SortOptions",
+    "Sorter",
+    "TaskOptions",
+    "TaskRules",
+    "pd_drift",
+    "rules_for",
+]
+
+
+@dataclass(frozen=True)
+class TaskOptions:
+    """What can be tuned of each task."""
+
+    sort: SortOptions = field(default_factory=SortOptions)
+    follow: FollowOptions = field(default_factory=FollowOptions)
+    assemble: AssembleOptions = field(default_factory=AssembleOptions)
+    pose: PoseOptions = field(default_factory=PoseOptions)
+
+
+def rules_for(task: Task, rig: Rig, options: TaskOptions) -> TaskRules:
+    """Return the rules of a task."""
+    match task:
+        case SortTask():
+            return Sorter(task, rig, options.sort)
+        case FollowTask():
+            return Follower(task, rig, options.follow)
+        case AssembleTask():
+            return Assembler(task, rig, options.assemble)
+        case PoseTask():
+            return Poser(task, rig, options.pose)
+    assert_never(task)

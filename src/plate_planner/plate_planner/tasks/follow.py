@@ -1,0 +1,320 @@
+"""Follow: which drift to ask of each part so that it stays on its path.
+
+One PD step per cycle. The answer to image k acts during cycle k+1. So the controller looks at the
+error where the part will be when its answer begins to act, and asks for the mean drift over that
+cycle:
+
+    v_des = (x_ref(t + 2T) - x_ref(t + T))/T + kp (x_ref(t + T) - x_pred)/T
+
+kp = 1 corrects the whole predicted error in one cycle. The solver brings a part from the drift it
+has to the one it should have: that is the D of PD, with a gain of 1. What parts are known to do
+otherwise than predicted, the drift bias, is part of the prediction, and the planner takes it away
+from what is asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from plate_core import Parts, Rig
+from plate_core.tasks import FollowTask
+
+from .path import PolygonPath
+from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, stay_within
+from .task import Assessment, DriftRequest, Situation, TaskRules
+
+EDGE = (0.70, 0.85)
+"""Where parts without a path are held back from the edges [fraction of the half side]."""
+
+LACKING, SLOW_DOWN = 0.1, 0.7
+"""A cycle that lacks more than this fraction of a path's speed takes the speed scaling down to this
+fraction of what it was [-]."""
+
+NEGLIGIBLE = 0.3e-3
+"""Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
+down on a slow path."""
+
+SPEED_UP = 0.1
+"""Growth of the speed scaling in one cycle: smoother than the errors that slow it down [-]."""
+
+
+@dataclass(frozen=True)
+class FollowOptions:
+    """Gains and bounds of the path controller.
+
+    Attributes
+    ----------
+    kp : float
+        Fraction of the predicted position error to correct in one cycle [-].
+    observer_gain : float
+        Fraction of what a cycle does otherwise than predicted that counts as drift bias [-].
+    bias_max : float
+        Greatest drift bias along and across the path, in multiples of the path's speed [-].
+    slow_from, slow_to : float
+        Errors at which the references begin to slow down, and stand still [max_error_m].
+    speed_ratio_max : float
+        Greatest drift to ask for, in multiples of the path's speed [-].
+    settle_s : float
+        A part may be further off than the scenario allows for this long after the start [s].
+    """
+
+    kp: float = 0.8
+    observer_gain: float = 0.7
+    bias_max: float = 1.0
+    slow_from: float = 0.15
+    slow_to: float = 0.5
+    speed_ratio_max: float = 3.0
+    settle_s: float = 3.0
+
+
+def pd_drift(
+    predicted: np.ndarray,
+    reference: np.ndarray,
+    reference_after: np.ndarray,
+    period: float,
+    kp: float,
+    speed_max: np.ndarray,
+) -> np.ndarray:
+    """Drift wanted over the cycle in which the answer acts.
+
+    Parameters
+    ----------
+    predicted : (M, 2)
+        Positions when the cycle begins [m, plate_home].
+    reference, reference_after : (M, 2)
+        Where the parts should be when it begins, and when it ends [m, plate_home].
+    period : float
+        Length of a cycle [s].
+    kp : float
+        Fraction of the error to correct [-].
+    speed_max : (M,)
+        Bound of the result's magnitude [m/s].
+
+    Returns
+    -------
+    (M, 2)
+        Drift [m/s, plate_home].
+    """
+    wanted = (reference_after - reference + kp * (reference - predicted)) / period
+    magnitude = np.hypot(*wanted.T)
+    return wanted * np.minimum(1, speed_max / np.maximum(magnitude, 1e-12))[:, None]
+
+
+@dataclass(frozen=True)
+class FollowMemory:
+    """What following remembers from image to image.
+
+    Attributes
+    ----------
+    match : tuple of str
+        Id of the part of each path.
+    began : float
+        Stamp at which the references leave their first corners [s].
+    anchor, progress : float
+        A stamp [s], and how far on their paths the references are then [s at full speed].
+    scaling : (float, float)
+        Seconds on the path per second, before the anchor and after it: 1 is full speed.
+    square_sum, samples : float, int
+        Sum of squared distances from the references [m2], and their number.
+    max_error_m : float
+        The greatest of these distances [m].
+    """
+
+    match: tuple[str, ...] = ()
+    began: float = 0.0
+    anchor: float = 0.0
+    progress: float = 0.0
+    scaling: tuple[float, float] = (1.0, 1.0)
+    square_sum: float = 0.0
+    samples: int = 0
+    max_error_m: float = 0.0
+
+    @property
+    def rms_error_m(self) -> float:
+        """Root mean square distance from the references so far [m]."""
+        return float(np.sqrt(self.square_sum / self.samples)) if self.samples else 0.0
+
+    def path_time(self, t: float) -> float:
+        """How far the references are on their paths at a stamp t [s], in seconds at full speed."""
+        since = t - self.anchor
+        return self.progress + since * self.scaling[0 if since < 0 else 1]
+
+
+@dataclass(frozen=True)
+class Follower(TaskRules):
+    """The rules of following for one task on one rig."""
+
+    task: FollowTask
+    rig: Rig
+    options: FollowOptions = field(default_factory=FollowOptions)
+
+    @property
+    def hold_s(self) -> float:
+        """Done as soon as the references have come to their ends [s]."""
+        return 0.0
+
+    @property
+    def nearer_m(self) -> float:
+        """References are known without noise: however slow, they come nearer or stand still [m]."""
+        return 0.0
+
+    @property
+    def bias_gain(self) -> float:
+        """As the options say [-]."""
+        return self.options.observer_gain
+
+    @cached_property
+    def paths(self) -> list[PolygonPath]:
+        """The paths, in the order of the task."""
+        return [PolygonPath.from_task(path) for path in self.task.paths]
+
+    def assess(
+        self, memory: FollowMemory | None, now: Situation
+    ) -> tuple[FollowMemory | None, Assessment]:
+        """Judge one image, and say what is wanted; see `TaskRules.assess`."""
+        if now.active:
+            parts = now.parts
+            if memory is None or (now.motion_known and now.stamp < memory.began - now.period / 2):
+                # How long the solver's cycles are is known from the first that runs: wait for it.
+                start = now.start if now.motion_known else now.start + now.period
+                memory = self.begin(parts, start)
+            memory = self.measure(memory, now)
+            error = self.errors(memory, parts, now.stamp)
+            found = Assessment(
+                request=self._request(memory, now),
+                goal_met=self.finished(memory, now.stamp),
+                distance=error,
+                to_go_m=self.to_go(memory, now.stamp),
+                problem=self.problem(memory, parts, now.stamp),
+                missing=tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED),
+            )
+        else:
+            found = Assessment()
+        if memory is None:
+            return None, found
+        return memory, replace(
+            found,
+            rms_error_m=memory.rms_error_m,
+            max_error_m=memory.max_error_m,
+            speed_scaling=memory.scaling[1],
+        )
+
+    def begin(self, parts: Parts, start: float) -> FollowMemory:
+        """Match parts to paths; the references leave at `start` [s]."""
+        memory = FollowMemory(began=start, anchor=start)
+        target = self.reference(memory, start)
+        return replace(memory, match=match_targets(self._labels, target, parts))
+
+    def measure(self, memory: FollowMemory, now: Situation) -> FollowMemory:
+        """Take one image into the match, the error statistics and the speed scaling."""
+        reference = self.reference(memory, now.stamp)
+        match = rematch_targets(
+            memory.match, self._labels, reference, now.parts, self.task.max_error_m
+        )
+        path, part = matched_rows(match, now.parts)
+        distance = np.hypot(*(reference[path] - now.parts.position[part]).T)
+        worst = float(np.max(distance, initial=0.0))
+        lacking = (now.shortfall[part] - NEGLIGIBLE) / self._speeds[path]
+        before = memory.scaling[1]
+        return replace(
+            memory,
+            match=match,
+            square_sum=memory.square_sum + float(np.sum(distance**2)),
+            samples=memory.samples + len(distance),
+            max_error_m=max(memory.max_error_m, worst),
+            # Until the answer begins to act, the references do as was said before.
+            anchor=now.start,
+            progress=memory.path_time(now.start),
+            scaling=(before, self._scaling(before, worst, float(np.max(lacking, initial=0.0)))),
+        )
+
+    def _scaling(self, before: float, worst: float, lacking: float) -> float:
+        """Speed scaling after another, for an error [m] and a lack of drift [path's speed]."""
+        low, high = self.options.slow_from, self.options.slow_to
+        room = (high - worst / self.task.max_error_m) / (high - low)
+        most = before * SLOW_DOWN if lacking > LACKING else before + SPEED_UP
+        return float(np.clip(room, 0, min(1.0, most)))
+
+    def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
+        """Where the part of each path should be (P, 2) [m, plate_home] at a stamp t [s]."""
+        time = memory.path_time(t)
+        return np.array([path.position(time) for path in self.paths])
+
+    def to_go(self, memory: FollowMemory, t: float) -> float:
+        """Length of the longest way still to go [m], at greatest speed."""
+        time = memory.path_time(t)
+        return max(max(path.duration - time, 0) * path.speed for path in self.paths)
+
+    def errors(self, memory: FollowMemory, parts: Parts, t: float) -> np.ndarray:
+        """Distance of each part (M,) from its reference [m]; 0 for a part without one."""
+        result = np.zeros(len(parts))
+        path, part = matched_rows(memory.match, parts)
+        result[part] = np.hypot(*(parts.position[part] - self.reference(memory, t)[path]).T)
+        return result
+
+    def finished(self, memory: FollowMemory, t: float) -> bool:
+        """Whether all references have come to the end of their last lap."""
+        return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
+
+    def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
+        """Say which part is too far off its path; empty if none is, or it is too early to say."""
+        if t - memory.began < self.options.settle_s:
+            return ""
+        error = self.errors(memory, parts, t)
+        if not len(error) or np.max(error) <= self.task.max_error_m:
+            return ""
+        worst = int(np.argmax(error))
+        return (
+            f"{parts.ids[worst]} is {error[worst] * 1e3:.1f} mm off its path, "
+            f"allowed: {self.task.max_error_m * 1e3:g} mm"
+        )
+
+    def bias_axes(self, memory: FollowMemory | None, parts: Parts, t: float) -> np.ndarray:
+        """Unit vectors (M, 2, 2), in rows, along and across the path of each part."""
+        axes = super().bias_axes(memory, parts, t)
+        if memory is not None:
+            path, part = matched_rows(memory.match, parts)
+            time = memory.path_time(t)
+            along = np.array([each.heading(time) for each in self.paths])
+            across = np.column_stack([-along[:, 1], along[:, 0]])
+            axes[part] = np.stack([along, across], axis=1)[path]
+        return axes
+
+    def bias_limit(self, memory: FollowMemory | None, parts: Parts, period: float) -> np.ndarray:
+        """Greatest bias (M,) to be believed [m/s]; 0 for parts without a path."""
+        limit = np.zeros(len(parts))
+        if memory is not None:
+            path, part = matched_rows(memory.match, parts)
+            limit[part] = self.options.bias_max * self._speeds[path]
+        return limit
+
+    def _request(self, memory: FollowMemory, now: Situation) -> DriftRequest:
+        """Return the drift wanted of each part; parts without a path are only kept on the plate."""
+        speed, half = float(np.max(self._speeds)), self.rig.plate.half
+        intervals = [
+            stay_within(now.parts.position[:, k], half[k], *EDGE, speed, 2 * speed)
+            for k in range(2)
+        ]
+        low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
+        path, part = matched_rows(memory.match, now.parts)
+        low[part] = high[part] = pd_drift(
+            now.predicted[part],
+            self.reference(memory, now.start)[path],
+            self.reference(memory, now.start + now.period)[path],
+            now.period,
+            self.options.kp,
+            self.options.speed_ratio_max * self._speeds[path],
+        )
+        return DriftRequest(low, high)
+
+    @property
+    def _labels(self) -> list[str]:
+        return [path.label for path in self.task.paths]
+
+    @cached_property
+    def _speeds(self) -> np.ndarray:
+        """Greatest speed of each path (P,) [m/s]."""
+        return np.array([path.speed for path in self.paths])

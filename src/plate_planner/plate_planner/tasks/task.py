@@ -1,0 +1,193 @@
+"""A task, as the planner sees it: what it is told at each image, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from plate_core import Parts, Rig
+from plate_core.tasks import Scenario
+
+NEARER_M = 0.002
+"""What counts as nearer to the goal, summed over parts [m]: more than the camera's noise."""
+
+BIAS_GAIN = 0.3
+"""Fraction of what a cycle does otherwise than predicted that is expected of the next one [-]."""
+
+BIAS_M = 5e-3
+"""A part further from its prediction was pushed: as far as this it counts as drift bias [m]."""
+
+
+@dataclass(frozen=True)
+class DriftRequest:
+    """Any drift from `low` to `high`, each (M, 2) [m/s, plate_home], is as good as any other."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Middle of the interval (M, 2) [m/s]."""
+        return (self.low + self.high) / 2
+
+    def less(self, bias: np.ndarray) -> DriftRequest:
+        """Return what is left to ask for if parts have a drift of their own (M, 2) [m/s]."""
+        return DriftRequest(self.low - bias, self.high - bias)
+
+    def force(self, velocity: np.ndarray, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean force over a cycle that leads from the present drift to the wanted.
+
+        F = m (v_wanted - v)/T. Whoever knows v gets v_wanted back, so an error of v, as
+        measured, does not matter, as long as no component of F is beyond mu m g.
+
+        Parameters
+        ----------
+        velocity : (M, 2)
+            Present drift [m/s, plate_home].
+        rig : Rig
+        period : float
+            Length of a cycle, T [s].
+
+        Returns
+        -------
+        force, tolerance : (M, 2)
+            Middle and half width of the wanted force [N].
+        """
+        gain, bound = rig.parts.mass_kg / period, rig.force_unit
+        return (
+            np.clip(gain * (self.centre - velocity), -bound, bound),
+            gain * (self.high - self.low) / 2,
+        )
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What there is to know at one image.
+
+    Attributes
+    ----------
+    parts : Parts
+        M parts on the plate, where they are at the stamp.
+    stamp : float
+        Of the image [s].
+    start : float
+        Stamp at which the answer begins to act [s].
+    period : float
+        Length of a cycle [s].
+    motion_known : bool
+        Whether the plate's cycles are known; else predictions are what parts were asked to do.
+    predicted : (M, 2)
+        Where the parts will be at `start` [m, plate_home].
+    shortfall : (M,)
+        Drift that the running cycle, by the motion model, lacks of what was asked of it [m/s].
+    active : bool
+        Whether it goes on: it has begun and not ended.
+    """
+
+    parts: Parts
+    stamp: float
+    start: float
+    period: float
+    motion_known: bool
+    predicted: np.ndarray
+    shortfall: np.ndarray
+    active: bool
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What one image means for the task.
+
+    Attributes
+    ----------
+    request : DriftRequest or None
+        What is wanted of the M parts; None: nothing.
+    torque : (M,), or None
+        Mean torques wanted over a cycle [N m]; None: any turning will do.
+    goal_met : bool
+        Whether the goal is met in this image.
+    count : int
+        Parts that are where they belong.
+    distance : (M,)
+        How far each part is from where it should be [m].
+    to_go_m : float
+        Distance to the goal, summed over parts [m].
+    problem : str
+        Why the task cannot go on; empty if it can.
+    missing : tuple of str, or None
+        Parts that the task misses; None: those of the scenario that are not seen.
+    rms_error_m, max_error_m : float
+        Distances from where parts should be, as the task counts them [m].
+    speed_scaling : float
+        Speed of references over that of their paths [-].
+    """
+
+    request: DriftRequest | None = None
+    torque: np.ndarray | None = None
+    goal_met: bool = False
+    count: int = 0
+    distance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    to_go_m: float = 0.0
+    problem: str = ""
+    missing: tuple[str, ...] | None = None
+    rms_error_m: float = 0.0
+    max_error_m: float = 0.0
+    speed_scaling: float = 1.0
+
+
+class TaskRules(Protocol):
+    """The rules of one task on one rig. Pure: what it remembers is handed to it and back.
+
+    Only `hold_s` and `assess` have to be written; the rest suits most tasks.
+    """
+
+    @property
+    def hold_s(self) -> float:
+        """The task is done when its goal has been met for this long [s]."""
+        ...
+
+    def assess(self, memory: Any, now: Situation) -> tuple[Any, Assessment]:
+        """Judge one image, and say what is wanted; also when the task is not active.
+
+        Parameters
+        ----------
+        memory
+            What the last call returned; None at the first call after start.
+        now : Situation
+
+        Returns
+        -------
+        memory
+            For the next call.
+        assessment : Assessment
+        """
+        ...
+
+    @property
+    def nearer_m(self) -> float:
+        """What counts as nearer to the goal [m]; a task that comes no nearer is stuck."""
+        return NEARER_M
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse a scenario that cannot be done on this rig, with a `ScenarioError`."""
+        return
+
+    @property
+    def estimated(self) -> bool:
+        """Whether it plans on the estimated parts; else on parts as vision saw them."""
+        return True
+
+    @property
+    def bias_gain(self) -> float:
+        """Fraction of what a cycle does otherwise than predicted that counts as drift bias [-]."""
+        return BIAS_GAIN
+
+    def bias_axes(self, memory: Any, parts: Parts, t: float) -> np.ndarray:
+        """Unit vectors (M, 2, 2), in rows, along which the bias of parts stays the same."""
+        return np.tile(np.eye(2), (len(parts), 1, 1))
+
+    def bias_limit(self, memory: Any, parts: Parts, period: float) -> np.ndarray:
+        """Greatest bias (M,) to be believed [m/s]."""
+        return np.full(len(parts), BIAS_M / period)

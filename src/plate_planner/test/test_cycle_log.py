@@ -1,0 +1,99 @@
+"""Which cycle ran when and how long one is: lost images, gaps, stamps that go back."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle
+from plate_planner.estimation.cycle_log import CycleClock, CycleLog
+
+SHORT, LONG = PlateCycle.rest(0.1), PlateCycle.rest(0.2)
+
+
+def names(log):
+    return [(round(begin, 6), "short" if cycle is SHORT else "long") for begin, cycle in log.runs]
+
+
+def test_the_answer_to_an_image_runs_from_the_next_image_on():
+    log = CycleLog().advance(0.0)
+    assert not log.known
+    log = log.hear(SHORT, 0.01).advance(0.1).hear(LONG, 0.11).advance(0.2)
+    assert names(log) == [(0.1, "short"), (0.2, "long")]
+    assert log.end == pytest.approx(0.4)
+    assert log.period == pytest.approx(0.2)
+
+
+def test_what_comes_too_late_runs_a_cycle_later_and_the_last_is_repeated():
+    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1999).advance(0.2)
+    assert names(log) == [(0.1, "short"), (0.2, "short")]
+    assert names(log.advance(0.3)) == [(0.1, "short"), (0.2, "short"), (0.3, "long")]
+
+
+def test_a_missed_image_leaves_no_hole():
+    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.6)
+    assert names(log) == [(0.1, "short"), (0.2, "long"), (0.4, "long"), (0.6, "long")]
+
+
+def test_stamps_that_jitter_are_where_cycles_begin():
+    log = CycleLog().hear(SHORT, 0.0).advance(0.1)
+    for t in (0.203, 0.299, 0.401):
+        log = log.advance(t)
+    assert [run[0] for run in log.runs] == [0.1, 0.203, 0.299, 0.401]
+
+
+def test_time_that_begins_anew():
+    log = CycleLog().hear(SHORT, 5.0).advance(5.1).hear(LONG, 5.1).advance(0.0)
+    assert not log.known
+    assert log.sent is None
+
+
+def test_pieces_cover_the_time_asked_for():
+    log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.2)
+    pieces = list(log.between(0.05, 0.35))
+    assert [cycle is SHORT for cycle, _, _ in pieces] == [True, False]
+    assert np.array([p[1:] for p in pieces]) == pytest.approx(np.array([[0, 0.1], [0, 0.15]]))
+    assert not list(log.between(0.0, 0.1))
+    # A run that was cut short by an early image is used as far as it went.
+    cut = CycleLog(((0.0, SHORT), (0.09, LONG)))
+    assert [p[2] - p[1] for p in cut.between(0.0, 0.29)] == pytest.approx([0.09, 0.2])
+
+
+def test_it_forgets_what_is_long_past():
+    log = CycleLog().hear(SHORT, 0.0)
+    for k in range(1, 100):
+        log = log.advance(0.1 * k)
+    assert 15 <= len(log.runs) <= 17
+
+
+def period_after(*stamps: float) -> float:
+    clock = CycleClock.starting(0.1)
+    for t in stamps:
+        clock = clock.tick(t)
+    return clock.period
+
+
+def test_the_default_until_two_stamps_are_known():
+    assert period_after() == 0.1
+    assert period_after(5.0) == 0.1
+    assert period_after(5.0, 5.05) == pytest.approx(0.05)
+
+
+def test_one_lost_image_changes_nothing():
+    assert period_after(0.0, 0.05, 0.10, 0.20, 0.25) == pytest.approx(0.05)
+
+
+def test_a_new_period_is_followed_after_two_images():
+    assert period_after(0.0, 0.05, 0.10, 0.15, 0.35, 0.55) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("gap", [60.0, -10.0, 0.0, 1e-4])
+def test_gaps_and_steps_back_leave_the_last_plausible_period(gap):
+    assert period_after(0.0, 0.05, 0.10, 0.10 + gap) == pytest.approx(0.05)
+    assert period_after(0.0, 0.05, 0.10, 0.10 + gap, 0.15 + gap) == pytest.approx(0.05)
+
+
+def test_going_back_is_noticed():
+    clock = CycleClock.starting(0.1)
+    assert not clock.went_back(3.0)
+    clock = clock.tick(3.0)
+    assert clock.went_back(2.9)
+    assert not clock.went_back(3.0)
