@@ -132,24 +132,10 @@ def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -
 def follow_plate(
     location: PlateLocation, vision: Vision, image: np.ndarray
 ) -> tuple[PlateLocation, Vision, np.ndarray]:
-    """Find a plate with markers in an image: before `observe`, which is then called with what is
-    returned.
+    """Find a plate with markers in an image, before `observe` looks for parts.
 
-    Parameters
-    ----------
-    location : PlateLocation
-        Where the plate was.
-    vision : Vision
-        With which parts were looked for in the last image.
-    image : (H, W) or (H, W, 3) uint8
-
-    Returns
-    -------
-    PlateLocation
-    Vision
-        With the plate's region where it is now.
-    image
-        Without the markers, which could be taken for parts.
+    Returns where it is now; a vision with the plate's region there, and the image (H, W) or
+    (H, W, 3) without the markers, which could be taken for parts: with those call `observe`.
 
     Raises
     ------

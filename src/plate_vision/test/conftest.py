@@ -105,7 +105,8 @@ RAYS = 3
 
 @lru_cache(maxsize=4)
 def rays(matrix, distortion):
-    """Return the rays (n, 3) of all sub-pixels, x, y, 1, of a camera (3, 3) and lens (5,)."""
+    """Return x, y of the rays (x, y, 1) of all sub-pixels (rows, columns, 2) of a camera (3, 3) and
+    lens (5,)."""
     import cv2
 
     matrix, distortion = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
@@ -124,8 +125,7 @@ def rays(matrix, distortion):
         + step[:, None, None, None] * down[:, None, :, None]
         + step[:, None] * across[:, None, :, None]
     )  # (rows, sub-rows, columns, sub-columns, 2)
-    fine = fine.reshape(-1, 2)
-    return np.column_stack([fine, np.ones(len(fine))]).astype(np.float32)
+    return fine.reshape(HEIGHT_PX * RAYS, WIDTH_PX * RAYS, 2).astype(np.float32)
 
 
 class Scene:
@@ -151,15 +151,12 @@ class Scene:
         import cv2
 
         plane = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
-        place = self.ray @ np.linalg.inv(plane).T.astype(np.float32)
-        place = place[:, :2] / place[:, 2:]
         rows, columns = self.texture.shape
-        column = (place[:, 0] / self.size[0] + 0.5) * columns - 0.5
-        row = (0.5 - place[:, 1] / self.size[1]) * rows - 0.5
-        shape = (HEIGHT_PX * RAYS, WIDTH_PX * RAYS)
+        x, y = columns / self.size[0], rows / self.size[1]
+        to_texel = np.array([[x, 0, (columns - 1) / 2], [0, -y, (rows - 1) / 2], [0, 0, 1]])
+        texel = cv2.perspectiveTransform(self.ray, to_texel @ np.linalg.inv(plane))
         fine = cv2.remap(
-            self.texture, column.reshape(shape).astype(np.float32),
-            row.reshape(shape).astype(np.float32), cv2.INTER_LINEAR,
+            self.texture, texel, None, cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT, borderValue=int(ROOM),
         )  # fmt: skip
         image = cv2.resize(fine, (WIDTH_PX, HEIGHT_PX), interpolation=cv2.INTER_AREA).astype(float)

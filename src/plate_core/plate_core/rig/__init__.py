@@ -4,7 +4,16 @@ Also its frames: room (`plate_home`), moving plate, image. A rig file is read by
 """
 
 from .fiducials import Fiducials
-from .frames import camera_pose, homography, project, surface_velocity, to_home, to_image, to_plate
+from .frames import (
+    camera_pose,
+    fit_homography,
+    homography,
+    project,
+    surface_velocity,
+    to_home,
+    to_image,
+    to_plate,
+)
 from .lens import Lens
 from .rig import (
     Camera,
@@ -32,6 +41,7 @@ __all__ = [
     "Suspension",
     "camera_pose",
     "default_rig_path",
+    "fit_homography",
     "homography",
     "load_rig",
     "mass_matrix",

@@ -65,9 +65,14 @@ def homography(rig: Rig) -> np.ndarray:
     corners_px = np.array(rig.camera.corners_px)
     if rig.camera.lens is not None and rig.camera.lens.bends:
         corners_px = rig.camera.lens.straighten(corners_px)
+    return fit_homography(rig.plate.corners, corners_px)
+
+
+def fit_homography(point: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return the homography (3, 3) that takes four points (4, 2) to their images (4, 2)."""
     rows = []
     values = []
-    for (x, y), (u, v) in zip(rig.plate.corners, corners_px, strict=True):
+    for (x, y), (u, v) in zip(point, image, strict=True):
         rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
         rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])
         values += [u, v]

@@ -119,18 +119,9 @@ def draw_board(board: Board, square_px: int) -> np.ndarray:
 
 
 def find_corners(grey: np.ndarray, board: Board) -> Corners | None:
-    """Find a board's inner corners.
+    """Find a board's inner corners in an image (H, W) uint8; None if fewer than `LEAST_CORNERS`.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-    board : Board
-
-    Returns
-    -------
-    Corners or None
-        None if fewer than `LEAST_CORNERS` are seen. Of a chessboard all corners must be seen, of a
-        ChArUco board those next to markers that are.
+    Of a chessboard all corners must be seen, of a ChArUco board those next to markers that are.
     """
     grey = np.ascontiguousarray(grey)
     if board.marker_m == 0:
@@ -227,15 +218,7 @@ class LensFit:
 
 
 def fit_lens(board: Board, seen: Sequence[Corners], size_px: tuple[int, int]) -> LensFit:
-    """Find the lens from what was seen of a board.
-
-    Parameters
-    ----------
-    board : Board
-    seen : sequence of Corners
-        By picture.
-    size_px : (int, int)
-        Width and height of the pictures.
+    """Find the lens from what was seen of a board in pictures of a width and height [px].
 
     Raises
     ------

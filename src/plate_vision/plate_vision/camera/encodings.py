@@ -183,7 +183,8 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
         image = image[:, :, 1]
     if image.ndim != 2 or image.size == 0:
         raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
-    return np.ascontiguousarray(image)
+    # Kernels are compiled for one kind of arrays: any other would be compiled anew, for seconds.
+    return np.require(image, requirements=("C", "W"))
 
 
 def check_size(width: int, height: int) -> None:

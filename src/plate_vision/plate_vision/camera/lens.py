@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.rig import project
+from plate_core.rig import fit_homography, project
 
 from ..errors import CalibrationError
 
@@ -124,19 +124,13 @@ class Calibration:
         return straight if self.lens is None else self.lens.bend(straight)
 
     def disc_centres(self, point_px: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
-        """Return the centres (M, 2) [m, plate_home] of discs from those of their images.
+        """Return the centres (M, 2) [m, plate_home] of discs from the centres of area (M, 2) [px]
+        of their images, and their radii (M,) [px] there.
 
         The centre of a disc's image is not the image of its centre: a strong lens shifts it by
         some hundredths of a pixel. So the image's outline is mapped to the plate, and its centre
         of area taken. Without a lens the shift is that of perspective, a few micrometres, and is
         left in.
-
-        Parameters
-        ----------
-        point_px : (M, 2)
-            Centres of area in the image [px].
-        radius_px : (M,)
-            Radii there [px].
         """
         point_px = _points(point_px)
         if self.lens is None or not len(point_px):
@@ -191,12 +185,7 @@ def calibrate(corners_px: np.ndarray, corners: np.ndarray, lens: Lens | None = N
     corners = check_quadrilateral(corners, "corners", CalibrationError, "m", least)
     if lens is not None:
         corners_px = lens.straighten(corners_px)
-    rows, values = [], []
-    for (x, y), (u, v) in zip(corners, corners_px, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        values += [u, v]
-    solution = np.linalg.solve(np.array(rows), np.array(values))
-    return calibrate_by_matrix(np.append(solution, 1.0).reshape(3, 3), lens)
+    return calibrate_by_matrix(fit_homography(corners, corners_px), lens)
 
 
 def check_quadrilateral(

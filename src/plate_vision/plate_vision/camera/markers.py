@@ -132,16 +132,8 @@ def _dictionary(name: str) -> Any:
 def square_corners(grey: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
     """Find squares, dark on bright, near to where they should be.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-    corners_px : (n, 4, 2)
-        Corners in order around each square [px], right to `REACH_PX`.
-
-    Returns
-    -------
-    (n, 4, 2)
-        The same corners [px]; NaN for a square of which an edge is not seen.
+    Takes corners (n, 4, 2) [px] in order around each square, right to `REACH_PX`; returns the same
+    corners, NaN for a square of which an edge is not seen.
     """
     corners = np.array(corners_px, dtype=float).reshape(-1, 4, 2)
     for _ in range(ROUNDS):

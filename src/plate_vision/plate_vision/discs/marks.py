@@ -50,20 +50,9 @@ def mark_angles(mark: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def paint_over(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> tuple[LitPlate, np.ndarray]:
     """Find marks, and paint them over.
 
-    Parameters
-    ----------
-    plate : LitPlate
-    seeds : (n, 2)
-        Places within a pixel or two of the parts' centres [px].
-    radius_px : float
-        Of the parts [px].
-
-    Returns
-    -------
-    LitPlate
-        As if the parts had no marks; the same one if they have none.
-    (n, 2)
-        Centres of the marks, x, y [px]; NaN for a part without one.
+    `seeds` (n, 2) are within a pixel or two of the parts' centres [px]. Returns the image as if the
+    parts had no marks, the same one if they have none; and the centres (n, 2) [px] of the marks,
+    NaN for a part without one.
     """
     found, level = np.full((len(seeds), 2), np.nan), np.zeros((len(seeds), 2))
     _find(plate, seeds, float(radius_px), found, level)

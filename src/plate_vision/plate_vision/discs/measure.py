@@ -58,10 +58,8 @@ def measure_alone(
     Parameters
     ----------
     plate : LitPlate
-    seeds : (n, 2)
-        First guesses of the centres [px].
-    radius_px : float
-        First guess of the radius [px].
+    seeds, radius_px : (n, 2), float
+        First guesses of the centres and the radius [px].
     alone : (n,) bool
         Which to measure: those with no other near.
 

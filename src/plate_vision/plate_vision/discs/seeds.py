@@ -50,7 +50,7 @@ SPREAD = 0.2
 def find_seeds(
     plate: LitPlate, box: tuple[int, int, int, int], threshold: float, radius_px: float
 ) -> np.ndarray:
-    """Find the centres of dark blobs.
+    """Find the centres (n, 2) [px] of dark blobs; some may be no part.
 
     Parameters
     ----------
@@ -61,11 +61,6 @@ def find_seeds(
         Fraction of the plate's brightness below which a pixel is dark.
     radius_px : float
         Radius of a part [px].
-
-    Returns
-    -------
-    (n, 2) float
-        Centres [px]; some may be no part.
     """
     stride = max(1, int(radius_px / COARSE_RADIUS_PX))
     grid = (box[0], box[1], stride)

@@ -79,20 +79,10 @@ class PlateLocation:
 
 
 def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocation, np.ndarray]:
-    """Look for the plate in an image, before parts are looked for.
+    """Look for the plate in an image (H, W) or (H, W, 3) uint8, before parts are looked for.
 
-    Parameters
-    ----------
-    location : PlateLocation
-        What is known so far.
-    image : (H, W) or (H, W, 3) uint8
-
-    Returns
-    -------
-    PlateLocation
-        With another `region_pose` if parts are to be looked for in another region.
-    image
-        The image without the markers, which could be taken for parts.
+    Returns where it is, with another `region_pose` if parts are to be looked for in another region;
+    and the image without the markers, which could be taken for parts.
 
     Raises
     ------
@@ -117,20 +107,10 @@ def locate_plate(location: PlateLocation, image: np.ndarray) -> tuple[PlateLocat
 def find_home(
     image: np.ndarray, fiducials: Fiducials, lens: Lens | None = None
 ) -> tuple[Calibration, float]:
-    """Find plate_home in an image of the plate at rest at home.
+    """Find plate_home in an image (H, W) or (H, W, 3) uint8 of the plate at rest at home.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8
-    fiducials : Fiducials
-        Where the markers are on the plate.
-    lens : Lens, optional
-
-    Returns
-    -------
-    Calibration
-    float
-        Root mean square deviation of the markers' corners from it [m].
+    Returns also the root mean square deviation [m] of the markers' corners from where `fiducials`
+    has them.
 
     Raises
     ------

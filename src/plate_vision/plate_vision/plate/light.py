@@ -71,21 +71,9 @@ def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
 
 
 def fit_light(grey: np.ndarray, region: Region, min_grey: float) -> LitPlate | None:
-    """Fit the bare plate's brightness to the pixels of an image that show no part.
+    """Fit the bare plate's brightness to the pixels of an image (H, W) uint8 that show no part.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-        Image [grey levels].
-    region : Region
-        Where the plate is.
-    min_grey : float
-        Darkest plate that is believed [grey levels].
-
-    Returns
-    -------
-    LitPlate or None
-        None if there is no bright plate.
+    None if there is no plate as bright as `min_grey` [grey levels].
     """
     samples = region.samples
     surface = _fit(grey, samples, float(min_grey)) if len(samples.rows) else ()

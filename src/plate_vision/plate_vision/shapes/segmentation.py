@@ -108,13 +108,8 @@ def learn_background(image: np.ndarray) -> tuple[np.ndarray, float] | None:
     """Learn what is behind the parts of an image (H, W): a quadratic surface.
 
     It is flat and taken from the border at first; then tilted, then curved, and grows over all that
-    is like it.
-
-    Returns
-    -------
-    (H, W) float32 and float, or None
-        Background, and the standard deviation of what belongs to it [grey levels]. None if the
-        image is too small.
+    is like it. Returns it (H, W), and the standard deviation [grey levels] of what belongs to it;
+    None if the image is too small.
     """
     height, width = image.shape
     if min(height, width) < 8:
@@ -241,13 +236,8 @@ def _shape(outline: np.ndarray) -> tuple[tuple[float, float], float, float, floa
 def _refine(
     height: np.ndarray, centre: tuple[float, float], radius: float
 ) -> tuple[np.ndarray, float] | None:
-    """Trace a patch again, halfway between its own level and that of its surroundings.
-
-    Returns
-    -------
-    (k, 1, 2) int and float, or None
-        Outline, and contrast [grey levels].
-    """
+    """Trace a patch again, halfway between its own level and that of its surroundings: outline
+    (k, 1, 2) int, and contrast [grey levels]."""
     reach = int(np.ceil(2 * RINGS[1] * radius))
     x0, y0 = max(int(centre[0]) - reach, 0), max(int(centre[1]) - reach, 0)
     window = height[y0 : int(centre[1]) + reach + 1, x0 : int(centre[0]) + reach + 1]
