@@ -10,7 +10,7 @@ from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
 from plate_solver import SinusoidSolver, average_force
-from stages.requests import scatter
+from stages.scenes import scatter
 
 PARTS = (1, 2, 3, 4, 6, 8)
 GAMMAS = np.geomspace(5, 1280, 13)

@@ -7,7 +7,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import Rig, load_rig
 from plate_solver import SinusoidSolver, average_force
-from stages.solver import LARGEST, targets
+from stages.scenes import LARGEST, targets
 
 FORCE = 0.02
 """Size of the requests [mu m g]: small, so that it is directions that run out, not force."""

@@ -13,7 +13,7 @@ from plate_sim.drive import PlateState
 from plate_sim.suspension import realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver
 from stages.learning import hung
-from stages.requests import scatter
+from stages.scenes import scatter
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 PARTS = (1, 2, 4, 6, 10)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import isfinite, log10
+from math import ceil, floor, isfinite, log10
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,10 @@ ACROSS = 3
 PANEL_PX, KEY_PX, BAR_PX = (440, 330), 40, 26
 """Width and height of a panel, height of the key, and of one line of a bar chart."""
 
-FEW_DECADES = 2
+LABEL_PX, NAMES_PX = 85, 170
+"""Between panels: room for numbers and the axis' label, and for names of bars."""
+
+FEW_DECADES = 3
 """Log axes with no more decades have ticks at 1, 2 and 5."""
 
 Row = dict[str, Any]
@@ -160,6 +163,11 @@ class Panels:
         return max(2, self.across) * PANEL_PX[0], down * high + self._key_px
 
     @property
+    def _named(self) -> bool:
+        """Whether an axis has names instead of numbers."""
+        return any(panel.y.names for panel in self.list)
+
+    @property
     def _key_px(self) -> int:
         names = dict.fromkeys(t.name for panel in self.list for t in panel.traces if t.name)
         letters = sum(len(name) + 8 for name in names)
@@ -171,7 +179,8 @@ class Panels:
         wide, high = self.size_px
         figure = make_subplots(
             down, across, subplot_titles=[panel.title for panel in self.list],
-            horizontal_spacing=75 / wide, vertical_spacing=95 / high,
+            horizontal_spacing=(NAMES_PX if self._named else LABEL_PX) / wide,
+            vertical_spacing=95 / high,
         )  # fmt: skip
         figure.update_annotations(font_size=14)
         named: set[str] = set()
@@ -194,10 +203,8 @@ class Panels:
             coloraxis={"colorscale": list(FIELD), "colorbar": {"thickness": 14}},
             hoverlabel={"align": "left"},
         )  # fmt: skip
-        for panel in self.list:
-            if panel.field is not None:
-                low, high_value = panel.field
-                figure.update_layout(coloraxis={"cmin": low, "cmax": high_value})
+        for low, most in [panel.field for panel in self.list if panel.field is not None]:
+            figure.update_layout(coloraxis={"cmin": low, "cmax": most})
         return figure
 
 
@@ -227,7 +234,8 @@ class Axis:
     def settings(self, values: Sequence[float]) -> dict[str, Any]:
         """Return plotly's settings of the axis with these numbers on it."""
         found: dict[str, Any] = {
-            "title": {"text": self.label, "standoff": 6}, "gridcolor": GRID, "zeroline": False,
+            "title": {"text": self.label, "standoff": 6, "font": {"size": 12}},
+            "gridcolor": GRID, "zeroline": False,
             "ticks": "outside", "tickcolor": GRID, "linecolor": "#888888", "showline": True,
             "automargin": True,
         }  # fmt: skip
@@ -236,14 +244,19 @@ class Axis:
                 "type": "category", "categoryorder": "array", "categoryarray": list(self.names),
                 "showgrid": False,
             }  # fmt: skip
-        positive = [value for value in values if value > 0]
+        ticks = list(self.ticks)
         if self.log:
-            decades = log10(max(positive) / min(positive)) if positive else 0
-            step: Any = "D2" if decades <= FEW_DECADES else max(1, round(decades / 6))
-            found |= {"type": "log", "dtick": step, "exponentformat": "power"}
-        if self.ticks:
-            found |= {"tickmode": "array", "tickvals": list(self.ticks)}
-            found |= {"ticktext": [f"{tick:g}" for tick in self.ticks]}
+            found |= {"type": "log"}
+            powers = [log10(value) for value in values if value > 0] or [0.0]
+            low, high = floor(min(powers)), ceil(max(powers))
+            if max(powers) - min(powers) > FEW_DECADES:
+                found |= {"dtick": max(1, round((high - low) / 6)), "exponentformat": "power"}
+            elif not ticks:
+                every = range(low - 1, high + 1)
+                ticks = [step * 10.0**power for power in every for step in (1, 2, 5)]
+        if ticks:
+            found |= {"tickmode": "array", "tickvals": ticks}
+            found |= {"ticktext": [f"{tick:g}" for tick in ticks]}
         if self.limits:
             found["range"] = [self.place(end) for end in self.limits]
         return found

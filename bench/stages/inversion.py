@@ -16,7 +16,8 @@ from plate_solver import SinusoidSolver, average_force
 from plate_solver.guesses import GuessTable
 from plate_solver.harmonic_search import meet
 from plate_solver.harmonics import harmonics
-from stages.solver import TOLERANCE, ScipySolver, targets
+from stages.scenes import targets
+from stages.solver import TOLERANCE, ScipySolver
 
 SEED = 30_000
 """First seed of the requests; the number of parts and harmonics is added."""

@@ -23,7 +23,7 @@ from plate_solver.harmonics import STEPS_PER_HARMONIC, harmonics
 from plate_solver.limited_family import LimitedSinusoids
 from plate_solver.sinusoid_steering import FINE_STEP
 from plate_solver.solution import Bounds
-from stages.steering import scatter
+from stages.scenes import scatter
 
 SEED = 50_000
 """First seed of the requests; the number of parts is added."""

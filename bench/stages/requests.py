@@ -1,7 +1,4 @@
-"""What becomes of requests: the force that parts really get, hostile requests, manipulability.
-
-python bench/measure_requests.py [REQUESTS]   only the hostile ones: any number, 10000 if left out
-"""
+"""What becomes of requests: the force that parts really get, hostile requests, manipulability."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from plate_solver import (
 )
 from plate_solver.force_map import mean_force
 from plate_solver.refine import REFINEMENTS
-from stages.steering import scatter
+from stages.scenes import scatter
 
 METHODS: dict[str, Callable[..., Any]] = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 
@@ -301,20 +298,3 @@ def summary(realised: list[dict[str, Any]], hostile: list[dict[str, Any]]) -> li
     wrong = sum(row["errors"] + row["untrue"] for row in hostile)
     lines.append(f"{count} degenerate and hostile requests: {wrong} exceptions or untrue answers")
     return lines
-
-
-def main() -> int:
-    """Make hostile requests only; returns how many answers were wrong, at most 255."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
-    rig, wrong = load_rig(), 0
-    each = -(-count // (len(METHODS) * len(KINDS)))
-    for method in METHODS:
-        for kind in KINDS:
-            row = hostile_row(rig, method, kind, each, seed=1)
-            wrong += row["errors"] + row["untrue"]
-            print(row, flush=True)
-    return min(wrong, 255)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

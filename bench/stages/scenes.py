@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import PlateCycle
+from plate_core import PlateCycle, Rig
 from plate_sim import simulate
 
 FREQUENCY = 30.0
@@ -107,3 +107,28 @@ SCENES: dict[str, Callable[[float, int], Scene]] = {
     "plate turns too": turning,
 }
 """Kinds of scenes by name."""
+
+
+LARGEST = 0.2
+"""Target forces are this long at most [mu m g]."""
+
+
+def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
+    """Return places (M, 2) [m], at least 40 mm apart and 15 % off the edges."""
+    while True:
+        position = rng.uniform(-0.85 * rig.plate.half, 0.85 * rig.plate.half, (parts, 2))
+        apart = np.linalg.norm(position[:, None] - position, axis=2) + np.eye(parts)
+        if np.min(apart) >= 0.04:
+            return position
+
+
+def targets(
+    rig: Rig, parts: int, count: int, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return scattered places (M, 2) [m] and forces (M, 2) [mu m g]."""
+    found = []
+    for _ in range(count):
+        position = scatter(rig, parts, rng)
+        angle, size = rng.uniform(0, 2 * np.pi, parts), LARGEST * np.sqrt(rng.uniform(size=parts))
+        found.append((position, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))
+    return found

@@ -18,6 +18,7 @@ from plate_solver.force_map import SAMPLES, mean_force, mean_force_gradient
 from plate_solver.harmonics import harmonics
 from plate_solver.sinusoid_family import SinusoidFamily
 from plate_solver.solution import Bounds
+from stages.scenes import LARGEST, targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
 """Harmonics N by parts M: the fewest with parameters to spare, as `SinusoidSolver` chooses."""
@@ -27,9 +28,6 @@ PERIOD_PER_HARMONIC = 0.025
 
 ROTATION_SHARE = 3
 """`RotationSolver` gets every third target only: it takes ten times as long."""
-
-LARGEST = 0.2
-"""Targets are this long at most [mu m g]."""
 
 TOLERANCE = 1e-4
 """Greatest error of a component that counts as success [mu m g]."""
@@ -91,21 +89,6 @@ def measure(quick: bool) -> Result:
         summary(rows, linear),
         samples,
     )  # fmt: skip
-
-
-def targets(
-    rig: Rig, parts: int, count: int, rng: np.random.Generator
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return places (M, 2) [m], at least 40 mm apart, and forces (M, 2) [mu m g]."""
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    while len(found) < count:
-        position = rng.uniform(-0.85 * rig.plate.half, 0.85 * rig.plate.half, (parts, 2))
-        apart = np.linalg.norm(position[:, None] - position, axis=2) + np.eye(parts)
-        if np.min(apart) < 0.04:
-            continue
-        angle, size = rng.uniform(0, 2 * np.pi, parts), LARGEST * np.sqrt(rng.uniform(size=parts))
-        found.append((position, size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])))
-    return found
 
 
 def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:

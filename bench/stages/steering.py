@@ -14,6 +14,7 @@ from harness import Result, Table, cpu_time
 from plate_core import Parts, PlateCycle, Rig, Wanted, load_rig
 from plate_sim import simulate
 from plate_solver import Controller
+from stages.scenes import scatter
 
 PARTS = (1, 2, 4, 6, 8, 10)
 DRIFT = 0.010
@@ -118,15 +119,6 @@ def scene(
         position, velocity, running = run.position[-1], run.velocity[-1], answer.cycle
     miss, own, ask = np.array([missed, predicted, asked])
     return milliseconds[:CYCLES], miss, own, ask, running.period
-
-
-def scatter(rig: Rig, parts: int, rng: np.random.Generator) -> np.ndarray:
-    """Return places (M, 2) [m], at least 40 mm apart and 15 % off the edges."""
-    while True:
-        position = rng.uniform(-0.85 * rig.plate.half, 0.85 * rig.plate.half, (parts, 2))
-        apart = np.linalg.norm(position[:, None] - position, axis=2) + np.eye(parts)
-        if np.min(apart) >= 0.04:
-            return position
 
 
 def growth(rows: list[dict[str, Any]], method: str) -> str:

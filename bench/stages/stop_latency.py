@@ -20,30 +20,23 @@ from typing import Any
 import numpy as np
 
 from harness import Result, Table, missing_peer, optional
-from plate_core import load_rig
 from plate_core.serial_protocol import Reader, Stop, parse
-from plate_sim.device import TICK_US, DeviceLimits, Emulator, PseudoTerminal
-from stages.upload import PERIOD_S, shaking
+from stages.upload import PERIOD_S, device, shaking
 
 LONGEST_MS = 50.0
 """From call to wire, at most."""
 
 STOPS, QUICK_STOPS = 30, 3
-MOST_BEHIND_US = 100_000
 START_S = 60.0
 
 
 def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
-    """Be the device in real time; puts when it saw a new Stop on the wire, and its look before [s].
+    """Be the device; puts when it saw a new Stop on the wire, and its look before [s].
 
     Where it gets no time of a processor itself, the frame was there earlier than that.
     """
-    emulator, terminal = Emulator(DeviceLimits.of_rig(load_rig())), PseudoTerminal(link)
-    terminal.plug()
-    ready.set()
-    began, reader, last, looked = time.monotonic_ns(), Reader(), -1, time.monotonic()
-    while not done.is_set():
-        data = terminal.read()
+    reader, last, looked = Reader(), -1, time.monotonic()
+    for data, _ in device(link, ready, done):
         now = time.monotonic()
         reader, packets = reader.fed(data)
         for packet in map(parse, packets):
@@ -51,14 +44,6 @@ def serve(link: str, ready: Event, done: Event, stops: Any) -> None:
                 last = packet.sequence
                 stops.put((now, looked))
         looked = now
-        due = (time.monotonic_ns() - began) // 1_000 - emulator.device.now_us
-        began += 1_000 * max(0, due - MOST_BEHIND_US)
-        emulator.to_device.sent(data, emulator.now)
-        for _ in range(min(due, MOST_BEHIND_US) // TICK_US):
-            emulator.tick()
-        terminal.write(emulator.to_host.arrived(emulator.now))
-        time.sleep(0.0005)
-    terminal.unplug()
 
 
 FLOOD = """
@@ -189,8 +174,8 @@ def latencies(
     driver = "from plate_driver.node import main; main()"
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
-        device = context.Process(target=serve, args=(link, ready, done, stops), daemon=True)
-        device.start()
+        process = context.Process(target=serve, args=(link, ready, done, stops), daemon=True)
+        process.start()
         ready.wait(START_S)
         words = ["transport:=serial", f"port:={link}", *(parameters or [])]
         arguments = ["--ros-args", "--log-level", "fatal", *(w for p in words for w in ("-p", p))]
@@ -214,7 +199,7 @@ def latencies(
         finally:
             bench.close()
             done.set()
-            device.join(10)
+            process.join(10)
     return found
 
 
