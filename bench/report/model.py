@@ -1,0 +1,69 @@
+"""The chart of the simulator's one model: no more is computed than a scene needs."""
+
+from __future__ import annotations
+
+from harness import shown
+from report.chart import (
+    FAINT,
+    OURS,
+    PEER,
+    SECOND,
+    THIRD,
+    Axis,
+    Chart,
+    Data,
+    Panels,
+    by,
+    column,
+    columns,
+    table,
+)
+
+COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
+"""Of scenes."""
+
+LOOKS = {"one model": (OURS, "o", "-"), "by events": (SECOND, "s", "-"), "pymunk": (PEER, "D", "-")}
+"""Colour, marker and line of methods; what was here before is grey."""
+
+LEAST_UM = 1e-4
+"""Errors below this [um] are rounding, and drawn here."""
+
+
+def model(data: Data) -> Chart:
+    """Return what a cycle of the plate costs by scene and number of parts, and its error."""
+    rows = table(data, "model", "model")
+    before = [r | {"method": f"before: {r['method']}"} for r in table(data, "model", "old_ladder")]
+    panels, ours = Panels(), [r for r in rows if r["method"] == "one model"]
+    for scene, mine in by([*rows, *before], "scene").items():
+        panel = panels.add(
+            scene, Axis("parts", log=True), Axis("core time of a cycle [ms]", log=True)
+        )
+        old = iter((("v", ":"), ("^", "--"), ("x", ":"), ("D", ":")))
+        for method, these in by(mine, "method").items():
+            look = LOOKS.get(method) or (FAINT, *next(old))
+            notes = [f"error {shown(r['error_um'])} µm" for r in these]
+            panel.points(
+                method, column(these, "parts"), column(these, "cpu_ms"), *look, notes=notes
+            )
+    last = panels.add(
+        "Error of the one model",
+        Axis("parts", log=True),
+        Axis("error after a cycle [µm]", log=True),
+    )
+    for (scene, mine), colour in zip(by(ours, "scene").items(), COLOURS, strict=False):
+        last.points(
+            f"error, {scene}", column(mine, "parts"), column(mine, "error_um", LEAST_UM), colour,
+            "s", "-",
+        )  # fmt: skip
+    most = [mine[-1] for mine in by(ours, "scene").values()]
+    told = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
+    return Chart(
+        "model", "c", "Simulator: no more is computed than a scene needs",
+        "A cycle of the plate of 100 ms, by what the scene has: nothing that touches, parts that "
+        "touch, a plate that turns, one on flexures. By events is the judge, points that neither "
+        "meet nor turn; in grey the ladder of models that was here before, measured once. "
+        "Down is better.",
+        f"One model, {most[0]['parts']} parts, core time of a cycle [ms]: {told}.",
+        "The one model: contacts, turning and suspension cost nothing where a scene has none.",
+        ("model",), panels, [*rows, *before], columns(data, "model", "model"),
+    )  # fmt: skip
