@@ -77,6 +77,18 @@ def test_wrong_values_are_refused(make_node, assignment, message):
     assert str(caught.value) == message
 
 
+def test_what_is_not_live_cannot_change(make_node):
+    node = make_node("method:=exact")
+    declare(node, Options)
+    result = node.set_parameters([Parameter("method", value="fast")])[0]
+    assert (result.successful, result.reason) == (
+        False, "Trying to set a read-only parameter: method.",
+    )  # fmt: skip
+    assert node.describe_parameter("method").read_only
+    assert not node.describe_parameter("gain").read_only
+    assert node.get_parameter("method").value == "exact"
+
+
 def test_changes_while_running(make_node):
     node = make_node()
     changes: list[Options] = []
@@ -92,7 +104,7 @@ def test_changes_while_running(make_node):
     for name, value, reason in (
         ("gain", 11.0, "parameter gain is 11.0, allowed: 0.0 to 10.0"),
         ("on", "yes", "parameter on is 'yes', allowed: a value of type bool"),
-        ("method", "exact", "parameter method is read when the node starts; restart to change it"),
+        ("method", "exact", "Trying to set a read-only parameter: method."),
     ):
         result = change(name, value)
         assert not result.successful

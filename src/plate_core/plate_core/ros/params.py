@@ -6,10 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import (
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -54,6 +51,8 @@ def parameter(
 def declare(node: Node, kind: type[Options]) -> Options:
     """Declare the fields of `kind` as parameters of `node` and return their values.
 
+    What is not `live` is read-only from here on: ROS refuses changes.
+
     Raises
     ------
     PlateError
@@ -73,7 +72,7 @@ def declare(node: Node, kind: type[Options]) -> Options:
 def follow(
     node: Node, options: Options, changed: Callable[[Options], None]
 ) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Call `changed` with new options whenever a live parameter is set; refuse all others."""
+    """Call `changed` with new options whenever a live parameter is set; refuse wrong values."""
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]
 
@@ -83,12 +82,10 @@ def follow(
             known = specs.get(item.name)
             if known is None:
                 continue
-            spec: Spec = known.metadata["spec"]
-            if not spec.live:
-                reason = f"parameter {item.name} is read when the node starts; restart to change it"
-                return SetParametersResult(successful=False, reason=reason)
             try:
-                new[item.name] = _checked(item.name, item.value, known.default, spec)
+                new[item.name] = _checked(
+                    item.name, item.value, known.default, known.metadata["spec"]
+                )
             except PlateError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         if new:
@@ -115,7 +112,9 @@ def _checked(name: str, value: Any, default: Any, spec: Spec) -> Any:
 
 def _descriptor(default: Any, spec: Spec) -> ParameterDescriptor:
     # Ranges are told to tools, but checked by us: rclpy's own message does not say what is allowed.
-    descriptor = ParameterDescriptor(description=spec.description, dynamic_typing=True)
+    descriptor = ParameterDescriptor(
+        description=spec.description, dynamic_typing=True, read_only=not spec.live
+    )
     if spec.choices:
         descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
     elif spec.low is not None and spec.high is not None:
