@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from .errors import PlateError
+
+Data = TypeVar("Data")
+
+
+def measured(key: str, low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
+    """Return a dataclass field that `Fields.read` takes from `key`: a number in [low, high]."""
+    return dataclasses.field(default=default, metadata={"key": key, "range": (low, high)})
 
 
 class Fields:
@@ -132,6 +140,16 @@ class Fields:
         return [
             Fields(item, f"{self._where}: {key}[{i}]", self._error) for i, item in enumerate(value)
         ]
+
+    def read(self, kind: type[Data]) -> Data:
+        """Return a dataclass whose fields are `measured`; the mapping has no other keys."""
+        values = {}
+        for item in dataclasses.fields(kind):  # type: ignore[arg-type]
+            default = None if item.default is dataclasses.MISSING else item.default
+            key, (low, high) = item.metadata["key"], item.metadata["range"]
+            values[item.name] = self.number(key, low, high, default)
+        self.finish()
+        return kind(**values)
 
     def finish(self) -> None:
         """Refuse keys that nobody asked for: most of them are spelling mistakes."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RigError
-from ..yaml_fields import Fields, config_path, read_yaml
+from ..yaml_fields import Fields, config_path, measured, read_yaml
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .suspension import Suspension, read_suspension
@@ -19,9 +19,9 @@ from .suspension import Suspension, read_suspension
 class Plate:
     """The plate: its sides along x and y at rest [m] and its mass [kg]."""
 
-    length_m: float
-    width_m: float
-    mass_kg: float
+    length_m: float = measured("length_m", 0.01, 10)
+    width_m: float = measured("width_m", 0.01, 10)
+    mass_kg: float = measured("mass_kg", 0.001, 1000)
 
     @property
     def half(self) -> np.ndarray:
@@ -38,8 +38,8 @@ class Plate:
 class Friction:
     """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
 
-    mu: float
-    gravity: float
+    mu: float = measured("mu", 0.01, 2)
+    gravity: float = measured("gravity_mps2", 0.1, 30)
 
     @property
     def accel(self) -> float:
@@ -51,8 +51,8 @@ class Friction:
 class PartFacts:
     """The parts: round, all alike; mass [kg] and radius [m]."""
 
-    mass_kg: float
-    radius_m: float
+    mass_kg: float = measured("mass_kg", 1e-6, 10)
+    radius_m: float = measured("radius_m", 1e-4, 1)
 
 
 @dataclass(frozen=True)
@@ -76,14 +76,14 @@ class Limits:
         watched.
     """
 
-    stroke_m: float
-    speed: float
-    accel: float
-    force: float = 200.0
-    continuous_force: float = 100.0
-    thermal_time_s: float = 60.0
-    heat_rise_k: float = 80.0
-    following_error_m: float = 0.0
+    stroke_m: float = measured("stroke_m", 1e-5, 1)
+    speed: float = measured("speed_mps", 1e-3, 100)
+    accel: float = measured("accel_mps2", 0.1, 1e4)
+    force: float = measured("force_n", 1e-3, 1e6, 200.0)
+    continuous_force: float = measured("continuous_force_n", 1e-3, 1e6, 100.0)
+    thermal_time_s: float = measured("thermal_time_s", 0.1, 1e5, 60.0)
+    heat_rise_k: float = measured("heat_rise_k", 0.1, 1e3, 80.0)
+    following_error_m: float = measured("following_error_m", 0, 1, 0.0)
 
 
 @dataclass(frozen=True)
@@ -163,12 +163,12 @@ def load_rig(path: str | Path | None = None) -> Rig:
         value and what is allowed.
     """
     fields = read_yaml(path or default_rig_path(), RigError)
-    plate = _plate(fields.child("plate"))
+    plate = fields.child("plate").read(Plate)
     rig = Rig(
         plate=plate,
-        friction=_friction(fields.child("friction")),
-        parts=_parts(fields.child("parts")),
-        limits=_limits(fields.child("limits")),
+        friction=fields.child("friction").read(Friction),
+        parts=fields.child("parts").read(PartFacts),
+        limits=fields.child("limits").read(Limits),
         motors=_motors(fields.child("motors")),
         camera=_camera(fields.child("camera")),
         suspension=_suspension(fields, plate),
@@ -183,56 +183,11 @@ def load_rig(path: str | Path | None = None) -> Rig:
     return rig
 
 
-def _plate(fields: Fields) -> Plate:
-    plate = Plate(
-        length_m=fields.number("length_m", 0.01, 10),
-        width_m=fields.number("width_m", 0.01, 10),
-        mass_kg=fields.number("mass_kg", 1e-3, 1e3),
-    )
-    fields.finish()
-    return plate
-
-
 def _suspension(fields: Fields, plate: Plate) -> Suspension | None:
     if not fields.has("suspension"):
         return None
     sides = (plate.length_m, plate.width_m)
     return read_suspension(fields.child("suspension"), plate.mass_kg, sides)
-
-
-def _friction(fields: Fields) -> Friction:
-    friction = Friction(
-        mu=fields.number("mu", 0.01, 2), gravity=fields.number("gravity_mps2", 0.1, 30)
-    )
-    fields.finish()
-    return friction
-
-
-def _parts(fields: Fields) -> PartFacts:
-    parts = PartFacts(
-        mass_kg=fields.number("mass_kg", 1e-6, 10), radius_m=fields.number("radius_m", 1e-4, 1)
-    )
-    fields.finish()
-    return parts
-
-
-def _limits(fields: Fields) -> Limits:
-    limits = Limits(
-        stroke_m=fields.number("stroke_m", 1e-5, 1),
-        speed=fields.number("speed_mps", 1e-3, 100),
-        accel=fields.number("accel_mps2", 0.1, 1e4),
-        force=fields.number("force_n", 1e-3, 1e6, default=Limits.force),
-        continuous_force=fields.number(
-            "continuous_force_n", 1e-3, 1e6, default=Limits.continuous_force
-        ),
-        thermal_time_s=fields.number("thermal_time_s", 0.1, 1e5, default=Limits.thermal_time_s),
-        heat_rise_k=fields.number("heat_rise_k", 0.1, 1e3, default=Limits.heat_rise_k),
-        following_error_m=fields.number(
-            "following_error_m", 0, 1, default=Limits.following_error_m
-        ),
-    )
-    fields.finish()
-    return limits
 
 
 def _motors(fields: Fields) -> tuple[Motor, ...]:
