@@ -269,7 +269,7 @@ def run(
             turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
             yield Moment(
                 t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
-                fitted.usage.worst, simulation.used, error, turned,
+                fitted.usage.overall, simulation.used, error, turned,
             )  # fmt: skip
             if progress.ended:
                 return

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, PlateCycle, load_rig
-from plate_core.motion import corner_accel, motor_state
+from plate_core.motion import corner_accel, motor_state, usage
 from plate_driver.setpoints.limits import ROUNDING, check_setpoints, fit
-from plate_driver.setpoints.peaks import peaks
 
 RIG = load_rig()
 
@@ -48,7 +47,7 @@ def test_limits_are_never_exceeded(size):
         found = fit(RIG, cycle)
         shares = dense_shares(found.cycle)
         assert np.all(shares <= 1 + ROUNDING), f"seed {seed}: {shares}"
-        assert found.usage.worst == peaks(RIG, found.cycle).worst
+        assert found.usage.overall == usage(RIG, found.cycle).overall
         np.testing.assert_allclose(found.cycle.knot_pose, found.factor * cycle.knot_pose)
         np.testing.assert_array_equal(found.cycle.times, cycle.times)
 
@@ -59,8 +58,8 @@ def test_no_more_is_taken_than_needed(size):
         cycle = random_cycle(seed, size)
         found = fit(RIG, cycle)
         if found.factor < 1:
-            larger = peaks(RIG, cycle.scaled(1.02 * found.factor)).worst
-            assert found.usage.worst > 0.97 or larger > 1
+            larger = usage(RIG, cycle.scaled(1.02 * found.factor)).overall
+            assert found.usage.overall > 0.97 or larger > 1
 
 
 def test_gentle_cycle_is_not_touched():
@@ -73,7 +72,7 @@ def test_gentle_cycle_is_not_touched():
 
 def test_exactly_at_the_limit_is_allowed():
     cycle = random_cycle(0, 1e-4)
-    rig = replace(RIG, limits=replace(RIG.limits, accel=peaks(RIG, cycle).accel))
+    rig = replace(RIG, limits=replace(RIG.limits, accel=usage(RIG, cycle).accel))
     assert fit(rig, cycle).factor == 1
     tighter = replace(rig, limits=replace(rig.limits, accel=rig.limits.accel * (1 - 1e-5)))
     found = fit(tighter, cycle)
@@ -85,10 +84,10 @@ def test_exactly_at_the_limit_is_allowed():
 def test_every_limit_counts(limit):
     cycle = random_cycle(0, 1e-4)
     free = {"stroke_m": 1.0, "speed": 100.0, "accel": 1e4, "force": 1e4, "continuous_force": 1e4}
-    peak = getattr(peaks(RIG, cycle), limit)
+    peak = getattr(usage(RIG, cycle), limit)
     rig = replace(RIG, limits=replace(RIG.limits, **(free | {limit: peak / 4})))
     found = fit(rig, cycle)
-    assert found.asked.worst == pytest.approx(4)
+    assert found.asked.overall == pytest.approx(4)
     assert found.factor == pytest.approx(0.25, rel=0.01)
     assert getattr(found.usage, limit) <= peak / 4
 

@@ -3,17 +3,20 @@
 A `PlateCycle` is knots and quintic splines; `usage` holds one against a rig's limits.
 """
 
-from .cycle import PlateCycle, quintic_pieces
-from .kinematics import motor_state, plate_state
-from .limits import PIECES, CycleUsage, corner_accel, usage
+from .cycle import PIECES, PlateCycle, quintic_pieces
+from .kinematics import motor_levers, motor_state, plate_state
+from .limits import CycleUsage, corner_accel, derivative, polynomial_peaks, usage
 
 __all__ = [
     "PIECES",
     "CycleUsage",
     "PlateCycle",
     "corner_accel",
+    "derivative",
+    "motor_levers",
     "motor_state",
     "plate_state",
+    "polynomial_peaks",
     "quintic_pieces",
     "usage",
 ]

@@ -14,6 +14,10 @@ from ..errors import CycleError
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
 """Pose [m, m, rad], twist and acceleration below this (times 1, 1/s, 1/s2 and 100) are rest."""
 
+PIECES = 4
+"""Pieces of a knot interval when bounding its peaks: with 6 knots to a sine wave they come out
+0.2 % too high, with 3 knots 1 %."""
+
 
 @dataclass(frozen=True)
 class PlateCycle:
@@ -83,7 +87,7 @@ class PlateCycle:
         pose = PPoly(self._coefficients.transpose(1, 0, 2)[::-1], self.times)
         return pose, pose.derivative(), pose.derivative(2)
 
-    def control_points(self, order: int, pieces: int = 4) -> np.ndarray:
+    def control_points(self, order: int, pieces: int = PIECES) -> np.ndarray:
         """Bezier control points of the motion: a curve never leaves their hull.
 
         Parameters

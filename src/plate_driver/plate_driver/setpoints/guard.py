@@ -55,7 +55,7 @@ class Statistics:
         new = replace(
             self,
             cycles=self.cycles + 1,
-            worst=max(self.worst, fit.asked.worst),
+            worst=max(self.worst, fit.asked.overall),
             factor=min(self.factor, fit.factor),
             late=max(self.late, late),
         )

@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.motion import quintic_pieces
-
-from .peaks import Peaks, derivative, peaks, polynomial_peaks
+from plate_core.motion import (
+    CycleUsage,
+    derivative,
+    polynomial_peaks,
+    quintic_pieces,
+    usage,
+)
 
 TARGET = 0.999
 """Fraction of the worst limit that a scaled cycle uses: the rest is for the search and rounding."""
@@ -39,20 +43,20 @@ class Fit:
         The motion asked for, all amplitudes times `factor`, in the same time.
     factor : float
         1 if the cycle was within the limits as it came.
-    asked, usage : Peaks
+    asked, usage : CycleUsage
         Peaks of the cycle as it came, and of the one returned.
     """
 
     cycle: PlateCycle
     factor: float
-    asked: Peaks
-    usage: Peaks
+    asked: CycleUsage
+    usage: CycleUsage
 
     @property
     def summary(self) -> str:
         """By how much it was scaled down, and why."""
         return (
-            f"cycle scaled by {self.factor:.3g}: it used {self.asked.worst:.3g} times the limits "
+            f"cycle scaled by {self.factor:.3g}: it used {self.asked.overall:.3g} times the limits "
             f"({self.asked.stroke_m * 1e3:.3g} mm, {self.asked.speed:.3g} m/s, "
             f"{self.asked.accel:.3g} m/s2, {self.asked.force:.3g} N)"
         )
@@ -67,7 +71,7 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
     Parameters
     ----------
     thermal_load : (4,) or float
-        What the motors may take, see `peaks`.
+        What the motors may take, see `usage`.
 
     Raises
     ------
@@ -75,52 +79,54 @@ def fit(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> 
         If the cycle's peaks are too large to compute, or no factor makes it fit.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        asked = peaks(rig, cycle, thermal_load)
-        if not np.isfinite(asked.worst):
+        asked = usage(rig, cycle, thermal_load)
+        if not np.isfinite(asked.overall):
             raise CycleError(
                 "plate_cycle: its speed or acceleration is too large to compute, "
                 f"allowed: {limits_text(rig)}"
             )
-        if asked.worst <= 1 + ROUNDING:
+        if asked.overall <= 1 + ROUNDING:
             return Fit(cycle, 1.0, asked, asked)
         return _scaled(rig, cycle, asked, thermal_load)
 
 
-def _scaled(rig: Rig, cycle: PlateCycle, asked: Peaks, thermal_load: np.ndarray | float) -> Fit:
+def _scaled(
+    rig: Rig, cycle: PlateCycle, asked: CycleUsage, thermal_load: np.ndarray | float
+) -> Fit:
     """Search the largest factor that fits.
 
     Peaks are not quite proportional to the factor (turning adds its square), so this is a search
     for the root of log(worst/TARGET) over log(factor), between a factor too large and one that
     fits: secant steps, halvings where those do not help.
     """
-    large, large_worst = 1.0, asked.worst
+    large, large_worst = 1.0, asked.overall
     small: Fit | None = None
-    factor = TARGET / asked.worst
+    factor = TARGET / asked.overall
     for trial in range(ROUNDS):
         scaled = cycle.scaled(factor)
-        used = peaks(rig, scaled, thermal_load)
-        if used.worst <= TARGET * (1 + ROUNDING):
+        used = usage(rig, scaled, thermal_load)
+        if used.overall <= TARGET * (1 + ROUNDING):
             small = Fit(scaled, factor, asked, used)
-            if used.worst >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
+            if used.overall >= CLOSE_ENOUGH or small.factor >= CLOSE_ENOUGH * large:
                 return small
         else:
-            large, large_worst = factor, used.worst
+            large, large_worst = factor, used.overall
         factor = _next_factor(large, large_worst, small, secant=trial % 3 != 2)
     if small is None:
         raise CycleError(
-            f"plate_cycle: uses {asked.worst:.3g} times the rig's limits and cannot be scaled, "
+            f"plate_cycle: uses {asked.overall:.3g} times the rig's limits and cannot be scaled, "
             f"allowed: {limits_text(rig)}"
         )
     return small
 
 
 def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bool) -> float:
-    if small is None or small.usage.worst <= 0:
+    if small is None or small.usage.overall <= 0:
         return large * TARGET / large_worst * 0.999
     low, high = np.log(small.factor), np.log(large)
     if not secant:
         return float(np.exp((low + high) / 2))
-    below, above = np.log(small.usage.worst / TARGET), np.log(large_worst / TARGET)
+    below, above = np.log(small.usage.overall / TARGET), np.log(large_worst / TARGET)
     # A little below the root: the next trial then most likely fits, and ends the search.
     fraction = -below / (above - below)
     return float(np.exp(low + fraction * (high - low)) * 0.998)

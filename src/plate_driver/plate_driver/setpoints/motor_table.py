@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plate_core import CycleError, PlateCycle, Rig
-from plate_core.motion import motor_state
+from plate_core.motion import motor_state, usage
 
 from .limits import Fit, check_setpoints, fit
-from .peaks import peaks
 
 PERIOD_S = (0.01, 10.0)
 """Allowed length of a table [s]: one image is taken in each, so it is 0.1 to 100 Hz of sight."""
@@ -82,7 +81,7 @@ def prepare(
     repeats : int
         See `with_fades`.
     thermal_load : (4,) or float
-        What the motors may take, see `peaks`.
+        What the motors may take, see `usage`.
     correction : callable, optional
         What was learned of the plate. Wanted motion and command both keep the limits.
 
@@ -120,7 +119,7 @@ def _corrected(
     if shorter.factor == 1:
         return shorter.cycle, fitted
     wanted = fitted.cycle.scaled(shorter.factor)
-    used = peaks(rig, wanted, thermal_load)
+    used = usage(rig, wanted, thermal_load)
     return shorter.cycle, Fit(wanted, fitted.factor * shorter.factor, fitted.asked, used)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import Rig
-from plate_core.motion import quintic_pieces
+from plate_core.motion import motor_levers, quintic_pieces
 from plate_core.serial_protocol import MOTORS, TICK_S, State
 
 from ..drive import PlateState
@@ -139,13 +139,8 @@ class SuspendedPlate:
         self._last = np.zeros(INPUT)
         columns = np.eye(STATE + 2 * INPUT) * SCALE
         self._tick = np.stack([_after(rig, tick_s, column) for column in columns], 1) / SCALE
-        self._levers = np.array(
-            [
-                [dx, dy, x * dy - y * dx]
-                for (x, y), (dx, dy) in ((motor.point, motor.direction) for motor in rig.motors)
-            ]
-        )
-        self._share = np.linalg.pinv(self._levers)
+        self._levers = motor_levers(rig)
+        self._inverse = np.linalg.pinv(self._levers)
 
     def moved(self, setpoint: np.ndarray) -> np.ndarray:
         """Let a tick pass, during which the motors are led to a setpoint (3, 4).
@@ -155,7 +150,7 @@ class SuspendedPlate:
         (2, 4)
             Travel [m] and acceleration [m/s2] that the motors' sensors tell at its end.
         """
-        wanted = (setpoint @ self._share.T).ravel()
+        wanted = (setpoint @ self._inverse.T).ravel()
         after = self._tick @ np.concatenate([self._state, self._last, wanted])
         self._state, self._last = after[:STATE], wanted
         missed = after[[0, 1, 2, -3, -2, -1]] - wanted[[0, 1, 2, 6, 7, 8]]
