@@ -12,7 +12,6 @@ SHARED = "plate_core"
 """The one package that others may import."""
 
 NOT_YET = {
-    "plate_core",
     "plate_planner",
     "plate_sim",
     "plate_solver",

@@ -14,6 +14,8 @@ import yaml
 
 from .errors import PlateError
 
+__all__ = ["Fields", "read_yaml"]
+
 Data = TypeVar("Data")
 
 
