@@ -146,7 +146,10 @@ def detect(
     if not isinstance(region, Region):
         region = make_region(size_px, region)
     elif region.size_px != size_px:
-        raise ImageError(f"image: size is {size_px} px, allowed: {region.size_px} px, the region's")
+        raise ImageError(
+            f"image: size is {size_px[0]} x {size_px[1]} px, allowed: {region.size_px[0]} x "
+            f"{region.size_px[1]} px, for which the region was made"
+        )
     return _detect_any(grey, region) if options is None else _discs(grey, region, options, size)
 
 

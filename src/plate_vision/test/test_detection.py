@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
-from plate_vision import CLASSES, DETECTION, DetectorOptions, ImageError, OptionError, detect
+from plate_vision import (
+    CLASSES,
+    DETECTION,
+    DetectorOptions,
+    ImageError,
+    OptionError,
+    detect,
+    make_region,
+)
 
 RADIUS_PX = 8.0
 OPTIONS = DetectorOptions(radius_px=RADIUS_PX)
@@ -331,6 +339,10 @@ def test_kinds_of_images(draw, corners_px, rng):
     for image in (padded[:, :640], np.dstack([frame] * 3), np.asfortranarray(frame)):
         assert np.array_equal(detect(image, OPTIONS, corners_px), expected)
     assert np.array_equal(detect(frame, OPTIONS, corners_px[::-1]), expected)  # other sense
+    region = make_region((640, 480), corners_px)
+    assert np.array_equal(detect(frame, OPTIONS, region), expected)
+    with pytest.raises(ImageError, match=r"image: size is .* allowed: .*region"):
+        detect(frame[:-1], OPTIONS, region)
 
 
 @pytest.mark.parametrize(
