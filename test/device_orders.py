@@ -1,4 +1,4 @@
-"""A device on a desk, the C firmware or its twin in Python: orders in, what it does out."""
+"""The C firmware on this machine and its twin in Python: orders in, what the device does out."""
 
 import subprocess
 from collections.abc import Callable
@@ -36,7 +36,9 @@ STROKE_M, SPEED = 0.010, 1.0
 SILENCE_S = 0.25
 PERIOD_S = 0.1
 BOOT = 0xCAFE
-"""Of a device on a desk, which takes the number of its first stop from it."""
+"""Of the device, which takes the number of its first stop from it."""
+
+LIMITS = DeviceLimits.of_rig(load_rig())
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Twin:
     def __init__(self, *arguments: str) -> None:
         names = ("heat_s", "continuous_force", "force", "following_m")
         changes = dict(zip(names, map(float, arguments), strict=False))
-        self.device = Device.started(replace(DeviceLimits.of_rig(load_rig()), **changes), BOOT)
+        self.device = Device.started(replace(LIMITS, **changes), BOOT)
         self.lines: list[str] = []
         self._data, self._fault, self._late_us = b"", Fault.NONE, 0
         self._place = np.zeros((2, 4), np.float32)
@@ -225,10 +227,10 @@ class Twin:
 
 def twin(orders: str, *arguments: str) -> str:
     """Do what firmware/host/host.c does, with the device in Python; returns what it prints."""
-    desk = Twin(*arguments)
+    device = Twin(*arguments)
     for order in orders.splitlines():
-        desk.obey(order)
-    return "\n".join([*desk.lines, ""])
+        device.obey(order)
+    return "\n".join([*device.lines, ""])
 
 
 def shown(at: np.ndarray) -> str:

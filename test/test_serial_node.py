@@ -119,7 +119,7 @@ class Board:
         os.close(self.slave)
 
 
-class Desk:
+class Bench:
     """A driver process at a board, and a node that speaks to it."""
 
     def __init__(self, board: Board) -> None:
@@ -232,86 +232,88 @@ class Desk:
         rclpy.shutdown(context=self.context)
 
 
-@pytest.fixture(name="desk")
-def _desk(program):
+@pytest.fixture(name="bench")
+def _bench(program):
     board = Board(program)
-    desk = Desk(board)
-    yield desk
-    desk.close()
+    bench = Bench(board)
+    yield bench
+    bench.close()
     board.close()
 
 
-def test_cycles_reach_the_board_and_telemetry_the_graph(desk):
-    board = desk.board
-    desk.start()
-    desk.tells(OFF)
-    assert desk.until(lambda: len(desk.states) > 2)
-    assert desk.states[-1].name == [motor.name for motor in RIG.motors]
+def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
+    board = bench.board
+    bench.start()
+    bench.tells(OFF)
+    assert bench.until(lambda: len(bench.states) > 2)
+    assert bench.states[-1].name == [motor.name for motor in RIG.motors]
     assert (board.count(Enable), board.setpoints, board.current) == (0, 0, False)
-    desk.send()  # nothing moves unasked
-    desk.wait(1.0)
+    bench.send()  # nothing moves unasked
+    bench.wait(1.0)
     assert (board.count(Enable), board.count(Commit), board.setpoints) == (0, 0, 0)
-    desk.moving()
-    assert desk.until(lambda: any(any(s.position) for s in desk.states))
-    assert desk.until(lambda: any(np.max(np.abs(s.effort)) > 1.0 for s in desk.states))  # m/s2
-    stamps = [nanoseconds(s.header.stamp) for s in desk.states]
+    bench.moving()
+    assert bench.until(lambda: any(any(s.position) for s in bench.states))
+    assert bench.until(lambda: any(np.max(np.abs(s.effort)) > 1.0 for s in bench.states))  # m/s2
+    stamps = [nanoseconds(s.header.stamp) for s in bench.states]
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
     assert 5e-4 < board.travel < 2e-3
-    assert nanoseconds(desk.setpoints[-1].header.stamp) <= desk.stamp
+    assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
     # Without cycles the plate rests by itself, with current; the driver says so: it is no fault.
-    assert desk.until(lambda: board.state is State.READY)
-    assert desk.until(lambda: desk.reports[-1].level == DiagnosticStatus.STALE)
-    assert desk.reports[-1].message.startswith("no plate_cycle for ")
-    values = {v.key: v.value for v in desk.reports[-1].values}
+    assert bench.until(lambda: board.state is State.READY)
+    assert bench.until(lambda: bench.reports[-1].level == DiagnosticStatus.STALE)
+    assert bench.reports[-1].message.startswith("no plate_cycle for ")
+    values = {v.key: v.value for v in bench.reports[-1].values}
     assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
             "round_trip_ms", "device_thermal_load"} <= set(values)  # fmt: skip
-    assert desk.told[-1] == "ready"
+    assert bench.told[-1] == "ready"
     # And goes on with the next one, which needs no enable.
-    desk.play()
+    bench.play()
     assert board.count(Enable) == 1
-    assert "Traceback" not in desk.end()
+    assert "Traceback" not in bench.end()
     assert board.count(Stop) >= 1
-    assert desk.until(lambda: board.state is State.OFF)
+    assert bench.until(lambda: board.state is State.OFF)
     assert not board.current
 
 
-def test_streams_reach_the_board_too(desk):
-    desk.start("streams:=true")
-    desk.tells(OFF)
-    desk.moving()
-    desk.end()
-    assert desk.until(lambda: desk.board.state is State.OFF)
+def test_streams_reach_the_board_too(bench):
+    bench.start("streams:=true")
+    bench.tells(OFF)
+    bench.moving()
+    bench.end()
+    assert bench.until(lambda: bench.board.state is State.OFF)
 
 
-def again(desk: Desk) -> None:
-    assert desk.stop().success
-    assert desk.stop("cut_power").success
+def again(bench: Bench) -> None:
+    assert bench.stop().success
+    assert bench.stop("cut_power").success
 
 
-def lifecycle(desk: Desk) -> None:
+def lifecycle(bench: Bench) -> None:
     for change in ("deactivate", "activate"):
-        desk.change(change)
+        bench.change(change)
 
 
-def anew(desk: Desk) -> None:
+def anew(bench: Bench) -> None:
     for change in ("deactivate", "cleanup", "configure", "activate"):
-        desk.change(change)
+        bench.change(change)
 
 
 def ended(number: int):
-    def end(desk: Desk) -> None:
-        desk.end(number)
-        desk.told.clear()
-        desk.start()
-        assert desk.until(lambda: desk.told and desk.told[-1].startswith(("stopped", "disabled")))
+    def end(bench: Bench) -> None:
+        bench.end(number)
+        bench.told.clear()
+        bench.start()
+        assert bench.until(
+            lambda: bench.told and bench.told[-1].startswith(("stopped", "disabled"))
+        )
 
     end.__name__ = signal.Signals(number).name
     return end
 
 
-def homed(desk: Desk) -> None:
-    assert desk.call(desk.clients["home"], Trigger.Request()).success
+def homed(bench: Bench) -> None:
+    assert bench.call(bench.clients["home"], Trigger.Request()).success
 
 
 WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
@@ -319,102 +321,102 @@ WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
 
 
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
-def test_no_way_undoes_a_stop(desk, way):
-    board = desk.board
-    desk.start()
-    desk.tells(OFF)
-    desk.moving()
-    answer = desk.stop()
+def test_no_way_undoes_a_stop(bench, way):
+    board = bench.board
+    bench.start()
+    bench.tells(OFF)
+    bench.moving()
+    answer = bench.stop()
     assert (answer.success, "emergency stop" in answer.message) == (True, True)
-    desk.tells(EMERGENCY)
+    bench.tells(EMERGENCY)
     assert not board.current
     enables, setpoints = board.count(Enable), board.setpoints
-    way(desk)
+    way(bench)
     for _ in range(10):
-        desk.send()
-        desk.wait(0.2)
+        bench.send()
+        bench.wait(0.2)
     assert board.count(Enable) == enables
     assert (board.current, board.setpoints) == (False, setpoints)
-    assert desk.told[-1].startswith(("stopped", "disabled")), desk.told
-    desk.moving()  # a person enables: once on the line, whatever repetitions
+    assert bench.told[-1].startswith(("stopped", "disabled")), bench.told
+    bench.moving()  # a person enables: once on the line, whatever repetitions
     assert board.current
 
 
 @pytest.mark.parametrize("way", [lifecycle, ended(signal.SIGTERM), ended(signal.SIGKILL)],
                          ids=lambda way: way.__name__)  # fmt: skip
-def test_an_end_in_mid_motion_stops_the_plate_for_good(desk, way):
-    board = desk.board
-    desk.start()
-    desk.tells(OFF)
-    desk.moving()
+def test_an_end_in_mid_motion_stops_the_plate_for_good(bench, way):
+    board = bench.board
+    bench.start()
+    bench.tells(OFF)
+    bench.moving()
     enables = board.count(Enable)
-    way(desk)
-    assert desk.until(lambda: not board.current)
+    way(bench)
+    assert bench.until(lambda: not board.current)
     at_rest = ("stopped", "disabled")
-    assert desk.until(lambda: desk.told[-1].startswith(at_rest) if desk.told else False)
+    assert bench.until(lambda: bench.told[-1].startswith(at_rest) if bench.told else False)
     for _ in range(10):
-        desk.send()
-        desk.wait(0.2)
+        bench.send()
+        bench.wait(0.2)
     assert (board.count(Enable), board.current) == (enables, False)
-    assert desk.told[-1].startswith(at_rest), desk.told
+    assert bench.told[-1].startswith(at_rest), bench.told
     if way.__name__ != "SIGKILL":
         assert board.count(Stop) >= 1  # it said so, and did not leave it to the device
 
 
-def test_kinds_of_stop_and_a_device_that_does_not_answer(desk):
-    board = desk.board
-    desk.start()
-    desk.tells(OFF)
-    desk.moving()
-    answer = desk.stop("cut_power")
+def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
+    board = bench.board
+    bench.start()
+    bench.tells(OFF)
+    bench.moving()
+    answer = bench.stop("cut_power")
     assert (answer.success, "power cut" in answer.message) == (True, True)
     assert not board.current
     assert Stop(1) in board.heard
-    desk.tells(CUT)
-    desk.moving()
-    assert desk.enable(False).success
-    desk.tells(OFF)
-    desk.moving()
+    bench.tells(CUT)
+    bench.moving()
+    assert bench.enable(False).success
+    bench.tells(OFF)
+    bench.moving()
     # Its cable is cut: nobody acknowledges, and the answer says so.
     board.dead = True
-    answer = desk.stop()
+    answer = bench.stop()
     assert (answer.success, answer.message) == (False, UNANSWERED)
-    assert desk.until(lambda: desk.told[-1].startswith("error: "))
-    assert desk.until(lambda: desk.reports[-1].level == DiagnosticStatus.ERROR)
-    assert not desk.enable().success
-    assert desk.until(lambda: not board.current)  # the device's own watchdog
+    assert bench.until(lambda: bench.told[-1].startswith("error: "))
+    assert bench.until(lambda: bench.reports[-1].level == DiagnosticStatus.ERROR)
+    assert not bench.enable().success
+    assert bench.until(lambda: not board.current)  # the device's own watchdog
     board.dead = False
-    desk.tells(EMERGENCY)
-    desk.wait(1.0)
+    bench.tells(EMERGENCY)
+    bench.wait(1.0)
     assert not board.current
 
 
-def test_a_stop_in_every_lifecycle_state_reaches_the_device(desk):
-    board = desk.board
-    desk.start("autostart:=false")
-    desk.tells("unconfigured")
-    assert desk.stop().success
+def test_a_stop_in_every_lifecycle_state_reaches_the_device(bench):
+    board = bench.board
+    bench.start("autostart:=false")
+    bench.tells("unconfigured")
+    assert bench.stop().success
     assert board.count(Stop) >= 1
-    desk.change("configure")
+    bench.change("configure")
     stops = board.count(Stop)
-    assert desk.stop().success
+    assert bench.stop().success
     assert board.count(Stop) > stops
-    desk.change("activate")
-    desk.tells(EMERGENCY)
-    desk.moving()
+    bench.change("activate")
+    bench.tells(EMERGENCY)
+    bench.moving()
 
 
-def test_the_port_is_for_one_driver(desk):
-    desk.start()
-    desk.tells(OFF)
-    desk.moving()
-    hellos = desk.board.count(Hello)
-    words = ["transport:=serial", f"port:={desk.board.port}"]
+def test_the_port_is_for_one_driver(bench):
+    bench.start()
+    bench.tells(OFF)
+    bench.moving()
+    hellos = bench.board.count(Hello)
+    words = ["transport:=serial", f"port:={bench.board.port}"]
     second = subprocess.run(
         [*DRIVER, "--ros-args", "-r", "__ns:=/second", *(w for p in words for w in ("-p", p))],
         capture_output=True, text=True, timeout=30,
     )  # fmt: skip
     assert second.returncode == 2
-    assert f"error: port is '{desk.board.port}', allowed: a serial port" in second.stderr
-    assert desk.board.count(Hello) == hellos
-    desk.play()
+    assert f"error: port is '{bench.board.port}', allowed: a serial port" in second.stderr
+    assert bench.board.count(Hello) == hellos
+    bench.play()

@@ -31,7 +31,7 @@ def shaking(amplitude: float, turns: int = 2) -> MotorTable:
 
 
 @dataclass
-class Desk:
+class SimulatedFirmware:
     """The firmware as a process, its time, and the line to it with all that may go wrong."""
 
     program: Path
@@ -129,7 +129,7 @@ class Desk:
     def close(self) -> None:
         self.to_host = []  # what was written is on its way, although the port is closed
 
-    def opened(self) -> "Desk":
+    def opened(self) -> "SimulatedFirmware":
         if self.cut:
             raise PlateError("port is '/dev/plate', allowed: a serial port that opens")
         return self
@@ -151,77 +151,81 @@ class Desk:
         np.testing.assert_allclose(np.diff(q, axis=0)[near], steps[near], atol=5e-8)
 
 
-@pytest.fixture(name="desk")
-def _desk(program):
-    desk = Desk(program)
-    yield desk
-    desk.end()
+@pytest.fixture(name="firmware")
+def _firmware(program):
+    firmware = SimulatedFirmware(program)
+    yield firmware
+    firmware.end()
 
 
 REPEATS = 5
 
 
-def link(desk: Desk, streams: bool = False, seed: int = 7) -> SerialTransport:
-    transport = SerialTransport(desk.opened, lambda: desk.now, seed, streams)
+def link(firmware: SimulatedFirmware, streams: bool = False, seed: int = 7) -> SerialTransport:
+    transport = SerialTransport(firmware.opened, lambda: firmware.now, seed, streams)
     transport.open()
     return transport
 
 
-def pass_time(desk: Desk, transport: SerialTransport, seconds: float) -> list[Measured]:
+def pass_time(
+    firmware: SimulatedFirmware, transport: SerialTransport, seconds: float
+) -> list[Measured]:
     """Let time pass; the host looks every 5 ms."""
     measured = []
     for tick in range(round(seconds / TICK_S)):
-        desk.tick()
+        firmware.tick()
         if tick % 5 == 0:
             measured += transport.poll()
     return measured
 
 
-def settled(desk: Desk, transport: SerialTransport, order: Order) -> Order:
+def settled(firmware: SimulatedFirmware, transport: SerialTransport, order: Order) -> Order:
     """Let time pass until an order is settled, or its time is over."""
-    end = desk.now + order.longest_s
-    while not order.settled and desk.now < end:
-        pass_time(desk, transport, 0.005)
+    end = firmware.now + order.longest_s
+    while not order.settled and firmware.now < end:
+        pass_time(firmware, transport, 0.005)
     return order
 
 
-def enabled(desk: Desk, seed: int = 7) -> SerialTransport:
+def enabled(firmware: SimulatedFirmware, seed: int = 7) -> SerialTransport:
     """A transport whose motors a person has enabled."""
-    transport = link(desk, seed=seed)
-    while transport.report().condition is Condition.GONE and desk.now < 10:
-        pass_time(desk, transport, 0.1)
-    order = settled(desk, transport, transport.enable())
+    transport = link(firmware, seed=seed)
+    while transport.report().condition is Condition.GONE and firmware.now < 10:
+        pass_time(firmware, transport, 0.1)
+    order = settled(firmware, transport, transport.enable())
     assert order.done, order.failure
     return transport
 
 
-def play(desk: Desk, transport: SerialTransport, seconds: float, size: float = 0.002) -> set[int]:
+def play(
+    firmware: SimulatedFirmware, transport: SerialTransport, seconds: float, size: float = 0.002
+) -> set[int]:
     """Send a table in every period; returns the numbers of those that were played."""
     tables: set[int] = set()
     for n in range(round(seconds / PERIOD)):
         if transport.report().condition is Condition.READY:
             transport.send(shaking(size if n % 2 else size / 2), REPEATS)
-        tables |= {m.table for m in pass_time(desk, transport, PERIOD)}
+        tables |= {m.table for m in pass_time(firmware, transport, PERIOD)}
     return tables - {0}
 
 
-def test_tables_arrive_and_are_played_as_often_as_asked(desk):
-    transport = enabled(desk)
+def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
+    transport = enabled(firmware)
     first, second = shaking(0.0005), shaking(0.0008, turns=3)
     transport.send(first, 20)
-    pass_time(desk, transport, 1.0)
-    assert desk.states[-1] is State.PLAYING
+    pass_time(firmware, transport, 1.0)
+    assert firmware.states[-1] is State.PLAYING
     transport.send(second, 8)
-    measured = pass_time(desk, transport, 0.5)
+    measured = pass_time(firmware, transport, 0.5)
     assert transport.troubles() == []
     assert (transport.retries, transport.refused) == (0, 0)
-    desk.check_limits()
-    desk.check_smooth()
+    firmware.check_limits()
+    firmware.check_smooth()
     # The last cycle is the second table, as scipy draws it.
-    rows = np.array(desk.setpoints)
+    rows = np.array(firmware.setpoints)
     knots = np.stack([second.q, second.qd, second.qdd], axis=1)
     spline = BPoly.from_derivatives(second.cycle.times.copy(), knots)
-    began = next(row[0] for row in desk.setpoints if any(row[1:5])) - TICK_S
+    began = next(row[0] for row in firmware.setpoints if any(row[1:5])) - TICK_S
     last = rows[-100:]
     t = (last[:, 0] - began + 1e-9) % PERIOD
     np.testing.assert_allclose(last[:, 1:5], spline(t), atol=2e-8)
@@ -233,39 +237,39 @@ def test_tables_arrive_and_are_played_as_often_as_asked(desk):
         np.testing.assert_allclose(sample.position, row[1:5], rtol=1e-6, atol=1e-12)
         assert abs(sample.time - sample.device_s) < 3e-3
     # Eight times, then it rests by itself, with current; the host has said nothing for that.
-    pass_time(desk, transport, 1.0)
-    assert desk.states[-1] is State.READY
-    moving = [row[0] for row in desk.setpoints if row[0] > began and any(row[1:5])]
+    pass_time(firmware, transport, 1.0)
+    assert firmware.states[-1] is State.READY
+    moving = [row[0] for row in firmware.setpoints if row[0] > began and any(row[1:5])]
     plays = (moving[-1] - began) / PERIOD
-    commits = [m for m in desk.said() if isinstance(m, Commit)]
+    commits = [m for m in firmware.said() if isinstance(m, Commit)]
     assert [m.repeats for m in commits] == [20, 8]
     assert abs(plays - round(plays)) < 0.02
     transport.send(first, 3)
-    before = desk.now
-    pass_time(desk, transport, 1.0)
-    moving = [row[0] for row in desk.setpoints if row[0] > before and any(row[1:5])]
+    before = firmware.now
+    pass_time(firmware, transport, 1.0)
+    moving = [row[0] for row in firmware.setpoints if row[0] > before and any(row[1:5])]
     assert moving[-1] - moving[0] == pytest.approx(3 * PERIOD, abs=0.01)
     transport.close()
-    pass_time(desk, transport, 0.02)
+    pass_time(firmware, transport, 0.02)
 
 
-def test_a_table_is_not_played_longer_than_the_device_allows(desk):
-    transport = enabled(desk)
+def test_a_table_is_not_played_longer_than_the_device_allows(firmware):
+    transport = enabled(firmware)
     transport.send(shaking(0.0005), 1000)
-    pass_time(desk, transport, 0.3)
-    assert [m.repeats for m in desk.said() if isinstance(m, Commit)] == [100]  # 10 s
+    pass_time(firmware, transport, 0.3)
+    assert [m.repeats for m in firmware.said() if isinstance(m, Commit)] == [100]  # 10 s
     assert transport.troubles() == []
-    assert desk.states[-1] is State.PLAYING
+    assert firmware.states[-1] is State.PLAYING
 
 
-def test_upload_takes_a_fraction_of_a_cycle(desk):
-    transport = enabled(desk)
+def test_upload_takes_a_fraction_of_a_cycle(firmware):
+    transport = enabled(firmware)
     transport.send(shaking(0.0005), 50)
-    pass_time(desk, transport, 1.0)
+    pass_time(firmware, transport, 1.0)
     transport.send(shaking(0.0008), 50)
     # 13 messages of knots, 3 kB: 32 ms of a line of 921,600 baud.
     for _ in range(60):
-        desk.tick()
+        firmware.tick()
         transport.poll()
         if not transport.busy:
             return
@@ -283,90 +287,90 @@ def test_upload_takes_a_fraction_of_a_cycle(desk):
         (0.0, 0.0, 0.1, 3),
     ],
 )
-def test_bad_lines(desk, damage, loss, delay, least):
-    desk.damage, desk.loss, desk.delay = damage, loss, delay
-    transport = enabled(desk)
-    tables = play(desk, transport, 4.0)
-    desk.check_limits()
-    desk.check_smooth()
+def test_bad_lines(firmware, damage, loss, delay, least):
+    firmware.damage, firmware.loss, firmware.delay = damage, loss, delay
+    transport = enabled(firmware)
+    tables = play(firmware, transport, 4.0)
+    firmware.check_limits()
+    firmware.check_smooth()
     assert len(tables) >= least, (tables, transport.troubles())
     assert transport.troubles() == []
-    assert desk.current
-    assert [type(m) for m in desk.said()].count(Hello) < 20
+    assert firmware.current
+    assert [type(m) for m in firmware.said()].count(Hello) < 20
     if damage or loss:
         assert transport.retries > 0
         assert transport.refused > 0
     # And a stop comes through.
-    order = settled(desk, transport, transport.stop())
+    order = settled(firmware, transport, transport.stop())
     assert order.done
-    pass_time(desk, transport, 1.2)
-    assert not desk.current
+    pass_time(firmware, transport, 1.2)
+    assert not firmware.current
 
 
-def test_nothing_is_sent_to_motors_that_are_off(desk):
-    transport = link(desk)
-    pass_time(desk, transport, 0.5)
+def test_nothing_is_sent_to_motors_that_are_off(firmware):
+    transport = link(firmware)
+    pass_time(firmware, transport, 0.5)
     with pytest.raises(CycleError, match="the device is off, allowed: ready"):
         transport.send(shaking(0.002), REPEATS)
-    pass_time(desk, transport, 1.0)
-    kinds = {type(m).__name__ for m in desk.said()}
+    pass_time(firmware, transport, 1.0)
+    kinds = {type(m).__name__ for m in firmware.said()}
     assert kinds == {"Hello", "Heartbeat"}
-    assert not desk.current
-    assert desk.setpoints == []
+    assert not firmware.current
+    assert firmware.setpoints == []
 
 
 # Each way to undo a stop. The judge is the line, and the current.
 
 
-def quiet_since(desk: Desk, since: float) -> None:
+def quiet_since(firmware: SimulatedFirmware, since: float) -> None:
     """No Enable on the line since then, and no current now."""
-    assert not [m for m in desk.said(since) if isinstance(m, Enable)]
-    assert not desk.current
-    assert desk.states[-1] is State.OFF
-    desk.check_limits()
+    assert not [m for m in firmware.said(since) if isinstance(m, Enable)]
+    assert not firmware.current
+    assert firmware.states[-1] is State.OFF
+    firmware.check_limits()
 
 
-def goes_on(desk: Desk, transport: SerialTransport) -> None:
+def goes_on(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
     """A person enables, once: one Enable with the present stop, then tables play."""
-    since, stop = desk.now, desk.stop
-    order = settled(desk, transport, transport.enable())
+    since, stop = firmware.now, firmware.stop
+    order = settled(firmware, transport, transport.enable())
     assert order.done, order.failure
-    assert {m for m in desk.said(since) if isinstance(m, Enable)} == {Enable(stop)}
-    assert play(desk, transport, 0.5)
+    assert {m for m in firmware.said(since) if isinstance(m, Enable)} == {Enable(stop)}
+    assert play(firmware, transport, 0.5)
 
 
-def again(desk: Desk, transport: SerialTransport) -> None:
+def again(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
     transport.stop()
-    pass_time(desk, transport, 0.3)
+    pass_time(firmware, transport, 0.3)
     transport.stop(cut=True)
 
 
-def reset(desk: Desk, transport: SerialTransport) -> None:
-    desk.reset()
-    desk.current = False  # a new process
+def reset(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
+    firmware.reset()
+    firmware.current = False  # a new process
 
 
-def cable(desk: Desk, transport: SerialTransport) -> None:
-    desk.cut = True
-    pass_time(desk, transport, 2.0)
-    desk.cut = False
+def cable(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
+    firmware.cut = True
+    pass_time(firmware, transport, 2.0)
+    firmware.cut = False
 
 
-def supply(desk: Desk, transport: SerialTransport) -> None:
-    desk.order("fault 8")
-    pass_time(desk, transport, 0.1)
-    desk.order("fault 0")
+def supply(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
+    firmware.order("fault 8")
+    pass_time(firmware, transport, 0.1)
+    firmware.order("fault 0")
 
 
-def tables(desk: Desk, transport: SerialTransport) -> None:
+def tables(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
     for _ in range(5):
         with pytest.raises(CycleError, match="allowed: ready"):
             transport.send(shaking(0.002), REPEATS)
-        pass_time(desk, transport, 0.1)
+        pass_time(firmware, transport, 0.1)
 
 
-def homing(desk: Desk, transport: SerialTransport) -> None:
-    assert settled(desk, transport, transport.home()).done
+def homing(firmware: SimulatedFirmware, transport: SerialTransport) -> None:
+    assert settled(firmware, transport, transport.home()).done
 
 
 WAYS = [again, reset, cable, supply, tables, homing]
@@ -374,176 +378,176 @@ WAYS = [again, reset, cable, supply, tables, homing]
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("cut", [False, True])
-def test_a_stop_latches_whatever_comes(desk, way, cut):
-    transport = enabled(desk)
-    play(desk, transport, 1.0)
-    assert desk.states[-1] is State.PLAYING
-    since = desk.now
-    order = settled(desk, transport, transport.stop(cut))
+def test_a_stop_latches_whatever_comes(firmware, way, cut):
+    transport = enabled(firmware)
+    play(firmware, transport, 1.0)
+    assert firmware.states[-1] is State.PLAYING
+    since = firmware.now
+    order = settled(firmware, transport, transport.stop(cut))
     assert order.done
-    assert desk.current != cut  # it brakes first, or not
-    pass_time(desk, transport, 1.2)
-    quiet_since(desk, since)
-    way(desk, transport)
-    pass_time(desk, transport, 2.0)
-    quiet_since(desk, since)
-    goes_on(desk, transport)
+    assert firmware.current != cut  # it brakes first, or not
+    pass_time(firmware, transport, 1.2)
+    quiet_since(firmware, since)
+    way(firmware, transport)
+    pass_time(firmware, transport, 2.0)
+    quiet_since(firmware, since)
+    goes_on(firmware, transport)
 
 
 @pytest.mark.parametrize("way", [reset, cable, supply])
-def test_what_takes_the_current_away_does_not_bring_it_back(desk, way):
-    transport = enabled(desk)
-    play(desk, transport, 1.0)
-    assert desk.states[-1] is State.PLAYING
-    since = desk.now
-    way(desk, transport)
-    pass_time(desk, transport, 3.0)
-    quiet_since(desk, since)
+def test_what_takes_the_current_away_does_not_bring_it_back(firmware, way):
+    transport = enabled(firmware)
+    play(firmware, transport, 1.0)
+    assert firmware.states[-1] is State.PLAYING
+    since = firmware.now
+    way(firmware, transport)
+    pass_time(firmware, transport, 3.0)
+    quiet_since(firmware, since)
     assert transport.report().condition is Condition.OFF
     assert transport.troubles()
-    goes_on(desk, transport)
+    goes_on(firmware, transport)
 
 
-def test_a_cable_that_is_pulled_lets_the_plate_brake(desk):
-    transport = enabled(desk)
-    play(desk, transport, 1.0)
-    assert desk.states[-1] is State.PLAYING
-    desk.cut = True
-    pulled = len(desk.states)
+def test_a_cable_that_is_pulled_lets_the_plate_brake(firmware):
+    transport = enabled(firmware)
+    play(firmware, transport, 1.0)
+    assert firmware.states[-1] is State.PLAYING
+    firmware.cut = True
+    pulled = len(firmware.states)
     for _ in range(20):
         transport.poll()
-        pass_time(desk, transport, 0.1)
+        pass_time(firmware, transport, 0.1)
     # It brakes 0.25 s after it heard the last word, or rests since its table is over before that.
-    later = desk.states[pulled:]
+    later = firmware.states[pulled:]
     assert State.BRAKING in later
     assert 0.2 <= later.index(State.BRAKING) * TICK_S <= 0.28
-    assert desk.states[-1] is State.OFF
+    assert firmware.states[-1] is State.OFF
     assert any("port is" in t for t in transport.troubles())
     assert transport.report().condition is Condition.GONE
-    desk.check_limits()
-    desk.check_smooth()
+    firmware.check_limits()
+    firmware.check_smooth()
 
 
-def test_a_session_of_another_host_stops_the_plate(desk):
-    first = enabled(desk)
-    play(desk, first, 1.0)
-    since = desk.now
-    second = link(desk, seed=1000)  # as after kill -9: nobody has said good-bye
-    pass_time(desk, second, 1.5)
-    quiet_since(desk, since)
+def test_a_session_of_another_host_stops_the_plate(firmware):
+    first = enabled(firmware)
+    play(firmware, first, 1.0)
+    since = firmware.now
+    second = link(firmware, seed=1000)  # as after kill -9: nobody has said good-bye
+    pass_time(firmware, second, 1.5)
+    quiet_since(firmware, since)
     assert second.report().reason == "stopped"
-    goes_on(desk, second)
+    goes_on(firmware, second)
 
 
-def test_an_enable_is_dropped_by_a_stop(desk):
-    transport = link(desk)
-    pass_time(desk, transport, 0.5)
-    desk.loss = 1.0  # it never arrives
+def test_an_enable_is_dropped_by_a_stop(firmware):
+    transport = link(firmware)
+    pass_time(firmware, transport, 0.5)
+    firmware.loss = 1.0  # it never arrives
     wish = transport.enable()
-    pass_time(desk, transport, 0.1)
+    pass_time(firmware, transport, 0.1)
     stop = transport.stop()
     assert (wish.settled, wish.failure[:26]) == (True, "another stop has come sinc")
-    desk.loss = 0.0
-    since = desk.now
-    assert settled(desk, transport, stop).done
-    pass_time(desk, transport, 1.0)
-    quiet_since(desk, since)
-    goes_on(desk, transport)
+    firmware.loss = 0.0
+    since = firmware.now
+    assert settled(firmware, transport, stop).done
+    pass_time(firmware, transport, 1.0)
+    quiet_since(firmware, since)
+    goes_on(firmware, transport)
 
 
-def test_an_enable_that_does_not_arrive_is_not_kept_for_later(desk):
-    transport = link(desk)
-    pass_time(desk, transport, 0.5)
-    desk.loss = 1.0
+def test_an_enable_that_does_not_arrive_is_not_kept_for_later(firmware):
+    transport = link(firmware)
+    pass_time(firmware, transport, 0.5)
+    firmware.loss = 1.0
     wish = transport.enable()
-    pass_time(desk, transport, 3.0)  # the link fails
+    pass_time(firmware, transport, 3.0)  # the link fails
     assert wish.settled
     assert not wish.done
-    desk.loss = 0.0
-    since = desk.now
-    pass_time(desk, transport, 3.0)
-    quiet_since(desk, since)
-    goes_on(desk, transport)
+    firmware.loss = 0.0
+    since = firmware.now
+    pass_time(firmware, transport, 3.0)
+    quiet_since(firmware, since)
+    goes_on(firmware, transport)
 
 
-def test_an_enable_does_not_clear_a_fault_that_came_later(desk):
+def test_an_enable_does_not_clear_a_fault_that_came_later(firmware):
     """It was given for one stop; a dip of the supply since then is another one."""
-    transport = enabled(desk)
-    settled(desk, transport, transport.stop(cut=True))
-    pass_time(desk, transport, 0.5)
-    desk.delay = 0.05
+    transport = enabled(firmware)
+    settled(firmware, transport, transport.stop(cut=True))
+    pass_time(firmware, transport, 0.5)
+    firmware.delay = 0.05
     wish = transport.enable()  # is on the line while the supply dips
-    desk.order("fault 8")
-    desk.tick()
-    desk.order("fault 0")
-    settled(desk, transport, wish)
+    firmware.order("fault 8")
+    firmware.tick()
+    firmware.order("fault 0")
+    settled(firmware, transport, wish)
     assert wish.failure.startswith("wrong stop"), wish.failure
-    pass_time(desk, transport, 1.0)
-    assert not desk.current
+    pass_time(firmware, transport, 1.0)
+    assert not firmware.current
     assert "supply" in transport.report().reason
-    desk.delay = 0.0
-    pass_time(desk, transport, 0.5)
-    goes_on(desk, transport)
+    firmware.delay = 0.0
+    pass_time(firmware, transport, 0.5)
+    goes_on(firmware, transport)
 
 
-def test_while_the_board_reports_a_fault_an_enable_is_refused(desk):
-    transport = link(desk)
-    pass_time(desk, transport, 0.5)
-    desk.order("fault 8")
-    pass_time(desk, transport, 0.2)
-    wish = settled(desk, transport, transport.enable())
+def test_while_the_board_reports_a_fault_an_enable_is_refused(firmware):
+    transport = link(firmware)
+    pass_time(firmware, transport, 0.5)
+    firmware.order("fault 8")
+    pass_time(firmware, transport, 0.2)
+    wish = settled(firmware, transport, transport.enable())
     assert wish.failure.startswith("wrong state"), wish.failure
-    assert not desk.current
+    assert not firmware.current
 
 
-def test_a_stop_nobody_answers_is_not_told_as_done_and_comes_through_later(desk):
-    transport = enabled(desk)
-    play(desk, transport, 1.0)
-    desk.loss = 1.0
-    order = settled(desk, transport, transport.stop(cut=True))
+def test_a_stop_nobody_answers_is_not_told_as_done_and_comes_through_later(firmware):
+    transport = enabled(firmware)
+    play(firmware, transport, 1.0)
+    firmware.loss = 1.0
+    order = settled(firmware, transport, transport.stop(cut=True))
     assert not order.settled
-    desk.loss = 0.0
-    pass_time(desk, transport, 2.0)
+    firmware.loss = 0.0
+    pass_time(firmware, transport, 2.0)
     assert order.done
-    assert Stop(1) in desk.said()
-    assert not desk.current
+    assert Stop(1) in firmware.said()
+    assert not firmware.current
 
 
-def test_a_stop_goes_before_all_that_waits(desk):
-    transport = enabled(desk)
+def test_a_stop_goes_before_all_that_waits(firmware):
+    transport = enabled(firmware)
     transport.send(shaking(0.002), 50)
-    pass_time(desk, transport, 0.5)
+    pass_time(firmware, transport, 0.5)
     transport.send(shaking(0.001), 50)
-    desk.tick()
+    firmware.tick()
     transport.poll()
     assert transport.busy
-    desk.tick()
-    since = desk.now
+    firmware.tick()
+    since = firmware.now
     transport.stop()
-    assert isinstance(desk.said(since)[0], Stop)
-    pass_time(desk, transport, 1.5)
-    assert not [m for m in desk.said(since) if isinstance(m, Commit)]
+    assert isinstance(firmware.said(since)[0], Stop)
+    pass_time(firmware, transport, 1.5)
+    assert not [m for m in firmware.said(since) if isinstance(m, Commit)]
 
 
-def test_close_stops_the_plate(desk):
-    transport = enabled(desk)
-    play(desk, transport, 1.0)
-    since = len(desk.states)
+def test_close_stops_the_plate(firmware):
+    transport = enabled(firmware)
+    play(firmware, transport, 1.0)
+    since = len(firmware.states)
     transport.close()
     for _ in range(900):
-        desk.tick()
-    assert desk.states[-1] is State.OFF
+        firmware.tick()
+    assert firmware.states[-1] is State.OFF
     # At once, not by the watchdog.
-    assert State.BRAKING in desk.states[since : since + 10]
+    assert State.BRAKING in firmware.states[since : since + 10]
 
 
-def test_a_jam_is_told(desk):
-    transport = enabled(desk)
+def test_a_jam_is_told(firmware):
+    transport = enabled(firmware)
     transport.send(shaking(0.008), 50)
-    pass_time(desk, transport, 0.5)
-    desk.order("jam 1")
-    pass_time(desk, transport, 0.5)
-    assert not desk.current
+    pass_time(firmware, transport, 0.5)
+    firmware.order("jam 1")
+    pass_time(firmware, transport, 0.5)
+    assert not firmware.current
     assert transport.report().reason == "following"
     [told] = transport.troubles()
     assert told.startswith("device has stopped: following (a motor was 3.")
@@ -551,8 +555,8 @@ def test_a_jam_is_told(desk):
     assert float(transport.values()["following_error_mm"]) > 3
 
 
-def test_long_tables_are_refused(desk):
-    transport = enabled(desk)
+def test_long_tables_are_refused(firmware):
+    transport = enabled(firmware)
     cycle = PlateCycle.from_samples(1.0, np.zeros((600, 3)))
     with pytest.raises(CycleError, match="601 knots, allowed by the device: 512"):
         transport.send(prepare(RIG, cycle, 1)[0], 1)

@@ -38,7 +38,7 @@ from plate_core.serial_protocol import (
 )
 
 from .limits import BRAKE_ROOM, SLACK, DeviceLimits
-from .motion import BRAKE_TICKS, REST, Motion
+from .motion import BRAKE_TICKS, REST, ZERO, Motion
 from .piece import PIECE_WORK
 from .table import MAX_KNOTS, REST_M, REST_SPEED, PendingTable, Stream, changed
 
@@ -151,8 +151,8 @@ class Device:
     pending: PendingTable | Stream | None = None
     adding: Adding | None = None
     committing: Committing | None = None
-    heat: np.ndarray = field(default_factory=lambda: REST[0])
-    heat_remainder: np.ndarray = field(default_factory=lambda: REST[0])
+    heat: np.ndarray = field(default_factory=lambda: ZERO)
+    heat_remainder: np.ndarray = field(default_factory=lambda: ZERO)
     measured: np.ndarray = field(default_factory=lambda: REST[:2])
     follows: bool = False
     following_ticks: int = 0
@@ -297,8 +297,10 @@ class Device:
         What is added in a tick is little beside the sum, so the rounding error is carried on
         (Kahan 1965).
         """
+        if at is None and self.heat is ZERO:  # cold since the start
+            return ZERO, ZERO
         fraction = np.float32(dt_us) * np.float32(1e-6) / np.float32(self.limits.heat_s)
-        force = REST[0] if at is None else self.limits.forces(at[2])
+        force = ZERO if at is None else self.limits.forces(at[2])
         more = min(fraction, np.float32(1)) * (force * force - self.heat) + self.heat_remainder
         heat = self.heat + more
         return heat, more - (heat - self.heat)

@@ -25,6 +25,7 @@ TICKS_PER_US = 100
 
 REST = np.zeros((3, MOTORS), np.float32)
 REST.setflags(write=False)
+ZERO = REST[0]
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Motion:
     brake_length: int = 0
     enabled_us: int = 0
     return_us: int | None = None
-    start: np.ndarray = field(default_factory=lambda: REST[0])
+    start: np.ndarray = field(default_factory=lambda: ZERO)
     commanded: np.ndarray = field(default_factory=lambda: REST)
 
     @property
@@ -130,7 +131,7 @@ class Motion:
         if motion.searches:
             return motion._searched(now_us, home_found), None
         if motion.state is State.HOMING and motion.return_us is None:
-            rest = np.stack([measured, REST[1], REST[2]])
+            rest = np.stack([measured, ZERO, ZERO])
             motion = changed(motion, commanded=rest, start=measured, return_us=0)
         braking = motion.state is State.BRAKING
         if braking and motion.return_us is None and motion.brake == motion.brake_length:
@@ -140,7 +141,7 @@ class Motion:
         if braking or motion.state is State.PLAYING:
             return motion._played(dt)
         if motion.state is State.READY:
-            return motion, np.stack([motion.commanded[0], REST[1], REST[2]])
+            return motion, np.stack([motion.commanded[0], ZERO, ZERO])
         return motion, None
 
     def _searched(self, now_us: int, found: bool) -> Motion:
@@ -160,7 +161,7 @@ class Motion:
         dry = self.state is State.PLAYING and self._underruns(dt)
         motion = self.braked(Fault.HOST_SILENT) if dry else self
         rate: np.ndarray | None = None
-        slowing, step = REST[0, :1], dt
+        slowing, step = ZERO[:1], dt
         if motion.state is State.BRAKING:
             end, length = min(motion.brake + dt, motion.brake_length), motion.brake_length
             u = np.array([end], np.float32) / np.float32(length)
@@ -174,7 +175,7 @@ class Motion:
         assert motion.playing is not None  # PLAYING and BRAKING always have one
         at = motion.playing.at(motion.time)
         if motion.state is State.READY:
-            rate = REST[0, :1]
+            rate = ZERO[:1]
         if rate is not None:
             position, speed, accel = at
             at = np.stack([position, speed * rate, accel * (rate * rate) + slowing * speed])
