@@ -277,7 +277,7 @@ def timed_rows(
     """Time all methods in turns, for one part and for several."""
     place = rng.uniform(-half, half, (BATCH, 2))
     one, many = (
-        race({name: lambda c=call, p=p: c(coefficients, p) for name, call in methods.items()}, s)
+        race({name: partial(call, coefficients, p) for name, call in methods.items()}, s)
         for p, s in ((place[:1], seconds), (place, seconds))
     )
     return [

@@ -233,7 +233,7 @@ def turns(
             if name == MUJOCO and len(times.get(f"{name} {steps}", ())) > 1:
                 spent = times[f"{name} {steps}"][-1]  # slow: once is enough
             else:
-                run = {
+                run: Any = {
                     OURS: lambda n=steps: partial(tray.ours, n, cycles),
                     PYMUNK: lambda n=steps: tray.in_pymunk(pymunk, n, cycles).run,
                     MUJOCO: lambda n=steps: tray.in_mujoco(mujoco, n, cycles).run,

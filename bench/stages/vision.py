@@ -7,6 +7,7 @@ the scikit-image package, whose true centres are marked by hand (photographs.yam
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import cv2
@@ -307,7 +308,7 @@ def photograph_rows(
     """Measure all methods in one photograph; `truth` is (M, 2) [px]."""
     grey = np.ascontiguousarray(image if image.ndim == 2 else image[:, :, 1])
     finders = photograph_finders()
-    timed = race({n: lambda f=find: f(grey) for n, find in finders.items()}, 0.1 if quick else 1.0)
+    timed = race({n: partial(f, grey) for n, f in finders.items()}, 0.1 if quick else 1.0)
     rows = []
     for method, find in finders.items():
         found = find(grey)
