@@ -54,10 +54,10 @@ def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:
     otherwise : str
         What is said if there are none.
     """
-    told = sorted((f for f in findings if f is not None), key=lambda f: -f.level.rank)
-    if not told:
+    found = sorted((f for f in findings if f is not None), key=lambda f: -f.level.rank)
+    if not found:
         return Finding(Level.OK, otherwise)
-    return Finding(told[0].level, "; ".join(finding.message for finding in told))
+    return Finding(found[0].level, "; ".join(finding.message for finding in found))
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ def test_an_unknown_name_lists_the_available_ones():
         (CIRCLE, "radius_m: 0.05", "radius_m: 0", r"circle: radius_m is 0, allowed"),
         (CIRCLE, "circle:", "circel:", r"no curve given, allowed: one of waypoints_m, circle, spl"),
         (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m given, allowed: one"),
-        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*shares growing from 0 to 1"),
+        (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions growing from 0 to 1"),
         (SPLINE, "[0, 0.01]", "[0, 0]", r"speed_mps is .*speeds from 1e-05 to 10"),
         (SPLINE, ", [0.1, 0.1]]", "]", r"spline_m is .*at least three points"),
         (BINS, "top_left", "middle", r"regions: black is 'middle', allowed: one of left, .*"),

@@ -16,7 +16,7 @@ STIFFEST = 1e9
 """Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
 
 ASYMMETRY = 1e-6
-"""Greatest difference of entries that should mirror each other, as a share of the largest."""
+"""Greatest difference of entries that should mirror each other, as a fraction of the largest."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Suspension:
     damping, stiffness : matrix
         Of the flexures [N s/m, ...] and [N/m, ...], not negative.
     feedforward : (3,)
-        Shares of the forces of mass, damping and stiffness that the drive supplies in advance for
-        the motion it is commanded: (1, 1, 1) knows the plate by heart, (1, 0, 0) takes it for free
-        and rigid, (0, 0, 1) for flexures without mass.
+        Fractions of the forces of mass, damping and stiffness that the drive supplies in advance
+        for the motion it is commanded: (1, 1, 1) knows the plate by heart, (1, 0, 0) takes it for
+        free and rigid, (0, 0, 1) for flexures without mass.
     motor_gain : (4,)
         Force of each motor over the force asked of it.
     motor_bandwidth_hz : float
@@ -152,7 +152,7 @@ def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]
             fields.array("damping_ratio", (3,), 0, 2),
         )
     known = fields.child("feedforward")
-    shares = [known.number(key, 0, 2) for key in ("mass", "damping", "stiffness")]
+    supplied = [known.number(key, 0, 2) for key in ("mass", "damping", "stiffness")]
     known.finish()
     gain = _vector(fields, "motor_gain", (1.0,) * 4, 0.1, 3)
     bandwidth = fields.number("motor_bandwidth_hz", 1, 1e4, default=inf)
@@ -163,7 +163,7 @@ def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]
         servo.finish()
     fields.finish()
     return Suspension(
-        mass, damping, stiffness, (shares[0], shares[1], shares[2]),
+        mass, damping, stiffness, (supplied[0], supplied[1], supplied[2]),
         (gain[0], gain[1], gain[2], gain[3]), bandwidth, (stiff, damped),
     )  # fmt: skip
 

@@ -249,20 +249,20 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
 
 
 def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
-    """Return speeds [m/s] at shares of a lap; one pair if the speed is the same all the way."""
+    """Return speeds [m/s] at fractions of a lap; one pair if the speed is the same all the way."""
     if not fields.holds_list("speed_mps"):
         return ((0.0, fields.number("speed_mps", SLOWEST_MPS, FASTEST_MPS)),)
     profile = fields.array("speed_mps", (None, 2), 0, FASTEST_MPS)
-    share, speed = profile.T
+    fraction, speed = profile.T
     if (
         len(profile) < 2
-        or np.any(np.diff(share) <= 0)
-        or (share[0], share[-1]) != (0, 1)
+        or np.any(np.diff(fraction) <= 0)
+        or (fraction[0], fraction[-1]) != (0, 1)
         or np.min(speed) < SLOWEST_MPS
     ):
         raise fields.fail(
             "speed_mps",
-            f"a number, or pairs [share of a lap, m/s], shares growing from 0 to 1, "
+            f"a number, or pairs [fraction of a lap, m/s], fractions growing from 0 to 1, "
             f"speeds from {SLOWEST_MPS:g} to {FASTEST_MPS:g}",
         )
     return _pairs(profile)

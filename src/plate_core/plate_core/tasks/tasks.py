@@ -58,7 +58,7 @@ class SortTask:
     regions : mapping of str to Side or Bin
         Where each class belongs.
     goal_fraction : float
-        A part has come to a side beyond this share of the plate's half length or half width.
+        A part has come to a side beyond this fraction of the plate's half length or half width.
     hold_s : float
         The task is done when all parts have been sorted for this time [s].
     """
@@ -84,9 +84,9 @@ class PathTask:
         Whether the last corner leads back to the first.
     laps : float
         How many times round, for closed paths; 1 otherwise.
-    profile : tuple of (share, speed)
-        Speed [m/s] at shares of a lap's length from 0 to 1, linear in length between them; empty:
-        `speed` all the way.
+    profile : tuple of (fraction, speed)
+        Speed [m/s] at fractions of a lap's length from 0 to 1, linear in length between them;
+        empty: `speed` all the way.
     """
 
     label: str
