@@ -25,7 +25,7 @@ demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [METHOD=...] [TRANSPO
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test: workspace ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
-	@$(ENTER) export ROS_PYTHON_CHECK_FIELDS=1 && \
+	@$(ENTER) python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
 lint: workspace ## Check style and types

@@ -4,11 +4,24 @@ So neither the workers of one run nor two runs on a machine hear each other.
 """
 
 import os
+import time
+from pathlib import Path
 
 from graph.domains import own_domain
+
+BEGAN = time.time()
 
 
 def pytest_configure(config):
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.__enter__())
     config.add_cleanup(lambda: domain.__exit__(None, None, None))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Tell what tools/kernels.py has not compiled before."""
+    kept = Path(os.environ.get("NUMBA_CACHE_DIR", "nowhere")).rglob("*.nbi")
+    new = [path.name.rsplit("-", 1)[0] for path in kept if path.stat().st_mtime > BEGAN]
+    if new:
+        text = f"{len(new)} kernels were compiled meanwhile: {', '.join(sorted(new))}"
+        terminalreporter.write_line(text)

