@@ -438,7 +438,7 @@ class DriverNode(SafeLifecycleNode):
     # What it reports
 
     def _publish_state(self) -> None:
-        """Publish what was measured, or else what the motors were told to do now."""
+        """Publish what was measured, or else what is commanded now."""
         transport = self._transport
         if not self.active or transport is None:
             return
@@ -459,7 +459,7 @@ class DriverNode(SafeLifecycleNode):
         self._states.publish(msg)
 
     def _commanded(self) -> tuple[list[float], list[float]]:
-        """Travel [m] and speed [m/s] that the motors are told to have now."""
+        """Travel [m] and speed [m/s] that are commanded now."""
         table = self._guard.table
         if table is None:
             return [0.0] * len(self._rig.motors), [0.0] * len(self._rig.motors)

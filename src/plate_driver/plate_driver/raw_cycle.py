@@ -1,4 +1,4 @@
-"""How long a plate cycle is, told from its bytes: one that is too long is never unpacked."""
+"""How long a plate cycle is, from its bytes alone: one that is too long is never unpacked."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .node import DriverNode
 
 STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
-"""Time between looks whether driver_state has changed, and after which it is repeated [s]."""
+"""Time between checks whether driver_state has changed, and after which it is repeated [s]."""
 
 FAREWELL_S = 0.5
 """How long to wait until the last messages have arrived [s]."""

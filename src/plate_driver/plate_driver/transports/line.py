@@ -25,10 +25,10 @@ FRAME_BYTES = 6
 """Of a frame beside its packet: CRC, one byte of COBS, the end."""
 
 ANSWER_S = 0.03
-"""What a device may take for an answer beside the round trip [s]: a whole table is looked at."""
+"""What a device may take for an answer beside the round trip [s]: a whole table is checked."""
 
 UNKNOWN_S = 0.25
-"""Wait for an answer while no pulse has told the round trip [s]."""
+"""Wait for an answer while the round trip is not known [s]."""
 
 MOST_ROUND_S = 0.5
 """Longest that a round trip is taken for [s], whatever was measured while this host stood still."""
@@ -42,10 +42,10 @@ HEARTBEAT_SHARE = 0.2
 """Of the line that quick heartbeats may take, at most."""
 
 LOSSY = 0.9
-"""Share of heartbeats that are answered below which the line counts as one that loses."""
+"""Fraction of heartbeats that are answered below which the line counts as one that loses."""
 
 MEMORY = 1 / 32
-"""Weight of the newest heartbeat in that share."""
+"""Weight of the newest heartbeat in that fraction."""
 
 ROUNDING_S = 1e-6
 """A pulse that comes earlier than its heartbeat by less than this comes at once [s]."""
@@ -87,7 +87,7 @@ def upload_s(pieces: int, baud: float) -> float:
 
 @dataclass(frozen=True)
 class LineModel:
-    """What heartbeats and pulses have told of a line.
+    """What heartbeats and pulses show of a line.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class LineModel:
     trip_s, deviation_s : float or None
         Smoothed round trip, and its mean deviation (RFC 6298) [s]; None: nothing known.
     answered : float
-        Share of heartbeats that are answered, of late.
+        Fraction of heartbeats that are answered, of late.
     beats : tuple of (int, float)
         Heartbeats that are not answered yet: their time [ns], and when they count for lost [s].
     free_at : float
@@ -184,11 +184,11 @@ class LineModel:
             return self
         trip = max(trip, 0.0)
         kept = tuple(beat for beat in self.beats if beat[0] != pulse.host_ns)
-        share = self.answered
+        answered = self.answered
         if len(kept) < len(self.beats):
-            share += MEMORY * (1 - share)
+            answered += MEMORY * (1 - answered)
         if self.trip_s is None:
-            return replace(self, beats=kept, answered=share, trip_s=trip, deviation_s=trip / 2)
+            return replace(self, beats=kept, answered=answered, trip_s=trip, deviation_s=trip / 2)
         deviation = self.deviation_s + (abs(trip - self.trip_s) - self.deviation_s) / 4
         smoothed = self.trip_s + (trip - self.trip_s) / 8
-        return replace(self, beats=kept, answered=share, trip_s=smoothed, deviation_s=deviation)
+        return replace(self, beats=kept, answered=answered, trip_s=smoothed, deviation_s=deviation)

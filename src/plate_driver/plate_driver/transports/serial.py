@@ -52,7 +52,7 @@ STOP_ANSWER_S, HOME_ANSWER_S, READY_S = 0.5, 1.0, 8.0
 motors are ready: 5 s for the search of home, 0.5 s for the way there [s]."""
 
 ROUNDING = 1e-5
-"""By so much limits may differ [share]: they come in single precision."""
+"""Fraction by which limits may differ: they come in single precision."""
 
 READ_BYTES = 65_536
 """Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
@@ -285,7 +285,7 @@ class SerialTransport:
         if now - self._link.heard_at > longest:
             return Report(Condition.GONE, UNANSWERED)
         if now - self._link.telemetry_at > longest:
-            return Report(Condition.GONE, "the device does not tell its state")
+            return Report(Condition.GONE, "the device does not report its state")
         if self._unfit:
             return Report(Condition.GONE, self._unfit)
         # Where home is not known the next enable finds it: that is no reason to look at the rig.

@@ -41,7 +41,7 @@ class Condition(Enum):
 
 @dataclass(frozen=True)
 class Report:
-    """What a transport knows of the motors: what they report, not what they were told.
+    """What a transport knows of the motors: what they report, not what was commanded.
 
     Attributes
     ----------

@@ -416,8 +416,8 @@ class Device:
         device = changed(device, answered=number, answer=status)
         if device.committing is not None:
             return device, sent
-        device, told = device._sent(Acknowledgement(number, status))
-        return device, sent + told
+        device, more = device._sent(Acknowledgement(number, status))
+        return device, sent + more
 
     def _enabled(self, stop: int) -> tuple[Device, Status]:
         motion = self.motion

@@ -78,7 +78,7 @@ class Motion:
 
     @property
     def searches(self) -> bool:
-        """Whether home is being looked for."""
+        """Whether home is being searched for."""
         return self.state is State.HOMING and Fault.NO_HOME in self.faults
 
     def off(self, faults: Fault) -> Motion:

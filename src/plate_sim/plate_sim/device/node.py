@@ -21,7 +21,7 @@ from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
-"""Time between two looks at the port [s]: two ticks of the device."""
+"""Time between two reads of the port [s]: two ticks of the device."""
 
 REPORT_PERIOD_S = 1.0
 
