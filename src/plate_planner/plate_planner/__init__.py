@@ -6,7 +6,7 @@ Chapters: `estimation` (where the parts are), `tasks` (what is asked of them) an
 
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
 from .supervision import Phase, Progress, TaskState
-from .tasks import AssembleOptions, FollowOptions, PoseOptions, SortOptions
+from .tasks import AssembleOptions, FollowOptions, SortOptions
 
 __all__ = [
     "NOTHING",
@@ -16,7 +16,6 @@ __all__ = [
     "Planner",
     "PlannerOptions",
     "PlannerState",
-    "PoseOptions",
     "Progress",
     "SortOptions",
     "TaskState",

@@ -7,11 +7,11 @@ import pytest
 
 from plate_core import Parts, load_rig
 from plate_core.tasks import Pose, PoseTask
-from plate_planner.tasks import PoseOptions, Poser
+from plate_planner.tasks import Poser
+from plate_planner.tasks.pose import DRIFT_MAX, SPIN_MAX
 
 RIG = load_rig()
 T = 0.2
-OPTIONS = PoseOptions()
 
 
 def task(*poses):
@@ -48,8 +48,8 @@ def test_it_gets_there_where_the_plate_gives_less_or_more(gain):
         # What was asked acts in the cycle after the one that runs.
         ahead = seen.position + T * drift
         state, request = poser.request(state, seen, ahead, T)
-        assert np.all(np.abs(state.spin) <= OPTIONS.spin_max)
-        assert np.all(np.hypot(*request.low.T) <= OPTIONS.drift_max * (1 + 1e-9))
+        assert np.all(np.abs(state.spin) <= SPIN_MAX)
+        assert np.all(np.hypot(*request.low.T) <= DRIFT_MAX * (1 + 1e-9))
         place, angle = seen.position + T * drift, seen.angle + T * spin
         seen = replace(seen, position=place, angle=angle)
         spin, drift = gain * state.spin, gain * request.low

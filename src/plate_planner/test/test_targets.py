@@ -9,7 +9,9 @@ from plate_core import Parts, load_rig
 from plate_core.tasks import AssembleTask
 from plate_planner.tasks import AssembleOptions, Assembler, DriftRequest
 from plate_planner.tasks.targets import (
+    APPROACH,
     LOOSE,
+    OVER,
     approach_drift,
     assign,
     hold_back,
@@ -20,13 +22,13 @@ from plate_planner.tasks.targets import (
 )
 
 RIG = load_rig()
-SPEED, OVER, RATE, BAND = 0.012, 2.0, 1.5, 0.001
+SPEED, BAND = 0.012, 0.001
 
 
 def drift(position, aim):
     position = np.array(position)
     speed = np.full(len(position), SPEED)
-    return approach_drift(position, np.array(aim), BAND, speed, OVER * SPEED, RATE)
+    return approach_drift(position, np.array(aim), BAND, speed, OVER * SPEED)
 
 
 def test_any_drift_in_the_interval_leads_nearer_until_the_band_is_reached():
@@ -46,8 +48,8 @@ def test_any_drift_in_the_interval_leads_nearer_until_the_band_is_reached():
 def test_in_the_band_it_may_drift_but_not_out_within_a_time_constant():
     request = drift([[0.0005, 0.0]], [[0.0, 0.0]])
     beside = BAND + LOOSE * 0.5e-3
-    assert request.high[0] == pytest.approx([RATE * (beside - 0.5e-3), RATE * beside])
-    assert request.low[0] == pytest.approx([-RATE * (beside + 0.5e-3), -RATE * beside])
+    assert request.high[0] == pytest.approx([APPROACH * (beside - 0.5e-3), APPROACH * beside])
+    assert request.low[0] == pytest.approx([-APPROACH * (beside + 0.5e-3), -APPROACH * beside])
 
 
 def test_parts_that_meet_both_turn_right_and_one_at_rest_stays():
@@ -70,12 +72,12 @@ def test_drift_towards_an_edge_is_cut_off_but_a_place_near_it_is_reached():
     half = RIG.plate.half
     wild = DriftRequest(np.full((2, 2), -0.02), np.full((2, 2), 0.02))
     position = np.array([[0.95 * half[0], 0.0], [0.0, -0.93 * half[1]]])
-    request = hold_back(position, np.zeros((2, 2)), half, wild, RATE)
+    request = hold_back(position, np.zeros((2, 2)), half, wild)
     assert request.high[0, 0] < 0  # beyond the line: back
     assert request.low[1, 1] == pytest.approx(0, abs=1e-9)
     assert request.high[1] == pytest.approx([0.02, 0.02])
     near_edge = np.array([[0.97 * half[0], 0.0]] * 2)
-    assert hold_back(position, near_edge, half, wild, RATE).high[0, 0] > 0
+    assert hold_back(position, near_edge, half, wild).high[0, 0] > 0
 
 
 def test_each_part_gets_a_place_of_its_class_and_a_stranger_none():
@@ -102,12 +104,12 @@ def test_nobody_is_asked_nothing():
 
 
 def test_parts_with_shorter_ways_are_asked_for_less_and_all_arrive_together():
-    scaling = speed_scaling(np.array([0.3, 0.24, 0.02, 0.0, np.nan]), 0.3)
+    scaling = speed_scaling(np.array([0.3, 0.24, 0.02, 0.0, np.nan]))
     assert scaling[0] == 1
     assert scaling[1] == pytest.approx(0.8, abs=0.02)
     assert list(scaling[2:]) == [0.3, 0.3, 0.3]
-    assert list(speed_scaling(np.zeros(2), 0.3)) == [1, 1]  # all there: nobody is slowed for others
-    assert len(speed_scaling(np.zeros(0), 0.3)) == 0
+    assert list(speed_scaling(np.zeros(2))) == [1, 1]  # all there: nobody is slowed for others
+    assert len(speed_scaling(np.zeros(0))) == 0
 
 
 def test_the_match_is_the_best_of_all_permutations():

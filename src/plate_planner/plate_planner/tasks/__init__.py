@@ -1,8 +1,8 @@
 """What each task asks of the parts; `rules_for` picks the rules of a task, `TaskRules` says what
 the planner wants of them.
 
-A new task is one file here with a class of `TaskRules`, and two lines below: its options and its
-case in `rules_for`. How a scenario file describes it is written down in `plate_core.tasks`.
+A new task is one file here with a class of `TaskRules`, and its case in `rules_for` below (and a
+field of `TaskOptions`, if it has any). How a scenario file says it stands in `plate_core.tasks`.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
 
 from .assemble import AssembleOptions, Assembler
 from .follow import Follower, FollowMemory, FollowOptions, pd_drift
-from .pose import PoseMemory, PoseOptions, Poser
+from .pose import PoseMemory, Poser
 from .sort import Sorter, SortOptions
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
@@ -26,7 +26,6 @@ __all__ = [
     "FollowOptions",
     "Follower",
     "PoseMemory",
-    "PoseOptions",
     "Poser",
     "Situation",
     "SortOptions",
@@ -45,7 +44,6 @@ class TaskOptions:
     sort: SortOptions = field(default_factory=SortOptions)
     follow: FollowOptions = field(default_factory=FollowOptions)
     assemble: AssembleOptions = field(default_factory=AssembleOptions)
-    pose: PoseOptions = field(default_factory=PoseOptions)
 
 
 def rules_for(task: Task, rig: Rig, options: TaskOptions) -> TaskRules:
@@ -58,5 +56,5 @@ def rules_for(task: Task, rig: Rig, options: TaskOptions) -> TaskRules:
         case AssembleTask():
             return Assembler(task, rig, options.assemble)
         case PoseTask():
-            return Poser(task, rig, options.pose)
+            return Poser(task, rig)
     assert_never(task)

@@ -9,33 +9,18 @@ import numpy as np
 from plate_core import Parts, Rig
 from plate_core.tasks import AssembleTask
 
-from .targets import approach_drift, assign, hold_back, pass_by, speed_scaling
+from .targets import OVER, approach_drift, assign, hold_back, pass_by, speed_scaling
 from .task import Assessment, DriftRequest, Situation, TaskRules
+
+BAND = 0.3
+"""Where a part may stay: a square of this half side round its place [tolerance]."""
 
 
 @dataclass(frozen=True)
 class AssembleOptions:
-    """Speeds and margins of the assembling rules.
-
-    Attributes
-    ----------
-    drift_max : float
-        Drift asked of the part with the longest way [m/s].
-    least : float
-        Least drift asked of a part with a shorter way, in multiples of drift_max [-].
-    over : float
-        Greatest welcome drift, in multiples of drift_max [-].
-    approach : float
-        Rate at which the asked drift falls with the distance still to go [1/s].
-    band : float
-        Where a part may stay: a square of this half side round its place [tolerance].
-    """
+    """Drift asked of the part with the longest way; up to `OVER` times this is welcome [m/s]."""
 
     drift_max: float = 0.024
-    least: float = 0.3
-    over: float = 2.0
-    approach: float = 1.5
-    band: float = 0.3
 
 
 @dataclass(frozen=True)
@@ -86,20 +71,19 @@ class Assembler(TaskRules):
         DriftRequest
             Intervals (M, 2) [m/s, plate_home].
         """
-        options = self.options
+        drift_max = self.options.drift_max
         aim, placed = self._aim(parts)
         position = parts.position + period * parts.velocity
-        fastest = options.over * options.drift_max
-        band = options.band * self.task.tolerance_m
-        speed = options.drift_max * speed_scaling(self.distance(parts), options.least)
-        wanted = approach_drift(position, aim, band, speed, fastest, options.approach)
+        speed = drift_max * speed_scaling(self.distance(parts))
+        wanted = approach_drift(
+            position, aim, BAND * self.task.tolerance_m, speed, OVER * drift_max
+        )
         free = ~placed[:, None]
         wanted = DriftRequest(
-            np.where(free, -options.drift_max, wanted.low),
-            np.where(free, options.drift_max, wanted.high),
+            np.where(free, -drift_max, wanted.low), np.where(free, drift_max, wanted.high)
         )
         wanted = pass_by(position, wanted, self.rig.parts.radius_m)
-        return hold_back(position, aim, self.rig.plate.half, wanted, options.approach)
+        return hold_back(position, aim, self.rig.plate.half, wanted)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""

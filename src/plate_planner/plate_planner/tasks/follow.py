@@ -41,9 +41,19 @@ SPEED_UP = 0.1
 """Growth of the speed scaling in one cycle: smoother than the errors that slow it down [-]."""
 
 
+BIAS_MAX, SPEED_RATIO_MAX = 1.0, 3.0
+"""Greatest drift bias along and across the path, and greatest drift to ask for [path's speed]."""
+
+SLOW_FROM, SLOW_TO = 0.15, 0.5
+"""Errors at which the references begin to slow down, and stand still [max_error_m]."""
+
+SETTLE_S = 3.0
+"""A part may be further off than the scenario allows for this long after the start [s]."""
+
+
 @dataclass(frozen=True)
 class FollowOptions:
-    """Gains and bounds of the path controller.
+    """Gains of the path controller.
 
     Attributes
     ----------
@@ -51,23 +61,10 @@ class FollowOptions:
         Fraction of the predicted position error to correct in one cycle [-].
     observer_gain : float
         Fraction of what a cycle does otherwise than predicted that counts as drift bias [-].
-    bias_max : float
-        Greatest drift bias along and across the path, in multiples of the path's speed [-].
-    slow_from, slow_to : float
-        Errors at which the references begin to slow down, and stand still [max_error_m].
-    speed_ratio_max : float
-        Greatest drift to ask for, in multiples of the path's speed [-].
-    settle_s : float
-        A part may be further off than the scenario allows for this long after the start [s].
     """
 
     kp: float = 0.8
     observer_gain: float = 0.7
-    bias_max: float = 1.0
-    slow_from: float = 0.15
-    slow_to: float = 0.5
-    speed_ratio_max: float = 3.0
-    settle_s: float = 3.0
 
 
 def pd_drift(
@@ -233,8 +230,7 @@ class Follower(TaskRules):
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
         """Speed scaling after another, for an error [m] and a lack of drift [path's speed]."""
-        low, high = self.options.slow_from, self.options.slow_to
-        room = (high - worst / self.task.max_error_m) / (high - low)
+        room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = before * SLOW_DOWN if lacking > LACKING else before + SPEED_UP
         return float(np.clip(room, 0, min(1.0, most)))
 
@@ -261,7 +257,7 @@ class Follower(TaskRules):
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
         """Say which part is too far off its path; empty if none is, or it is too early to say."""
-        if t - memory.began < self.options.settle_s:
+        if t - memory.began < SETTLE_S:
             return ""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
@@ -288,7 +284,7 @@ class Follower(TaskRules):
         limit = np.zeros(len(parts))
         if memory is not None:
             path, part = matched_rows(memory.match, parts)
-            limit[part] = self.options.bias_max * self._speeds[path]
+            limit[part] = BIAS_MAX * self._speeds[path]
         return limit
 
     def _request(self, memory: FollowMemory, now: Situation) -> DriftRequest:
@@ -306,7 +302,7 @@ class Follower(TaskRules):
             self.reference(memory, now.start + now.period)[path],
             now.period,
             self.options.kp,
-            self.options.speed_ratio_max * self._speeds[path],
+            SPEED_RATIO_MAX * self._speeds[path],
         )
         return DriftRequest(low, high)
 

@@ -20,25 +20,15 @@ from ..estimation import rows_of
 from .targets import UNMATCHED, match_targets, matched_rows
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
+KP = 0.5
+"""Fraction of the predicted error to correct in one cycle [-]."""
 
-@dataclass(frozen=True)
-class PoseOptions:
-    """Gains and bounds of the posing rules.
+DRIFT_MAX = 0.015
+"""Greatest drift to ask for [m/s]."""
 
-    Attributes
-    ----------
-    kp : float
-        Fraction of the predicted error to correct in one cycle [-].
-    drift_max : float
-        Greatest drift to ask for [m/s].
-    spin_max : float
-        Greatest turning to ask for [rad/s]: in the middle of the plate a part can turn at 1.2, near
-        its ends at half of that.
-    """
-
-    kp: float = 0.5
-    drift_max: float = 0.015
-    spin_max: float = 0.8
+SPIN_MAX = 0.8
+"""Greatest turning to ask for [rad/s]: in the middle of the plate a part can turn at 1.2, near its
+ends at half of that."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +58,6 @@ class Poser(TaskRules):
 
     task: PoseTask
     rig: Rig
-    options: PoseOptions = field(default_factory=PoseOptions)
 
     @property
     def hold_s(self) -> float:
@@ -164,14 +153,13 @@ class Poser(TaskRules):
         """
         drift, spin = np.zeros((len(parts), 2)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        wanted = self.options.kp * (memory.place[pose] - predicted[part]) / period
+        wanted = KP * (memory.place[pose] - predicted[part]) / period
         size = np.hypot(*wanted.T)[:, None]
-        drift[part] = wanted * np.minimum(1, self.options.drift_max / np.maximum(size, 1e-12))
+        drift[part] = wanted * np.minimum(1, DRIFT_MAX / np.maximum(size, 1e-12))
         row = rows_of(parts.ids, memory.ids)
         turning = np.where(row >= 0, np.append(memory.spin, 0.0)[row], 0.0)
         missing = _wrapped(self._angles[pose] - parts.angle[part] - period * turning[part])
-        most = self.options.spin_max
-        spin[part] = np.clip(self.options.kp * missing / period, -most, most)
+        spin[part] = np.clip(KP * missing / period, -SPIN_MAX, SPIN_MAX)
         return replace(memory, ids=parts.ids, spin=spin), DriftRequest(drift, drift)
 
     def torque(self, memory: PoseMemory, parts: Parts, period: float) -> np.ndarray:

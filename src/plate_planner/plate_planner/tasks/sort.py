@@ -17,6 +17,8 @@ from plate_core import Parts, Rig, ScenarioError, part_class
 from plate_core.tasks import Bin, Scenario, Side, SortTask
 
 from .targets import (
+    APPROACH,
+    OVER,
     approach_drift,
     assign,
     hold_back,
@@ -30,6 +32,17 @@ from .task import Assessment, DriftRequest, Situation, TaskRules
 CLOSING = 0.5
 """Speed of approach at which parts begin to dodge [drift_max]."""
 
+MARGIN, END = 0.06, 0.85
+"""How far beyond the goal line parts are asked to go, and from where they are asked back from the
+ends of the plate [fraction of half length]."""
+
+EDGE = (0.70, 0.85)
+"""Where the edges along y begin to push back, and do so fully [fraction of half width]."""
+
+DODGE_REACH, DODGE_CLEAR = 5.0, 3.0
+"""Distance of centres along x at which parts begin to dodge, and along y at which they need not
+[part radii]."""
+
 SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
 """Distance of neighbouring slots, and of slots from the bin's sides [part radii]."""
 
@@ -39,46 +52,21 @@ GRID_TRIES = 4
 
 @dataclass(frozen=True)
 class SortOptions:
-    """Speeds [m/s] and places [fraction of the plate's half side] of the sorting rules.
+    """Drifts of the sorting rules.
 
     Attributes
     ----------
     drift_max : float
-        Drift asked of the part with the longest way; up to `over` times this is welcome [m/s].
-    least : float
-        Least drift asked of a part with a shorter way, in multiples of drift_max [-].
-    over : float
-        Greatest welcome drift, in multiples of drift_max [-].
-    approach : float
-        Rate at which the asked drift falls with the distance still to go [1/s].
+        Drift asked of the part with the longest way; up to `OVER` times this is welcome [m/s].
     wander : float
         Drift allowed where nothing is asked, in multiples of drift_max [-].
-    margin : float
-        How far beyond the goal line parts are asked to go [fraction of half length].
-    edge_inner, edge_outer : float
-        Where the edges along y begin to push back, and where they do so fully [fraction of half].
-    end : float
-        Where parts are asked back from the ends of the plate [fraction of half length].
     dodge : float
         Drift along y asked of two parts about to run into each other, in drift_max [-]; 0: none.
-    dodge_reach : float
-        Distance of centres along x at which they begin to dodge [part radii].
-    dodge_clear : float
-        Distance of centres along y at which they need not dodge [part radii].
     """
 
     drift_max: float = 0.024
-    least: float = 0.3
-    over: float = 2.0
-    approach: float = 1.5
     wander: float = 0.6
-    margin: float = 0.06
-    edge_inner: float = 0.70
-    edge_outer: float = 0.85
-    end: float = 0.85
     dodge: float = 0.4
-    dodge_reach: float = 5.0
-    dodge_clear: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -156,8 +144,8 @@ class Sorter(TaskRules):
         options = self.options
         position = parts.position + period * parts.velocity
         sign, half, goal = self._signs(parts), self.rig.plate.half, self.task.goal_fraction
-        ends = (options.end, options.edge_outer)
-        speed = options.drift_max * speed_scaling(self.to_go(parts), options.least)
+        ends = (END, EDGE[1])
+        speed = options.drift_max * speed_scaling(self.to_go(parts))
         axes = [
             _along(position[:, k], sign[:, k], goal, half[k], ends[k], speed, options)
             for k in range(2)
@@ -191,13 +179,13 @@ class Sorter(TaskRules):
             room = outline_distance(place, corner).min() - radius
             wanted = approach_drift(
                 position[rows], place, max(room, 0), speed[rows],
-                options.over * options.drift_max, options.approach,
+                OVER * options.drift_max,
             )  # fmt: skip
             low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
         if not np.any(binned):
             return request
         wanted = pass_by(position, DriftRequest(low, high), radius)
-        wanted = hold_back(position, aim, self.rig.plate.half, wanted, options.approach)
+        wanted = hold_back(position, aim, self.rig.plate.half, wanted)
         rows = binned[:, None]
         return DriftRequest(
             np.where(rows, wanted.low, request.low), np.where(rows, wanted.high, request.high)
@@ -237,14 +225,12 @@ def _along(
     """
     speed, wander = options.drift_max, options.wander * options.drift_max
     own = x * side  # grows towards the own side, for either side
-    inner = half * (goal + options.margin)
-    outer = half * max(end, goal + 2 * options.margin)
-    low = np.clip(options.approach * (inner - own), -wander, slowest)
-    high = np.clip(options.approach * (outer - own), -speed, options.over * speed)
+    inner = half * (goal + MARGIN)
+    outer = half * max(end, goal + 2 * MARGIN)
+    low = np.clip(APPROACH * (inner - own), -wander, slowest)
+    high = np.clip(APPROACH * (outer - own), -speed, OVER * speed)
     low = np.minimum(low, high)
-    free_low, free_high = stay_within(
-        x, half, options.edge_inner, options.edge_outer, speed, wander
-    )
+    free_low, free_high = stay_within(x, half, *EDGE, speed, wander)
     return (
         np.where(side > 0, low, np.where(side < 0, -high, free_low)),
         np.where(side > 0, high, np.where(side < 0, -low, free_high)),
@@ -273,13 +259,13 @@ def _dodge(
     approach = (drift_x[:, None] - drift_x[None]) * np.sign(gap[..., 0])
     closing = np.clip(approach / options.drift_max - CLOSING, 0, 1)
     # Over one radius from "far" to "near", so that a request does not jump.
-    near = np.clip(options.dodge_reach - np.abs(gap[..., 0]) / radius, 0, 1)
-    level = np.clip(options.dodge_clear - np.abs(gap[..., 1]) / radius, 0, 1)
+    near = np.clip(DODGE_REACH - np.abs(gap[..., 0]) / radius, 0, 1)
+    level = np.clip(DODGE_CLEAR - np.abs(gap[..., 1]) / radius, 0, 1)
     index = np.arange(len(position))
     level_order = np.sign(index[:, None] - index[None])
     away = np.where(gap[..., 1] != 0, -np.sign(gap[..., 1]), level_order)
     push = np.clip(np.sum(away * closing * near * level, axis=1), -1, 1)
-    push *= 1 - nearness(position[:, 1], half, options.edge_inner, options.edge_outer)
+    push *= 1 - nearness(position[:, 1], half, *EDGE)
     speed = options.dodge * options.drift_max
     if speed == 0:
         return low, high

@@ -28,6 +28,12 @@ LOOSE = 0.3
 PASS_REACH, PASS_CLEAR = 4.5, 2.2
 """Distance of centres at which a part begins to turn aside, and does so fully [part radii]."""
 
+LEAST, OVER = 0.3, 2.0
+"""Least drift asked of a part with a shorter way, and greatest welcome drift [drift_max]."""
+
+APPROACH = 1.5
+"""Rate at which the asked drift falls with the distance still to go [1/s]."""
+
 NEARLY_THERE_M = 0.02
 """Ways that differ by much less than this count as equal [m]: a part that arrives is not slowed by
 arriving."""
@@ -112,7 +118,7 @@ def assign(labels: tuple[str, ...], place: np.ndarray, parts: Parts) -> np.ndarr
     return rows_of(parts.ids, match_targets(labels, place, parts))
 
 
-def speed_scaling(to_go: np.ndarray, least: float) -> np.ndarray:
+def speed_scaling(to_go: np.ndarray) -> np.ndarray:
     """How fast each part should go, so that all arrive together: 1 for the longest way.
 
     What is not asked of the parts with shorter ways is left to those with longer ones.
@@ -121,16 +127,14 @@ def speed_scaling(to_go: np.ndarray, least: float) -> np.ndarray:
     ----------
     to_go : (M,)
         Ways [m]; NaN for a part that belongs nowhere.
-    least : float
-        Of the parts with the shortest ways [-].
 
     Returns
     -------
     (M,)
-        From `least` to 1.
+        From `LEAST` to 1.
     """
     way = np.nan_to_num(to_go) + NEARLY_THERE_M
-    return np.maximum(way / way.max(initial=NEARLY_THERE_M), least)
+    return np.maximum(way / way.max(initial=NEARLY_THERE_M), LEAST)
 
 
 def approach_drift(
@@ -139,7 +143,6 @@ def approach_drift(
     band: float,
     speed: np.ndarray,
     fastest: float,
-    rate: float,
 ) -> DriftRequest:
     """Interval of drift that leads parts into the squares of half side `band` round their aims.
 
@@ -153,16 +156,14 @@ def approach_drift(
         Drift asked of the parts on their ways [m/s].
     fastest : float
         Greatest welcome drift [m/s].
-    rate : float
-        Rate at which the asked drift falls with the distance still to go [1/s].
     """
     gap = aim - position
     distance = np.hypot(*gap.T)[:, None]
     cosine = np.maximum(np.abs(gap) / np.maximum(distance, 1e-12), LOOSE)
     beside = band + LOOSE * distance
     slow, fast = speed[:, None] * cosine, fastest * cosine
-    low = np.maximum(np.minimum(rate * (gap - beside), slow), -fast)
-    high = np.minimum(np.maximum(rate * (gap + beside), -slow), fast)
+    low = np.maximum(np.minimum(APPROACH * (gap - beside), slow), -fast)
+    high = np.minimum(np.maximum(APPROACH * (gap + beside), -slow), fast)
     return DriftRequest(low, high)
 
 
@@ -184,11 +185,11 @@ def pass_by(position: np.ndarray, request: DriftRequest, radius: float) -> Drift
 
 
 def hold_back(
-    position: np.ndarray, aim: np.ndarray, half: np.ndarray, request: DriftRequest, rate: float
+    position: np.ndarray, aim: np.ndarray, half: np.ndarray, request: DriftRequest
 ) -> DriftRequest:
-    """Cut off drift that would lead parts to an edge within 1/rate [s]."""
+    """Cut off drift that would lead parts to an edge within 1/APPROACH [s]."""
     limit = np.maximum(EDGE * half, np.abs(aim))
-    least, most = rate * (-limit - position), rate * (limit - position)
+    least, most = APPROACH * (-limit - position), APPROACH * (limit - position)
     low, high = np.clip(request.low, least, most), np.clip(request.high, least, most)
     return DriftRequest(low, high)
 
