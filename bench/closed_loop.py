@@ -89,11 +89,7 @@ def _conclusion(rows: list[dict]) -> str:
     if turns:
         text += f"; angle median {np.median(turns):.2f} deg, most {max(turns):.2f} deg; "
         text += f"centre at most {1e3 * max(row['max_error_m'] for row in rows):.3f} mm off"
-    share = {
-        name: np.mean([row["models"].get(name, 0) for row in rows])
-        for name in sorted({name for row in rows for name in row["models"]})
-    }
-    return text + "; " + ", ".join(f"{name} {100 * part:.0f} %" for name, part in share.items())
+    return text
 
 
 def _pair(text: str) -> tuple[str, str]:

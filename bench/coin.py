@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,7 @@ from matplotlib.patches import Circle
 from harness import ROOT
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
-from plate_sim.bodies import run_bodies
-from plate_sim.footprint import disc
+from plate_sim import WorldState, run_cycle
 
 FREQUENCY, SPIN = 25, 1.05
 """Of the plate: theta' = SPIN (sin wt + cos(2 wt) / 2) [Hz], [rad/s]; within the rig's limits."""
@@ -77,17 +77,12 @@ def plate_motion() -> PlateCycle:
 
 def carried(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Places (k, 2) [m] of the coin at the starts of cycles, until it leaves the plate."""
-    limit = np.array([rig.friction.mu * rig.friction.gravity])
-    place, speed = np.array([[START, 0.0]]), np.zeros((1, 2))
-    angle, spin = np.zeros(1), np.zeros(1)
-    there, track = np.ones(1, bool), [place[0]]
-    while there[0] and len(track) < MOST * FREQUENCY:
-        end, there, _ = run_bodies(
-            cycle, disc(COIN_RADIUS), limit, np.zeros(2), 1.0, None, rig.plate.half, place, angle,
-            speed, spin, there,
-        )  # fmt: skip
-        place, angle, speed, spin = end.position, end.angle, end.velocity, end.spin
-        track.append(place[0])
+    rig = replace(rig, parts=replace(rig.parts, radius_m=COIN_RADIUS))
+    state = WorldState.at_rest(("coin",), np.array([[START, 0.0]]))
+    track = [state.position[0]]
+    while state.on_plate[0] and len(track) < MOST * FREQUENCY:
+        state = run_cycle(state, cycle, rig)
+        track.append(state.position[0])
     return np.array(track)
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
-from plate_sim.bodies import simulate_bodies
-from plate_sim.footprint import disc
+from plate_sim import simulate_bodies
+from plate_sim.friction import disc
 from plate_solver import RotationSolver
 
 CORNERS = 0.3 * np.array([[-1, -0.5], [1, -0.5], [1, 0.5]])

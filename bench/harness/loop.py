@@ -27,13 +27,8 @@ from plate_planner import (
 )
 from plate_planner.tasks import Assembler, Follower, Poser
 from plate_sim.camera import NOISE
-from plate_sim.dirt import CLEAN, Dirt
-from plate_sim.ladder import check_model
-from plate_sim.models import AUTO
-from plate_sim.plate_motion import PlateMotion
-from plate_sim.playback import Playback, next_playback
-from plate_sim.simulation import Simulation
-from plate_sim.world import WorldState
+from plate_sim.plate import PlateMotion, Playback, next_playback
+from plate_sim.world import NONE, Disturbances, Simulation, WorldState
 from plate_solver import Controller
 from plate_solver.controller import METHODS, Answer
 from plate_vision import Tracker, make_vision, observe
@@ -62,9 +57,7 @@ class Setup:
         Image noise [grey levels].
     mu_scale : float
         True friction over the rig's.
-    model : str
-        Of the simulator's parts.
-    dirt : Dirt
+    disturbances : Disturbances
         Of the world.
     planner : PlannerOptions
     image_age_s : float or None
@@ -78,8 +71,7 @@ class Setup:
     method: str = "sinusoids"
     noise: float = NOISE
     mu_scale: float = 1.0
-    model: str = AUTO
-    dirt: Dirt = CLEAN
+    disturbances: Disturbances = NONE
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     image_age_s: float | None = None
     effort: Mapping[str, Any] = field(default_factory=dict)
@@ -88,28 +80,26 @@ class Setup:
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     """Return the setup with settings `key=value` of the command line.
 
-    Keys are fields of `Setup`, `Dirt`, `SortOptions` and `FollowOptions`, and `EFFORT`.
+    Keys are fields of `Setup`, `Disturbances`, `SortOptions` and `FollowOptions`, and `EFFORT`.
 
     Raises
     ------
     PlateError
         If a key is unknown or a value does not fit.
     """
-    sort, follow, dirt = setup.planner.sort, setup.planner.follow, setup.dirt
+    sort, follow, world = setup.planner.sort, setup.planner.follow, setup.disturbances
     for key, text in settings.items():
         try:
             if key == "method":
                 setup = replace(setup, method=_method(text))
-            elif key == "model":
-                setup = replace(setup, model=check_model(text))
             elif key in ("noise", "mu_scale", "image_age_s"):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
             elif key in EFFORT:
                 setup = replace(setup, effort={**setup.effort, key: int(text)})
             elif key == "blur":
-                dirt = replace(dirt, blur=_flag(key, text))
-            elif key in {f.name for f in fields(Dirt)}:
-                dirt = replace(dirt, **{key: float(text)})  # type: ignore[arg-type]
+                world = replace(world, blur=_flag(key, text))
+            elif key in {f.name for f in fields(Disturbances)}:
+                world = replace(world, **{key: float(text)})  # type: ignore[arg-type]
             elif key in {f.name for f in fields(SortOptions)}:
                 sort = replace(sort, **{key: float(text)})
             elif key in {f.name for f in fields(FollowOptions)}:
@@ -117,8 +107,9 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "model", "noise", "mu_scale", "image_age_s", *EFFORT]
-            known += [f.name for kind in (Dirt, SortOptions, FollowOptions) for f in fields(kind)]
+            known = ["method", "noise", "mu_scale", "image_age_s", *EFFORT]
+            kinds = (Disturbances, SortOptions, FollowOptions)
+            known += [f.name for kind in kinds for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
             raise PlateError(f"setting {key!r}, allowed: {names}") from None
         except PlateError:
@@ -126,7 +117,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
         except ValueError:
             raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
     planner = replace(setup.planner, sort=sort, follow=follow)
-    return replace(setup, dirt=dirt, planner=planner)
+    return replace(setup, disturbances=world, planner=planner)
 
 
 def _flag(key: str, text: str) -> bool:
@@ -166,8 +157,6 @@ class Moment:
         And from the image to the motors' table [s].
     limit_share : float
         Greatest share of a limit that the motors' table uses.
-    models : mapping of str to int
-        Cycles so far by the model that the simulator used.
     error_m : (P,)
         True distance of each seen part from its reference or place [m]; empty when sorting.
     turn_error : (P,)
@@ -184,7 +173,6 @@ class Moment:
     solve_s: float
     step_s: float
     limit_share: float
-    models: Mapping[str, int]
     error_m: np.ndarray
     turn_error: np.ndarray
 
@@ -244,16 +232,15 @@ def run(
     line = transport or Direct()
     scenario = load_scenario(setup.scenario)
     simulation = Simulation(
-        rig, scenario, setup.seed, setup.dirt, noise=setup.noise, mu_scale=setup.mu_scale,
-        model=setup.model,
-    )  # fmt: skip
+        rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
+    )
     vision, tracker = make_vision(rig), Tracker()
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
     while True:
         world, t = simulation.state, line.now
-        image = simulation.look()
+        image = simulation.capture()
         if image is not None:
             at_work = cpu_time()
             tracker = observe(vision, tracker, image, t)
@@ -269,7 +256,7 @@ def run(
             turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
             yield Moment(
                 t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
-                fitted.usage.overall, simulation.used, error, turned,
+                fitted.usage.overall, error, turned,
             )  # fmt: skip
             if progress.ended:
                 return
@@ -339,7 +326,6 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     all_along = isinstance(task, FollowTask | PoseTask)
     error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
-    cycles = max(1, sum(moment.models.values()))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
     steps = 1e3 * np.array(step_s[1:] or [0.0])
     return {
@@ -361,5 +347,4 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "step_ms_p99": float(np.percentile(steps, 99)),
         "limit_share_max": float(np.max(shares)),
         "gamma": round(rig.gamma, 2),
-        "models": {name: round(n / cycles, 3) for name, n in sorted(moment.models.items())},
     }

@@ -15,6 +15,7 @@ from harness.result import write
 ABOUT = {
     "stages": {
         "sim": "Parts on a shaken plate: error and speed of the simulator",
+        "model": "The model of parts: cost and error by scene, beside the judge and pymunk",
         "bodies": "A disc that slides and turns: error and speed, beside scipy",
         "force_map": "Average friction over a cycle: time and error",
         "solver": "Plate motions for wanted average forces, from a cold start",

@@ -18,8 +18,8 @@ from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
 from plate_driver.setpoints import MotorTable
 from plate_driver.transports import Condition, Order, SerialTransport
+from plate_sim import PlateMotion
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
-from plate_sim.plate_motion import PlateMotion
 
 ANSWER_S = 0.05
 """From an image to the driver [s]: what detector, planner and solver take together, and margin."""

@@ -9,8 +9,7 @@ import numpy as np
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.rig import modal_matrices
-from plate_sim.drive import PlateState
-from plate_sim.suspension import realise
+from plate_sim import PlateState, realise
 from plate_solver import Goal, RotationSolver, SinusoidSolver
 from stages.learning import hung
 from stages.scenes import scatter

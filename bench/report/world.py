@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from plate_sim.bodies import STEP as BODY_STEP
-from plate_sim.friction import STEP
-from plate_sim.points import TOLERANCE
+from plate_sim.friction import TOLERANCE
+from plate_sim.world import STEP
 from report.chart import (
     FAINT,
     LIMIT,
@@ -65,7 +64,7 @@ def sim(data: Data) -> Chart:
         speed_panel(
             panels, "1 body that slides and turns", "error of centre or rim after 0.2 s [mm]",
             names, [r | {"error": r["error_mm"]} for r in table(data, "bodies", "bodies")], "-",
-            lambda r: r["setting"] == f"{1e3 * BODY_STEP:g} ms",
+            lambda r: r["setting"] == f"{1e3 * STEP:g} ms",
         )  # fmt: skip
     speeds = [r for r in table(data, "sim", "speed") if r["scene"] == "all ways"]
     lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["lead"])
@@ -78,9 +77,8 @@ def sim(data: Data) -> Chart:
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
         f"ways, and to an error of {min(column(rows, 'error_mm')):.0e} mm where that is wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}: at once the fastest and the most "
-        f"exact. Discs in steps of {1e3 * STEP:g} ms where parts touch: friction and knocks in one "
-        f"step, at an overlap that no camera sees. Bodies that turn, in {1e3 * BODY_STEP:g} ms, "
-        "only where a scene needs it.",
+        f"exact. The world takes one model of parts, in steps of {1e3 * STEP:g} ms: they slide, "
+        "turn and touch, at an overlap that no camera sees.",
         tuple(n for n in ("sim", "bodies") if n in data), panels, [*rows, *other_rows(data)],
         columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
     )  # fmt: skip
@@ -135,12 +133,11 @@ def cost(data: Data) -> Chart:
     ):  # fmt: skip
         first.points(name, counts, column(stages, key), colour, marker, line)
     second = panels.add(
-        "The simulator's models", Axis("parts", log=True),
+        "The simulator", Axis("parts", log=True),
         Axis("time of 1 simulated s [s]", log=True),
     )  # fmt: skip
     for key, name, colour, marker in (
-        ("by events", "points, by events", OURS, "o"), ("points", "points, in steps", SECOND, "s"),
-        ("discs", "discs that touch", THIRD, "D"), ("bodies", "bodies that turn", FAINT, "^"),
+        ("by events", "points, by events", OURS, "o"), ("in steps", "parts, in steps", SECOND, "s"),
         ("pymunk", "pymunk, 1 ms", PEER, "x"),
     ):  # fmt: skip
         there = [r for r in models if r.get(key)]

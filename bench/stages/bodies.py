@@ -13,8 +13,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from harness import Result, Table, race, shown
-from plate_sim.bodies import simulate_bodies
-from plate_sim.footprint import disc
+from plate_sim import simulate_bodies
+from plate_sim.friction import disc
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, SPIN, exact_cycle
 
 RADIUS = 0.02

@@ -23,8 +23,7 @@ from plate_driver.calibration import (
     closed_at_rest,
     harmonics,
 )
-from plate_sim.drive import PlateState
-from plate_sim.suspension import motor_record, realise
+from plate_sim import PlateState, motor_record, realise
 
 HZ, DAMPING, MISMATCH, BANDWIDTH_HZ = 35.0, 0.03, 0.15, 200.0
 SAMPLE_S = 0.01

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import PlateCycle, Rig
-from plate_sim import simulate
+from plate_sim import simulate, simulate_bodies
+from plate_sim.friction import TOLERANCE, disc
 
 FREQUENCY = 30.0
 """Of the plate [Hz]."""
@@ -26,6 +27,9 @@ EXACT_M = {4: 4.9974160443e-3, 20: 65.346182922e-3}
 
 MU, GRAVITY = 0.25, 9.81
 MU_G = MU * GRAVITY
+
+RADIUS = 0.008
+"""Of the parts [m], which touch nothing."""
 
 SPEED = 0.1
 """Standard deviation of the start velocities [m/s] where parts differ."""
@@ -49,11 +53,17 @@ class Scene:
     position: np.ndarray
     velocity: np.ndarray
 
-    def travel(self, tolerance: float | None, samples: int = 1) -> np.ndarray:
-        """Simulate it with plate_sim; returns how far each part went, (M, 2) [m]."""
-        run = simulate(
-            self.cycle, self.position, self.velocity, MU, GRAVITY, CYCLES, samples, tolerance
-        )
+    def travel(self, tolerance: float = TOLERANCE) -> np.ndarray:
+        """Simulate it event by event; returns how far each part went, (M, 2) [m]."""
+        run = simulate(self.cycle, self.position, self.velocity, MU, GRAVITY, CYCLES, 1, tolerance)
+        return np.asarray(run.position[-1] - self.position)
+
+    def travel_in_steps(self, step: float) -> np.ndarray:
+        """Simulate it with the world's model of parts, in steps [s]; returns the same."""
+        run = simulate_bodies(
+            self.cycle, disc(RADIUS), self.position, 0, self.velocity, 0, MU, GRAVITY, CYCLES, 0,
+            step,
+        )  # fmt: skip
         return np.asarray(run.position[-1] - self.position)
 
 

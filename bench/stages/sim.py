@@ -11,16 +11,16 @@ import numpy as np
 
 from harness import Race, Result, Table, missing_peer, optional, race
 from plate_core import PlateCycle, Rig, load_rig
-from plate_sim import Contacts, WorldState, run_cycle
-from plate_sim.friction import STEP
-from plate_sim.points import TOLERANCE
+from plate_sim import WorldState, run_cycle
+from plate_sim.friction import TOLERANCE
+from plate_sim.world import STEP
 from stages import mujoco_scene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import CYCLES, EXACT_M, FREQUENCY, MU, MU_G, SCENES, Scene, alike, all_ways
 from stages.tray import tray_tables
 
 EVENTS, STEPS, PYMUNK, MUJOCO = "by events", "in steps", "pymunk", "MuJoCo"
-"""Methods: our two integrators and the peers."""
+"""Methods: our judge, our model of parts, and the peers."""
 
 PEER_STEP_MS = 0.1
 """Step at which pymunk errs by 0.12 % in the exact scene: what speeds are compared at."""
@@ -30,9 +30,6 @@ SPAN, PEER_SPAN = CYCLES / FREQUENCY, 0.1
 
 MUJOCO_LEAST_MS = 0.05
 """Shortest step at which MuJoCo is run [ms]: it takes long, and gets no better."""
-
-LADDER = ("points", "discs", "bodies")
-"""Models of the world, the cheapest first."""
 
 WIDE_M = 2.0
 """Side of the plate whose cost is measured: room for 1000 parts."""
@@ -79,13 +76,11 @@ def measure(quick: bool) -> Result:
                 "cost",
                 "Cost by number of parts, 20 mu g, default settings",
                 {
-                    "parts": "parts", EVENTS: "by events [s/s]",
-                    **{model: f"{model} [s/s]" for model in LADDER},
+                    "parts": "parts", EVENTS: "by events [s/s]", STEPS: "in steps [s/s]",
                     PYMUNK: "pymunk, 1 ms [s/s]",
                 },
                 cost,
-                f"Points, discs and finite bodies in steps of {1e3 * STEP:g} ms, as in the closed "
-                "loop.",
+                f"In steps of {1e3 * STEP:g} ms, as in the closed loop.",
             ),
             *tray,
         ],
@@ -161,10 +156,11 @@ def by_events(scene: Scene, tolerance: float, exact: float) -> Case:
 
 
 def in_steps(scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
-    """Return plate_sim's equal steps."""
+    """Return plate_sim's model of parts."""
     first = step_count(step_ms)
-    errors = [scene.travel(None, first + i)[0, 0] - exact for i in range(repeats)]
-    return Case(STEPS, f"{step_ms:g} ms", errors, lambda: scene.travel(None, first), SPAN)
+    steps = [1 / FREQUENCY / (first + i) for i in range(repeats)]
+    errors = [scene.travel_in_steps(step)[0, 0] - exact for step in steps]
+    return Case(STEPS, f"{step_ms:g} ms", errors, partial(scene.travel_in_steps, steps[0]), SPAN)
 
 
 def in_pymunk(pymunk: Any, scene: Scene, step_ms: float, exact: float, repeats: int) -> Case:
@@ -243,7 +239,7 @@ def speeds_of(timed: Race) -> dict[str, float | None]:
 
 
 def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
-    """Simulated seconds per second of every model, from 1 to 1000 parts."""
+    """Simulated seconds per second of every method, from 1 to 1000 parts."""
     rows = []
     for count in (1, 100) if quick else (1, 3, 10, 30, 100, 300, 1000):
         scene = all_ways(20, count)
@@ -253,8 +249,7 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
         scene = Scene(scene.cycle, grid, 0 * scene.velocity)
         span = 3 / FREQUENCY
         contestants: dict[str, Callable[[], object]] = {EVENTS: partial(scene.travel, TOLERANCE)}
-        for model in LADDER:
-            contestants[model] = partial(run_world, scene.cycle, scene.position, model)
+        contestants[STEPS] = partial(run_world, scene.cycle, scene.position)
         if pymunk:
             contestants[PYMUNK] = peer_scene(pymunk, scene, 1e-3, PEER_SPAN, 0.5).run
         timed = race(contestants, 0.3 if quick else 1.5)
@@ -266,11 +261,11 @@ def cost_rows(pymunk: Any, quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def run_world(cycle: PlateCycle, position: np.ndarray, model: str) -> WorldState:
+def run_world(cycle: PlateCycle, position: np.ndarray) -> WorldState:
     """Run three cycles of the world that the closed loop runs in, on a larger plate."""
     ids = tuple(f"black_{i + 1}" for i in range(len(position)))
     state = WorldState.at_rest(ids, position)
-    return run_cycle(state, cycle, wide_rig(), MU, contacts=Contacts(), cycles=3, model=model)
+    return run_cycle(state, cycle, wide_rig(), MU, cycles=3)
 
 
 @lru_cache(maxsize=1)

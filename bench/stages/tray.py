@@ -15,17 +15,18 @@ import numpy as np
 
 from harness import LEAST_ROUNDS, Race, Table, cpu_time
 from plate_core import PlateCycle, load_rig
-from plate_sim import Contacts, Trajectory
-from plate_sim.contacts import simulate_discs
-from plate_sim.friction import default_steps
+from plate_sim import BodyTrajectory, Contacts, simulate_bodies
+from plate_sim.friction import disc
+from plate_sim.world import STEP
 from stages.mujoco_scene import MujocoScene
 from stages.pymunk_scene import PymunkScene
-from stages.scenes import CYCLES, FREQUENCY, MU, MU_G, exact_cycle
+from stages.scenes import CYCLES, FREQUENCY, GRAVITY, MU, MU_G, exact_cycle
 
 OURS, PYMUNK, MUJOCO = "plate_sim", "pymunk", "MuJoCo"
 
 RIG = load_rig()
 RADIUS, HALF = RIG.parts.radius_m, RIG.plate.half
+DISC = disc(RADIUS)
 
 DENSE = 6
 """Cycles of the first 0.2 s, when all discs meet all the time."""
@@ -79,12 +80,13 @@ class Tray:
         rest = PlateCycle.rest(self.cycle.period)
         return replace(self, cycle=rest, restitution=restitution, mu=0.0)
 
-    def ours(self, steps: int, cycles: int, record: bool = False) -> Trajectory:
-        """Run plate_sim's discs in so many steps a cycle."""
-        return simulate_discs(
-            self.cycle, self.position, self.velocity, self.mu, RADIUS, HALF,
-            Contacts(self.restitution, walls=True), steps=steps, cycles=cycles, record=record,
-        )[0]  # fmt: skip
+    def ours(self, steps: int, cycles: int, record: bool = False) -> BodyTrajectory:
+        """Run plate_sim's parts in so many steps a cycle."""
+        return simulate_bodies(
+            self.cycle, DISC, self.position, 0, self.velocity, 0, self.mu, GRAVITY, cycles,
+            steps if record else 0, self.cycle.period / steps,
+            contacts=Contacts(self.restitution, walls=True), half=HALF,
+        )  # fmt: skip
 
     def trace(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return plate_sim's positions and velocities after every step (k, M, 2), in the plate."""
@@ -178,7 +180,7 @@ def methods(tray: Tray, pymunk: Any, mujoco: Any, quick: bool) -> list[tuple[str
     Ours come with the simulator's own step, too.
     """
     steps = (33, 22) if quick else (33, 22, 167)
-    own = default_steps(tray.cycle)
+    own = round(tray.cycle.period / STEP)
     found: list[tuple[str, int, Any]] = [
         (OURS, n, lambda t, n=n: t.trace(n)) for n in (*steps, own)
     ]

@@ -13,8 +13,8 @@ from harness.loop import Moment, Setup, run
 from plate_core import Parts, load_rig, part_class
 from plate_core.tasks import load_scenario
 from plate_planner import PlannerOptions, SortOptions
-from plate_sim.dirt import CLEAN, Dirt
-from plate_sim.simulation import Simulation
+from plate_sim import Disturbances, Simulation
+from plate_sim.world import NONE
 from plate_vision import Tracker, make_vision, observe
 
 FRAMES, DIRTY_FRAMES = 10_000, 2_000
@@ -27,10 +27,10 @@ CARELESS = PlannerOptions(sort=SortOptions(dodge=0.0))
 """Parts do not dodge each other, so that they pass nearby and collide."""
 
 WORLDS = {
-    "clean": CLEAN,
-    "uneven friction": Dirt(friction_spread=0.1, friction_patches=0.1),
-    "5 % of parts missed": Dirt(missed_parts=0.05),
-    "5 % missed, 2 % false": Dirt(missed_parts=0.05, false_parts=0.02),
+    "clean": NONE,
+    "uneven friction": Disturbances(friction_spread=0.1, friction_patches=0.1),
+    "5 % of parts missed": Disturbances(missed_parts=0.05),
+    "5 % missed, 2 % false": Disturbances(missed_parts=0.05, false_parts=0.02),
 }
 
 STILL_S = 20.0
@@ -85,11 +85,11 @@ class Identities:
         self.count["near"] += int(np.count_nonzero(gap[pair] < self.near))
 
 
-def sorts(dirt: Dirt, frames: int, first_seed: int) -> Iterator[list[Moment]]:
+def sorts(disturbances: Disturbances, frames: int, first_seed: int) -> Iterator[list[Moment]]:
     """Yield whole runs of `sort_10` until there are enough images."""
     seed = first_seed
     while frames > 0:
-        moments = list(run(Setup("sort_10", seed, dirt=dirt, planner=CARELESS)))
+        moments = list(run(Setup("sort_10", seed, disturbances=disturbances, planner=CARELESS)))
         yield moments[:frames]
         frames -= len(moments)
         seed += 1
@@ -99,11 +99,11 @@ def measure(quick: bool) -> Result:
     """Count swaps of ids in each world, and measure the noise of the drift."""
     rig = load_rig()
     rows = []
-    worlds = {"clean": CLEAN} if quick else WORLDS
-    for world, dirt in worlds.items():
+    worlds = {"clean": NONE} if quick else WORLDS
+    for world, disturbances in worlds.items():
         total = Identities(0.5 * rig.parts.radius_m, 2.5 * rig.parts.radius_m)
         runs, frames = 0, FRAMES if world == "clean" else DIRTY_FRAMES
-        for moments in sorts(dirt, 100 if quick else frames, FIRST_SEED):
+        for moments in sorts(disturbances, 100 if quick else frames, FIRST_SEED):
             runs += 1
             total = replace(total, owner={}, named={})
             for moment in moments:
@@ -123,7 +123,7 @@ def drift_noise(seconds: float) -> dict[str, Any]:
     simulation = Simulation(rig, load_scenario("sort_10"), FIRST_SEED)
     vision, tracker, drift = make_vision(rig), Tracker(), []
     for k in range(int(seconds * STILL_RATE)):
-        image = simulation.look()
+        image = simulation.capture()
         if image is not None:
             tracker = observe(vision, tracker, image, k / STILL_RATE)
             drift.append(tracker.parts.velocity)

@@ -1,24 +1,25 @@
-"""Simulates parts on the vibrating plate, its camera and its motor controller."""
+"""Simulates parts on the vibrating plate, its camera and its motor controller.
+Chapters: `world`, `plate`, `friction`, `contacts`, `device`; what is used most is named here."""
 
-from .bodies import simulate_bodies
 from .camera import Camera, part_greys
 from .contacts import Contacts
-from .dirt import Dirt
-from .drive import PlateState
-from .friction import Trajectory
-from .ground import Ground
-from .ladder import Choice
-from .plate_motion import PlateMotion
-from .points import simulate, simulate_many
-from .simulation import Simulation
-from .suspension import motor_record, realise
-from .world import WorldState, record_cycle, run_cycle
+from .friction import Trajectory, simulate
+from .plate import Ground, PlateMotion, PlateState, motor_record, realise
+from .world import (
+    BodyTrajectory,
+    Disturbances,
+    Simulation,
+    WorldState,
+    record_cycle,
+    run_cycle,
+    simulate_bodies,
+)
 
 __all__ = [
+    "BodyTrajectory",
     "Camera",
-    "Choice",
     "Contacts",
-    "Dirt",
+    "Disturbances",
     "Ground",
     "PlateMotion",
     "PlateState",
@@ -32,5 +33,4 @@ __all__ = [
     "run_cycle",
     "simulate",
     "simulate_bodies",
-    "simulate_many",
 ]

@@ -36,12 +36,8 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, wors
 from plate_core.tasks import load_scenario
 
 from .camera import NOISE, Camera
-from .dirt import RANGES, Dirt
-from .models import AUTO, BODIES, DISCS, MODELS, POINTS
-from .plate_motion import PlateMotion
-from .playback import Playback, check_table, next_playback
-from .simulation import Simulation
-from .world import run_cycle
+from .plate import PlateMotion, Playback, check_table, next_playback
+from .world import RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
 """Simulated time of the first image [ns]: a zero stamp would mean "no time"."""
@@ -61,9 +57,9 @@ QUIET_S = 2.0
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
-def _dirt(name: str, description: str) -> Any:
-    """Return the parameter of one kind of dirt."""
-    return parameter(getattr(Dirt, name), description, *RANGES[name])
+def _disturbance(name: str, description: str) -> Any:
+    """Return the parameter of one kind of disturbance."""
+    return parameter(getattr(Disturbances, name), description, *RANGES[name])
 
 
 @dataclass(frozen=True)
@@ -86,26 +82,37 @@ class Options:
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0
     )
     idle_period: float = parameter(0.1, "Length of a cycle while at rest [s].", 0.01, 10)
-    model: str = parameter(
-        AUTO, "What is computed of parts; auto: the least that will do.", choices=MODELS
+    friction_spread: float = _disturbance(
+        "friction_spread", "Friction differs between parts by [share]."
     )
-    friction_spread: float = _dirt("friction_spread", "Friction differs between parts by [share].")
-    friction_patches: float = _dirt(
+    friction_patches: float = _disturbance(
         "friction_patches", "Friction varies over the plate by [share]."
     )
-    static_ratio: float = _dirt("static_ratio", "Static over dynamic friction [-].")
-    tilt_x: float = _dirt("tilt_x", "Parts are pulled along +x by this lean of the plate [rad].")
-    tilt_y: float = _dirt("tilt_y", "Parts are pulled along +y by this lean of the plate [rad].")
-    latency: float = _dirt("latency", "Age of an image when it is published and stamped [s].")
+    static_ratio: float = _disturbance("static_ratio", "Static over dynamic friction [-].")
+    tilt_x: float = _disturbance(
+        "tilt_x", "Parts are pulled along +x by this lean of the plate [rad]."
+    )
+    tilt_y: float = _disturbance(
+        "tilt_y", "Parts are pulled along +y by this lean of the plate [rad]."
+    )
+    latency: float = _disturbance(
+        "latency", "Age of an image when it is published and stamped [s]."
+    )
     blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.")
-    missed_images: float = _dirt("missed_images", "Share of images that are never published.")
-    missed_parts: float = _dirt("missed_parts", "Share of parts that an image does not show.")
-    false_parts: float = _dirt("false_parts", "False parts in an image [share of true ones].")
+    missed_images: float = _disturbance(
+        "missed_images", "Share of images that are never published."
+    )
+    missed_parts: float = _disturbance(
+        "missed_parts", "Share of parts that an image does not show."
+    )
+    false_parts: float = _disturbance(
+        "false_parts", "False parts in an image [share of true ones]."
+    )
 
     @property
-    def dirt(self) -> Dirt:
-        """Return what is asked for of the real world's dirt."""
-        return Dirt(**{f.name: getattr(self, f.name) for f in fields(Dirt)})
+    def disturbances(self) -> Disturbances:
+        """Return what is asked for of the real world's disturbances."""
+        return Disturbances(**{f.name: getattr(self, f.name) for f in fields(Disturbances)})
 
 
 @dataclass
@@ -146,7 +153,6 @@ class SimulatorNode(Node):
             "missed images": 0,
         }  # fmt: skip
         self._tally = Tally()
-        self._told = ""  # the model that was logged last
         self._simulated_time = options.lockstep or options.rate != 1
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
@@ -159,15 +165,13 @@ class SimulatorNode(Node):
         """Return the scenario's parts, put on the plate as the seed will have it."""
         options = self._options
         return Simulation(
-            self._rig, self._scenario, self._seed, options.dirt,
-            noise=options.noise, mu_scale=options.mu_scale, model=options.model,
+            self._rig, self._scenario, self._seed, options.disturbances,
+            noise=options.noise, mu_scale=options.mu_scale,
         )  # fmt: skip
 
     def _compile(self) -> None:
         """Have everything compiled before time starts."""
         state = self._simulation.state
-        for model in (POINTS, DISCS, BODIES):
-            run_cycle(state, self._playback.cycle, self._rig, model=model)
         run_cycle(state, self._playback.cycle, self._rig)
         Camera(self._rig).render(state.position, np.zeros(len(state.ids)), np.random.default_rng(0))
 
@@ -235,18 +239,7 @@ class SimulatorNode(Node):
         self._count["cycles"] += 1
         self._count["held cycles"] += self._playback.repeats > 0
         self._count["missed images"] += not seen
-        self._tell_model()
         return seen
-
-    def _tell_model(self) -> None:
-        """Log which model runs, and why, when it changes."""
-        choice = self._simulation.state.choice
-        if choice is None or choice.model == self._told:
-            return
-        if self.get_logger().info(
-            f"model {choice.model}: {choice.reason}", throttle_duration_sec=QUIET_S
-        ):
-            self._told = choice.model
 
     def _set_alarm(self) -> None:
         self._alarm.timer_period_ns = max(1, self._due_ns - time.monotonic_ns())
@@ -313,7 +306,6 @@ class SimulatorNode(Node):
         end_ns = nanoseconds(msg.header.stamp) + round(motion.period * 1e9)
         self._simulation.run(motion)
         self._count["cycles"] += 1
-        self._tell_model()
         if end_ns - self._time_ns >= SHORTEST_NS:
             self._time_ns = end_ns
             self._count["missed images"] += not self._take_image()
@@ -330,7 +322,7 @@ class SimulatorNode(Node):
     def _take_image(self) -> bool:
         """Publish image and truth; returns whether there is an image."""
         stamp, state = to_time(self._time_ns), self._simulation.state
-        pixels = self._simulation.look()
+        pixels = self._simulation.capture()
         if pixels is not None:
             self._image = array_to_image(pixels, stamp)
             self._publish_image()
@@ -368,7 +360,7 @@ class SimulatorNode(Node):
 
     def _values(self) -> Mapping[str, object]:
         limits, share = self._rig.limits, self._usage
-        mu, choice = self._simulation.mu, self._simulation.state.choice
+        mu = self._simulation.mu
         return {
             **self._count,
             "parts dropped": self._simulation.state.dropped,
@@ -376,10 +368,8 @@ class SimulatorNode(Node):
             "speed used": f"{share.speed / limits.speed:.3f}",
             "acceleration used": f"{share.accel / limits.accel:.3f}",
             "true friction": f"{np.min(mu, initial=np.inf):.3g} to {np.max(mu, initial=0):.3g}",
-            "dirt": self._simulation.dirt.told,
+            "disturbances": self._simulation.disturbances.summary,
             "silent": f"{self._input.silence(time.monotonic()):.2f} s",
-            **{f"cycles as {name}": count for name, count in self._simulation.used.items()},
-            **({"model": choice.model, "reason": choice.reason} if choice else {}),
         }
 
     def _begin_report(self) -> None:

@@ -7,9 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle
-from plate_sim import simulate
-from plate_sim.bodies import simulate_bodies
-from plate_sim.footprint import bar, disc
+from plate_sim import simulate, simulate_bodies
+from plate_sim.friction import bar, disc
 
 MU, G = 0.25, 9.81
 CORNERS = 0.3 * np.array([[-1, -0.5], [1, -0.5], [1, 0.5]])

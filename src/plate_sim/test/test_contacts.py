@@ -1,19 +1,23 @@
 """Discs that meet: no overlap, momentum kept, no energy gained."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.rig import to_plate
-from plate_sim import WorldState, simulate, world
-from plate_sim.contacts import Contacts, simulate_discs
-from plate_sim.plate_motion import PlateMotion
+from plate_sim import (
+    Contacts,
+    PlateMotion,
+    WorldState,
+    record_cycle,
+    run_cycle,
+    simulate,
+    simulate_bodies,
+)
+from plate_sim.friction import disc
 
-run_cycle = partial(world.run_cycle, model="discs")
-record_cycle = partial(world.record_cycle, model="discs")
 RIG = load_rig()
 RADIUS = RIG.parts.radius_m
 SMOOTH = 0.0
@@ -23,6 +27,11 @@ SMOOTH = 0.0
 def discs(position, velocity=None):
     state = WorldState.at_rest(tuple(f"black_{i}" for i in range(len(position))), position)
     return state if velocity is None else replace(state, velocity=np.array(velocity, float))
+
+
+def energy_of(run):
+    """Energy by mass (k,) [m2/s2] of discs, whose inertia is R^2/2."""
+    return np.sum(run.velocity**2, axis=(1, 2)) + RADIUS**2 / 2 * np.sum(run.spin**2, axis=1)
 
 
 def deepest_overlap(path):
@@ -56,7 +65,7 @@ def test_crowd_keeps_momentum_and_gains_no_energy():
     assert end.dropped == 0
     momentum = np.sum(run.velocity, axis=1)
     assert momentum == pytest.approx(np.broadcast_to(momentum[0], momentum.shape), abs=1e-12)
-    energy = np.sum(run.velocity**2, axis=(1, 2))
+    energy = energy_of(run)
     assert np.all(np.diff(energy) <= 1e-15)
     assert energy[-1] < 0.9 * energy[0]  # they did meet
     assert deepest_overlap(run.position) < 3e-5
@@ -115,10 +124,12 @@ def test_two_discs_collide_as_on_paper(restitution, friction, offset):
     relative = np.array([0.4, 0.0])
     closing, across = -relative @ normal, relative @ along
     hit = (1 + restitution) * closing / 2
-    rub = -np.sign(across) * min(friction * hit, abs(across) / 2)
+    # Rims yield by 1/m + R^2/I = 3/m.
+    rub = -np.sign(across) * min(friction * hit, abs(across) / 6)
     first = np.array([0.3, 0]) + hit * normal + rub * along
     second = np.array([-0.1, 0]) - hit * normal - rub * along
     assert end.velocity == pytest.approx(np.array([first, second]), abs=1e-12)
+    assert end.spin == pytest.approx([-2 * rub / RADIUS] * 2, abs=1e-9)
     when = (0.06 + 2 * RADIUS * normal[0]) / 0.4
     touch = np.array([[-0.03, offset / 2], [0.03, -offset / 2]]) + [
         [0.3 * when, 0],
@@ -134,7 +145,7 @@ def test_a_disc_meets_a_wall_as_on_paper(friction):
     contacts = Contacts(0.5, friction, walls=True)
     end, run = record_cycle(state, PlateCycle.rest(0.1), RIG, SMOOTH, 1e-3, contacts=contacts)
     reach = RIG.plate.half[1] - RADIUS
-    rub = min(friction * 1.5 * 2.0, 0.5)
+    rub = min(friction * 1.5 * 2.0, 0.5 / 3)
     assert end.velocity[0] == pytest.approx([0.5 - rub, -1.0])
     when = reach / 2.0
     assert end.position[0, 1] == pytest.approx(reach - (0.1 - when))
@@ -164,7 +175,7 @@ def test_contacts_never_add_energy_and_keep_momentum(seed, step):
     state = crowd(40, rng, spread=0.5)
     end, run = record_cycle(state, PlateCycle.rest(0.06), RIG, SMOOTH, step, contacts=contacts)
     assert end.dropped == 0
-    energy, momentum = np.sum(run.velocity**2, axis=(1, 2)), np.sum(run.velocity, axis=1)
+    energy, momentum = energy_of(run), np.sum(run.velocity, axis=1)
     assert momentum == pytest.approx(np.broadcast_to(momentum[0], momentum.shape), abs=1e-12)
     assert np.all(np.diff(energy) <= 1e-13 * energy[0])
     assert deepest_overlap(run.position) < 1e-4
@@ -232,7 +243,7 @@ def test_wrong_starts_are_refused_by_name():
     with pytest.raises(PlateError, match=named):
         run_cycle(discs([[-0.1, 0], [0.0143, 0], [0.1, 0], [0, 0]]), cycle, RIG)
     broken = discs([[0, 0], [0.1, 0]], [[0, 0], [np.nan, 0]])
-    with pytest.raises(PlateError, match="part black_1: velocity has nan"):
+    with pytest.raises(PlateError, match="velocity has values that are not finite: part 1"):
         run_cycle(broken, cycle, RIG)
     with pytest.raises(PlateError, match=r"restitution is 1\.1"):
         Contacts(restitution=1.1)
@@ -244,24 +255,29 @@ def test_wrong_starts_are_refused_by_name():
         run_cycle(discs([[0, 0]]), cycle, RIG, cycles=0)
 
 
-def test_discs_are_refused_that_cannot_be_run():
-    still = np.zeros((2, 2))
-    place = np.array([[0, 0], [0.1, 0]])
-    rest = PlateCycle.rest(0.01)
-    with pytest.raises(PlateError, match="steps is 0"):
-        simulate_discs(rest, place, still, 0.2, RADIUS, RIG.plate.half, steps=0)
-    motion = PlateMotion.of_cycle(rest)
+def test_parts_are_refused_that_cannot_be_run():
+    still, place, rest = np.zeros((2, 2)), np.array([[0, 0], [0.1, 0]]), PlateCycle.rest(0.01)
+    rims = {"contacts": Contacts(), "half": RIG.plate.half}
     with pytest.raises(PlateError, match=r"cycles is 2, allowed: .*need not close"):
-        simulate_discs(motion, place, still, 0.2, RADIUS, RIG.plate.half, steps=9, cycles=2)
+        simulate_bodies(
+            PlateMotion.of_cycle(rest), disc(RADIUS), place, 0, still, 0, 0.2, cycles=2, **rims
+        )
     with pytest.raises(PlateError, match="parts 0 and 1 overlap by 6 mm"):
-        simulate_discs(rest, 0.1 * place, still, 0.2, RADIUS, RIG.plate.half, steps=9)
+        simulate_bodies(rest, disc(RADIUS), 0.1 * place, 0, still, 0, 0.2, **rims)
+    with pytest.raises(PlateError, match="step is 0"):
+        simulate_bodies(rest, disc(RADIUS), place, 0, still, 0, 0.2, step=0, **rims)
 
 
 def test_the_end_alone_is_the_end_of_the_run():
     state = crowd(20, np.random.default_rng(0))
-    args = shaken(np.random.default_rng(1)), state.position, state.velocity, 0.3, RADIUS
-    run, _ = simulate_discs(*args, RIG.plate.half, steps=100, cycles=2)
-    end, _ = simulate_discs(*args, RIG.plate.half, steps=100, cycles=2, record=False)
+    cycle = shaken(np.random.default_rng(1))
+    run, end = (
+        simulate_bodies(
+            cycle, disc(RADIUS), state.position, 0, state.velocity, 0, 0.3, cycles=2,
+            samples=samples, step=1e-3, contacts=Contacts(), half=RIG.plate.half,
+        )
+        for samples in (100, 0)
+    )  # fmt: skip
     assert np.array_equal(end.position[-1], run.position[-1])
     assert np.array_equal(end.velocity[-1], run.velocity[-1])
     assert end.time[-1] == pytest.approx(run.time[-1])

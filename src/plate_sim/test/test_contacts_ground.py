@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_sim import simulate
-from plate_sim.contacts import motion_of, run_discs
-from plate_sim.ground import LEVEL, Ground
-from plate_sim.plate_motion import PlateMotion
+from plate_sim import Contacts, Ground, PlateMotion, simulate, simulate_bodies
+from plate_sim.friction import disc
+from plate_sim.plate import LEVEL
 
 RIG = load_rig()
 RADIUS, HALF = RIG.parts.radius_m, RIG.plate.half
@@ -17,18 +16,12 @@ MU_G = MU * GRAVITY
 
 def run(cycle, position, velocity, steps, ground=LEVEL, walls=False, cycles=1):
     """Where discs are at every step, and how they move (k, M, 2)."""
-    position, velocity = np.array(position, float), np.array(velocity, float)
-    path = np.empty((cycles * steps + 1, *position.shape))
-    speed = np.empty_like(path)
-    on_plate = np.ones(len(position), bool)
-    found = run_discs(
-        *motion_of(cycle), steps, cycles, np.full(len(position), MU_G), ground.pull(GRAVITY),
-        ground.static_ratio, RADIUS, HALF, 0.0, 0.0, walls, position, velocity, on_plate,
-        path, speed,
+    run = simulate_bodies(
+        cycle, disc(RADIUS), position, 0, velocity, 0, MU, GRAVITY, cycles, steps,
+        contacts=Contacts(walls=walls), ground=ground, half=HALF, step=cycle.period / steps,
     )  # fmt: skip
-    assert found[0] == 0
-    assert on_plate.all()
-    return path, speed
+    assert run.on_plate.all()
+    return run.position, run.velocity
 
 
 def along_x(accel, period=0.1, knots=8):
@@ -43,7 +36,7 @@ def along_x(accel, period=0.1, knots=8):
 @pytest.mark.parametrize("step", [1e-3, 5e-5])
 def test_a_tilted_plate_lets_go_where_friction_does_not_suffice(step):
     ground = Ground(tilt=(0.3, -0.2))
-    pull = ground.pull(GRAVITY)
+    pull = np.array(ground.effect(GRAVITY)[:2])
     assert np.hypot(*pull) > MU_G
     path, speed = run(PlateCycle.rest(0.1), [[0, 0]], [[0, 0]], round(0.1 / step), ground)
     accel = pull * (1 - MU_G / np.hypot(*pull))
@@ -127,8 +120,8 @@ def test_a_motion_need_not_start_at_home_nor_end_where_it_starts():
     assert path[-1, 0] == pytest.approx(place[0] + [0.05, 0], abs=1e-12)
     assert speed[-1, 0] == pytest.approx([0.5, 0], abs=1e-12)
     # And it is pushed by the wall where that is.
-    path, speed = run(motion, place, [[3.0, 0]], 100, walls=True)
-    rim = path[1:, 0] - motion.pose(np.linspace(0, 0.1, 101)[1:])[:, :2]
+    path, speed = run(motion, place, [[3.0, 0]], 1000, walls=True)
+    rim = path[1:, 0] - motion.pose(np.linspace(0, 0.1, 1001)[1:])[:, :2]
     along = c * rim[:, 0] + s * rim[:, 1]
     assert along.max() <= corner[0] + 1.1e-6 + 1e-12
     assert speed[1, 0] @ [c, s] == pytest.approx(0.5 * c, abs=3 * MU_G * 1e-3)

@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plate_core import PlateCycle, load_rig
-from plate_sim import Contacts
-from plate_sim.contacts import simulate_discs
-from plate_sim.ground import Ground
+from plate_sim import Contacts, Ground, simulate_bodies
+from plate_sim.friction import disc
+from plate_sim.plate import LEVEL
 
 RIG = load_rig()
 RADIUS, HALF = RIG.parts.radius_m, RIG.plate.half
@@ -45,6 +45,14 @@ def shakes(draw):
     return PlateCycle.from_samples(0.06, size * rng.normal(size=(10, 3)) * [1, 1, 4])
 
 
+def run_discs(cycle, place, velocity, mu, half, contacts, steps, cycles=1, ground=LEVEL):
+    """The motion of discs at every step."""
+    return simulate_bodies(
+        cycle, disc(RADIUS), place, 0, velocity, 0, mu, 9.81, cycles, steps, contacts=contacts,
+        ground=ground, half=half, step=cycle.period / steps,
+    )  # fmt: skip
+
+
 def deepest(path):
     """Deepest overlap [m] of any two discs at any step of a path (k, M, 2)."""
     i, j = np.triu_indices(path.shape[1], 1)
@@ -56,30 +64,18 @@ def deepest(path):
 @some
 @given(crowds(), contacts, steps, shakes(), st.floats(0, 2), st.floats(1, 2), st.floats(-0.2, 0.2))
 def test_any_run_is_finite_and_discs_stay_apart(crowd, contact, n, cycle, mu, static, tilt):
-    run, on_plate = simulate_discs(
-        cycle,
-        *crowd,
-        mu,
-        RADIUS,
-        HALF,
-        contact,
-        steps=n,
-        cycles=2,
-        ground=Ground(static, (tilt, 0)),
-    )
+    run = run_discs(cycle, *crowd, mu, HALF, contact, n, 2, Ground(static, (tilt, 0)))
     assert np.isfinite(run.position).all()
     assert np.isfinite(run.velocity).all()
-    assert deepest(run.position[:, on_plate]) < OVERLAP
-    assert on_plate.all() or not contact.walls
+    assert deepest(run.position[:, run.on_plate]) < OVERLAP
+    assert run.on_plate.all() or not contact.walls
 
 
 @some
 @given(crowds(), contacts, steps)
 def test_contacts_create_no_energy(crowd, contact, n):
-    run, _ = simulate_discs(
-        PlateCycle.rest(0.1), *crowd, 0.0, RADIUS, HALF, contact, steps=n, cycles=2
-    )
-    energy = np.sum(run.velocity**2, axis=(1, 2))
+    run = run_discs(PlateCycle.rest(0.1), *crowd, 0.0, HALF, contact, n, 2)
+    energy = np.sum(run.velocity**2, axis=(1, 2)) + RADIUS**2 / 2 * np.sum(run.spin**2, axis=1)
     if not contact.walls:  # who leaves the plate takes its energy along
         assert energy[-1] <= energy[0] * (1 + 1e-12)
     assert np.all(np.diff(energy) <= 1e-13 * energy[0])
@@ -88,15 +84,13 @@ def test_contacts_create_no_energy(crowd, contact, n):
 @some
 @given(crowds(), st.floats(0, 1), st.sampled_from([0.0, 0.3, 5.0]), steps)
 def test_contacts_between_discs_keep_momentum(crowd, restitution, friction, n):
-    run, on_plate = simulate_discs(
-        PlateCycle.rest(0.1), *crowd, 0.0, RADIUS, WIDE, Contacts(restitution, friction), steps=n
-    )
-    assert on_plate.all()
+    run = run_discs(PlateCycle.rest(0.1), *crowd, 0.0, WIDE, Contacts(restitution, friction), n)
+    assert run.on_plate.all()
     momentum = run.velocity.sum(axis=1)
     assert np.abs(momentum - momentum[0]).max() < 1e-12
     # So the common centre moves on evenly.
     centre = run.position.mean(axis=1)
-    even = centre[0] + np.outer(run.time, momentum[0]) / len(on_plate)
+    even = centre[0] + np.outer(run.time, momentum[0]) / len(run.on_plate)
     assert np.abs(centre - even).max() < 1e-12
 
 
@@ -105,12 +99,11 @@ def test_contacts_between_discs_keep_momentum(crowd, restitution, friction, n):
 def test_the_order_of_parts_does_not_matter(crowd, contact, n, cycle, random):
     order = list(range(len(crowd[0])))
     random.shuffle(order)
-    run, on_plate = simulate_discs(cycle, *crowd, 0.3, RADIUS, HALF, contact, steps=n)
-    mixed = [array[order] for array in crowd]
-    other, left = simulate_discs(cycle, *mixed, 0.3, RADIUS, HALF, contact, steps=n)
+    run = run_discs(cycle, *crowd, 0.3, HALF, contact, n)
+    other = run_discs(cycle, *(array[order] for array in crowd), 0.3, HALF, contact, n)
     assert np.array_equal(other.position, run.position[:, order])
     assert np.array_equal(other.velocity, run.velocity[:, order])
-    assert np.array_equal(left, on_plate[order])
+    assert np.array_equal(other.on_plate, run.on_plate[order])
 
 
 def turned(angle, mirror):
@@ -134,8 +127,7 @@ def test_turned_and_mirrored_frames_give_the_same(offset, speed, restitution, cy
     pose[:, 2] *= -1 if mirror else 1
     other_cycle = PlateCycle.from_samples(cycle.period, pose)
     contact = Contacts(restitution, 0.2)
-    run, _ = simulate_discs(cycle, place, velocity, 0.3, RADIUS, WIDE, contact, steps=200)
-    other, _ = simulate_discs(
-        other_cycle, place @ frame.T, velocity @ frame.T, 0.3, RADIUS, WIDE, contact, steps=200
-    )
+    run = run_discs(cycle, place, velocity, 0.3, WIDE, contact, 200)
+    turned_start = place @ frame.T, velocity @ frame.T
+    other = run_discs(other_cycle, *turned_start, 0.3, WIDE, contact, 200)
     assert np.abs(other.position - run.position @ frame.T).max() < 1e-9

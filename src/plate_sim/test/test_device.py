@@ -33,8 +33,8 @@ from plate_core.serial_protocol import (  # fmt: skip
     parse,
     table_crc,
 )
+from plate_sim import PlateMotion
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Line, LineFaults, PseudoTerminal
-from plate_sim.plate_motion import PlateMotion
 
 RIG = load_rig()
 LIMITS = DeviceLimits.of_rig(RIG)

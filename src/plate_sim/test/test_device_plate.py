@@ -8,9 +8,9 @@ import pytest
 from plate_core import PlateCycle, load_rig
 from plate_core.motion import motor_state
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
+from plate_sim import PlateState
 from plate_sim.device import SuspendedPlate
-from plate_sim.drive import PlateState
-from plate_sim.suspension import motor_record, realise
+from plate_sim.plate import motor_record, realise
 
 RIG = load_rig()
 MASS = mass_matrix(RIG.plate.mass_kg, 0.075, (0.01, -0.005))

@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import quad
 
 from plate_core import PlateError
-from plate_sim.footprint import bar, disc, friction_gap, on_feet, polygon, union
+from plate_sim.friction import bar, disc, on_feet, polygon, union
+from plate_sim.friction.footprint import friction_gap
 
 L_SHAPE = [
     [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],

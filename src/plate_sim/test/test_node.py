@@ -148,22 +148,8 @@ def test_lockstep_goes_on_where_an_image_is_missed_as_real_time_does():
     assert steps.max() > 1
     assert int(values["missed images"]) >= np.count_nonzero(steps[1:] > 1) > 0
     assert int(values["held cycles"]) >= 1
-    assert values["dirt"] == "missed_images 0.5"
+    assert values["disturbances"] == "missed_images 0.5"
     assert missed_run(seed=4)[0] == stamps
-
-
-def test_the_model_and_its_reason_are_told():
-    with Loop(good, lockstep=True) as loop:
-        assert loop.spin(lambda: len(loop.images) >= 3 and bool(loop.reports))
-        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
-        assert values["model"] == "points"
-        assert " stay " in values["reason"]
-        assert int(values["cycles as points"]) == int(values["cycles"])
-    with Loop(good, lockstep=True, model="bodies", latency=0.02) as loop:
-        assert loop.spin(lambda: len(loop.images) >= 3 and bool(loop.reports))
-        values = {item.key: item.value for item in loop.reports[-1].status[0].values}
-        assert (values["model"], values["reason"]) == ("bodies", "as asked for")
-        assert values["dirt"] == "latency 0.02"
 
 
 def test_the_truth_has_angles_and_spins():

@@ -8,10 +8,9 @@ import pytest
 from plate_core import PlateCycle, load_rig
 from plate_core.rig import Suspension, to_image
 from plate_core.tasks import load_scenario
-from plate_sim import Camera, part_greys, simulate
+from plate_sim import Camera, Disturbances, Simulation, part_greys, simulate
 from plate_sim.camera import PLATE
-from plate_sim.dirt import CLEAN, Dirt
-from plate_sim.simulation import Simulation
+from plate_sim.world import NONE
 
 RIG = load_rig()
 SORT_4 = load_scenario("sort_4")
@@ -38,14 +37,14 @@ def gap(one, other):
 @pytest.mark.parametrize("latency", [0.013, 0.05, 0.1, 0.137])
 def test_an_image_shows_the_world_as_it_was(latency):
     """Against the exact integrator and the commanded pose, two cycles on."""
-    simulation = Simulation(RIG, SORT_4, 1, Dirt(latency=latency, blur=False), noise=0.0)
+    simulation = Simulation(RIG, SORT_4, 1, Disturbances(latency=latency, blur=False), noise=0.0)
     start, draw = simulation.state, blank(simulation)
     cycle, samples = shaking(), 1000
-    first = simulation.look()
+    first = simulation.capture()
     assert gap(first, draw(start.position, None)) == 0
     for _ in range(2):
         simulation.run(cycle)
-    image = simulation.look()
+    image = simulation.capture()
     true = simulate(
         cycle, start.position, start.velocity, RIG.friction.mu, cycles=2, samples=samples,
         tolerance=1e-8,
@@ -59,10 +58,10 @@ def test_an_image_shows_the_world_as_it_was(latency):
 
 def test_latency_changes_no_motion():
     ends = []
-    for dirt in (CLEAN, Dirt(latency=0.07)):
-        simulation = Simulation(RIG, SORT_4, 1, dirt)
+    for disturbances in (NONE, Disturbances(latency=0.07)):
+        simulation = Simulation(RIG, SORT_4, 1, disturbances)
         for _ in range(3):
-            simulation.look()
+            simulation.capture()
             simulation.run(shaking())
         ends.append(simulation.state)
     assert np.array_equal(ends[0].position, ends[1].position)
@@ -74,12 +73,12 @@ def test_blur_can_be_switched_off(latency):
     rig = replace(RIG, camera=replace(RIG.camera, exposure_s=0.005))
     images = []
     for blur in (True, False):
-        simulation = Simulation(rig, SORT_4, 1, Dirt(latency=latency, blur=blur), noise=0.0)
+        simulation = Simulation(rig, SORT_4, 1, Disturbances(latency=latency, blur=blur), noise=0.0)
         for _ in range(2):
             simulation.run(shaking())
         moving = replace(simulation.state, velocity=np.full((4, 2), 0.2))
         simulation.state = moving
-        images.append(simulation.look())
+        images.append(simulation.capture())
     draw = blank(simulation, rig)
     if latency == 0:
         assert gap(images[1], draw(simulation.state.position, None)) == 0
@@ -89,8 +88,8 @@ def test_blur_can_be_switched_off(latency):
 def test_the_share_of_images_asked_for_is_missed_and_no_motion_changes():
     seen, ends = [], []
     for share in (0.3, 0.0):
-        simulation = Simulation(RIG, SORT_4, 5, Dirt(missed_images=share))
-        seen.append([simulation.look() is not None for _ in range(1500)])
+        simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_images=share))
+        seen.append([simulation.capture() is not None for _ in range(1500)])
         simulation.run(shaking())
         ends.append(simulation.state.position)
     # 4 standard deviations
@@ -106,31 +105,33 @@ def dark_at(image, position):
 
 
 def test_parts_are_missed_by_the_share_asked_for():
-    simulation = Simulation(RIG, SORT_4, 5, Dirt(missed_parts=0.25))
-    seen = np.array([dark_at(simulation.look(), simulation.state.position) for _ in range(300)])
+    simulation = Simulation(RIG, SORT_4, 5, Disturbances(missed_parts=0.25))
+    seen = np.array([dark_at(simulation.capture(), simulation.state.position) for _ in range(300)])
     assert np.mean(seen) == pytest.approx(0.75, abs=4 * np.sqrt(0.1875 / seen.size))
     # Each by itself
     assert np.abs(np.corrcoef(seen.T) - np.eye(4)).max() < 0.25
 
 
 def test_false_parts_are_drawn_by_the_share_asked_for():
-    simulation = Simulation(RIG, SORT_4, 5, Dirt(false_parts=0.5), noise=0.0)
-    clean = Simulation(RIG, SORT_4, 5, noise=0.0).look()
+    simulation = Simulation(RIG, SORT_4, 5, Disturbances(false_parts=0.5), noise=0.0)
+    clean = Simulation(RIG, SORT_4, 5, noise=0.0).capture()
     area = np.count_nonzero(clean < DARK) / 4
     bare = np.count_nonzero(
-        Simulation(RIG, SORT_4, 5, Dirt(missed_parts=1.0), noise=0.0).look() < DARK
+        Simulation(RIG, SORT_4, 5, Disturbances(missed_parts=1.0), noise=0.0).capture() < DARK
     )
     area -= bare / 4
-    extra = [np.count_nonzero(simulation.look() < DARK) - bare for _ in range(200)]
+    extra = [np.count_nonzero(simulation.capture() < DARK) - bare for _ in range(200)]
     # Two false ones to four, of about a part's size; some lie over others or over the edge.
     assert np.mean(extra) / area - 4 == pytest.approx(2.0, abs=0.35)
 
 
 def test_a_seed_is_a_world_and_dirt_of_one_kind_leaves_the_others_alone():
-    def end(seed, **dirt):
-        simulation = Simulation(RIG, SORT_4, seed, Dirt(friction_spread=0.1, **dirt))
+    def end(seed, **disturbances):
+        simulation = Simulation(
+            RIG, SORT_4, seed, Disturbances(friction_spread=0.1, **disturbances)
+        )
         for _ in range(3):
-            image = simulation.look()
+            image = simulation.capture()
             simulation.run(shaking())
         return simulation, image
 
@@ -139,8 +140,13 @@ def test_a_seed_is_a_world_and_dirt_of_one_kind_leaves_the_others_alone():
     assert np.array_equal(one.state.position, again.state.position)
     assert np.array_equal(image, image_again)
     assert not np.array_equal(one.mu, end(2)[0].mu)
-    for dirt in ({"latency": 0.05}, {"missed_parts": 0.5}, {"false_parts": 1.0}, {"blur": False}):
-        other, _ = end(1, **dirt)
+    for disturbances in (
+        {"latency": 0.05},
+        {"missed_parts": 0.5},
+        {"false_parts": 1.0},
+        {"blur": False},
+    ):
+        other, _ = end(1, **disturbances)
         assert np.array_equal(one.mu, other.mu)
         assert np.array_equal(one.state.position, other.state.position)
 
@@ -151,8 +157,8 @@ def test_dirt_of_the_ground_moves_the_parts():
     turn = 2 * np.pi * np.arange(32) / 32
     gentle = PlateCycle.from_samples(0.1, swing * (1 - np.cos(turn))[:, None] * [1, 0, 0])
 
-    def end(**dirt):
-        simulation = Simulation(RIG, SORT_4, 1, Dirt(**dirt))
+    def end(**disturbances):
+        simulation = Simulation(RIG, SORT_4, 1, Disturbances(**disturbances))
         for _ in range(3):
             simulation.run(gentle)
         return simulation.state.position
@@ -175,19 +181,10 @@ def test_a_suspended_plate_is_seen_where_it_really_is():
         feedforward=(1.0, 1.0, 1.0), motor_gain=(0.7, 0.7, 0.7, 0.7),
     )  # fmt: skip
     rig = replace(RIG, suspension=suspension)
-    simulation = Simulation(rig, SORT_4, 1, Dirt(blur=False), noise=0.0)
+    simulation = Simulation(rig, SORT_4, 1, Disturbances(blur=False), noise=0.0)
     simulation.run(shaking())
     pose = simulation.plate.pose
     assert np.abs(pose[:2]).max() > 2e-4
     draw = blank(simulation, rig)
-    assert gap(simulation.look(), draw(simulation.state.position, pose)) <= 1
-    assert gap(simulation.look(), draw(simulation.state.position, None)) > 5
-
-
-def test_models_used_are_counted():
-    simulation = Simulation(RIG, SORT_4, 1)
-    simulation.run(PlateCycle.rest(0.1))
-    assert simulation.used == {"points": 1}
-    asked = Simulation(RIG, SORT_4, 1, model="bodies")
-    asked.run(PlateCycle.rest(0.1))
-    assert asked.used == {"bodies": 1}
+    assert gap(simulation.capture(), draw(simulation.state.position, pose)) <= 1
+    assert gap(simulation.capture(), draw(simulation.state.position, None)) > 5

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
-from plate_sim.drive import PlateState
-from plate_sim.suspension import (
+from plate_sim import PlateState
+from plate_sim.plate.response import (
     ACCEL_ERROR,
     POSE_ERROR,
     TWIST_ERROR,

@@ -5,7 +5,8 @@ import pytest
 
 from plate_core import PlateError
 from plate_core.motion import usage
-from plate_sim import simulate
+from plate_sim import simulate_bodies
+from plate_sim.friction import disc
 from plate_solver import RotationSolver, SinusoidSolver, average_force
 from plate_solver.force_map import mean_force
 
@@ -77,7 +78,10 @@ def test_simulated_parts_gain_the_wanted_velocities(rig, scene, method):
         solution = solver.solve(position, force)
         assert solution.success
         cycle, mu = solution.cycle.scaled(1e-4), 1e-12
-        run = simulate(cycle, position, np.zeros((1, 2)), mu, samples=20_000)
+        run = simulate_bodies(
+            cycle, disc(1e-7), position, 0, np.zeros((1, 2)), 0, mu, samples=0,
+            step=cycle.period / 20_000,
+        )  # fmt: skip
         gain = run.velocity[-1] / (mu * 9.81 * cycle.period)
         np.testing.assert_allclose(gain, force, atol=solver.options.tolerance + FLIP)
 

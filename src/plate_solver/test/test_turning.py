@@ -92,7 +92,7 @@ def test_random_cycles_turn_discs_as_the_simulator_does():
     for _ in range(12):
         cycle = family.cycle(family.random(rng))
         place = rng.uniform(-0.8, 0.8, (1, 2)) * RIG.plate.half
-        true = run_cycle(WorldState.at_rest(("a_1",), place), cycle, RIG, model="bodies")
+        true = run_cycle(WorldState.at_rest(("a_1",), place), cycle, RIG)
         still = np.zeros((1, 2))
         end, _, turn, _ = after_discs(cycle, place, still, np.zeros(1), RADIUS, GRIP, 1e-4)
         turns.append((turn[0], true.angle[0]))
@@ -118,7 +118,7 @@ def test_a_part_turns_in_place(method, place):
         parts = Parts.make(world.ids, world.position, now, world.angle, spin)
         answer = controller.answer(Wanted.make(parts, force, torque=torque), running)
         assert usage(RIG, answer.cycle).worst <= 1 + 1e-9
-        before, world = world, run_cycle(world, running, RIG, model="bodies")
+        before, world = world, run_cycle(world, running, RIG)
         spin = (world.angle - before.angle) / running.period
         running = answer.cycle
         furthest = max(furthest, float(np.hypot(*(world.position - place)[0])))

@@ -10,9 +10,7 @@ from plate_core import Rig
 from plate_core.motion import motor_levers, quintic_pieces
 from plate_core.serial_protocol import MOTORS, TICK_S, State
 
-from ..drive import PlateState
-from ..plate_motion import PlateMotion
-from ..suspension import realise
+from ..plate import PlateMotion, PlateState, realise
 from .motion import Motion
 from .table import Stream, Table
 
@@ -121,7 +119,7 @@ class Recorder:
 
 
 class SuspendedPlate:
-    """The plate of `plate_sim.drive` in steps of one tick.
+    """The plate of `plate_sim.plate.drive` in steps of one tick.
 
     Plate and drive are linear, so a tick is one matrix: found from `realise`, column by column. The
     motors' levers are those at home.

@@ -1,0 +1,191 @@
+"""The simulator's one model of parts: no more is computed than a scene needs.
+
+Scenes where nothing touches, parts touch, the plate turns, or hangs on flexures; for each number of
+parts the cost of a plate cycle and the error at its end. Beside it the judge (points, event by
+event), pymunk, and the ladder of models that was here before (`old_ladder.csv`, measured once).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness import Result, Table, missing_peer, optional, race
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import (
+    Contacts,
+    PlateMotion,
+    PlateState,
+    WorldState,
+    realise,
+    run_cycle,
+    simulate,
+)
+from plate_sim.world import STEP
+from stages.learning import hung
+from stages.pymunk_scene import PymunkScene
+
+KINDS = ("apart", "turning", "touching", "touching and turning", "suspension")
+COUNTS = (1, 3, 10, 30, 100)
+PERIOD, HARMONICS, SIZE_M = 0.1, 4, 2.5e-3
+"""Of the plate's motion [s], [-], and about how far it goes along x and y [m]."""
+
+TURN = 0.03
+"""About how far it turns where it does [rad]."""
+
+RIMS = 0.2
+"""Friction between rims where parts touch while the plate turns."""
+
+CYCLES = 3
+"""In a timed run; the error is that of the first."""
+
+FINE = 1e-5
+"""Step by which scenes are judged where points are not what parts are [s]."""
+
+PEER_STEP = 1e-3
+"""Of pymunk [s]."""
+
+MODEL, JUDGE, PYMUNK = "one model", "by events", "pymunk"
+
+OLD = Path(__file__).with_name("old_ladder.csv")
+"""Figures of the ladder of models by scene and number of parts; its first line tells the commit."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Parts at the start of `CYCLES` equal cycles.
+
+    Attributes
+    ----------
+    kind : str
+    rig : Rig
+    cycle : PlateCycle
+    state : WorldState
+    contacts : Contacts
+    """
+
+    kind: str
+    rig: Rig
+    cycle: PlateCycle
+    state: WorldState
+    contacts: Contacts
+
+    @classmethod
+    def of(cls, kind: str, count: int) -> Scene:
+        """Return a scene of so many parts: on a grid, in motion."""
+        rig, touching, turns = load_rig(), "touching" in kind, "turning" in kind
+        spacing = 2 * rig.parts.radius_m + 4e-4 if touching else 0.037
+        k, columns = np.arange(count), int(np.ceil(np.sqrt(2 * count)))
+        place = spacing * np.column_stack([k % columns, k // columns])
+        speed = np.random.default_rng(3).normal(0, 0.08 if touching else 0.03, (count, 2))
+        ids = tuple(f"black_{i + 1}" for i in k)
+        return cls(
+            kind, hung(rig) if kind == "suspension" else rig, shaking(TURN if turns else 0.0),
+            replace(WorldState.at_rest(ids, place - place.mean(0)), velocity=speed),
+            Contacts(friction=RIMS if touching and turns else 0.0),
+        )  # fmt: skip
+
+    def run(self, cycles: int = CYCLES, step: float = STEP) -> np.ndarray:
+        """Return where the world puts the parts (M, 2) [m]."""
+        state, plate = self.state, PlateState.at_rest()
+        for _ in range(cycles):
+            motion: PlateCycle | PlateMotion = self.cycle
+            if self.rig.suspension is not None:
+                motion, plate = realise(self.rig, plate, self.cycle)
+            state = run_cycle(state, motion, self.rig, step=step, contacts=self.contacts)
+        return state.position
+
+    def judge(self, cycles: int = CYCLES, tolerance: float = 1e-7) -> np.ndarray:
+        """Return where points that never meet end (M, 2) [m]."""
+        place, speed, plate = self.state.position, self.state.velocity, PlateState.at_rest()
+        friction = self.rig.friction
+        for _ in range(cycles):
+            motion: PlateCycle | PlateMotion = self.cycle
+            if self.rig.suspension is not None:
+                motion, plate = realise(self.rig, plate, self.cycle)
+            run = simulate(motion, place, speed, friction.mu, friction.gravity, 1, 1, tolerance)
+            place, speed = run.position[-1], run.velocity[-1]
+        return place
+
+    def truth(self) -> np.ndarray:
+        """Return where the parts end after one cycle (M, 2) [m]."""
+        if self.kind in ("apart", "suspension"):
+            return self.judge(1, 1e-10)
+        return self.run(1, step=FINE)
+
+    def in_pymunk(self, pymunk: Any, cycles: int = CYCLES) -> PymunkScene:
+        """Build it in pymunk, which has no friction that turns a part on a plate that turns."""
+        radius = self.rig.parts.radius_m if "touching" in self.kind else 0.0
+        return PymunkScene(
+            pymunk, self.cycle, PEER_STEP, cycles * PERIOD, self.state.position,
+            self.rig.friction.accel, self.state.velocity, radius,
+        )  # fmt: skip
+
+
+def shaking(turn: float) -> PlateCycle:
+    """Return a motion of several harmonics along x and y, that turns by `turn` [rad] or not."""
+    t, h = np.arange(96) / 96, np.arange(1, HARMONICS + 1)[:, None, None]
+    rng = np.random.default_rng(7)
+    phase, size = rng.uniform(0, 2 * np.pi, (HARMONICS, 3, 1)), rng.normal(size=(HARMONICS, 3, 1))
+    pose = np.sum(size / h * np.sin(2 * np.pi * h * t + phase), 0).T * [SIZE_M, SIZE_M, turn]
+    return PlateCycle.from_samples(PERIOD, pose)
+
+
+def measure(quick: bool) -> Result:
+    """Measure cost and error by scene and number of parts."""
+    pymunk, rows = optional("pymunk"), []
+    for kind in KINDS:
+        for count in COUNTS[::2] if quick else COUNTS:
+            rows += scene_rows(Scene.of(kind, count), pymunk, 0.1 if quick else 1.0)
+    lines = [
+        f"{kind}: {row['cpu_ms']:.2g} ms a cycle of {1e3 * PERIOD:g} ms with {row['parts']} parts"
+        for kind in KINDS
+        for row in [r for r in rows if r["scene"] == kind and r["method"] == MODEL][-1:]
+    ]
+    columns = {
+        "scene": "scene", "parts": "parts", "method": "method", "cpu_ms": "core [ms/cycle]",
+        "error_um": "error [um]",
+    }  # fmt: skip
+    note = (
+        "Error: root mean square over the parts after one cycle. The judge's points never turn nor "
+        "meet, and pymunk's parts do not turn with the plate: so they err where parts do."
+    )
+    return Result(
+        [
+            Table("model", "What a plate cycle costs, by what the scene has", columns, rows, note),
+            Table("old_ladder", "The ladder of models that was here before", columns, old_rows()),
+        ],
+        lines + ([] if pymunk else [missing_peer(PYMUNK)]),
+    )
+
+
+def scene_rows(scene: Scene, pymunk: Any, seconds: float) -> list[dict[str, Any]]:
+    """Return a row for every method."""
+    truth = scene.truth()
+    ends = {MODEL: scene.run(1), JUDGE: scene.judge(1)}
+    runs: dict[str, Callable[[], object]] = {MODEL: scene.run, JUDGE: scene.judge}
+    if pymunk and scene.kind in ("apart", "touching"):
+        ends[PYMUNK] = scene.in_pymunk(pymunk, 1).run()
+        runs[PYMUNK] = scene.in_pymunk(pymunk).run
+    timed = race(runs, seconds)
+    return [
+        {
+            "scene": scene.kind, "parts": len(truth), "method": name,
+            "cpu_ms": 1e3 * timed.median(name) / CYCLES,
+            "error_um": 1e6 * float(np.sqrt(np.mean(np.sum((ends[name] - truth) ** 2, axis=1)))),
+        }
+        for name in runs
+    ]  # fmt: skip
+
+
+def old_rows() -> list[dict[str, Any]]:
+    """Return the figures of the ladder as they were measured."""
+    with OLD.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    numbers = {"parts": int, "cpu_ms": float, "error_um": float}
+    return [{k: numbers.get(k, str)(v) for k, v in row.items()} for row in rows]

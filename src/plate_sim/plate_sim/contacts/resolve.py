@@ -1,0 +1,177 @@
+"""Which parts touch each other or a wall in a step, and the passes of impulses that end it."""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core.kernels import kernel
+
+from ..friction.step import ANGLE, X, Y
+from .impulses import collide
+from .manifold import (
+    COUNT,
+    DEPTHS,
+    SIZE,
+    disc_disc,
+    disc_polygon,
+    disc_wall,
+    place_corners,
+    polygon_polygon,
+    polygon_wall,
+)
+
+SWEEPS = 24
+"""Gauss-Seidel passes over the near pairs of one step, at most."""
+
+OVERLAP = 1e-5
+"""Overlap [m] that ends the passes: a hundredth of a pixel."""
+
+
+class Outlines(NamedTuple):
+    """The rims of all parts that are not discs.
+
+    Attributes
+    ----------
+    pieces : (p, 2)
+        Each convex piece's first corner, its last + 1.
+    corners, placed : (c, 5)
+        Columns as in `manifold`, in the parts' axes; room for those in plate_home.
+    """
+
+    pieces: np.ndarray
+    corners: np.ndarray
+    placed: np.ndarray
+
+
+@kernel(nogil=True, error_model="numpy")
+def resolve_contacts(state, bodies, here, outlines, pairs, found, rules, step, plate, half):
+    """End closing speeds and overlaps after a step, in place.
+
+    Parameters
+    ----------
+    state, bodies, here : (6, P), (P,) of BODY, (M,)
+        As in `friction.step`, and which parts are on the plate; the last column and the last body
+        are the walls'.
+    outlines : Outlines
+    pairs, found : (N, 2), int
+        Near pairs: the first rows.
+    rules : impulses.Rules
+    step : float
+        [s].
+    plate, half : (6,), (2,)
+        The plate's pose and twist, and its half sides [m].
+    """
+    contact, arms = np.zeros((2, SIZE)), np.empty((2, 4))
+    state[:, -1] = plate
+    c, s = cos(plate[2]), sin(plate[2])
+    for sweep in range(SWEEPS):
+        deepest = 0.0
+        for row in range(found):
+            # Forth and back: pushes then travel both ways through a crowd.
+            k = row if sweep % 2 == 0 else found - 1 - row
+            i, j = pairs[k, 0], pairs[k, 1]
+            dx, dy = state[X, i] - state[X, j], state[Y, i] - state[Y, j]
+            size = bodies[i].reach + bodies[j].reach
+            if dx * dx + dy * dy < size * size:
+                i, j, depth = touch(state, bodies, i, j, outlines, contact)
+                if depth > 0:
+                    collide(state, bodies, i, j, contact[1], rules, step, arms)
+                deepest = max(deepest, depth)
+        for i in range(len(here) if rules.walls else 0):
+            rx, ry, reach = state[X, i] - plate[0], state[Y, i] - plate[1], bodies[i].reach
+            near = abs(c * rx + s * ry) + reach > half[0] or abs(c * ry - s * rx) + reach > half[1]
+            if here[i] and near:
+                depth = _meet_walls(state, bodies, i, outlines, contact, rules, step, arms, half)
+                deepest = max(deepest, depth)
+        if deepest <= OVERLAP:
+            break
+
+
+@kernel(nogil=True, error_model="numpy")
+def deepest_overlap(state, bodies, outlines, pairs, found):
+    """Return two parts of a list that overlap, and the depth [m] over the slimmer one's `slim`: the
+    greatest; -1, -1, 0 if none do."""
+    contact = np.zeros((2, SIZE))
+    first, second, most, worst = -1, -1, 0.0, 0.0
+    for k in range(found):
+        i, j, depth = touch(state, bodies, pairs[k, 0], pairs[k, 1], outlines, contact)
+        share = depth / min(bodies[i].slim, bodies[j].slim)
+        if share > worst:
+            first, second, most, worst = i, j, depth, share
+    return first, second, most, worst
+
+
+@kernel(nogil=True, error_model="numpy")
+def touch(state, bodies, i, j, outlines, contact):
+    """Set contact[1] to where two parts overlap most.
+
+    Returns
+    -------
+    i, j, depth : int, int, float
+        The parts, a disc before a polygon, and how deep they overlap [m].
+    """
+    if bodies[j].radius > 0 and not bodies[i].radius > 0:
+        i, j = j, i
+    a, b = bodies[i], bodies[j]
+    if b.radius > 0:
+        disc_disc(
+            state[X, i], state[Y, i], a.radius, state[X, j], state[Y, j], b.radius, contact[1]
+        )
+        return i, j, (contact[1, DEPTHS] if contact[1, COUNT] > 0 else 0.0)
+    deepest, disc = 0.0, a.radius > 0
+    _place(state, a, i, outlines)
+    _place(state, b, j, outlines)
+    pieces, placed = outlines.pieces, outlines.placed
+    for q in range(b.first_piece, b.end_piece):
+        other = placed[pieces[q, 0] : pieces[q, 1]]
+        for p in range(1 if disc else a.end_piece - a.first_piece):
+            if disc:
+                disc_polygon(state[X, i], state[Y, i], a.radius, other, contact[0])
+            else:
+                row = pieces[a.first_piece + p]
+                polygon_polygon(placed[row[0] : row[1]], other, contact[0])
+            depth = 0.0
+            for k in range(int(contact[0, COUNT])):
+                depth = max(depth, contact[0, DEPTHS + k])
+            if depth > deepest:
+                deepest = depth
+                contact[1] = contact[0]
+    return i, j, deepest
+
+
+@kernel(nogil=True, error_model="numpy")
+def _place(state, body, i, outlines):
+    """Set the corners in plate_home of one part."""
+    if body.end_piece > body.first_piece:
+        a, b = outlines.pieces[body.first_piece, 0], outlines.pieces[body.end_piece - 1, 1]
+        c, s = cos(state[ANGLE, i]), sin(state[ANGLE, i])
+        place_corners(outlines.corners[a:b], state[X, i], state[Y, i], c, s, outlines.placed[a:b])
+
+
+@kernel(nogil=True, error_model="numpy")
+def _meet_walls(state, bodies, i, outlines, contact, rules, step, arms, half):
+    """Let a part meet the walls, which are the plate's; return how deep [m] it was in them."""
+    body, wall = bodies[i], state.shape[1] - 1
+    c, s = cos(state[ANGLE, wall]), sin(state[ANGLE, wall])
+    deepest = 0.0
+    for side in range(4):
+        sign, far = 1.0 - 2 * (side % 2), half[side // 2]
+        ox, oy = (sign * c, sign * s) if side < 2 else (-sign * s, sign * c)
+        wx, wy = state[X, wall] + far * ox, state[Y, wall] + far * oy
+        room = (wx - state[X, i]) * ox + (wy - state[Y, i]) * oy
+        if room >= body.reach:
+            continue
+        if body.radius > 0:
+            disc_wall(state[X, i], state[Y, i], body.radius, room, -ox, -oy, contact[1])
+        else:
+            _place(state, body, i, outlines)
+            a, b = outlines.pieces[body.first_piece, 0], outlines.pieces[body.end_piece - 1, 1]
+            polygon_wall(outlines.placed[a:b], wx, wy, -ox, -oy, contact[1])
+        for k in range(int(contact[1, COUNT])):
+            deepest = max(deepest, contact[1, DEPTHS + k])
+        if contact[1, COUNT] > 0:
+            collide(state, bodies, i, wall, contact[1], rules, step, arms)
+    return deepest

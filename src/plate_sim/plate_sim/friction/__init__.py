@@ -1,0 +1,17 @@
+"""Friction between plate and parts: footprints, one step of a part, and points event by event.
+Public: the names below; `simulate` is the judge of all other integrators."""
+
+from .footprint import Footprint, bar, disc, on_feet, polygon, union
+from .point_events import TOLERANCE, Trajectory, simulate
+
+__all__ = [
+    "TOLERANCE",
+    "Footprint",
+    "Trajectory",
+    "bar",
+    "disc",
+    "on_feet",
+    "polygon",
+    "simulate",
+    "union",
+]

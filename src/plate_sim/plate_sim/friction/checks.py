@@ -1,0 +1,79 @@
+"""Checks of what integrators are asked for."""
+
+from __future__ import annotations
+
+from numbers import Integral
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError
+
+from ..plate.motion import PlateMotion
+
+LARGEST = 1e60
+"""Greatest number that a state or a coefficient may have: its products stay finite."""
+
+
+def whole(name: str, value: int) -> int:
+    """Return a count, checked to be a whole number of at least 1."""
+    if not isinstance(value, Integral) or value < 1:
+        raise PlateError(f"{name} is {value!r}, allowed: a whole number, at least 1")
+    return int(value)
+
+
+def check_motion(cycle: PlateCycle | PlateMotion, cycles: int) -> None:
+    """Refuse what is no motion of the plate, and repeats of one that need not close."""
+    if not isinstance(cycle, PlateCycle | PlateMotion):
+        raise PlateError(f"cycle is a {type(cycle).__name__}, allowed: a PlateCycle or PlateMotion")
+    if isinstance(cycle, PlateCycle):
+        return
+    if cycles > 1:
+        raise PlateError(f"cycles is {cycles}, allowed: 1 for a PlateMotion, as it need not close")
+    finite = np.isfinite(cycle.coefficients).all(axis=(1, 2))
+    if not finite.all():
+        raise PlateError(f"piece {int(np.argmin(finite))} of the plate's motion is not finite")
+
+
+def pairs(name: str, array: np.ndarray, count: int | None = None) -> np.ndarray:
+    """Return a float copy of `array`, checked to be of shape (count, 2) and within `LARGEST`."""
+    array = np.array(array, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 2 or (count is not None and len(array) != count):
+        rows = "M" if count is None else count
+        raise PlateError(f"{name} has shape {array.shape}, allowed: ({rows}, 2)")
+    usable = np.abs(array) <= LARGEST  # a NaN is not
+    if not usable.all():
+        part = int(np.argmin(usable.all(axis=1)))
+        finite = "not finite" if not np.isfinite(array[part]).all() else "too large"
+        raise PlateError(
+            f"{name} has values that are {finite}: part {part} has {array[part].tolist()}, "
+            f"allowed: up to {LARGEST:g}"
+        )
+    return array
+
+
+def friction_accel(friction: float | np.ndarray, gravity: float, count: int) -> np.ndarray:
+    """Greatest acceleration mu g (count,) [m/s2] that friction gives each part."""
+    mu = np.array(friction, dtype=float)
+    if mu.shape not in ((), (count,)):
+        raise PlateError(f"friction has shape {mu.shape}, allowed: () or ({count},)")
+    if not 0 <= gravity <= LARGEST:
+        raise PlateError(f"gravity is {gravity!r} m/s2, allowed: finite and at least 0")
+    usable = (mu >= 0) & (mu <= LARGEST)  # a NaN is not
+    if not usable.all():
+        part = int(np.argmin(usable))
+        which = f" for part {part}" if mu.ndim else ""
+        raise PlateError(
+            f"friction is {mu.flat[part]:g}{which}, allowed: finite and at least 0, "
+            f"up to {LARGEST:g}"
+        )
+    return mu * gravity if mu.ndim else np.full(count, float(mu) * gravity)
+
+
+def for_each(name: str, value: float | np.ndarray, count: int) -> np.ndarray:
+    """Return a number of all parts or of each as an array (count,), checked to be finite."""
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (count,)):
+        raise PlateError(f"{name} has shape {array.shape}, allowed: () or ({count},)")
+    if not (np.abs(array) <= LARGEST).all():
+        raise PlateError(f"{name} has values that are not finite: {array.tolist()}")
+    return np.broadcast_to(array, (count,))

@@ -1,0 +1,236 @@
+"""The plate on its flexures and the drive of its motors, as one linear system.
+
+    M q'' + C q' + K q = B f,      f_i' = w (g_i u_i - f_i),
+    u = B^+ (s_M M c'' + s_C C c' + s_K K c) + k B^T (c - q) + d B^T (c' - q')
+
+q is the plate's pose, c the one commanded, f the motors' forces, B what they do to the plate at
+home, B^+ its least-squares inverse, w the motors' bandwidth; the rest is `Suspension`. It is
+written for the deviation e = q - c and, where motors lag, that of their forces, f - g B^+ (...):
+z' = A z + b(t), where b is what the drive gets wrong. So a drive that knows the plate, with motors
+alike and without lag, gives e = 0 to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import factorial, pi
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError, Rig
+from plate_core.rig import Suspension
+
+from .motion import PlateMotion
+
+DEGREE = 5
+"""Of the motion commanded in a piece, and of the forces that it takes."""
+
+HELD = 1e-6
+"""Least rate of the slowest motion over that of the fastest: below, nothing holds the plate."""
+
+
+@dataclass(frozen=True)
+class PlateState:
+    """The plate between two cycles.
+
+    Attributes
+    ----------
+    pose, twist : (3,)
+        [m, m, rad] and [m/s, m/s, rad/s], plate_home.
+    force : (4,)
+        Of the motors [N].
+    overtravel_m : float
+        By how much a motor exceeded its stroke in the cycle that ended here [m]; 0 if none did.
+        The simulated motion takes no notice: a real rig would hit its stops.
+
+    Raises
+    ------
+    PlateError
+        If a shape is wrong or a value is not finite.
+    """
+
+    pose: np.ndarray
+    twist: np.ndarray
+    force: np.ndarray
+    overtravel_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, size in (("pose", 3), ("twist", 3), ("force", 4)):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != (size,) or not np.all(np.isfinite(value)):
+                raise PlateError(
+                    f"plate's {name} is {value.tolist()}, allowed: {size} finite numbers"
+                )
+
+    @classmethod
+    def at_rest(cls) -> PlateState:
+        """Return the plate at home, at rest."""
+        return cls(np.zeros(3), np.zeros(3), np.zeros(4))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Plate and drive: z' = system z + b, z (n,) the deviation, n 6 or, where motors lag, 10.
+
+    Attributes
+    ----------
+    suspension : Suspension
+    push : (3, 4)
+        B: force and torque about home [N, N, N m] for each newton of the motors.
+    """
+
+    suspension: Suspension
+    push: np.ndarray
+
+    @classmethod
+    def of(cls, rig: Rig, suspension: Suspension) -> Plant:
+        """Return the plant of a rig.
+
+        Raises
+        ------
+        PlateError
+            If nothing holds the plate in place, or the servo makes it unstable.
+        """
+        (x, y), (dx, dy) = (
+            np.array([getattr(motor, name) for motor in rig.motors]).T
+            for name in ("point", "direction")
+        )
+        plant = cls(suspension, np.stack([dx, dy, x * dy - y * dx]))
+        rates = np.linalg.eigvals(plant.system)
+        fastest = np.max(np.abs(rates))
+        if np.min(np.abs(rates)) < HELD * fastest:
+            raise PlateError(
+                f"suspension: stiffness {suspension.stiffness} and servo {suspension.servo} leave "
+                "the plate free to drift, allowed: one of them holds it in x, y and theta"
+            )
+        if np.max(rates.real) > HELD * fastest:
+            raise PlateError(
+                f"suspension: servo {suspension.servo} with a motor bandwidth of "
+                f"{suspension.motor_bandwidth_hz:g} Hz swings up, by 1/e in "
+                f"{1 / np.max(rates.real):.3g} s, allowed: a servo that settles"
+            )
+        return plant
+
+    @property
+    def lags(self) -> bool:
+        """Whether the motors take time to build up force."""
+        return bool(np.isfinite(self.suspension.motor_bandwidth_hz))
+
+    @cached_property
+    def gain(self) -> np.ndarray:
+        """g (4,)."""
+        return np.array(self.suspension.motor_gain)
+
+    @cached_property
+    def matrices(self) -> np.ndarray:
+        """K, C and M (3, 3, 3), by order of the derivative they go with."""
+        return np.array([getattr(self.suspension, k) for k in ("stiffness", "damping", "mass")])
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """What the drive supplies of them in advance (3, 3, 3)."""
+        return self.matrices * np.array(self.suspension.feedforward[::-1])[:, None, None]
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """B^+ (4, 3)."""
+        return np.asarray(np.linalg.pinv(self.push))
+
+    @cached_property
+    def mobility(self) -> np.ndarray:
+        """Inverse of M (3, 3)."""
+        return np.asarray(np.linalg.inv(self.matrices[2]))
+
+    @cached_property
+    def servo(self) -> np.ndarray:
+        """Forces (4, 6) of the motors' servos by the deviation of pose and twist, gain included."""
+        stiff, damped = (s * self.push.T for s in self.suspension.servo)
+        return np.asarray(-self.gain[:, None] * np.concatenate([stiff, damped], axis=1))
+
+    @cached_property
+    def system(self) -> np.ndarray:
+        """A (n, n) [1/s]."""
+        stiffness, damping, _ = self.matrices
+        accel = -self.mobility @ np.concatenate([stiffness, damping], axis=1)
+        into = self.mobility @ self.push
+        rise = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
+        if not self.lags:
+            return np.concatenate([rise, accel + into @ self.servo])
+        corner = 2 * pi * self.suspension.motor_bandwidth_hz
+        return np.block(
+            [[rise, np.zeros((3, 4))], [accel, into], [corner * self.servo, -corner * np.eye(4)]]
+        )
+
+    def deviation(self, state: PlateState, command: Command) -> np.ndarray:
+        """z (n,) of a state at the start of a command."""
+        pose, twist, force = command.at(0, 0.0)
+        parts = [state.pose - pose, state.twist - twist, state.force - self.gain * force]
+        return np.concatenate(parts[: 3 if self.lags else 2])
+
+    def end(self, deviation: np.ndarray, command: Command) -> PlateState:
+        """Return the state of z (n,) at the end of a command."""
+        pose, twist, force = command.at(len(command.steps) - 1, command.steps[-1])
+        follow = deviation[6:] if self.lags else self.servo @ deviation
+        return PlateState(pose + deviation[:3], twist + deviation[3:6], self.gain * force + follow)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A commanded cycle, and what the drive gets wrong in it: derivatives where pieces start.
+
+    Attributes
+    ----------
+    times : (k + 1,)
+        Ends of the pieces [s].
+    pose : (k, 6, 3)
+        c and its derivatives.
+    force : (k, 6, 4)
+        Of the motors, asked in advance [N].
+    forcing : (k, 6, n)
+        b.
+    """
+
+    times: np.ndarray
+    pose: np.ndarray
+    force: np.ndarray
+    forcing: np.ndarray
+
+    @classmethod
+    def of(cls, plant: Plant, cycle: PlateCycle | PlateMotion) -> Command:
+        """Return what a cycle asks of a plant."""
+        pose = cycle.coefficients * np.array([factorial(i) for i in range(DEGREE + 1)])[:, None]
+        derivatives = [_derivative(pose, order) for order in range(3)]
+        needed = sum(d @ m for d, m in zip(derivatives, plant.matrices, strict=True))
+        known = sum(d @ m for d, m in zip(derivatives, plant.known, strict=True))
+        force = known @ plant.share.T
+        excess = (force * (plant.gain - 1)) @ plant.push.T + (known - needed)
+        rows = [np.zeros_like(pose), excess @ plant.mobility]
+        if plant.lags:
+            rows.append(-plant.gain * _derivative(force, 1))
+        return cls(np.asarray(cycle.times), pose, force, np.concatenate(rows, axis=2))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Lengths (k,) of the pieces [s]."""
+        return np.diff(self.times)
+
+    def at(self, piece: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pose (3,), twist (3,) and motor forces (4,) at `offset` [s] into a piece."""
+        row, offsets = slice(piece, piece + 1), np.array([offset])
+        pose, force = later(self.pose[row], offsets)[0], later(self.force[row], offsets)[0]
+        return pose[0], pose[1], force[0]
+
+
+def _derivative(derivatives: np.ndarray, order: int) -> np.ndarray:
+    """Return (k, 6, d) of the derivative in time of the given order."""
+    width = derivatives.shape[1]
+    return np.pad(derivatives, ((0, 0), (0, order), (0, 0)))[:, order : order + width]
+
+
+def later(derivatives: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Return derivatives (m, DEGREE + 1, d) of polynomials, `offset` (m,) [s] later."""
+    order = np.arange(DEGREE + 1)
+    power = order - order[:, None]  # [i, j]: j - i, what derivative j adds to derivative i
+    scale = np.array([1 / factorial(p) for p in order])[np.maximum(power, 0)] * (power >= 0)
+    return np.asarray((scale * offset[:, None, None] ** np.maximum(power, 0)) @ derivatives)

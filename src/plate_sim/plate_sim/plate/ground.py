@@ -1,0 +1,59 @@
+"""How the plate carries parts, beyond one friction coefficient: breaking loose, and tilt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, isfinite, sin
+from typing import NamedTuple
+
+from plate_core import PlateError
+
+STATIC = (1.0, 10.0)
+"""Allowed ratio of static to dynamic friction."""
+
+TILT = 0.5
+"""Greatest tilt [rad]: about 29 degrees."""
+
+
+class GroundEffect(NamedTuple):
+    """What the ground does to parts, for compiled code: gravity along the plate [m/s2, plate_home],
+    and static over dynamic friction."""
+
+    gravity_x: float
+    gravity_y: float
+    static_ratio: float
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The plate under all parts.
+
+    Attributes
+    ----------
+    static_ratio : float
+        Static over dynamic friction: a part that sticks comes loose only when holding it would
+        take more than `static_ratio` mu g.
+    tilt : (2,)
+        How far the plate leans [rad]: parts are pulled down it, along +x and +y if positive.
+    """
+
+    static_ratio: float = 1.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not STATIC[0] <= self.static_ratio <= STATIC[1]:
+            raise PlateError(
+                f"static_ratio is {self.static_ratio!r}, allowed: {STATIC[0]:g} to {STATIC[1]:g}"
+            )
+        tilt = tuple(self.tilt)
+        if len(tilt) != 2 or not all(isfinite(t) for t in tilt) or hypot(*tilt) > TILT:
+            raise PlateError(f"tilt is {self.tilt!r} rad, allowed: two angles, up to {TILT:g}")
+
+    def effect(self, gravity: float) -> GroundEffect:
+        """Return what it does under a gravity [m/s2]."""
+        x, y = (gravity * sin(angle) for angle in self.tilt)
+        return GroundEffect(float(x), float(y), float(self.static_ratio))
+
+
+LEVEL = Ground()
+"""A level plate, as hard to leave as to slide on."""

@@ -1,0 +1,90 @@
+"""What the plate really does during one cycle; it need not close."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from plate_core import CycleError, PlateCycle, Rig
+from plate_core.motion import plate_state, quintic_pieces
+
+
+@dataclass(frozen=True)
+class PlateMotion:
+    """Realised motion of the plate over one cycle, in plate_home: quintic pieces.
+
+    Integrators take it wherever they take a `PlateCycle`, for one cycle: both have `period`,
+    `times`, `coefficients`, `pose`, `twist` and `accel`.
+
+    Attributes
+    ----------
+    times : (k + 1,)
+        Times [s] of the pieces' ends, from 0 to the period.
+    coefficients : (k, 6, 3)
+        Powers of the time since a piece's start [m, m, rad].
+    """
+
+    times: np.ndarray
+    coefficients: np.ndarray
+
+    def __post_init__(self) -> None:
+        # Read-only like those of a cycle: numba would compile everything again for others.
+        times = np.array(self.times, dtype=float)
+        times.setflags(write=False)
+        object.__setattr__(self, "times", times)
+
+    @classmethod
+    def of_cycle(cls, cycle: PlateCycle) -> PlateMotion:
+        """Return a cycle done exactly as commanded."""
+        return cls(cycle.times, cycle.coefficients)
+
+    @classmethod
+    def of_motors(cls, rig: Rig, times: np.ndarray, motors: np.ndarray) -> PlateMotion:
+        """Return the motion that four motors give.
+
+        Parameters
+        ----------
+        times : (k + 1,)
+            [s], from 0.
+        motors : (k + 1, 3, 4)
+            Travel [m], speed [m/s] and acceleration [m/s2]; quintics between.
+
+        Raises
+        ------
+        CycleError
+            If they disagree with each other, a value is not finite, or times do not rise from 0.
+        """
+        times = np.asarray(times, dtype=float)
+        if not (np.all(np.isfinite(motors)) and np.all(np.isfinite(times))):
+            raise CycleError("motor motion: a value is not finite")
+        if times[0] != 0 or np.any(np.diff(times) <= 0):
+            raise CycleError("motor motion: times must start at 0 and rise")
+        return cls(times, quintic_pieces(times, *plate_state(rig, *np.moveaxis(motors, 1, 0))))
+
+    @property
+    def period(self) -> float:
+        """Length of the cycle [s]."""
+        return float(self.times[-1])
+
+    def pose(self, t: np.ndarray | float) -> np.ndarray:
+        """Pose (n, 3) [m, m, rad] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 0)
+
+    def twist(self, t: np.ndarray | float) -> np.ndarray:
+        """Twist (n, 3) [m/s, m/s, rad/s] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 1)
+
+    def accel(self, t: np.ndarray | float) -> np.ndarray:
+        """Acceleration (n, 3) [m/s2, m/s2, rad/s2] at times t (n,) [s] in [0, period]."""
+        return self._evaluate(t, 2)
+
+    def _evaluate(self, t: np.ndarray | float, order: int) -> np.ndarray:
+        return np.asarray(self._splines[order](np.clip(np.atleast_1d(t), 0, self.period)))
+
+    @cached_property
+    def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
+        pose = PPoly(self.coefficients.transpose(1, 0, 2)[::-1], self.times)
+        return pose, pose.derivative(), pose.derivative(2)

@@ -1,0 +1,231 @@
+"""What the plate really does when it hangs on flexures and motors push it: see `drive`.
+
+At the ends of the command's pieces the deviation from the command is known exactly: with
+z' = A z + b(t), b(t) = sum_k b_k t^k/k!, the state and all b_k together are a linear system
+without input, whose matrix exponential takes them a step on (Higham, Functions of Matrices, section
+10.7.4). Between the ends the deviation becomes a quintic through both ends' pose, twist
+and acceleration; where that misses the exact middle, the piece is halved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import factorial
+
+import numpy as np
+from scipy.linalg import expm
+
+from plate_core import PlateCycle, Rig
+from plate_core.motion import motor_state, quintic_pieces
+from plate_core.rig import Suspension
+
+from .drive import DEGREE, Command, Plant, PlateState, later
+from .motion import PlateMotion
+
+POSE_ERROR = 1e-9
+"""Greatest error of the realised pose [m, rad] between knots."""
+
+TWIST_ERROR = 1e-6
+"""The same of the twist [m/s, rad/s]: a part carried along at it goes 1 um in a second."""
+
+ACCEL_ERROR = 1e-2
+"""The same of the acceleration [m/s2, rad/s2]: it only tells when a part comes loose."""
+
+HALVINGS = 16
+"""How often a piece is halved at most: a lag of 1 us is then resolved in pieces of 10 ms."""
+
+STEP_DIGITS = 15
+"""Decimals [s] to which pieces' lengths are told apart: equal ones share their responses."""
+
+
+def realise(
+    rig: Rig, state: PlateState, cycle: PlateCycle | PlateMotion
+) -> tuple[PlateMotion, PlateState]:
+    """Return what the plate does during a commanded cycle, and its state at the cycle's end.
+
+    The motion is that of the linear plate in `drive`, exact at the result's knots and at the end;
+    between knots within about `POSE_ERROR`, `TWIST_ERROR` and `ACCEL_ERROR`. Neglected are the
+    friction of the parts on the plate, and how its motors' levers change as it turns. Without a
+    suspension the motion is the commanded one.
+
+    Raises
+    ------
+    PlateError
+        If nothing holds the plate in place, or the servo makes it unstable.
+    """
+    if rig.suspension is None:
+        motion = PlateMotion(cycle.times, cycle.coefficients)
+        end = PlateState(motion.pose(motion.period)[0], motion.twist(motion.period)[0], np.zeros(4))
+    else:
+        plant = _plant(rig, rig.suspension)
+        command = Command.of(plant, cycle)
+        motion, deviation = _respond(plant, command, plant.deviation(state, command))
+        end = plant.end(deviation, command)
+    return motion, replace(end, overtravel_m=overtravel(rig, motion))
+
+
+def motor_record(
+    rig: Rig, motion: PlateMotion, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what sensors at the motors measure at times t (n,) [s] of a cycle.
+
+    Returns
+    -------
+    q, qd, qdd : (n, 4)
+        Travel [m], speed [m/s] and acceleration [m/s2].
+    """
+    return motor_state(rig, motion.pose(t), motion.twist(t), motion.accel(t))
+
+
+def overtravel(rig: Rig, motion: PlateMotion) -> float:
+    """Return by how much a motor exceeds its stroke [m], 0 if none does: at 4 times a piece."""
+    t = motion.times[:-1, None] + np.diff(motion.times)[:, None] * np.arange(4) / 4
+    travel, _, _ = motor_record(rig, motion, np.append(t, motion.period))
+    return max(0.0, float(np.max(np.abs(travel))) - rig.limits.stroke_m)
+
+
+@lru_cache(maxsize=16)
+def _plant(rig: Rig, suspension: Suspension) -> Plant:
+    return Plant.of(rig, suspension)
+
+
+@dataclass(frozen=True)
+class _Spans:
+    """Spans of time within pieces of the command, and the exact deviation at their ends.
+
+    Attributes
+    ----------
+    piece : (m,)
+    offset : (m,)
+        Where the span starts within its piece [s].
+    before, after : (m, n)
+        z at its start and end.
+    """
+
+    piece: np.ndarray
+    offset: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    def take(self, rows: np.ndarray) -> _Spans:
+        return _Spans(self.piece[rows], self.offset[rows], self.before[rows], self.after[rows])
+
+
+def _respond(
+    plant: Plant, command: Command, deviation: np.ndarray
+) -> tuple[PlateMotion, np.ndarray]:
+    """Return the motion from a deviation (n,) on, and the deviation (n,) at its end."""
+    steps, kind = np.unique(np.round(command.steps, STEP_DIGITS), return_inverse=True)
+    whole = step_responses(plant.system, steps)[kind]
+    ends = [deviation]
+    for piece in range(len(kind)):
+        inputs = command.forcing[piece : piece + 1]
+        ends.append(advance(whole[piece : piece + 1], ends[-1][None], inputs)[0])
+    z = np.array(ends)
+    spans = _Spans(np.arange(len(kind)), np.zeros(len(kind)), z[:-1], z[1:])
+    kept = []
+    for level in range(HALVINGS):
+        half = step_responses(plant.system, steps / 2 ** (level + 1))[kind[spans.piece]]
+        inputs = later(command.forcing[spans.piece], spans.offset)
+        middle = advance(half, spans.before, inputs)
+        step = command.steps[spans.piece] / 2**level
+        rough = _misses(plant, command, spans, middle, step)
+        kept.append(spans.take(~rough))
+        spans = _halves(spans.take(rough), middle[rough], step[rough] / 2)
+        if not len(spans.piece):
+            break
+    kept.append(spans)
+    return _motion(plant, command, kept), z[-1]
+
+
+def step_responses(system: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Return what a state and a polynomial input do over steps.
+
+    Parameters
+    ----------
+    system : (n, n)
+        A [1/s].
+    steps : (u,)
+        [s].
+
+    Returns
+    -------
+    (u, n, (DEGREE + 2) n)
+        Times the state and the input's derivatives, one below the other: the state a step later.
+    """
+    size = len(system)
+    whole = np.kron(np.eye(DEGREE + 2, k=1), np.eye(size))
+    whole[:size, :size] = system
+    return np.asarray(expm(whole * steps[:, None, None])[:, :size])
+
+
+def advance(response: np.ndarray, state: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
+    """Return states (m, n) a step later.
+
+    Parameters
+    ----------
+    response : (m, n, (DEGREE + 2) n)
+        Of `step_responses`, for each state's step.
+    state : (m, n)
+    derivatives : (m, DEGREE + 1, n)
+        Of the input, at the step's start.
+    """
+    inputs = np.concatenate([state[:, None], derivatives], axis=1)
+    return np.asarray((response @ inputs.reshape(len(state), -1, 1))[..., 0])
+
+
+def _misses(
+    plant: Plant, command: Command, spans: _Spans, middle: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Tell (m,) where the quintic through both ends misses the exact state (m, n) in the middle.
+
+    With an error that goes as (t (h - t))^3, as a quintic's does, the twist's is greatest off the
+    middle, and there 3.4 times the pose's over h.
+    """
+    h = step[:, None]
+    p, q = spans.before[:, :3], spans.after[:, :3]
+    v, w = spans.before[:, 3:6], spans.after[:, 3:6]
+    accels = [
+        _accel(plant, command, spans.piece, spans.offset + share * step, z)
+        for share, z in ((0.0, spans.before), (0.5, middle), (1.0, spans.after))
+    ]
+    pose = (p + q) / 2 + 5 / 32 * h * (v - w) + h**2 / 64 * (accels[0] + accels[2])
+    accel = 3 / 2 * (w - v) / h - (accels[0] + accels[2]) / 4
+    miss = np.max(np.abs(pose - middle[:, :3]), axis=1)
+    miss_accel = np.max(np.abs(accel - accels[1]), axis=1)
+    return (miss > POSE_ERROR) | (3.44 * miss > TWIST_ERROR * step) | (miss_accel > ACCEL_ERROR)
+
+
+def _accel(
+    plant: Plant, command: Command, piece: np.ndarray, offset: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """Second derivative (m, 3) of the deviation."""
+    forcing = later(command.forcing[piece], offset)[:, 0, 3:6]
+    return np.asarray(z @ plant.system[3:6].T + forcing)
+
+
+def _halves(spans: _Spans, middle: np.ndarray, half: np.ndarray) -> _Spans:
+    """Cut spans in the middle, where z is `middle` (m, n), `half` (m,) [s] after their start."""
+    return _Spans(
+        np.concatenate([spans.piece, spans.piece]),
+        np.concatenate([spans.offset, spans.offset + half]),
+        np.concatenate([spans.before, middle]),
+        np.concatenate([middle, spans.after]),
+    )
+
+
+def _motion(plant: Plant, command: Command, kept: list[_Spans]) -> PlateMotion:
+    """Join spans, in any order, to a motion: command plus deviation."""
+    names = ("piece", "offset", "before", "after")
+    spans = _Spans(*(np.concatenate([getattr(part, name) for part in kept]) for name in names))
+    spans = spans.take(np.lexsort((spans.offset, spans.piece)))
+    last = np.array([len(command.steps) - 1])
+    piece = np.concatenate([spans.piece, last])
+    offset = np.concatenate([spans.offset, command.steps[last]])
+    z = np.concatenate([spans.before, spans.after[-1:]])
+    accel = _accel(plant, command, piece, offset, z)
+    times = np.concatenate([command.times[spans.piece] + spans.offset, command.times[-1:]])
+    deviation = quintic_pieces(times, z[:, :3], z[:, 3:6], accel)
+    powers = np.array([1 / factorial(i) for i in range(DEGREE + 1)])[:, None]
+    return PlateMotion(times, later(command.pose[spans.piece], spans.offset) * powers + deviation)

@@ -1,0 +1,21 @@
+"""The parts' world: their state, a step of it, what disturbs it, and a run with its camera.
+Public: the names below."""
+
+from .bodies import STEP, BodyTrajectory, simulate_bodies
+from .disturbances import NONE, RANGES, Disturbances
+from .simulation import Simulation
+from .state import WorldState
+from .step import record_cycle, run_cycle
+
+__all__ = [
+    "NONE",
+    "RANGES",
+    "STEP",
+    "BodyTrajectory",
+    "Disturbances",
+    "Simulation",
+    "WorldState",
+    "record_cycle",
+    "run_cycle",
+    "simulate_bodies",
+]

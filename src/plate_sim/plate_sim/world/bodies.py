@@ -1,0 +1,380 @@
+"""All parts through cycles of the plate: friction, then contacts, step by step.
+
+One model serves every scene. Parts are finite: friction acts all over a footprint, so they slide,
+turn and stick; the plate's exact motion (equation (2) of the paper, with its pose) moves the
+surface under them. Steps are of equal length; within them each part's friction is integrated in as
+small ones as it needs (`friction.step`), and at their ends parts that touch collide (`contacts`).
+What a scene does not have costs nothing: pairs are looked at only once they may have come near, and
+parts that slide steadily are moved together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, cos, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError
+from plate_core.kernels import kernel
+
+from ..contacts import Contacts
+from ..contacts.broad_phase import approach, near_pairs
+from ..contacts.impulses import Rules
+from ..contacts.resolve import Outlines, deepest_overlap, resolve_contacts
+from ..friction.checks import check_motion, for_each, friction_accel, pairs, whole
+from ..friction.footprint import Footprint
+from ..friction.patch import POINT
+from ..friction.step import (
+    ANGLE,
+    BODY,
+    LANES,
+    SPIN,
+    VX,
+    VY,
+    X,
+    Y,
+    advance,
+    glide,
+)
+from ..plate.ground import LEVEL, Ground
+from ..plate.motion import PlateMotion
+from ..plate.pieces import END, SAMPLE, samples, tabulate
+
+STEP = 2e-4
+"""Default longest integration step [s]: parts then move at most some 0.2 mm between contacts."""
+
+SAMPLES = 64
+"""Default output samples per cycle: eight in the shortest wave of a usual motion."""
+
+START_OVERLAP = 0.1
+"""Greatest overlap at the start, as a share of half the slimmer part's width."""
+
+ENDLESS = np.full(2, np.inf)
+"""Half sides of an endless plate [m]."""
+
+
+@dataclass(frozen=True)
+class BodyTrajectory:
+    """Motion of M finite parts in plate_home.
+
+    Attributes
+    ----------
+    time : (k,)
+        Times [s], from 0.
+    position, velocity : (k, M, 2)
+        Of the centres of mass [m], [m/s].
+    angle, spin : (k, M)
+        [rad] (not wrapped), [rad/s]; counter-clockwise.
+    on_plate : (M,)
+        Which parts are still on the plate at the end.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    angle: np.ndarray
+    velocity: np.ndarray
+    spin: np.ndarray
+    on_plate: np.ndarray
+
+    @classmethod
+    def of_states(
+        cls, time: np.ndarray, states: np.ndarray, on_plate: np.ndarray
+    ) -> BodyTrajectory:
+        """Split states (k, M, 6): x, y, angle and their rates."""
+        return cls(
+            time, states[..., :2], states[..., 2], states[..., 3:5], states[..., 5], on_plate
+        )
+
+
+class Shapes(NamedTuple):
+    """What compiled code needs of the footprints of M parts; P columns as in a state.
+
+    Attributes
+    ----------
+    bodies : (P,) of BODY
+        Of the parts; the last is that of the walls, which nothing moves.
+    discs : (4, P - 1)
+        As `glide` takes them.
+    mesh : (n,) of POINT
+        Points of all footprints but discs.
+    outlines : Outlines
+    """
+
+    bodies: np.ndarray
+    discs: np.ndarray
+    mesh: np.ndarray
+    outlines: Outlines
+
+    @classmethod
+    def of(cls, footprints: Sequence[Footprint], mu_g: np.ndarray) -> Shapes:
+        """Put footprints one after the other, of parts with mu g of `mu_g` (M,) [m/s2]."""
+        count = len(footprints)
+        bodies = np.zeros(ceil(count / LANES) * LANES + 1, BODY)
+        bodies["gyration2"] = 1.0
+        mesh, corners, pieces = [np.empty((0, 4))], [np.empty((0, 5))], [np.empty((0, 2), np.int64)]
+        point = piece = corner = 0
+        first = footprints[0] if count else None
+        if first is not None and first.even and all(part is first for part in footprints):
+            bodies[:count] = (0.0, *first.inertial, 0, 0, 0, 0)
+            footprints = ()
+        for i, part in enumerate(footprints):
+            outline = () if part.radius else part.outline
+            bodies[i] = (
+                0.0, *part.inertial, point, point + len(part.points), piece, piece + len(outline),
+            )  # fmt: skip
+            ends = corner + np.cumsum([0, *(len(p) for p in outline)])
+            pieces.append(np.column_stack([ends[:-1], ends[1:]]))
+            mesh.append(np.column_stack([part.points, part.weights, part.blur]))
+            corners.append(part.corners)
+            point, piece, corner = point + len(part.points), piece + len(outline), ends[-1]
+        bodies["mu_g"][:count] = mu_g
+        points = np.zeros(point, POINT)
+        for name, column in zip(("x", "y", "weight", "blur"), np.concatenate(mesh).T, strict=True):
+            points[name] = column
+        even = (bodies["radius"] > 0) & (bodies["first_point"] == bodies["end_point"])
+        discs = np.array([bodies["mu_g"], bodies["radius"] ** 2, bodies["gyration2"], even])
+        rims = np.concatenate(corners)
+        outlines = Outlines(np.concatenate(pieces), rims, np.empty_like(rims))
+        return cls(bodies, np.ascontiguousarray(discs[:, :-1]), points, outlines)
+
+
+def simulate_bodies(
+    cycle: PlateCycle | PlateMotion,
+    footprint: Footprint | Sequence[Footprint],
+    position: np.ndarray,
+    angle: float | np.ndarray,
+    velocity: np.ndarray,
+    spin: float | np.ndarray,
+    friction: float | np.ndarray,
+    gravity: float = 9.81,
+    cycles: int = 1,
+    samples: int | None = None,
+    step: float = STEP,
+    *,
+    contacts: Contacts | None = None,
+    ground: Ground = LEVEL,
+    half: np.ndarray | None = None,
+) -> BodyTrajectory:
+    """Integrate the motion of finite parts.
+
+    Parameters
+    ----------
+    cycle : PlateCycle or PlateMotion
+        Motion of the plate; a PlateCycle is repeated.
+    footprint : Footprint, or M of them
+        Of all parts or of each.
+    position, velocity : (M, 2)
+        Centres of mass at the start of the first cycle [m], [m/s], plate_home.
+    angle, spin : float or (M,)
+        [rad], [rad/s].
+    friction : float or (M,)
+        Friction coefficient mu, of all parts or of each.
+    gravity : float
+        [m/s2].
+    cycles : int
+        How often the cycle is run.
+    samples : int, optional
+        Output samples per cycle, by default `SAMPLES`; 0: the end alone.
+    step : float
+        Longest integration step [s].
+    contacts : Contacts, optional
+        How parts touch each other; if missing they never meet.
+    ground : Ground
+        Tilt, and static friction.
+    half : (2,), optional
+        Half sides of the plate [m]: a part whose centre passes its edge is gone, unless contacts
+        have walls. If missing the plate is endless.
+
+    Returns
+    -------
+    BodyTrajectory
+        The start and every sample: k = cycles * samples + 1; or the end, k = 1.
+
+    Raises
+    ------
+    PlateError
+        If shapes disagree, a value is not finite, a count or coefficient is out of range, parts
+        overlap at the start, or walls are asked for on an endless plate.
+    """
+    cycles = whole("cycles", cycles)
+    check_motion(cycle, cycles)
+    position = pairs("position", position)
+    limit = friction_accel(friction, gravity, len(position))
+    samples = SAMPLES if samples is None else samples
+    if samples != 0:
+        samples = whole("samples", samples)
+    if contacts is not None and contacts.walls and half is None:
+        raise PlateError("contacts have walls, allowed: none on an endless plate")
+    every = equal_steps(cycle.period / max(1, samples), step)
+    return run_bodies(
+        cycle, footprint, limit, (position, angle, velocity, spin), np.ones(len(position), bool),
+        gravity, contacts, ground, ENDLESS if half is None else half, every * max(1, samples),
+        whole("cycles", cycles), every if samples else 0,
+    )  # fmt: skip
+
+
+def run_bodies(
+    motion: PlateCycle | PlateMotion,
+    footprint: Footprint | Sequence[Footprint],
+    limit: np.ndarray,
+    start: tuple[np.ndarray, float | np.ndarray, np.ndarray, float | np.ndarray],
+    on_plate: np.ndarray,
+    gravity: float,
+    contacts: Contacts | None,
+    ground: Ground,
+    half: np.ndarray,
+    steps: int,
+    cycles: int,
+    every: int,
+    ids: Sequence[str] | None = None,
+) -> BodyTrajectory:
+    """Advance finite parts through cycles of the plate's motion, in `steps` equal steps each.
+
+    Parts are sorted by place first: results do not depend on the order of their names. Parameters
+    are those of `simulate_bodies`, and
+
+    limit : (M,)
+        mu g of each part [m/s2].
+    start : tuple
+        Position, angle, velocity, spin.
+    on_plate : (M,)
+        Which parts are there. One that is gone stays where it is, at rest, and touches nothing.
+    every : int
+        Steps from one recorded state to the next; 0: the end alone.
+    ids : sequence of str, optional
+        Names of the parts in messages, by default 0, 1, ...
+    """
+    check_motion(motion, cycles)
+    position = pairs("position", start[0])
+    count = len(position)
+    names = [str(i) for i in range(count)] if ids is None else list(ids)
+    velocity = pairs("velocity", start[2], count)
+    angle, spin = for_each("angle", start[1], count), for_each("spin", start[3], count)
+    parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)
+    if len(parts) != count or not all(isinstance(part, Footprint) for part in parts):
+        raise PlateError(f"footprint is a list of {len(parts)}, allowed: {count} Footprints, or 1")
+    order = np.lexsort((position[:, 1], position[:, 0]))
+    shapes = Shapes.of([parts[i] for i in order], limit[order])
+    state = np.zeros((6, len(shapes.bodies)))
+    state[:, :count] = np.column_stack([position, angle, velocity, spin])[order].T
+    here = np.array(on_plate, bool)[order]
+    record = np.empty((cycles * steps // every + 1 if every else 0, count, 6))
+    rules = Rules(0.0, 0.0, False, False)
+    if contacts is not None:
+        rules = Rules(contacts.restitution, contacts.friction, True, contacts.walls)
+    i, j, depth, share = run(
+        tabulate(motion)[0], steps, cycles, max(every, 1), ground.effect(gravity), state, shapes,
+        rules, np.asarray(half, float), here, record,
+    )  # fmt: skip
+    if share > START_OVERLAP:
+        first, second = sorted((names[order[i]], names[order[j]]))
+        raise PlateError(
+            f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
+            f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
+        )
+    back = np.argsort(order)
+    if not every:
+        record = state[:, :count].T[None]
+        return BodyTrajectory.of_states(
+            np.array([motion.period * cycles]), record[:, back], here[back]
+        )
+    time = np.arange(len(record)) * (motion.period / steps * every)
+    return BodyTrajectory.of_states(time, record[:, back], here[back])
+
+
+@kernel(nogil=True, error_model="numpy")
+def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, record):
+    """Advance parts through cycles of the plate, in place.
+
+    Parameters
+    ----------
+    table, steps, cycles : (K, 24), int, int
+        The plate's motion as `pieces.tabulate` makes it; equal steps in a cycle; cycles.
+    every : int
+        Steps from one recorded state to the next.
+    ground : GroundEffect
+    state : (6, P)
+        As in `friction.step`; changed.
+    shapes : Shapes
+    rules : Rules
+    half : (2,)
+        Half sides of the plate [m]; infinite if it is endless.
+    here : (M,)
+        Which parts are on the plate; changed.
+    record : (cycles * steps / every + 1, M, 6) or (0, M, 6)
+        Filled, unless empty.
+
+    Returns
+    -------
+    i, j, depth, share : int, int, float, float
+        Parts that overlap most at the start, by how much [m], and as a share of the slimmer one: if
+        that is more than `START_OVERLAP` nothing has moved.
+    """
+    count, step = len(here), table[-1, END] / steps
+    bodies, mesh, outlines = shapes.bodies, shapes.mesh, shapes.outlines
+    plate, inner = samples(table, 2 * steps), np.empty((3, SAMPLE))
+    discs = shapes.discs.copy()
+    done = np.empty(discs.shape[1])
+    together = False
+    for i in range(count):
+        discs[3, i] *= here[i]
+        together |= discs[3, i] != 0
+    pairs, marks = np.empty((4 * count, 2), np.int64), np.empty((2, state.shape[1]))
+    order = np.arange(count)
+    found, skin, gap = 0, np.inf, np.inf
+    first, second, depth, share = -1, -1, 0.0, 0.0
+    if rules.meets:
+        pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
+        first, second, depth, share = deepest_overlap(state, bodies, outlines, pairs, found)
+        if share > START_OVERLAP:
+            return first, second, depth, share
+    for k in range(cycles * steps):
+        if len(record) and k % every == 0:
+            record[k // every] = state[:, :count].T
+        at = k % steps
+        now = plate[2 * at : 2 * at + 3]
+        done[:] = 0.0
+        if together:
+            glide(now, step, ground, state, discs, done)
+        for i in range(count):
+            if done[i] == 0 and here[i]:
+                advance(table, at * step, step, now, inner, ground, state, i, bodies[i], mesh)
+        if rules.meets:
+            drift = approach(state, here, marks)
+            if drift >= skin:
+                pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
+                drift = 0.0
+            close = found if drift >= gap else 0
+            if close or rules.walls:
+                resolve_contacts(
+                    state, bodies, here, outlines, pairs, close, rules, step, now[2], half
+                )
+        if not rules.walls and _drop(state, here, discs, now[2], half) and rules.meets:
+            pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
+    if len(record):
+        record[-1] = state[:, :count].T
+    return first, second, depth, share
+
+
+@kernel(nogil=True, error_model="numpy")
+def _drop(state, here, discs, plate, half):
+    """Take parts whose centre is beyond the plate's edge away; return whether there were any."""
+    c, s = cos(plate[ANGLE]), sin(plate[ANGLE])
+    any_left = False
+    for i in range(len(here)):
+        rx, ry = state[X, i] - plate[X], state[Y, i] - plate[Y]
+        if here[i] and (abs(c * rx + s * ry) > half[0] or abs(c * ry - s * rx) > half[1]):
+            here[i] = False
+            state[VX, i] = state[VY, i] = state[SPIN, i] = discs[3, i] = 0.0
+            any_left = True
+    return any_left
+
+
+def equal_steps(time: float, step: float) -> int:
+    """Return how many equal steps of at most `step` [s] fill a time [s]."""
+    if not 0 < step < np.inf:
+        raise PlateError(f"step is {step!r} s, allowed: a positive number")
+    return max(1, ceil(time / step - 1e-9))

@@ -1,0 +1,94 @@
+"""What a real rig has and a model leaves out. All of it off by default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from plate_core import PlateError
+
+from ..plate.ground import STATIC, TILT, Ground
+
+RANGES: dict[str, tuple[float, float]] = {
+    "friction_spread": (0.0, 0.9),
+    "friction_patches": (0.0, 0.9),
+    "static_ratio": STATIC,
+    "tilt_x": (-TILT, TILT),
+    "tilt_y": (-TILT, TILT),
+    "latency": (0.0, 1.0),
+    "missed_images": (0.0, 0.95),
+    "missed_parts": (0.0, 1.0),
+    "false_parts": (0.0, 1.0),
+}
+"""Allowed values."""
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """How far the world is from the model.
+
+    Attributes
+    ----------
+    friction_spread : float
+        Friction differs between parts by up to this share, evenly.
+    friction_patches : float
+        Friction differs over the plate by up to this share, evenly (`friction_field`).
+    static_ratio : float
+        Static over dynamic friction.
+    tilt_x, tilt_y : float
+        How far the plate leans [rad]: parts are pulled along +x and +y if positive.
+    latency : float
+        An image is this old [s] when it is delivered. Its stamp is the time of delivery, as a
+        camera's driver gives it that does not know better.
+    blur : bool
+        Whether motion blurs images over the rig's exposure.
+    missed_images : float
+        Share of images that are never delivered.
+    missed_parts : float
+        Share of parts that an image does not show.
+    false_parts : float
+        False parts, over true ones, that an image shows: reflections and specks.
+
+    Raises
+    ------
+    PlateError
+        If a value is out of range.
+    """
+
+    friction_spread: float = 0.0
+    friction_patches: float = 0.0
+    static_ratio: float = 1.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    latency: float = 0.0
+    blur: bool = True
+    missed_images: float = 0.0
+    missed_parts: float = 0.0
+    false_parts: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise PlateError(f"{name} is {value!r}, allowed: {low:g} to {high:g}")
+        if not isinstance(self.blur, bool):
+            raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
+        self.ground  # the two tilts together, too  # noqa: B018
+
+    @property
+    def ground(self) -> Ground:
+        """Return the plate's surface."""
+        return Ground(self.static_ratio, (self.tilt_x, self.tilt_y))
+
+    @property
+    def summary(self) -> str:
+        """What differs from an undisturbed world: `latency 0.05, tilt_x 0.01`; `none`."""
+        unlike = [
+            f"{f.name} {getattr(self, f.name)}"
+            for f in fields(self)
+            if getattr(self, f.name) != f.default
+        ]
+        return ", ".join(unlike) or "none"
+
+
+NONE = Disturbances()
+"""A world as the model has it."""

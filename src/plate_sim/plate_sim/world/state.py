@@ -1,0 +1,73 @@
+"""The state of all parts of a run at the start of a plate cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from plate_core import PlateError, Rig
+from plate_core.tasks import Scenario, start_positions
+
+from ..friction.checks import pairs
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """All parts of a run at the start of a plate cycle.
+
+    Attributes
+    ----------
+    ids : tuple of str
+        True names of the M parts, such as `black_3`.
+    position : (M, 2)
+        Centres [m], plate_home; of a part that is gone, where it left the plate.
+    velocity : (M, 2)
+        [m/s], plate_home.
+    on_plate : (M,)
+        Whether the part is still there.
+    angle, spin : (M,)
+        [rad] (not wrapped), [rad/s]; counter-clockwise, zero if left out.
+    """
+
+    ids: tuple[str, ...]
+    position: np.ndarray
+    velocity: np.ndarray
+    on_plate: np.ndarray
+    angle: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    spin: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        for name in ("angle", "spin"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(len(self.ids)))
+
+    @classmethod
+    def at_rest(cls, ids: tuple[str, ...], position: np.ndarray) -> WorldState:
+        """Return parts at rest at given places (M, 2) [m, plate_home].
+
+        Raises
+        ------
+        PlateError
+            If there are not as many places as names, a name is given twice, or a place is not
+            finite.
+        """
+        if len(set(ids)) != len(ids):
+            raise PlateError(f"part ids are {', '.join(ids)}, allowed: each once")
+        position = pairs("position", np.reshape(position, (-1, 2)), len(ids))
+        return cls(tuple(ids), position, np.zeros_like(position), np.ones(len(ids), bool))
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
+        """Return a scenario's parts at rest, where it says or scattered: black_1, black_2, ..."""
+        labels, position = start_positions(scenario, rig, rng)
+        ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
+        state = cls.at_rest(ids, position)
+        if not scenario.marked:
+            return state
+        return replace(state, angle=rng.uniform(-np.pi, np.pi, len(ids)))
+
+    @property
+    def dropped(self) -> int:
+        """How many parts have left the plate."""
+        return int(np.count_nonzero(~self.on_plate))

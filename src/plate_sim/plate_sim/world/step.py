@@ -1,0 +1,102 @@
+"""Pure steps of the parts' world from one plate cycle to the next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError, Rig
+
+from ..contacts import INELASTIC, Contacts
+from ..friction.checks import friction_accel
+from ..friction.footprint import disc
+from ..plate import LEVEL, Ground, PlateMotion
+from .bodies import STEP, BodyTrajectory, equal_steps, run_bodies
+from .state import WorldState
+
+
+def run_cycle(
+    state: WorldState,
+    cycle: PlateCycle | PlateMotion,
+    rig: Rig,
+    mu: float | np.ndarray | None = None,
+    step: float = STEP,
+    *,
+    contacts: Contacts = INELASTIC,
+    cycles: int = 1,
+    ground: Ground = LEVEL,
+) -> WorldState:
+    """Return the state after a plate cycle.
+
+    Parameters
+    ----------
+    cycle : PlateCycle or PlateMotion
+        Motion of the plate; only a PlateCycle can be repeated.
+    mu : float or (M,), optional
+        True friction coefficient, of all parts or of each; the rig's if missing.
+    step : float
+        Longest integration step [s].
+    contacts : Contacts
+        How parts touch each other, and whether walls keep them on the plate.
+    cycles : int
+        How often the cycle is run.
+    ground : Ground
+        Static friction and tilt.
+
+    Raises
+    ------
+    PlateError
+        If a state is not finite, parts overlap at the start, or a coefficient or count is out of
+        range.
+    """
+    return _run(state, cycle, rig, mu, step, contacts, cycles, ground, 0)[0]
+
+
+def record_cycle(
+    state: WorldState,
+    cycle: PlateCycle | PlateMotion,
+    rig: Rig,
+    mu: float | np.ndarray | None = None,
+    step: float = STEP,
+    *,
+    contacts: Contacts = INELASTIC,
+    cycles: int = 1,
+    ground: Ground = LEVEL,
+) -> tuple[WorldState, BodyTrajectory]:
+    """Return what `run_cycle` does, and the motion at every step."""
+    return _run(state, cycle, rig, mu, step, contacts, cycles, ground, 1)
+
+
+def _run(
+    state: WorldState,
+    cycle: PlateCycle | PlateMotion,
+    rig: Rig,
+    mu: float | np.ndarray | None,
+    step: float,
+    contacts: Contacts,
+    cycles: int,
+    ground: Ground,
+    every: int,
+) -> tuple[WorldState, BodyTrajectory]:
+    if cycles < 1:
+        raise PlateError(f"cycles is {cycles!r}, allowed: at least 1")
+    count, gravity = len(state.ids), rig.friction.gravity
+    limit = friction_accel(rig.friction.mu if mu is None else mu, gravity, count)
+    on_plate = np.array(state.on_plate, bool)
+    if on_plate.shape != (count,):
+        raise PlateError(f"on_plate has shape {on_plate.shape}, allowed: ({count},)")
+    path = run_bodies(
+        cycle, _disc(rig.parts.radius_m), limit,
+        (state.position, state.angle, state.velocity, state.spin), on_plate, gravity, contacts,
+        ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
+    )  # fmt: skip
+    end = replace(
+        state, position=path.position[-1].copy(), velocity=path.velocity[-1].copy(),
+        angle=path.angle[-1].copy(), spin=path.spin[-1].copy(), on_plate=path.on_plate,
+    )  # fmt: skip
+    return end, path
+
+
+_disc = lru_cache(maxsize=8)(disc)

@@ -1,0 +1,217 @@
+"""Finite parts that touch: against impulses worked out by hand, invariants, and seen overlaps."""
+
+import numpy as np
+import pytest
+
+from plate_core import PlateCycle, PlateError
+from plate_sim import Ground, simulate_bodies
+from plate_sim.contacts import Contacts
+from plate_sim.friction import bar, disc, polygon, union
+from plate_sim.plate import LEVEL
+from plate_sim.world import STEP
+from plate_sim.world.bodies import run_bodies
+
+G = 9.81
+L_SHAPE = union(
+    [
+        [[0, 0], [0.03, 0], [0.03, 0.01], [0, 0.01]],
+        [[0, 0.01], [0.01, 0.01], [0.01, 0.03], [0, 0.03]],
+    ]
+)
+TRIANGLE = polygon([[0, 0], [0.03, 0], [0, 0.02]])
+HALF = np.array([0.3, 0.15])
+
+
+def collide(parts, place, angle, speed, spin, contacts, time=0.1):
+    """Let parts without friction on the plate meet; return their velocities and spins."""
+    run = simulate_bodies(
+        PlateCycle.rest(time), parts, place, angle, speed, spin, 0, contacts=contacts, samples=500
+    )
+    return run.velocity[-1], run.spin[-1]
+
+
+def shaken(scale=1.0, period=0.1):
+    t = np.arange(256) * period / 256
+    w = 2 * np.pi / period * np.arange(1, 4)
+    sine, cosine = np.random.default_rng(3).normal(size=(2, 3, 3)) * [0.2, 0.2, 0.7] * scale
+    s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+    return PlateCycle.from_samples(
+        period, -c / w @ sine + s / w @ cosine, s @ sine + c @ cosine, c * w @ sine - s * w @ cosine
+    )
+
+
+def scattered(count, reach, rng):
+    places = []
+    while len(places) < count:
+        place = rng.uniform(reach - HALF, HALF - reach)
+        if all(np.hypot(*(place - other)) > 2 * reach for other in places):
+            places.append(place)
+    return np.array(places)
+
+
+def run_on_plate(cycle, parts, place, angle, contacts, cycles=1, pull=0.0):
+    ground = Ground(tilt=(np.arcsin(pull / G), 0))
+    return simulate_bodies(
+        cycle, parts, place, angle, np.zeros((len(place), 2)), 0, 0.25, G, cycles,
+        round(cycle.period / STEP), contacts=contacts, ground=ground, half=HALF,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rub", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("bounce", [0.0, 0.6, 1.0])
+def test_rims_of_two_discs_rub_and_turn_them(bounce, rub):
+    # Impulses along n and t; the rims' speed yields by 1/m + R^2/I = 3/m for each disc.
+    masses, radii = np.array([0.02, 0.05]), np.array([0.01, 0.016])
+    n, t = np.array([0.8, 0.6]), np.array([-0.6, 0.8])
+    speed, spin = np.array([[-0.5, -0.2], [0.1, 0.05]]), np.array([20.0, -5.0])
+    touch = np.array([radii.sum() * n, [0, 0]])
+    place = touch - speed * 0.0333
+    parts = [disc(r, mass=m) for r, m in zip(radii, masses, strict=True)]
+    v, w = collide(parts, place, 0, speed, spin, Contacts(bounce, rub))
+    across, along = (speed[0] - speed[1]) @ n, (speed[0] - speed[1]) @ t - spin @ radii
+    hit = -(1 + bounce) * across / (1 / masses).sum()
+    drag = np.clip(-along / (3 / masses).sum(), -rub * hit, rub * hit)
+    push = hit * n + drag * t
+    assert across < 0
+    assert v == pytest.approx(speed + np.outer([1, -1], push) / masses[:, None], rel=1e-9)
+    assert w == pytest.approx(spin - drag * radii / (0.5 * masses * radii**2), rel=1e-9)
+
+
+def test_a_disc_that_hits_the_end_of_a_bar_turns_it():
+    # It hits at an arm b from the centre: 1/j = 1/m + 1/M + b^2/I
+    length, arm = 0.06, 0.024
+    parts = [bar(length, 0.01, mass=0.03), disc(0.008, mass=0.02)]
+    place = [[0, 0], [arm, 0.03]]
+    v, w = collide(parts, place, 0, [[0, 0], [0, -0.4]], [0, 0], Contacts(0.5))
+    push = 1.5 * 0.4 / (1 / 0.02 + 1 / 0.03 + arm**2 / parts[0].inertia)
+    assert v == pytest.approx(np.array([[0, -push / 0.03], [0, -0.4 + push / 0.02]]), abs=1e-12)
+    assert w == pytest.approx([-push * arm / parts[0].inertia, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", [bar(0.03, 0.01), disc(0.01), L_SHAPE, TRIANGLE])
+def test_walls_send_parts_back(shape):
+    # A flat side that meets the wall squarely does not turn; restitution is that of speed.
+    low = min(piece[:, 1].min() for piece in shape.outline)
+    start = np.array([[0.0, -HALF[1] - low + 0.02]])
+    run = simulate_bodies(
+        PlateCycle.rest(0.1), shape, start, 0, [[0, -0.4]], 0, 0.0, samples=0,
+        contacts=Contacts(0.5, 0.3, True), half=HALF,
+    )  # fmt: skip
+    assert run.velocity[-1] == pytest.approx(np.array([[0, 0.2]]), abs=1e-6)
+    assert run.spin[-1] == pytest.approx([0], abs=1e-4)
+    assert run.position[-1, 0] == pytest.approx([0, start[0, 1] - 0.02 + 0.2 * 0.05], abs=1e-6)
+
+
+def test_a_bar_that_meets_another_flat_stops_without_turning():
+    parts = [bar(0.04, 0.01, mass=0.02), bar(0.04, 0.02, mass=0.06)]
+    v, w = collide(parts, [[0, 0.03], [0, 0]], 0, [[0, -0.4], [0, 0]], [0, 0], Contacts())
+    assert v == pytest.approx(np.array([[0, -0.1], [0, -0.1]]), abs=1e-9)
+    assert w == pytest.approx(0, abs=1e-6)
+
+
+def test_an_inner_corner_holds_a_disc():
+    # A disc pushed into the notch of an L touches both arms, and carries it along.
+    notch = np.array([0.01, 0.01]) - np.array([0.011, 0.011])
+    start = notch + 0.008 + 0.01
+    v, w = collide(
+        [L_SHAPE, disc(0.008)], [[0, 0], start], 0, [[0, 0], [-0.2, -0.2]], [0, 0], Contacts()
+    )
+    assert v[0] == pytest.approx(v[1], abs=1e-3)
+    assert w == pytest.approx(0, abs=0.2)
+
+
+def depth(one, other):
+    """Deepest overlap of two convex polygons [m], by separating axes in numpy."""
+    least = np.inf
+    for a, b in ((one, other), (other, one)):
+        side = np.roll(a, -1, axis=0) - a
+        out = np.column_stack([side[:, 1], -side[:, 0]]) / np.linalg.norm(side, axis=1)[:, None]
+        least = min(least, -np.max((out @ b.T - np.sum(out * a, axis=1)[:, None]).min(axis=1)))
+    return max(least, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("shape", "count"), [(disc(0.008), 60), (bar(0.03, 0.01), 30), (L_SHAPE, 14)]
+)
+@pytest.mark.parametrize("pull", [0.0, 1.5])
+def test_a_shaken_crowd_overlaps_by_20_micrometres_at_most(shape, count, pull):
+    rng = np.random.default_rng(4)
+    place = scattered(count, shape.reach, rng)
+    angle = rng.uniform(0, 6, count)
+    contacts = Contacts(0.3, 0.4, walls=True)
+    run = run_on_plate(shaken(), shape, place, angle, contacts, 20, pull)
+    assert run.on_plate.all()
+    deepest, met = 0.0, 0
+    for k in range(0, len(run.time), 97):
+        sine, cosine = np.sin(run.angle[k]), np.cos(run.angle[k])
+        turn = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
+        seen = [[p @ turn[i].T + run.position[k, i] for p in shape.outline] for i in range(count)]
+        for i in range(count):
+            for j in range(i):
+                apart = np.hypot(*(run.position[k, i] - run.position[k, j]))
+                if apart > 2.05 * shape.reach:
+                    continue
+                met += 1
+                if shape.radius:
+                    deepest = max(deepest, 2 * shape.radius - apart)
+                else:
+                    deepest = max(deepest, *(depth(a, b) for a in seen[i] for b in seen[j]))
+    assert met > 20
+    assert deepest < 20e-6
+
+
+def test_a_part_beyond_the_edge_is_gone():
+    place = np.array([[0.295, 0.0], [0.27, 0.0], [0.0, 0.0]])
+    speed = np.array([[0.5, 0], [0, 0], [0, 0]])
+    run = run_bodies(
+        PlateCycle.rest(0.1), disc(0.012), np.full(3, 0.01), (place, 0, speed, 0),
+        np.array([True, True, False]), G, Contacts(), LEVEL, HALF, 500, 1, 1,
+    )  # fmt: skip
+    assert run.on_plate.tolist() == [False, True, False]
+    assert run.position[-1, 0] == pytest.approx([0.3, 0], abs=2e-4)
+    assert run.velocity[-1, 0].tolist() == [0, 0]
+    assert run.position[-1, 1:].tolist() == place[1:].tolist()
+    assert run.position.shape == (501, 3, 2)
+
+
+def test_names_do_not_matter_for_a_crowd():
+    rng = np.random.default_rng(6)
+    place, angle = scattered(10, L_SHAPE.reach, rng), rng.uniform(0, 6, 10)
+    parts = [L_SHAPE, disc(0.02), bar(0.03, 0.01)] * 3 + [disc(0.01)]
+    order = rng.permutation(10)
+    contacts = Contacts(0.4, 0.3, walls=True)
+    one = run_on_plate(shaken(), parts, place, angle, contacts, 3)
+    other = run_on_plate(
+        shaken(), [parts[i] for i in order], place[order], angle[order], contacts, 3
+    )
+    for name in ("position", "angle", "velocity", "spin"):
+        assert getattr(other, name)[-1].tolist() == getattr(one, name)[-1, order].tolist()
+
+
+@pytest.mark.parametrize(
+    ("parts", "place", "message"),
+    [
+        (
+            [disc(0.01), disc(0.01)],
+            [[0, 0], [0.015, 0]],
+            "parts a and b overlap by 5 mm, allowed: at most 1 mm",
+        ),
+        ([bar(0.03, 0.01), disc(0.01)], [[0, 0], [0, 0.01]], "parts a and b overlap by 5 mm"),
+        ([L_SHAPE, L_SHAPE], [[0, 0], [0, 0.005]], "overlap by 10 mm"),
+    ],
+)
+def test_parts_that_overlap_at_the_start_are_refused(parts, place, message):
+    with pytest.raises(PlateError, match="overlap by") as error:
+        run_bodies(
+            PlateCycle.rest(0.1), parts, np.ones(2), (place, 0, np.zeros((2, 2)), 0),
+            np.ones(2, bool), G, Contacts(), LEVEL, HALF, 500, 1, 0, ["a", "b"],
+        )  # fmt: skip
+    assert message in str(error.value)
+
+
+def test_walls_need_a_plate():
+    with pytest.raises(PlateError, match="walls"):
+        simulate_bodies(
+            PlateCycle.rest(0.1), disc(0.01), [[0, 0]], 0, [[0, 0]], 0, 0.2,
+            contacts=Contacts(walls=True),
+        )  # fmt: skip
