@@ -98,9 +98,9 @@ def measure(quick: bool) -> Result:
         if not quick:
             print("\n  " + sentence(rows[-1]), end="", flush=True)
     note = (
-        f"Seeds from {FIRST_SEED} on, Gamma = {rig.gamma:.1f}. Disturbances: friction uneven "
-        "by 10 % between parts and over the plate. Time is simulated. Errors of assembling are "
-        "those at the end. A step goes from the image to the motors' table: time of all cores together; "
+        f"Seeds from {FIRST_SEED} on, Gamma = {rig.gamma:.1f}. Disturbances: friction uneven by "
+        "10 % between parts and over the plate. Time is simulated. Errors of assembling are those "
+        "at the end. A step goes from the image to the motors' table: time of all cores together; "
         "99 % of the steps of one run, median over runs."
     )
     table = Table("tasks", "Tasks over many seeds", COLUMNS, rows, note)
