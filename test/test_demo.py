@@ -14,6 +14,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from demo import arguments
+from graph.demo import demo as run
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,18 +53,27 @@ def marked(mark):
         (["--transport", "usb"], "transport is 'usb', allowed: serial, sim"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
-        (["--seed", "-1"], "seed is -1, allowed: 0 to 2147483647"),
     ],
 )
-def test_wrong_arguments_are_one_line_and_start_nothing(tmp_path, words, message):
+def test_wrong_arguments_are_one_line_and_start_nothing(
+    tmp_path, monkeypatch, capsys, words, message
+):
     out = tmp_path / "out"
-    with demo(*words, "--out", str(out)) as process:
-        output, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
+    monkeypatch.setattr(sys, "argv", ["demo.py", *words, "--out", str(out)])
+    assert run(arguments()) == 2
+    output, errors = capsys.readouterr()
     assert output == ""
     assert errors.startswith(f"demo: {message}")
     assert errors.count("\n") == 1
     assert not out.exists()
+
+
+def test_the_program_ends_with_the_code_of_the_run(tmp_path):
+    with demo("--seed", "-1", "--out", str(tmp_path / "out")) as process:
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert output == ""
+    assert errors == "demo: seed is -1, allowed: 0 to 2147483647\n"
 
 
 def test_a_run_leaves_results_and_pictures(tmp_path):

@@ -45,14 +45,28 @@ def at_rest(cycle):
     return not np.any(cycle.knot_pose) and not np.any(cycle.knot_twist)
 
 
+def check_parameters(graph):
+    """Parameters of the file, and those that a run gives, are parameters of the nodes."""
+    file = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text(encoding="utf-8"))
+    given = {key.rsplit("/", 1)[-1]: values["ros__parameters"] for key, values in file.items()}
+    assert list(given) == NAMES
+    for name in NAMES:
+        call = ListParameters, f"{name}/list_parameters", ListParameters.Request()
+        known = set(graph.observer.call(*call).result.names)
+        assert set(given[name]) <= known
+        assert set(graph.options.parameters(GRAPH[name])) <= known
+
+
 # The closed loop
 
 
 def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
-    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
+    rig_file = str(ROOT / "config" / "rig.yaml")
+    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False, rig_file=rig_file)
     with session(options, tmp_path) as graph:
         observer, record = graph.observer, graph.observer.record
         assert graph.nodes == NAMES
+        check_parameters(graph)
         graph.begin()
         assert observer.until(lambda: record.last("planner", "parts_sorted", "0") >= "1", 60)
         assert record.last("solver", "method") == "sinusoids"
@@ -187,24 +201,7 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert message in lines[0]
 
 
-# The list of nodes and their parameters
-
-
-def test_parameters_of_the_file_are_those_of_the_nodes(tmp_path, domain):
-    file = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text(encoding="utf-8"))
-    given = {key.rsplit("/", 1)[-1]: values["ros__parameters"] for key, values in file.items()}
-    assert list(given) == NAMES
-    options = RunOptions(rig_file=str(ROOT / "config" / "rig.yaml"))
-    with (
-        Processes(GRAPH.values(), options, tmp_path, domain) as processes,
-        Observer(domain, processes.check) as observer,
-    ):
-        observer.await_nodes(NAMES, 120)
-        for name in NAMES:
-            call = ListParameters, f"{name}/list_parameters", ListParameters.Request()
-            known = set(observer.call(*call).result.names)
-            assert set(given[name]) <= known
-            assert set(options.parameters(GRAPH[name])) <= known
+# What is kept of a run
 
 
 def test_images_can_be_thinned_without_losing_beginning_or_end():
