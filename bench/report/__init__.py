@@ -12,6 +12,7 @@ from plate_core import PlateError
 from report.chart import Chart, Data
 from report.forces import force_map, inversion, learning, rotations
 from report.loop import control, tracking
+from report.model import model
 from report.page import write_report
 from report.results import write_results
 from report.solver import options, solver, steering
@@ -28,6 +29,7 @@ CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
     (rotations, ("rotations",)),
     (inversion, ("inversion",)),
     (sim, ("sim", "bodies")),
+    (model, ("model",)),
     (vision, ("vision",)),
     (control, ("control",)),
     (tracking, ("tracking",)),
