@@ -11,7 +11,7 @@ PACKAGES = sorted(path.name for path in (ROOT / "src").iterdir() if path.name.st
 SHARED = "plate_core"
 """The one package that others may import."""
 
-NOT_YET = {"plate_sim", "plate_solver"}
+NOT_YET = {"plate_solver"}
 """Packages of which others still import names that are not public."""
 
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
