@@ -29,8 +29,7 @@ from plate_planner.tasks import Assembler, Follower, Poser
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion, Playback, next_playback
 from plate_sim.world import NONE, Disturbances, Simulation, WorldState
-from plate_solver import Controller
-from plate_solver.controller import METHODS, Answer
+from plate_solver import METHODS, Answer, Controller
 from plate_vision import Tracker, make_vision, observe
 
 EFFORT = ("iterations", "restarts")

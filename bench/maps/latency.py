@@ -9,10 +9,8 @@ from plate_core import PlateCycle, Rig, load_rig
 from plate_planner import FollowOptions
 from plate_planner.tasks import pd_drift
 from plate_sim import simulate
-from plate_solver import Goal, SinusoidSolver
-from plate_solver.controller import DRIFT_TOLERANCE, EXACT_SHARE
-from plate_solver.cycle_map import end_state
-from plate_solver.refine import STEP, after
+from plate_solver import DRIFT_TOLERANCE, EXACT_MISS, Goal, SinusoidSolver
+from plate_solver.maps import PREDICTION_STEP, after, end_state
 
 FRICTIONS = np.geomspace(0.5, 2.0, 9)
 """True friction over the one believed."""
@@ -62,7 +60,7 @@ class Loop:
         least = DRIFT_TOLERANCE * self.period
         friction = np.full(1, self.rig.friction.accel)
         goal = Goal(position, velocity, wanted, np.zeros((1, 2)), friction)
-        good = max(least, EXACT_SHARE * goal.size)
+        good = max(least, EXACT_MISS * goal.size)
         return self.solver.steer(goal, least, good).cycle
 
     def run(self, friction: float, latency: float) -> float:
@@ -113,10 +111,10 @@ class LinearLoop:
         share: float,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return place and velocity after a share of the cycle, as the solver foresees them."""
-        steps = max(1, round(share * self.period / STEP))
+        steps = max(1, round(share * self.period / PREDICTION_STEP))
         t = (np.arange(steps) + 0.5) * share * self.period / steps
         accel = np.full(1, friction * self.rig.friction.accel)
-        dt = share * self.period / steps
+        dt = np.full(steps, share * self.period / steps)
         return end_state(position, velocity, cycle.pose(t), cycle.twist(t), dt, accel)
 
     def response(self, friction: float, share: float) -> np.ndarray:

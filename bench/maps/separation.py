@@ -6,8 +6,8 @@ import numpy as np
 
 from maps.grid import Grid, StabilityMap, grid
 from plate_core import Rig, load_rig
-from plate_solver.library import REACH, Library
-from plate_solver.manipulability import manipulability
+from plate_solver import manipulability
+from plate_solver.rotations import REACH, Library
 
 LEVEL = 0.1
 """Guaranteed force that counts as enough [mu m g]: what sorting asks of ten parts."""
@@ -49,7 +49,7 @@ def guaranteed(rig: Rig, library: Library, separation: float, pairs: int) -> flo
         angle, middle = rng.uniform(0, 2 * np.pi), rng.uniform(-0.6, 0.6, 2) * rig.plate.half
         arm = separation / 2 * np.array([np.cos(angle), np.sin(angle)])
         forces.append(
-            manipulability(rig, np.array([middle - arm, middle + arm]), library).guaranteed
+            manipulability(rig, np.array([middle - arm, middle + arm]), library).weakest_force
         )
     return float(np.median(forces))
 

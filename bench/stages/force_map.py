@@ -17,12 +17,15 @@ from scipy.integrate import quad
 
 from harness import Result, Table, race
 from plate_core import PlateCycle, load_rig
-from plate_solver import average_force
-from plate_solver.force_map import mean_force
-from plate_solver.harmonic_force import forces, rules
-from plate_solver.harmonics import Harmonics, harmonics
-from plate_solver.solution import Bounds
-from plate_solver.triangular import intervals, triangular_forces
+from plate_solver import Limits, average_force
+from plate_solver.maps import (
+    force_rules,
+    intervals,
+    sinusoid_forces,
+    step_forces,
+    triangular_forces,
+)
+from plate_solver.sinusoids import SinusoidBasis, SinusoidFamily, sinusoid_basis
 
 NUMBER, PERIOD = 2, 0.05
 """Harmonics and period [s] of the motions: 2 x 2 x 3 = 12 parameters."""
@@ -36,12 +39,12 @@ BATCH = 10
 def measure(quick: bool) -> Result:
     """Measure error over random cases, and time per part."""
     rig = load_rig()
-    bounds = Bounds.of(rig)
+    limits = Limits.of(rig)
     rng = np.random.default_rng(0)
-    basis = harmonics(NUMBER, PERIOD, False)
+    basis = sinusoid_basis(NUMBER, PERIOD, False)
     cases = []
     for _ in range(15 if quick else 400):
-        coefficients = basis.random(rng, bounds)
+        coefficients = random_motion(basis, rng, limits)
         cases.append((coefficients, rng.uniform(-rig.plate.half, rig.plate.half)))
     truth = np.array([exact_force(c, p) for c, p in cases])
     methods = evaluators(basis)
@@ -51,7 +54,7 @@ def measure(quick: bool) -> Result:
     }
     rows = timed_rows(methods, error, cases[0][0], rng, rig.plate.half, 0.5 if quick else 3.0)
     ours, peer = rows[0], next(row for row in rows if row["method"].startswith("quad"))
-    fast = next(row for row in rows if row["method"].startswith("mean_force, n = 128"))
+    fast = next(row for row in rows if row["method"].startswith("step_forces, n = 128"))
     plain = next(row for row in rows if row["method"].startswith("numpy"))
     batch = batch_rows(cases, truth, 0.5 if quick else 3.0)
     return Result(
@@ -66,7 +69,7 @@ def measure(quick: bool) -> Result:
                     "p99": "worst 1 % [mu m g]", "lead": "quad's time / this",
                 },
                 rows,
-                f"{len(cases)} random motions and places, 12 parameters. mean_force takes twist "
+                f"{len(cases)} random motions and places, 12 parameters. step_forces takes twist "
                 "samples that are there already; average_force integrates the cycle's spline.",
             )
         ],
@@ -74,12 +77,18 @@ def measure(quick: bool) -> Result:
             *batch_summary(batch),
             f"average_force: {ours['one_us']:.3g} us for 1 part, {ours['many_us']:.3g} us each for "
             f"{BATCH}; median error {ours['median']:.1g}, worst 1 % {ours['p99']:.1g} mu m g",
-            f"1 part, against quad: average_force {ours['lead']:.0f} times as fast, mean_force at "
+            f"1 part, against quad: average_force {ours['lead']:.0f} times as fast, step_forces at "
             f"n = 128 {fast['lead']:.0f} times; quad's median error is {peer['median']:.1g} mu m g",
-            f"mean_force at n = 128 against numpy at n = 256: "
+            f"step_forces at n = 128 against numpy at n = 256: "
             f"{plain['one_us'] / fast['one_us']:.0f} times as fast",
         ],
     )  # fmt: skip
+
+
+def random_motion(basis: SinusoidBasis, rng: np.random.Generator, limits: Limits) -> np.ndarray:
+    """Return random coefficients (h, 3) that use the limits in full."""
+    family = SinusoidFamily(basis, limits)
+    return family.coefficients(family.random(rng))
 
 
 @njit(fastmath=True)
@@ -109,16 +118,16 @@ def batch_rows(
     position = np.array([p for _, p in cases])
     still = np.zeros_like(position)
     motions = {NUMBER: np.array([c for c, _ in cases])}
-    basis, rng = harmonics(NUMBER + 1, PERIOD, False), np.random.default_rng(1)
-    bounds = Bounds.of(load_rig())
-    motions[NUMBER + 1] = np.array([basis.random(rng, bounds) for _ in cases])
+    basis, rng = sinusoid_basis(NUMBER + 1, PERIOD, False), np.random.default_rng(1)
+    limits = Limits.of(load_rig())
+    motions[NUMBER + 1] = np.array([random_motion(basis, rng, limits) for _ in cases])
     rows = []
     for number, motion in motions.items():
-        steps = harmonics(number, PERIOD, False, 128).twist
+        steps = sinusoid_basis(number, PERIOD, False, 128).twist
         kinks, shares = intervals(number)
-        rule = rules(number)
+        rule = force_rules(number)
         calls: dict[str, Callable[[], np.ndarray]] = {
-            BATCHED: partial(forces, motion, position, still, rule),
+            BATCHED: partial(sinusoid_forces, motion, position, still, rule),
             PLAIN: partial(plain_forces, motion, position, steps),
             CLOSED: partial(triangular_forces, motion, position, kinks, shares),
         }
@@ -221,7 +230,7 @@ def adaptive(
     )
 
 
-def evaluators(basis: Harmonics) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
+def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]]:
     """Return functions of coefficients (4, 3) and places (M, 2) to forces (M, 2) [mu m g].
 
     The cycle and the samples are kept from call to call, so that only the map itself is timed.
@@ -238,11 +247,14 @@ def evaluators(basis: Harmonics) -> dict[str, Callable[[np.ndarray, np.ndarray],
     def twist(coefficients: np.ndarray, n: int) -> np.ndarray:
         key = (id(coefficients), n)
         if key not in samples:
-            samples[key] = harmonics(NUMBER, PERIOD, False, n).twist @ coefficients
+            samples[key] = sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients
         return samples[key]
 
     def compiled(n: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        return lambda c, position: mean_force(position, np.zeros_like(position), twist(c, n))
+        equal = np.ones(n)
+        return lambda c, position: step_forces(
+            position, np.zeros_like(position), twist(c, n), equal
+        )[:, :2]
 
     def plain(c: np.ndarray, position: np.ndarray) -> np.ndarray:
         u = twist(c, 256)[:, None]
@@ -258,9 +270,9 @@ def evaluators(basis: Harmonics) -> dict[str, Callable[[np.ndarray, np.ndarray],
 
     return {
         OURS: whole,
-        "mean_force, n = 128": compiled(128),
-        "mean_force, n = 512": compiled(512),
-        "mean_force, n = 1024": compiled(1024),
+        "step_forces, n = 128": compiled(128),
+        "step_forces, n = 512": compiled(512),
+        "step_forces, n = 1024": compiled(1024),
         "numpy, n = 256": plain,
         "quad (scipy)": adaptive_all,
     }

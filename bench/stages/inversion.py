@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from harness import Result, Table, cpu_time, shown
 from plate_core import Rig, load_rig
-from plate_solver import SinusoidSolver, average_force
-from plate_solver.guesses import GuessTable
-from plate_solver.harmonic_search import meet
-from plate_solver.harmonics import harmonics
+from plate_solver import Limits, SinusoidSolver, Status, average_force
+from plate_solver.maps import force_rules, sinusoid_forces
+from plate_solver.sinusoids import invert, sinusoid_basis
 from stages.scenes import targets
 from stages.solver import TOLERANCE, ScipySolver
 
@@ -27,6 +27,65 @@ CASES = ((3, 2), (4, 2), (5, 2), (5, 3), (6, 3), (7, 3), (8, 3))
 
 CREEP = 0.004
 """Change of a request from one image to the next [mu m g], root mean square."""
+
+
+TABLE_SIZE = 20_000
+"""Entries: a fifth of a second to make. More do not make better guesses for several parts."""
+
+ANY_PERIOD = 1.0
+"""Averaged forces do not depend on the period [s]."""
+
+
+class GuessTable:
+    """The paper's table of first guesses (3.2.3, figure 13): motions by (place, force).
+
+    Random motions are piped through the force map at random places; a k-d tree finds the motions
+    that did something like what is asked now.
+
+    Parameters
+    ----------
+    coefficients : (S, h, 3)
+        Motions of a family.
+    position : (S, 2)
+        Places [m], plate_home.
+    force : (S, 2)
+        Their average forces there [mu m g].
+    half : (2,)
+        Half sides of the plate [m]: scale of places.
+    """
+
+    def __init__(
+        self, coefficients: np.ndarray, position: np.ndarray, force: np.ndarray, half: np.ndarray
+    ) -> None:
+        self.coefficients, self.position, self.force = coefficients, position, force
+        self._scale = np.concatenate([half, np.full(2, max(float(force.std()), 1e-12))])
+        self._tree = cKDTree(np.hstack([position, force]) / self._scale)
+
+    @classmethod
+    def make(
+        cls, rig: Rig, number: int, at_rest: bool, seed: int = 0, size: int = TABLE_SIZE
+    ) -> GuessTable:
+        """Make a table for motions of `number` harmonics: the same seed makes the same table."""
+        rng = np.random.default_rng(seed)
+        basis, limits = sinusoid_basis(number, ANY_PERIOD, at_rest), Limits.of(rig)
+        coefficients = rng.normal(size=(size, basis.size, 3))
+        coefficients[:, :, 2] /= limits.arm_m
+        position = rng.uniform(-rig.plate.half, rig.plate.half, (size, 2))
+        waves = np.einsum("jh,shc->sjc", basis.span, coefficients)
+        force = sinusoid_forces(waves, position, np.zeros_like(position), force_rules(number))
+        return cls(coefficients, position, force, rig.plate.half)
+
+    def nearest(self, position: np.ndarray, force: np.ndarray, count: int = 1) -> list[np.ndarray]:
+        """Return coefficients (h, 3) for the parts' mean place and mean force, best first.
+
+        Parameters
+        ----------
+        position, force : (M, 2)
+            [m] in plate_home, [mu m g].
+        """
+        query = np.concatenate([position.mean(axis=0), force.mean(axis=0)]) / self._scale
+        _, index = self._tree.query(query, k=count)
+        return [self.coefficients[i] for i in np.atleast_1d(index)]
 
 
 def measure(quick: bool) -> Result:
@@ -100,7 +159,7 @@ def race_with_scipy(rig: Rig, count: int) -> list[dict[str, Any]]:
     ours, peer = SinusoidSolver(rig, harmonics=2, period=0.05), ScipySolver(rig, 2, 0.05)
     times: dict[str, list[float]] = {"SinusoidSolver": [], "scipy lm": []}
     good = dict.fromkeys(times, 0)
-    basis = harmonics(2, 0.05, False)
+    basis = sinusoid_basis(2, 0.05, False)
     for index, (position, force) in enumerate(
         targets(rig, 2, count + 1, np.random.default_rng(SEED))
     ):
@@ -133,11 +192,11 @@ def race_with_scipy(rig: Rig, count: int) -> list[dict[str, Any]]:
 def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
     """Count iterations from several kinds of first guess, same requests."""
     table = GuessTable.make(rig, 2, False)
+    turns = np.array([1.0, 1.0, Limits.of(rig).arm_m])  # parameters of coefficients
     rows = []
     for parts in (1, 2, 3):
         solver = SinusoidSolver(rig, harmonics=2, period=0.05)
-        family, key = solver._family(2 * parts, False)
-        known, pool, _ = solver._search_of(key)
+        known, pool = solver.search_of(2 * parts)
         rng = np.random.default_rng(SEED + parts)
         counts: dict[str, list[tuple[int, int]]] = {
             "warm": [], "table": [], "best of 12": [], "random": [],
@@ -145,8 +204,8 @@ def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
         still, none = np.zeros((parts, 2)), np.empty((0, pool.shape[1]))
         for position, force in targets(rig, parts, count, rng):
             before = force + CREEP * rng.normal(size=force.shape)
-            last = meet(none, pool, position, still, before, *known, TOLERANCE, 40, 41)
-            guess = family.parameters(table.nearest(position, force)[0])[None]
+            last = invert(none, pool, position, still, before, known, TOLERANCE, 40, 41)
+            guess = (table.nearest(position, force)[0] * turns).ravel()[None]
             firsts = {
                 "warm": last.theta[None], "table": guess, "best of 12": none,
                 "random": rng.normal(size=(41, pool.shape[1])),
@@ -154,7 +213,7 @@ def compare_starts(rig: Rig, count: int) -> list[dict[str, Any]]:
             for name, first in firsts.items():
                 if name == "warm" and last.worst > TOLERANCE:
                     continue
-                found = meet(first, pool, position, still, force, *known, TOLERANCE, 40, 41)
+                found = invert(first, pool, position, still, force, known, TOLERANCE, 40, 41)
                 counts[name].append((found.iterations, found.tries))
         rows += [
             {
@@ -183,10 +242,10 @@ def fate(rig: Rig, parts: int, number: int, count: int) -> dict[str, Any]:
         error = np.max(np.abs(average_force(answer.cycle, position) - force))
         solved += answer.success
         wrong += answer.success and bool(error > TOLERANCE)
-        proven += answer.status == "unreachable"
+        proven += answer.status is Status.UNREACHABLE
         if not answer.success:
-            shares.append(answer.share)
-    chosen = solver._family(2 * parts, False)[1][0]
+            shares.append(answer.fraction)
+    chosen = solver.harmonics(2 * parts)
     return {
         "parts": parts,
         "harmonics": number or f"({chosen})",

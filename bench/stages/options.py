@@ -16,13 +16,16 @@ from scipy.optimize import least_squares
 from harness import Result, Table, cpu_time, shown
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import simulate
-from plate_solver import Goal, RotationSolver, SinusoidSolver
-from plate_solver.controller import DRIFT_TOLERANCE, EFFORT, EXACT_SHARE
-from plate_solver.cycle_map import end_position_gradient, end_state
-from plate_solver.harmonics import STEPS_PER_HARMONIC, harmonics
-from plate_solver.limited_family import LimitedSinusoids
-from plate_solver.sinusoid_steering import FINE_STEP
-from plate_solver.solution import Bounds
+from plate_solver import (
+    DRIFT_TOLERANCE,
+    EFFORT,
+    EXACT_MISS,
+    Goal,
+    Limits,
+    RotationSolver,
+    SinusoidSolver,
+)
+from plate_solver.sinusoids import FINE_STEP, limited_sinusoids
 from stages.scenes import scatter
 
 SEED = 50_000
@@ -131,7 +134,7 @@ def miss(rig: Rig, goal: Goal, cycle: PlateCycle) -> float:
 def good_enough(goal: Goal) -> tuple[float, float]:
     """Return tolerance and what counts as met [m], as in `Controller`."""
     least = DRIFT_TOLERANCE * period_of(len(goal.position))
-    return least, max(EXACT_SHARE * goal.size, least)
+    return least, max(EXACT_MISS * goal.size, least)
 
 
 def contestants(rig: Rig, parts: int) -> dict[tuple[str, str], Contestant]:
@@ -189,8 +192,7 @@ class Peer:
 
     def __init__(self, rig: Rig, parts: int, own: bool, restarts: int) -> None:
         number, period = HARMONICS[parts], period_of(parts)
-        steps = max(STEPS_PER_HARMONIC * number, round(period / FINE_STEP))
-        self._family = LimitedSinusoids(harmonics(number, period, True, steps), Bounds.of(rig), 1.0)
+        self._family = limited_sinusoids(number, period, FINE_STEP, Limits.of(rig), 1.0)
         self._own, self._restarts = own, restarts
 
     def answer(self, goal: Goal) -> PlateCycle:
@@ -213,20 +215,16 @@ class Peer:
 
     def _errors(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
         """Return missed displacements, and in one row by how much limits are exceeded [m]."""
-        end, _ = end_state(*self._state(goal, theta))
+        error, _ = goal.error(goal.end(*self._family.samples(theta)))
         excess = np.linalg.norm(self._family.penalty(theta))
-        return np.append((goal.displacement - (end - goal.position)).ravel(), excess)
+        return np.append(error, excess)
 
     def _slopes(self, goal: Goal, theta: np.ndarray) -> np.ndarray:
-        _, _, by_twist, by_pose = end_position_gradient(*self._state(goal, theta))
-        rows = -self._family.pull_back(theta, by_twist, by_pose)
+        slopes = goal.end_slopes(*self._family.samples(theta))
+        rows = -self._family.pull_back(theta, *slopes)
         excess = self._family.penalty(theta)
         unit = excess / max(float(np.linalg.norm(excess)), 1e-300)
         return np.vstack([rows, -unit @ self._family.penalty_slopes(theta)])
-
-    def _state(self, goal: Goal, theta: np.ndarray) -> tuple[Any, ...]:
-        pose, twist = self._family.samples(theta)
-        return goal.position, goal.velocity, pose, twist, self._family.dt, goal.friction_accel
 
 
 def sentence(rows: list[dict[str, Any]], parts: int) -> str:

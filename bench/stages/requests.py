@@ -17,11 +17,12 @@ from plate_solver import (
     RotationSolver,
     SinusoidSolver,
     Solution,
+    Status,
     manipulability,
     manipulability_map,
 )
-from plate_solver.force_map import mean_force
-from plate_solver.refine import REFINEMENTS
+from plate_solver.maps import step_forces
+from plate_solver.requests import REFINEMENTS
 from stages.scenes import scatter
 
 METHODS: dict[str, Callable[..., Any]] = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
@@ -85,7 +86,7 @@ def measure(quick: bool) -> Result:
                 "Degenerate and hostile requests",
                 {
                     "method": "method", "kind": "requests", "count": "number",
-                    "solved": "solved", "share": "a share of it", "unreachable": "unreachable",
+                    "solved": "solved", "partial": "in part", "unreachable": "unreachable",
                     "failed": "nothing", "errors": "exceptions", "untrue": "untrue",
                     "usage": "greatest use of a limit", "worst_ms": "slowest [ms]",
                 },
@@ -143,7 +144,7 @@ def realised_row(
         "error_percent": 100 * rms(missed) / rms(asked),
         "worst_percent": 100 * float(np.max(np.array(missed) / asked)),
         "predicted_percent": 100 * rms(predicted) / rms(asked),
-        "share": min(solution.share for solution in solutions),
+        "share": min(solution.fraction for solution in solutions),
         "met_percent": 100 * float(np.mean([solution.success for solution in solutions])),
         "median_ms": float(np.median(ms)),
     }
@@ -215,7 +216,7 @@ def hostile_row(rig: Rig, method: str, kind: str, count: int, seed: int = 0) -> 
     rng = np.random.default_rng([seed, list(KINDS).index(kind)])
     solver = METHODS[method](rig, restarts=1, iterations=20)
     solver.solve(np.array([[0.1, 0.0], [-0.1, 0.0]]), np.array([[0.1, 0.0], [0.0, 0.1]]))
-    statuses: Counter[str] = Counter()
+    statuses: Counter[Status] = Counter()
     errors, untrue, most, slowest = 0, 0, 0.0, 0.0
     for number in range(count):
         position, force = KINDS[kind](rig, rng)
@@ -237,7 +238,7 @@ def hostile_row(rig: Rig, method: str, kind: str, count: int, seed: int = 0) -> 
             untrue += 1
     return {
         "method": method, "kind": kind, "count": count,
-        **{status: statuses[status] for status in ("solved", "share", "unreachable", "failed")},
+        **{status.value: statuses[status] for status in Status},
         "errors": errors, "untrue": untrue, "usage": most, "worst_ms": slowest,
     }  # fmt: skip
 
@@ -252,15 +253,16 @@ def is_true(
 ) -> bool:
     """Whether an answer is within the limits and what it says of itself is so."""
     t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES * solution.cycle.period
-    got = mean_force(position, np.zeros_like(position), solution.cycle.twist(t))
+    still, equal = np.zeros_like(position), np.ones(JUDGE_SAMPLES)
+    got = step_forces(position, still, solution.cycle.twist(t), equal)[:, :2]
     bound = DIP * max(1.0, float(np.max(np.abs(force))))
-    missed = np.abs(solution.share * force - got) - tolerance
+    missed = np.abs(solution.fraction * force - got) - tolerance
     return bool(
         usage(rig, solution.cycle).worst <= 1
         and np.all(np.isfinite(solution.residual))
         and np.all(np.abs(force - got - solution.residual) <= bound)
-        and solution.success == (solution.status == "solved") == (solution.share == 1)
-        and (solution.share == 0 or np.all(missed <= own + bound))
+        and solution.success == (solution.status is Status.SOLVED) == (solution.fraction == 1)
+        and (solution.fraction == 0 or np.all(missed <= own + bound))
     )
 
 
@@ -270,7 +272,7 @@ def reach_row(rig: Rig, parts: int, count: int) -> dict[str, Any]:
     manipulability(rig, scatter(rig, parts, rng))
     began = cpu_time()
     found = [manipulability(rig, scatter(rig, parts, rng)) for _ in range(count)]
-    forces = [one.guaranteed for one in found]
+    forces = [one.weakest_force for one in found]
     return {
         "parts": parts,
         "guaranteed": float(np.median(forces)),

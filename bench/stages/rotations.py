@@ -14,15 +14,20 @@ import numpy as np
 from scipy.optimize import linprog
 
 from harness import Result, Table, cpu_time, race
-from plate_core import Rig, load_rig
+from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, average_force
-from plate_solver.centres import grid, ring, solve_weights
-from plate_solver.library import Library
-from plate_solver.rotation_fit import missed
-from plate_solver.rotation_plan import plan_rotations, with_return_strokes
-from plate_solver.shares import solve_shares
+from plate_solver.maps import finely_sampled
+from plate_solver.rotations import (
+    Library,
+    grid,
+    least_time,
+    plan_rotations,
+    ring,
+    solve_weights,
+    with_return_strokes,
+)
 
 PARTS = 10
 APART = 0.1
@@ -114,21 +119,21 @@ def time_rows(rig: Rig, seconds: float) -> list[dict[str, Any]]:
     moved = position + 1e-3 * np.random.default_rng(0).normal(size=position.shape)
     matrix, wanted = library.forces(moved), direction.T.ravel()
     ones, dear = np.ones(matrix.shape[1]), np.full(len(matrix), 1e3)
-    basis = solve_shares(library.forces(position), wanted, ones, dear, dear).basis
+    basis = least_time(library.forces(position), wanted, ones, dear, dear).basis
     both = np.hstack([matrix, -matrix])
     few = Library.about(grid(rig.plate.half), rig.plate.half).forces(moved)
     cold, highs = "ours, cold", "scipy linprog (HiGHS)"
     timed = race(
         {
-            cold: lambda: solve_shares(matrix, wanted, ones, dear, dear),
-            "ours, last basis": lambda: solve_shares(matrix, wanted, ones, dear, dear, basis),
+            cold: lambda: least_time(matrix, wanted, ones, dear, dear),
+            "ours, last basis": lambda: least_time(matrix, wanted, ones, dear, dear, basis),
             highs: lambda: linprog(np.ones(both.shape[1]), A_eq=both, b_eq=wanted, method="highs"),
             "numpy lstsq, library": lambda: np.linalg.lstsq(matrix, wanted, rcond=None),
             "SVD, 24 centres": lambda: solve_weights(few, wanted, GAIN),
         },
         seconds,
     )
-    ours = solve_shares(matrix, wanted, ones, dear, dear).cost
+    ours = least_time(matrix, wanted, ones, dear, dear).cost
     peer = linprog(np.ones(both.shape[1]), A_eq=both, b_eq=wanted, method="highs").fun
     if abs(ours - peer) > 1e-6 * peer:
         raise RuntimeError(f"least times differ: {ours} and {peer} by HiGHS")
@@ -189,6 +194,11 @@ def goal_of(rig: Rig, parts: int, seed: int, drift: float, period: float) -> Goa
     nothing = np.zeros((parts, 2))
     friction = np.full(parts, rig.friction.accel)
     return Goal(position, nothing, drift * period * direction, nothing, friction)
+
+
+def missed(goal: Goal, cycle: PlateCycle) -> np.ndarray:
+    """Return the errors (2 M,) [m] of a cycle by a finer prediction than the search's."""
+    return goal.error(goal.end(*finely_sampled(cycle)))[0]
 
 
 def order_rows(rig: Rig, count: int) -> list[dict[str, Any]]:
@@ -349,7 +359,7 @@ def force_row(
 
 def by_time(library: Library, position: np.ndarray, direction: np.ndarray) -> float:
     """Guaranteed force of the least-time plan, closure included."""
-    return 1 / plan_rotations(library, position, direction).shares.cost
+    return 1 / plan_rotations(library, position, direction).times.cost
 
 
 def by_svd(library: Library, position: np.ndarray, direction: np.ndarray) -> float:
@@ -374,9 +384,9 @@ def worst_direction(library: Library, position: np.ndarray, seed: int) -> float:
         last = -1.0
         for _ in range(30):
             force /= np.maximum(np.hypot(*force), 1e-12)
-            shares = solve_shares(matrix, force.ravel(), ones, dear, dear)
-            if shares.cost <= last * (1 + 1e-6):
+            plan = least_time(matrix, force.ravel(), ones, dear, dear)
+            if plan.cost <= last * (1 + 1e-6):
                 break
-            last, force = shares.cost, shares.price.reshape(2, -1).copy()
+            last, force = plan.cost, plan.price.reshape(2, -1).copy()
         time = max(time, last)
     return 1 / time

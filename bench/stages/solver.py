@@ -12,12 +12,10 @@ from scipy.optimize import least_squares
 
 from harness import Result, Table, cpu_time, race, shown
 from plate_core import Rig, load_rig
-from plate_solver import RotationSolver, SinusoidSolver
-from plate_solver.centres import grid, rotation_matrix, solve_weights
-from plate_solver.force_map import SAMPLES, mean_force, mean_force_gradient
-from plate_solver.harmonics import harmonics
-from plate_solver.sinusoid_family import SinusoidFamily
-from plate_solver.solution import Bounds
+from plate_solver import Limits, RotationSolver, SinusoidSolver
+from plate_solver.maps import step_force_gradient, step_forces
+from plate_solver.rotations import grid, rotation_matrix, solve_weights
+from plate_solver.sinusoids import SinusoidFamily, sinusoid_basis
 from stages.scenes import LARGEST, targets
 
 HARMONICS = {1: 2, 2: 2, 3: 3, 4: 4}
@@ -37,6 +35,9 @@ NEAR = 1e-3
 
 RESTARTS = 20
 """Further starts that every method has."""
+
+SAMPLES = 1024
+"""Samples of the peer's last steps: enough for most dips."""
 
 JUDGE_SAMPLES = 6007
 """Samples of the judge: no multiple of anybody else's."""
@@ -116,11 +117,12 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
                 continue
             t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
             if isinstance(answer, np.ndarray):
-                basis = harmonics(number, period, False, JUDGE_SAMPLES)
+                basis = sinusoid_basis(number, period, False, JUDGE_SAMPLES)
                 twist = basis.twist @ peer.family.coefficients(answer)
             else:
                 twist = answer.cycle.twist(t * answer.cycle.period)
-            got = mean_force(position, np.zeros_like(position), twist)
+            still, equal = np.zeros_like(position), np.ones(JUDGE_SAMPLES)
+            got = step_forces(position, still, twist, equal)[:, :2]
             samples.append(
                 {
                     "parts": parts,
@@ -136,9 +138,9 @@ class ScipySolver:
     """scipy's least_squares on the force map: what one would write without our solver."""
 
     def __init__(self, rig: Rig, number: int, period: float) -> None:
-        bounds = Bounds.of(rig)
-        self.family = SinusoidFamily(harmonics(number, period, False), bounds)
-        self._fine = SinusoidFamily(harmonics(number, period, False, SAMPLES), bounds)
+        limits = Limits.of(rig)
+        self.family = SinusoidFamily(sinusoid_basis(number, period, False), limits)
+        self._fine = SinusoidFamily(sinusoid_basis(number, period, False, SAMPLES), limits)
         self.reset()
 
     def reset(self) -> None:
@@ -166,15 +168,14 @@ class ScipySolver:
         spare = max(0, len(start) - force.size)
 
         def errors(theta: np.ndarray) -> np.ndarray:
-            got = mean_force(position, still, family.basis.twist @ family.coefficients(theta))
+            _, twist, dt = family.samples(theta)
+            got = step_forces(position, still, twist, dt)[:, :2]
             return np.concatenate([(got - force).ravel(), np.zeros(spare)])
 
         def jacobian(theta: np.ndarray) -> np.ndarray:
-            twist = family.basis.twist @ family.coefficients(theta)
-            gradient = mean_force_gradient(position, still, twist)[2][rows]
-            return np.vstack(
-                [family.pull_back(theta, gradient, None), np.zeros((spare, len(theta)))]
-            )
+            _, twist, dt = family.samples(theta)
+            slopes = family.pull_back(theta, None, step_force_gradient(position, still, twist, dt))
+            return np.vstack([slopes[rows], np.zeros((spare, len(theta)))])
 
         return least_squares(errors, start, jacobian, method="lm", max_nfev=60)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from harness import Cache, Result, Table, processes
 from harness.loop import Setup
 from plate_core import load_rig
-from plate_solver.controller import EFFORT
+from plate_solver import EFFORT
 from tasks.runs import UNEVEN, runs_of, sentence, summed
 
 SCENARIOS = ("follow_3", "sort_10")

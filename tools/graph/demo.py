@@ -22,7 +22,7 @@ from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
 from plate_driver.transports import check_transport
-from plate_solver.controller import METHODS
+from plate_solver import METHODS
 
 from .domains import own_domain
 from .observer import Observer, Record
@@ -274,7 +274,7 @@ class ProgressLine:
                 "planner", "parts_total"
             )
             done += f" parts {self._there}"
-        missed = 100 * float(record.last("solver", "missed_share", "0"))
+        missed = 100 * float(record.last("solver", "missed_fraction", "0"))
         return (
             f"{done} | {float(record.last('planner', 'time_s')):5.1f} s"
             f" | force missed {missed:3.0f} %"

@@ -122,7 +122,7 @@ def judge(
         "stroke_share_max": round(limits.stroke, 4),
         "speed_share_max": round(limits.speed, 4),
         "accel_share_max": round(limits.accel, 4),
-        "missed_share": typical(record, "missed_share"),
+        "missed_share": typical(record, "missed_fraction"),
         "solve_ms_median": typical(record, "solve_ms_median"),
         "late_cycles": int(record.last("simulator", "late cycles", "0")),
         "held_cycles": int(record.last("simulator", "held cycles", "0")),

@@ -1,28 +1,33 @@
-"""Plate motions that put wanted forces, or displacements, under many parts at once."""
+"""Plate motions that put wanted forces, or displacements, under many parts at once.
 
-from .controller import Answer, Controller
-from .force_map import average_force
-from .manipulability import (
-    Manipulability,
-    guaranteed_force,
-    manipulability,
-    manipulability_map,
-)
-from .rotations import RotationSolver
-from .sinusoids import SinusoidSolver
-from .solution import Solution
-from .steering import Goal
+Public: the names below and those of the chapters: `maps`, `fit`, `sinusoids`, `rotations`,
+`requests`, `analysis`.
+"""
+
+from .analysis import Manipulability, library_force, manipulability, manipulability_map
+from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
+from .limits import Limits
+from .maps import average_force
+from .requests import Goal, Solution, Status
+from .rotations.solver import RotationSolver
+from .sinusoids.solver import SinusoidSolver
 
 __all__ = [
+    "DRIFT_TOLERANCE",
+    "EFFORT",
+    "EXACT_MISS",
+    "METHODS",
     "Answer",
     "Controller",
     "Goal",
+    "Limits",
     "Manipulability",
     "RotationSolver",
     "SinusoidSolver",
     "Solution",
+    "Status",
     "average_force",
-    "guaranteed_force",
+    "library_force",
     "manipulability",
     "manipulability_map",
 ]

@@ -9,13 +9,11 @@ import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig, Wanted
 
-from .refine import STEP, after
-from .rotations import RotationSolver
-from .sinusoids import SinusoidSolver
-from .solution import Solution
-from .solver import MotionSolver
-from .steering import Goal
-from .turning import Turns, after_discs
+from .maps import after, end_disc, finely_sampled
+from .motion_solver import MotionSolver
+from .requests import Goal, Solution, Status, Turns
+from .rotations.solver import RotationSolver
+from .sinusoids.solver import SinusoidSolver
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
 """Names of the methods: the paper's letters and ours."""
@@ -26,15 +24,15 @@ IDLE_PERIOD = 0.1
 DRIFT_TOLERANCE = 2e-4
 """Error of the drift over a cycle at which a search stops [m/s]."""
 
-SHARES = (1.0, 0.5, 0.25)
-"""Shares of a request that are tried, one after the other, when a part would leave the plate."""
+FRACTIONS = (1.0, 0.5, 0.25)
+"""Fractions of a request that are tried, one after the other, when a part would leave the plate."""
 
-GOOD_SHARE = 0.15
-"""Share of the wanted displacement that may be missed (root mean square) before a solver looks
+GOOD_MISS = 0.15
+"""Fraction of the wanted displacement that may be missed (root mean square) before a solver looks
 for other motions than the last one's relatives."""
 
-EXACT_SHARE = 0.02
-"""The same where no part has any slack: whoever asks so wants it exactly."""
+EXACT_MISS = 0.02
+"""The same where a part has no slack at all: whoever asks so wants it exactly."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
@@ -60,8 +58,9 @@ class Answer:
     error_m, asked_m : float
         Root mean square over parts and axes of the missed and of the wanted displacement; turns
         count as ways of the rim [m].
-    share : float
-        Share of the wanted displacement that was aimed at: `SHARES`, or 0 for a cycle at rest.
+    fraction : float
+        Fraction of the wanted displacement that was aimed at: `FRACTIONS`, or 0 for a cycle at
+        rest.
     """
 
     cycle: PlateCycle
@@ -69,7 +68,7 @@ class Answer:
     message: str
     error_m: float
     asked_m: float
-    share: float = 1.0
+    fraction: float = 1.0
 
 
 class Controller:
@@ -138,12 +137,13 @@ class Controller:
         goal = self._goal(wanted, running, period)
         asked = goal.size
         unit = goal.friction_accel[:, None] * period**2
-        missable = GOOD_SHARE if np.any(goal.tolerance) else EXACT_SHARE
-        for share in SHARES:
-            part = goal.times(share)
-            good = max(missable * share * asked, DRIFT_TOLERANCE * period)
+        missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
+        for fraction in FRACTIONS:
+            part = goal.times(fraction)
+            good = max(missable * fraction * asked, DRIFT_TOLERANCE * period)
             solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
-            if not self._leaves_plate(goal, solution.cycle):
+            end = np.asarray(solution.predicted)
+            if not self._leaves_plate(goal, end):
                 break
             solver.forget()
         else:
@@ -155,29 +155,25 @@ class Controller:
                 message=message,
                 cycle=rest,
                 residual=goal.displacement / unit,
-                status="failed",
-                share=0.0,
+                status=Status.FAILED,
+                fraction=0.0,
             )
             return Answer(rest, solution, message, asked, asked, 0.0)
-        if share < 1:
+        if fraction < 1:
             solution = replace(
                 solution,
                 success=False,
-                message=f"{share:g} of the request; {solution.message}",
-                residual=solution.residual + (1 - share) * goal.displacement / unit,
-                status="share",
-                share=share,
+                message=f"{fraction:g} of the request; {solution.message}",
+                residual=solution.residual + (1 - fraction) * goal.displacement / unit,
+                status=Status.PARTIAL,
+                fraction=fraction,
             )
         error = (solution.residual * unit).ravel()
         if goal.turns is not None:
-            start = goal.position, goal.velocity, goal.turns.spin
-            turned = after_discs(
-                solution.cycle, *start, goal.turns.radius, goal.friction_accel, STEP
-            )[2]
-            missed = goal.turns.wanted - turned
-            error = np.append(error, goal.turns.radius * missed[goal.turns.asked])
+            missed = goal.turns.wanted[goal.turns.asked] - end[goal.position.size :]
+            error = np.append(error, goal.turns.radius * missed)
         rms = float(np.sqrt(np.mean(error**2)))
-        return Answer(solution.cycle, solution, solution.message, rms, asked, share)
+        return Answer(solution.cycle, solution, solution.message, rms, asked, fraction)
 
     def _goal(self, wanted: Wanted, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
@@ -188,8 +184,8 @@ class Controller:
         friction = np.where(known > 0, known, self._rig.friction.accel)
         turns = self._turns(wanted, period)
         if running is not None and turns is not None:
-            position, velocity, _, spin = after_discs(
-                running, position, start, turns.spin, turns.radius, friction, STEP
+            position, velocity, _, spin = end_disc(
+                position, start, turns.spin, *finely_sampled(running), friction, turns.points
             )
             turns = replace(turns, spin=spin)
         elif running is not None:
@@ -223,9 +219,9 @@ class Controller:
         spin = np.array([self._spin.get(name, 0.0) for name in wanted.parts.ids])
         return Turns(spin, np.where(wanted.torque != 0, turn, np.nan), radius)
 
-    def _leaves_plate(self, goal: Goal, cycle: PlateCycle) -> bool:
+    def _leaves_plate(self, goal: Goal, predicted: np.ndarray) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""
-        end, _ = after(cycle, goal.position, goal.velocity, goal.friction_accel)
+        end = predicted[: goal.position.size].reshape(2, -1).T
         edge = self._rig.plate.half - 0.5 * self._rig.parts.radius_m
         out = np.abs(end) > edge
         return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))

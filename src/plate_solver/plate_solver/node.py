@@ -29,9 +29,9 @@ from plate_core.ros import (
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 
+from .analysis import condition_number
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
-from .library import Library
-from .manipulability import condition_number
+from .rotations import Library
 
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
@@ -204,11 +204,11 @@ class SolverNode(Node):
         return {
             "method": self._controller.method,
             "parts": len(self._parts),
-            "missed_share": f"{missed / asked:.4f}" if asked > 0 else "0",
+            "missed_fraction": f"{missed / asked:.4f}" if asked > 0 else "0",
             "solve_ms_median": f"{np.median(solve_ms):.2f}" if solve_ms else "0",
             "solve_ms_max": f"{max(solve_ms):.2f}" if solve_ms else "0",
             "condition": f"{solution.condition:.4g}" if solution else "0",
-            "share": f"{self._last.share:g}" if self._last else "0",
+            "fraction": f"{self._last.fraction:g}" if self._last else "0",
             "plate_condition": f"{self._plate_condition():.4g}",
             "iterations": solution.iterations if solution else 0,
             "silent_s": f"{self._input.silence(time.monotonic()):.2f}",
@@ -220,7 +220,7 @@ class SolverNode(Node):
 
 
 def warm_up(controller: Controller, half: np.ndarray) -> None:
-    """Compile, and make the tables of guesses, before the first image comes."""
+    """Compile before the first image comes."""
     chosen = controller.method
     turned = Wanted.make(Parts.make(("part_0",), np.zeros((1, 2))), torque=np.array([1e-6]))
     for controller.method in ("rotations", "sinusoids"):

@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import linprog
 
 from plate_core import PlateError
-from plate_solver import RotationSolver, guaranteed_force, manipulability, manipulability_map
-from plate_solver.library import Library
-from plate_solver.manipulability import condition_number
+from plate_solver import RotationSolver, library_force, manipulability, manipulability_map
+from plate_solver.analysis import condition_number
+from plate_solver.rotations import Library
 
 WAYS = np.array([[np.cos(a), np.sin(a)] for a in np.arange(7)])
 
@@ -35,13 +35,13 @@ def scipy_force(matrix, direction):
 
 def test_one_part_can_be_pushed_fully_in_every_direction(rig):
     place = np.array([[0.1, 0.05]])
-    force = guaranteed_force(rig, place, WAYS)
+    force = library_force(rig, place, WAYS)
     assert np.all(force <= 1 + 1e-9)
     np.testing.assert_allclose(
         force, 1, atol=2e-3
     )  # the library's directions are some degrees apart
     found = manipulability(rig, place)
-    assert found.guaranteed == pytest.approx(1, abs=2e-3)
+    assert found.weakest_force == pytest.approx(1, abs=2e-3)
     assert 1 <= found.condition < 2
 
 
@@ -49,12 +49,12 @@ def test_two_parts_far_apart(rig):
     # Turning about the middle pushes them against each other across, shifts together: both fully.
     place = np.array([[-0.25, 0.0], [0.25, 0.0]])
     together, across = np.array([1.0, 0, 1, 0]), np.array([0, 1.0, 0, -1])
-    np.testing.assert_allclose(guaranteed_force(rig, place, [together, across]), 1, atol=0.01)
+    np.testing.assert_allclose(library_force(rig, place, [together, across]), 1, atol=0.01)
     found = manipulability(rig, place)
-    assert 0.3 < found.guaranteed < 0.6
+    assert 0.3 < found.weakest_force < 0.6
     # No direction at random is worse than the one that is said to be the weakest.
     ways = np.random.default_rng(0).normal(size=(40, 4))
-    assert np.min(guaranteed_force(rig, place, ways)) >= found.guaranteed - 1e-9
+    assert np.min(library_force(rig, place, ways)) >= found.weakest_force - 1e-9
 
 
 def test_condition_grows_as_one_over_the_distance(rig):
@@ -64,7 +64,7 @@ def test_condition_grows_as_one_over_the_distance(rig):
         place = np.array([[0.05 - gap / 2, 0.031], [0.05 + gap / 2, 0.031]])
         found = manipulability(rig, place)
         conditions.append(found.condition)
-        forces.append(found.guaranteed)
+        forces.append(found.weakest_force)
         opposite = found.worst_direction[:2] + found.worst_direction[2:]
         assert np.linalg.norm(opposite) < 0.02
         assert found.condition == condition_number(rig, place)
@@ -75,9 +75,9 @@ def test_condition_grows_as_one_over_the_distance(rig):
 def test_parts_in_one_place_cannot_be_told_apart(rig):
     found = manipulability(rig, np.array([[0.05, 0.03], [0.05, 0.03]]))
     assert np.isinf(found.condition)
-    assert found.guaranteed == 0
+    assert found.weakest_force == 0
     np.testing.assert_allclose(found.worst_direction[:2], -found.worst_direction[2:], atol=1e-6)
-    same = guaranteed_force(rig, [[0.05, 0.03], [0.05, 0.03]], [[1, 0, 1, 0], [1, 0, -1, 0]])
+    same = library_force(rig, [[0.05, 0.03], [0.05, 0.03]], [[1, 0, 1, 0], [1, 0, -1, 0]])
     np.testing.assert_allclose(same, [1, 0], atol=2e-3)
 
 
@@ -88,19 +88,21 @@ def test_the_hull_is_that_of_scipy(rig, scene, count):
     for direction in rng.normal(size=(3, 2 * count)):
         unit = direction / np.sqrt(np.sum(direction**2) / count)
         expected = scipy_force(matrix, unit)
-        np.testing.assert_allclose(guaranteed_force(rig, place, direction), expected, rtol=1e-6)
+        np.testing.assert_allclose(library_force(rig, place, direction), expected, rtol=1e-6)
     found = manipulability(rig, place)
     assert np.sum(found.weakest_direction**2) == pytest.approx(count)
-    assert scipy_force(matrix, found.weakest_direction) == pytest.approx(found.guaranteed, rel=1e-6)
+    assert scipy_force(matrix, found.weakest_direction) == pytest.approx(
+        found.weakest_force, rel=1e-6
+    )
     values = np.linalg.svd(matrix, compute_uv=False)
     assert found.condition == pytest.approx(values[0] / values[-1], rel=1e-6)
 
 
-def test_what_is_guaranteed_can_be_done(rig, scene):
+def test_the_weakest_force_can_be_done(rig, scene):
     # Before ramps and closure: Method A does most of what the hull promises for the weakest way.
     _, place = scene(2, 2)
     found = manipulability(rig, place)
-    force = found.guaranteed * found.weakest_direction.reshape(2, 2)
+    force = found.weakest_force * found.weakest_direction.reshape(2, 2)
     solution = RotationSolver(rig).solve(place, 0.7 * force)
     assert solution.success
 
@@ -133,4 +135,4 @@ def test_map_of_a_probe(rig):
 )
 def test_wrong_input_is_named(rig, position, direction, message):
     with pytest.raises(PlateError, match=message):
-        guaranteed_force(rig, position, direction)
+        library_force(rig, position, direction)

@@ -276,7 +276,7 @@ def test_life_of_a_solver(peer, rig):
     peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
 
     report = peer.report(lambda r: int(r["answers"]) >= 20)
-    assert 0 <= float(report["missed_share"]) <= 1
+    assert 0 <= float(report["missed_fraction"]) <= 1
     assert float(report["condition"]) >= 1
     code, output = peer.end()
     assert code == 0, output

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from plate_core import PlateError, load_rig
 from plate_core.motion import usage
 from plate_sim import simulate
-from plate_solver import RotationSolver, SinusoidSolver
-from plate_solver.force_map import mean_force
+from plate_solver import RotationSolver, SinusoidSolver, Status
+from plate_solver.maps import step_forces
+from plate_solver.requests.request import request_flags
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -24,7 +25,7 @@ DIP = 1e-3
 def dense_force(cycle, position, velocity):
     """Average force from velocities of the surface sampled 65536 times."""
     t = (np.arange(65536) + 0.5) / 65536 * cycle.period
-    return mean_force(position, velocity, cycle.twist(t))
+    return step_forces(position, velocity, cycle.twist(t), np.ones(len(t)))[:, :2]
 
 
 def travel(cycle, position, velocity):
@@ -39,21 +40,20 @@ def check_truth(solution, position, force, velocity, tolerance, own):
     start, end = solution.cycle.pose([0.0, solution.cycle.period])
     np.testing.assert_allclose(start, end, atol=1e-9)
     assert np.all(np.isfinite(solution.residual))
-    assert 0 <= solution.share <= 1
+    assert 0 <= solution.fraction <= 1
     assert solution.message
     got = dense_force(solution.cycle, position, velocity)
     scale = max(1.0, np.max(np.abs(force)))
     np.testing.assert_allclose(force - got, solution.residual, atol=DIP * scale)
     met = np.all(np.abs(force - got) <= tolerance + own + DIP)
-    assert solution.success == (solution.status == "solved") == (solution.share == 1)
-    assert solution.status in ("solved", "share", "unreachable", "failed")
+    assert solution.success == (solution.status is Status.SOLVED) == (solution.fraction == 1)
     if solution.success:
         assert met
-    if solution.share > 0:
-        missed = np.abs(solution.share * force - got)
+    if solution.fraction > 0:
+        missed = np.abs(solution.fraction * force - got)
         assert np.all(missed <= tolerance + own + DIP * scale)
     if np.max(np.hypot(*force.T)) > 1 + np.max(tolerance) * 1.5:
-        assert solution.status == "unreachable"
+        assert solution.status is Status.UNREACHABLE
 
 
 places = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.15, 0.15))
@@ -98,14 +98,14 @@ def test_any_request_for_moving_parts_is_answered_with_the_truth(method, parts):
 @BOTH
 def test_two_parts_approach_with_opposite_requests(method):
     solver = method(RIG, restarts=4)
-    shares = []
+    fractions = []
     for gap in np.geomspace(0.3, 0.005, 8):
         position = np.array([[0.05 - gap / 2, 0.02], [0.05 + gap / 2, 0.02]])
         force = np.array([[0.1, 0.0], [-0.1, 0.0]])
         solution = solver.solve(position, force)
         check_truth(solution, position, force, np.zeros((2, 2)), 0.0, solver.options.tolerance)
-        shares.append(solution.share)
-    assert np.all(np.array(shares[:4]) == 1)
+        fractions.append(solution.fraction)
+    assert np.all(np.array(fractions[:4]) == 1)
 
 
 @BOTH
@@ -113,10 +113,11 @@ def test_parts_in_one_place_pushed_apart_get_nothing(method):
     position = np.array([[0.05, 0.03], [0.05, 0.03]])
     solver = method(RIG, restarts=1)
     apart = solver.solve(position, [[0.1, 0.0], [-0.1, 0.0]])
-    assert (apart.status, apart.share) in (("failed", 0), ("unreachable", 0))
+    assert apart.status in (Status.FAILED, Status.UNREACHABLE)
+    assert apart.fraction == 0
     assert np.all(apart.cycle.twist(np.linspace(0, apart.cycle.period, 50)) == 0)
     assert "plate rests" in apart.message
-    assert solver.solve(position, [[0.1, 0.0], [0.1, 0.0]]).share > 0.9  # together: as one part
+    assert solver.solve(position, [[0.1, 0.0], [0.1, 0.0]]).fraction > 0.9  # together: as one part
 
 
 @BOTH
@@ -130,15 +131,17 @@ def test_nothing_asked_is_a_plate_at_rest(method, refine):
     assert np.all(solution.cycle.pose(np.linspace(0, solution.cycle.period, 50)) == 0)
 
 
-def test_share_is_the_largest_there_is(scene):
+def test_fraction_is_the_largest_there_is(scene):
     # With N harmonics one part gets (N - 1)/(N + 1) at most.
     for number in (2, 3):
         most = (number - 1) / (number + 1)
         solution = SinusoidSolver(RIG, harmonics=number).solve([[0.1, 0.05]], [[0.8, 0.0]])
         assert not solution.success
-        assert 0.9 * most <= 0.8 * solution.share <= most + 1e-3
-        assert f"{solution.share:.3g} of the request" in solution.message
-        np.testing.assert_allclose(solution.residual, [[0.8 * (1 - solution.share), 0]], atol=2e-4)
+        assert 0.9 * most <= 0.8 * solution.fraction <= most + 1e-3
+        assert f"{solution.fraction:.3g} of the request" in solution.message
+        np.testing.assert_allclose(
+            solution.residual, [[0.8 * (1 - solution.fraction), 0]], atol=2e-4
+        )
 
 
 @BOTH
@@ -146,12 +149,12 @@ def test_share_is_the_largest_there_is(scene):
 def test_more_than_full_friction_is_known_to_be_too_much(method, size):
     position = np.array([[0.1, 0.05], [-0.1, 0.0]])
     solution = method(RIG, restarts=1).solve(position, [[size, 0.0], [0.0, 0.1 * size]])
-    assert solution.status == "unreachable"
-    assert 0 < solution.share <= 1 / size
+    assert solution.status is Status.UNREACHABLE
+    assert 0 < solution.fraction <= 1 / size
     assert "allowed: 1" in solution.message
     got = dense_force(solution.cycle, position, np.zeros((2, 2)))
     np.testing.assert_allclose(
-        got, solution.share * np.array([[size, 0], [0, 0.1 * size]]), atol=2e-3
+        got, solution.fraction * np.array([[size, 0], [0, 0.1 * size]]), atol=2e-3
     )
 
 
@@ -183,7 +186,7 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
         rng, position = scene(seed, count)
         force, velocity = rng.uniform(-0.03, 0.03, (2, count, 2))
         solution = solver.solve(position, force, 0.2 * velocity, refine="cycle")
-        assert solution.share > 0.9
+        assert solution.fraction > 0.9
         assert solution.cycle.starts_at_rest
         drift = 0.2 * velocity * solution.cycle.period
         got = (travel(solution.cycle, position, 0.2 * velocity) - drift) / unit
@@ -194,18 +197,18 @@ def test_force_on_the_cycle_map_is_the_growth_of_the_drift(scene, method, count)
 
 
 @BOTH
-def test_too_much_on_the_cycle_map_is_missed_no_more_than_by_its_share(scene, method):
+def test_too_much_on_the_cycle_map_is_missed_no_more_than_by_its_fraction(scene, method):
     solver = method(RIG, restarts=1)
     unit = RIG.friction.accel * solver.steering_period(4) ** 2
     rng, position = scene(0, 4)
     force = rng.uniform(-0.2, 0.2, (4, 2))
     solution = solver.solve(position, force, refine="cycle")
-    assert solution.status == "share"
-    assert 0 < solution.share < 1
+    assert solution.status is Status.PARTIAL
+    assert 0 < solution.fraction < 1
     got = travel(solution.cycle, position, np.zeros((4, 2))) / unit
     np.testing.assert_allclose(force - got, solution.residual, atol=0.01)
     sizes = np.linalg.norm(force - got), np.linalg.norm(force)
-    assert sizes[0] <= (1 - 0.9 * solution.share) * sizes[1] + 0.01
+    assert sizes[0] <= (1 - 0.9 * solution.fraction) * sizes[1] + 0.01
 
 
 def test_force_at_the_mean_velocity(scene):
@@ -238,3 +241,28 @@ def test_force_at_the_mean_velocity(scene):
 def test_wrong_requests_are_named(asked, message):
     with pytest.raises(PlateError, match=message):
         SinusoidSolver(RIG).solve(**({"position": [[0.1, 0.0]], "force": [[0.1, 0.0]]} | asked))
+
+
+def test_flags_of_a_request():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        position, velocity, force = rng.normal(size=(3, 4, 2))
+        tolerance = np.abs(rng.normal(size=(4, 2))) * rng.integers(0, 3)
+        curl = np.full(4, np.nan)
+        velocity *= rng.integers(0, 2)
+        sound, moving, curled, slack, within, loaded = request_flags(
+            position, force, velocity, curl, tolerance
+        )
+        left = np.maximum(np.abs(force) - tolerance, 0)
+        assert sound
+        assert not curled
+        assert moving == bool(np.any(velocity))
+        assert slack == bool(np.any(tolerance))
+        assert within == bool(np.all(np.abs(force) <= tolerance))
+        assert loaded == pytest.approx(np.max(np.hypot(*left.T)))
+        curl[2] = 1.0
+        assert request_flags(position, force, velocity, curl, tolerance)[2]
+        for broken in (np.nan, np.inf, 1e4):
+            spoilt = position.copy()
+            spoilt[1, 0] = broken
+            assert not request_flags(spoilt, force, velocity, curl, tolerance)[0]

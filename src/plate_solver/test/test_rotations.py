@@ -5,13 +5,13 @@ import pytest
 
 from plate_core import PlateError
 from plate_core.motion import corner_accel, usage
-from plate_solver import Goal, RotationSolver, average_force
-from plate_solver.centres import ring, unit_twists
-from plate_solver.rotation_descent import line_of, slopes
-from plate_solver.rotation_family import RotationFamily
-from plate_solver.sequence import motion, ramps, timeline
-from plate_solver.solution import Bounds
-from plate_solver.stepped_map import mean_forces
+from plate_solver import Goal, Limits, RotationSolver, average_force
+from plate_solver.maps import step_forces
+from plate_solver.rotations import ring
+from plate_solver.rotations.average import force_slopes
+from plate_solver.rotations.family import RotationFamily, line_of
+from plate_solver.rotations.library import unit_twists
+from plate_solver.rotations.sequence import motion, ramps, timeline
 
 HALF = np.array([0.3, 0.15])
 CORNERS = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -95,7 +95,7 @@ BOTH = pytest.mark.parametrize("free", [False, True])
 
 
 def family(rig, free=False, steps=None):
-    return RotationFamily(TURNS / 0.25, Bounds.of(rig), PERIOD, 0.25, free, steps=steps)
+    return RotationFamily(TURNS / 0.25, Limits.of(rig), PERIOD, 0.25, free, steps=steps)
 
 
 @BOTH
@@ -120,11 +120,11 @@ def test_family_slopes_agree_with_differences(rig, free):
     assert np.any(sequence.penalty(parameters)[3:] != 0)
     rng = np.random.default_rng(0)
     n = 5 * (5 + 4)
-    weights = [rng.normal(size=shape) for shape in ((6, n, 3), (6, n, 3), (6, n))]
+    weights = [rng.normal(size=shape) for shape in ((3, n, 6), (3, n, 6), (n, 6))]
 
     def values(theta):
         seen = zip(weights, sequence.samples(theta), strict=True)
-        return sum((w * s).reshape(6, -1).sum(axis=1) for w, s in seen), sequence.penalty(theta)
+        return sum(np.tensordot(s.T, w, s.ndim) for w, s in seen), sequence.penalty(theta)
 
     slopes = sequence.pull_back(parameters, *weights), -sequence.penalty_slopes(parameters)
     step = 1e-6
@@ -146,10 +146,10 @@ def test_compiled_force_slopes_agree_with_differences(rig, free):
 
     def forces(theta):
         _, twist, dt = sequence.samples(theta)
-        return mean_forces(position, velocity, twist, dt).ravel()[asked]
+        return step_forces(position, velocity, twist, dt).ravel()[asked]
 
     line = line_of(parameters, sequence.plain)
-    found = slopes(parameters, sequence.plain, line, position, velocity, asked)
+    found = force_slopes(parameters, sequence.plain, line, position, velocity, asked)
     step = 1e-6
     for p, d in enumerate(step * np.eye(len(parameters))):
         slope = (forces(parameters + d) - forces(parameters - d)) / (2 * step)
@@ -160,7 +160,7 @@ def test_compiled_force_slopes_agree_with_differences(rig, free):
 @pytest.mark.parametrize("seed", range(4))
 def test_admissible_parameters_are_within_the_limits(rig, seed, free):
     rng = np.random.default_rng(seed)
-    sequence = RotationFamily(TURNS, Bounds.of(rig), PERIOD, 0.25, free, within_stroke=True)
+    sequence = RotationFamily(TURNS, Limits.of(rig), PERIOD, 0.25, free, within_stroke=True)
     wild = 20 * rng.normal(size=len(sequence.parameters(np.ones(4))))
     kept = sequence.admissible(wild)
     assert np.all(kept[:5] > 0)
@@ -171,13 +171,13 @@ def test_admissible_parameters_are_within_the_limits(rig, seed, free):
     np.testing.assert_array_equal(sequence.admissible(gentle), gentle)
 
 
-def test_shares_become_lengths(rig):
+def test_fractions_become_lengths(rig):
     sequence = family(rig)
-    share = np.array([0.2, 0.3, 0.1, 0.1])
-    parameters = sequence.parameters(share)
-    np.testing.assert_allclose(parameters[:4] / parameters[0], share / 0.2)
+    fraction = np.array([0.2, 0.3, 0.1, 0.1])
+    parameters = sequence.parameters(fraction)
+    np.testing.assert_allclose(parameters[:4] / parameters[0], fraction / 0.2)
     assert parameters[4] / parameters[0] == pytest.approx(0.3 / 0.2)  # what is left is rest
-    np.testing.assert_array_equal(sequence.parameters(3 * share)[4], 0.02)  # nothing is left
+    np.testing.assert_array_equal(sequence.parameters(3 * fraction)[4], 0.02)  # nothing is left
 
 
 def test_cycle_is_made_of_rotations_from_rest_to_rest(rig, scene):

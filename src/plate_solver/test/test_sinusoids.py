@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
-from plate_solver import SinusoidSolver, average_force
+from plate_solver import SinusoidSolver, Status, average_force
 
 PLACE = np.array([[0.12, -0.06]])
 
@@ -96,8 +96,8 @@ def test_what_is_proven_out_of_reach_is_said(rig):
     solver = SinusoidSolver(rig, harmonics=2, restarts=2)
     inside = solver.solve(PLACE, [[0.3, 0.0]])
     beyond = solver.solve(PLACE, [[0.4, 0.0]])
-    assert (inside.status, inside.success) == ("solved", True)
-    assert (beyond.status, beyond.success) == ("unreachable", False)
+    assert (inside.status, inside.success) == (Status.SOLVED, True)
+    assert (beyond.status, beyond.success) == (Status.UNREACHABLE, False)
     assert np.max(np.abs(average_force(inside.cycle, PLACE) - [[0.3, 0.0]])) < 1.1e-4
 
 

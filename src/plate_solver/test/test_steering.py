@@ -6,7 +6,6 @@ import pytest
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
-from plate_solver.steering import residual
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
 DRIFT = 0.01  # m/s, the most that is asked
@@ -112,19 +111,23 @@ def test_residual_at_the_edge_of_the_tolerance():
     start, tolerance = np.array([[0.1, 0.2]]), np.array([[1e-3, 0.0]])
     goal = Goal(start, np.zeros((1, 2)), np.array([[5e-3, 0.0]]), tolerance, 2.45)
     step = 1e-9
-    inside, weight_inside = residual(goal, start + [4e-3 + step, 0])
-    outside, weight_outside = residual(goal, start + [4e-3 - step, 0])
-    assert weight_inside[0, 0] < 0.1
-    assert weight_outside[0, 0] == 1
-    assert outside[0, 0] == pytest.approx(inside[0, 0], rel=1e-3)  # no jump
-    assert 0 < inside[0, 0] < 1e-4
-    far, _ = residual(goal, start)
-    assert 4e-3 < far[0, 0] < 4.1e-3
-    beyond, _ = residual(goal, start + [10e-3, 0])
-    assert beyond[0, 0] == pytest.approx(-far[0, 0])
+
+    def miss(place):
+        return goal.error(place.T.ravel())
+
+    inside, weight_inside = miss(start + [4e-3 + step, 0])
+    outside, weight_outside = miss(start + [4e-3 - step, 0])
+    assert weight_inside[0] < 0.1
+    assert weight_outside[0] == 1
+    assert outside[0] == pytest.approx(inside[0], rel=1e-3)  # no jump
+    assert 0 < inside[0] < 1e-4
+    far, _ = miss(start)
+    assert 4e-3 < far[0] < 4.1e-3
+    beyond, _ = miss(start + [10e-3, 0])
+    assert beyond[0] == pytest.approx(-far[0])
     # Without tolerance the error is the miss itself.
-    free, _ = residual(goal, start + [5e-3, 2e-3])
-    np.testing.assert_allclose(free, [[0, -2e-3]], atol=1e-12)
+    free, _ = miss(start + [5e-3, 2e-3])
+    np.testing.assert_allclose(free, [0, -2e-3], atol=1e-12)
 
 
 @BOTH

@@ -1,0 +1,167 @@
+"""Levenberg-Marquardt for a few errors and many parameters.
+
+Steps are of least norm, so they are orthogonal to whatever does not change the errors: on the
+averaged map, scale and shift in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from plate_core.kernels import kernel
+
+
+class Damping(NamedTuple):
+    """How the damping of steps changes, in units of the mean squared row of the Jacobian.
+
+    Attributes
+    ----------
+    first, least, most : float
+        A search that needs more than the most is given up.
+    shrink, grow : float
+        Factors after a step that was taken, and after one that was not.
+    stall_steps : int
+        A search is given up where so many steps leave
+    stall_fraction : float
+        more than this fraction of the squared error.
+    """
+
+    first: float
+    least: float
+    most: float
+    shrink: float
+    grow: float
+    stall_steps: int
+    stall_fraction: float
+
+
+DAMPING = Damping(1e-2, 1e-6, 1e3, 3.0, 4.0, 1_000_000, 1.0)
+"""Where each evaluation is dear: patient, and never stalled."""
+
+
+class Fit(NamedTuple):
+    """Result: parameters (P,), errors (R,), Jacobian (R, P) of minus these, and steps made."""
+
+    parameters: np.ndarray
+    error: np.ndarray
+    jacobian: np.ndarray
+    iterations: int
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared errors."""
+        return float(self.error @ self.error)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the Jacobian (infinite where it has lost rank)."""
+        return float(condition_of(np.ascontiguousarray(self.jacobian)))
+
+
+Evaluate = Callable[[Any, np.ndarray], tuple[np.ndarray, np.ndarray, Any]]
+"""Parameters (P,) to the nearest ones that the rig can run, their errors (R,), and notes."""
+
+Slopes = Callable[[Any, np.ndarray, Any], np.ndarray]
+"""These parameters and notes to the derivative (R, P) of MINUS the errors."""
+
+
+def levenberg_marquardt(
+    evaluate: Evaluate, slopes: Slopes
+) -> Callable[[Any, np.ndarray, Damping, float, int], Fit]:
+    """Make a search of two functions: plain, or to be compiled with compiled ones.
+
+    The search takes a problem, which is given to both functions, a start (P,), the damping, the
+    greatest absolute error at which to stop, and how often to evaluate at most after the first
+    time. The slopes are asked for only where a step is taken.
+    """
+
+    def search(
+        problem: Any, start: np.ndarray, damping: Damping, tolerance: float, iterations: int
+    ) -> Fit:
+        parameters, error, notes = evaluate(problem, start)
+        jacobian = slopes(problem, parameters, notes)
+        cost, factor, done = np.sum(error * error), damping.first, 0
+        history = np.empty(iterations + 1)
+        while np.max(np.abs(error)) > tolerance and done < iterations:
+            history[done] = cost
+            past = done - damping.stall_steps
+            if past >= 0 and cost > damping.stall_fraction * history[past]:
+                break
+            done += 1
+            step = least_norm_step(jacobian, error, factor)
+            trial, trial_error, notes = evaluate(problem, parameters + step)
+            trial_cost = np.sum(trial_error * trial_error)
+            if trial_cost < cost:
+                parameters, error, cost = trial, trial_error, trial_cost
+                jacobian = slopes(problem, parameters, notes)
+                factor = max(factor / damping.shrink, damping.least)
+            else:
+                factor *= damping.grow
+                if factor > damping.most:
+                    break
+        return Fit(parameters, error, jacobian, done)
+
+    return search
+
+
+def fit(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, Callable[[], np.ndarray]]],
+    admissible: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    tolerance: float,
+    iterations: int,
+) -> Fit:
+    """Search by functions that are not compiled.
+
+    Parameters
+    ----------
+    evaluate : function
+        Parameters to errors, and to a function for the derivative of minus the errors there.
+    admissible : function
+        Parameters to ones that the rig can run.
+    start, tolerance, iterations
+        As `levenberg_marquardt`.
+    """
+
+    def there(_: None, trial: np.ndarray) -> tuple[np.ndarray, np.ndarray, Callable[[], Any]]:
+        trial = admissible(trial)
+        return trial, *evaluate(trial)
+
+    def slopes(_: None, __: np.ndarray, at: Callable[[], np.ndarray]) -> np.ndarray:
+        return at()
+
+    return levenberg_marquardt(there, slopes)(None, start, DAMPING, tolerance, iterations)
+
+
+@kernel(error_model="numpy")
+def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
+    """Return the damped step: J' (J J' + damping mean(diag) 1)^-1 error, or the same in the space
+    of the parameters where that is the smaller one."""
+    rows, columns = jacobian.shape
+    across = jacobian.T
+    if rows <= columns:
+        small = jacobian @ across
+        _raise_diagonal(small, damping)
+        return across @ np.linalg.solve(small, error)
+    small = across @ jacobian
+    _raise_diagonal(small, damping)
+    return np.linalg.solve(small, across @ error)
+
+
+@kernel()
+def _raise_diagonal(square: np.ndarray, damping: float) -> None:
+    more = damping * np.trace(square) / len(square) + 1e-30
+    for i in range(len(square)):
+        square[i, i] += more
+
+
+@kernel(error_model="numpy")
+def condition_of(jacobian: np.ndarray) -> float:
+    """Return the condition number (infinite where it is beyond 1e7)."""
+    rows, columns = jacobian.shape
+    across = jacobian.T
+    values = np.linalg.eigvalsh(jacobian @ across if rows <= columns else across @ jacobian)
+    return np.sqrt(values[-1] / values[0]) if values[0] > 1e-14 * values[-1] else np.inf

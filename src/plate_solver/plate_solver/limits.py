@@ -1,0 +1,111 @@
+"""How much of the rig's limits a sampled motion uses: the one check that both methods make.
+
+Compiled, as a search asks it at every step; `plate_core.motion.usage` says the same of a whole
+cycle, and a test compares the two.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+from plate_core.kernels import kernel
+from plate_core.motion import PIECES
+
+MARGIN = 0.98
+"""Fraction of the limits that a search uses: its samples may miss a peak by a little."""
+
+CERTAIN = 0.999
+"""Fraction of the limits that a finished cycle uses at most, by its control points."""
+
+
+class Limits(NamedTuple):
+    """The rig's limits, or a fraction of them, in the form that kernels take.
+
+    Attributes
+    ----------
+    motors : (4, 2, 2)
+        Where each pushes [m], and its direction.
+    half : (2,)
+        Half sides of the plate [m].
+    stroke_m, speed, accel : float
+        Of motors [m], [m/s], and of any point of the plate [m/s2].
+    arm_m : float
+        Length that turns theta into a travel of its usual effect: scales the parameters.
+    """
+
+    motors: np.ndarray
+    half: np.ndarray
+    stroke_m: float
+    speed: float
+    accel: float
+    arm_m: float
+
+    @classmethod
+    def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
+        """Take a fraction of a rig's limits."""
+        return cls(
+            np.array([[m.point, m.direction] for m in rig.motors], dtype=float),
+            np.asarray(rig.plate.half, dtype=float),
+            fraction * rig.limits.stroke_m,
+            fraction * rig.limits.speed,
+            fraction * rig.limits.accel,
+            float(np.hypot(*rig.plate.half)) * 0.6,
+        )
+
+    @property
+    def motor_rows(self) -> np.ndarray:
+        """Motor travel per pose (4, 3), linearised at home."""
+        (x, y), (ex, ey) = self.motors.transpose(1, 2, 0)
+        return np.column_stack([ex, ey, x * ey - y * ex])
+
+
+@kernel(fastmath=True, error_model="numpy")
+def limit_use(
+    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, limits: Limits, linear: bool
+) -> float:
+    """Return the greatest fraction of a limit that samples (n, 3) of a motion use.
+
+    With the control points of a spline motion it is a bound, as in `plate_core.motion.usage`.
+    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits is told.
+    """
+    stroke = speed = peak = 0.0
+    motors, half = limits.motors, limits.half
+    for k in range(len(pose)):
+        angle = pose[k, 2]
+        if linear:
+            s, c = 0.0, 1.0
+        elif abs(angle) < 0.1:  # the usual case, to 1e-9
+            s = angle * (1 - angle * angle * (1 / 6 - angle * angle / 120))
+            c = 1 - angle * angle * (0.5 - angle * angle / 24)
+        else:
+            s, c = sin(angle), cos(angle)
+        tilt = angle if linear else s
+        spin, spin_rate = twist[k, 2], accel[k, 2]
+        for i in range(len(motors)):
+            px, py, ex, ey = motors[i, 0, 0], motors[i, 0, 1], motors[i, 1, 0], motors[i, 1, 1]
+            along = ex * (c * px - tilt * py - px) + ey * (tilt * px + c * py - py)
+            across = ey * (c * px - s * py) - ex * (s * px + c * py)
+            stroke = max(stroke, abs(ex * pose[k, 0] + ey * pose[k, 1] + along))
+            speed = max(speed, abs(ex * twist[k, 0] + ey * twist[k, 1] + spin * across))
+        for sx in (-half[0], half[0]):
+            for sy in (-half[1], half[1]):
+                x, y = c * sx - s * sy, s * sx + c * sy
+                ax = accel[k, 0] - spin_rate * y - spin * spin * x
+                ay = accel[k, 1] + spin_rate * x - spin * spin * y
+                peak = max(peak, ax * ax + ay * ay)
+    return max(stroke / limits.stroke_m, speed / limits.speed, sqrt(peak) / limits.accel)
+
+
+def within_limits(cycle: PlateCycle, full: Limits) -> PlateCycle:
+    """Return the cycle, scaled down as a whole if its control points exceed the full limits."""
+    for _ in range(4):  # turning enters with its square: nearly linear in the scale
+        pose, twist, accel = (cycle.control_points(order, PIECES) for order in range(3))
+        used = limit_use(pose, twist, accel, full, False)
+        if used <= CERTAIN:
+            break
+        cycle = cycle.scaled(0.9995 * CERTAIN / used)
+    return cycle

@@ -1,0 +1,144 @@
+"""What of a request is in reach: slack is used up; of what is too much, a fraction is met."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linprog
+
+from ..rotations.library import Library
+from .request import Request
+from .solution import Solution, Status
+
+LEFT_OUT = 1.15
+"""The library leaves out at most some per cent of what motions can do: no search beyond this times
+its own bound."""
+
+BISECTIONS = 5
+"""Halvings in search of the largest fraction: it is found to 1/32 of what is in reach at most."""
+
+CAUTION = 0.95
+"""The first fraction that is tried, in units of what the best try at the whole did of it."""
+
+WORTH_IT = 0.5
+"""A motion that misses more than this of a request (root mean square) is worse than none."""
+
+
+def easiest_force(request: Request, library: Library) -> np.ndarray:
+    """Return the forces (M, 2) within the request's tolerance that take the least time.
+
+    The least time in which the library's rotations could do it is a linear programme:
+
+        minimise |w|_1    subject to    force - tolerance <= A w <= force + tolerance
+
+    Where nothing within the tolerance is in their reach, the forces are as wanted.
+    """
+    if not request.flags.slack:
+        return request.force
+    rows = library.forces(request.position)
+    wanted, slack = request.force.T.ravel(), request.tolerance.T.ravel()
+    bounded, matrix = np.isfinite(slack), np.hstack([rows, -rows])
+    most = np.concatenate([(wanted + slack)[bounded], (slack - wanted)[bounded]])
+    result = linprog(
+        np.ones(matrix.shape[1]), np.vstack([matrix[bounded], -matrix[bounded]]), most,
+        method="highs",
+    )  # fmt: skip
+    if result.status != 0:
+        return request.force
+    return np.asarray((matrix @ result.x).reshape(2, -1).T)
+
+
+def largest_fraction(
+    request: Request,
+    library: Library,
+    attempt: Callable[[Request], Solution],
+    nothing: Callable[[], Solution],
+    least: float,
+    most: float,
+    prove: Callable[[Request], bool] | None,
+) -> Solution:
+    """Meet the request, or else the largest fraction of it that is found, by bisection.
+
+    Parameters
+    ----------
+    request : Request
+        Its direction is kept: forces and curls are scaled alike, tolerances are not.
+    library : Library
+        Bounds the search.
+    attempt : function
+        Solves a request, or does what it can.
+    nothing : function
+        What to do where no fraction is met: its motion asks nothing of the parts.
+    least : float
+        Forces below this [mu m g] are none.
+    most : float
+        No motion gives any part more than this [mu m g].
+    prove : function, optional
+        Whether it is proven that a request is out of reach: asked once, it takes long. Without it
+        a motion that misses less of the whole than the fraction does is preferred to it.
+    """
+    fits = min(1.0, most / max(request.flags.loaded, 1e-300))
+    whole = attempt(request if fits == 1 else request.times(fits))
+    if whole.success and fits == 1:
+        return whole
+    low, best, high = (fits if whole.success else 0.0), whole, fits
+    iterations = whole.iterations
+    if not request.flags.moving and not request.flags.slack:
+        bound = library.reachable_fraction(request.position, request.force)
+        high = min(high, LEFT_OUT * most * bound)
+    greatest = float(np.max(np.abs(request.force)))
+    trial = fits * CAUTION * _along(fits * request.force, whole.residual)
+    for _ in range(BISECTIONS):
+        if (high - low) * greatest < least:
+            break
+        fraction = trial if low < trial < high else (low + high) / 2
+        trial = 0.0
+        found = attempt(request.times(fraction))
+        iterations += found.iterations
+        if found.success:
+            low, best = fraction, found
+        else:
+            high = fraction
+    why = whole.message
+    proven = fits < 1 or (prove is not None and prove(request))
+    if proven:
+        why = f"proven out of reach of such motions; {why}"
+    if fits < 1:
+        why = f"a part is asked to bear {request.flags.loaded:.3g} mu m g, allowed: {most:g}"
+    rest_of_whole = whole.residual + (1 - fits) * request.force
+    if low > 0:
+        residual = best.residual + (1 - low) * request.force
+        message = f"{low:.3g} of the request is met; all of it: {why}"
+        if prove is None and _size(rest_of_whole) < _size(residual):
+            best, residual = whole, rest_of_whole
+            message = f"{low:.3g} of the request can be met, this misses less of the whole; {why}"
+    elif request.must_move or _size(rest_of_whole) < WORTH_IT * _size(request.force):
+        residual = rest_of_whole
+        message = f"nothing of the request is met, this comes near; {why}"
+    else:
+        best, residual = nothing(), request.force
+        message = f"nothing of the request is met, so the plate rests; {why}"
+    return replace(
+        best,
+        success=False,
+        message=message,
+        residual=residual,
+        iterations=iterations,
+        condition=whole.condition,
+        status=(Status.UNREACHABLE if proven else Status.PARTIAL if low > 0 else Status.FAILED),
+        fraction=low,
+    )
+
+
+def _along(asked: np.ndarray, missed: np.ndarray) -> float:
+    """Return how much of what was asked was done, along what was asked."""
+    size = float(np.sum(asked**2))  # of what fits, so no greater than the parts
+    return float(np.sum((asked - missed) * asked)) / size if size > 0 else 0.0
+
+
+def _size(force: np.ndarray) -> float:
+    """Return the root mean square of forces (M, 2), whatever their size."""
+    most = float(np.max(np.abs(force)))
+    return most * float(np.sqrt(np.mean((force / most) ** 2))) if most > 0 else 0.0

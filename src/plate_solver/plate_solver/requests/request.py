@@ -1,0 +1,185 @@
+"""A request: average forces that are wanted at parts, checked, and what kind of request it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core import PlateError
+from plate_core.kernels import kernel
+
+CURL_LENGTH_M = 0.05
+"""Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
+
+FARTHEST_M = 1e3
+"""Places of parts [m] beyond this are mistakes."""
+
+FASTEST_MPS = 1e3
+"""Velocities of parts [m/s] beyond this are mistakes."""
+
+
+class RequestFlags(NamedTuple):
+    """What kind of request it is, found in one pass: a compiled one, as numpy takes longer than a
+    search from a near start.
+
+    Attributes
+    ----------
+    sound : bool
+        Whether all values are allowed.
+    moving, curled, slack : bool
+        Whether parts move, curls are asked for, forces have a tolerance.
+    within : bool
+        Whether no force is within all tolerances.
+    loaded : float
+        Force [mu m g] asked of the most loaded part, all its slack used.
+    """
+
+    sound: bool
+    moving: bool
+    curled: bool
+    slack: bool
+    within: bool
+    loaded: float
+
+
+@kernel()
+def request_flags(
+    position: np.ndarray,
+    force: np.ndarray,
+    velocity: np.ndarray,
+    curl: np.ndarray,
+    tolerance: np.ndarray,
+) -> RequestFlags:
+    """Return the `RequestFlags` of a request."""
+    sound = within = True
+    moving = curled = slack = False
+    loaded = 0.0
+    for i in range(len(force)):
+        curled |= not np.isnan(curl[i])
+        sound &= not np.isinf(curl[i])
+        least = 0.0
+        for axis in range(2):
+            wanted, free = abs(force[i, axis]), tolerance[i, axis]
+            sound &= abs(position[i, axis]) <= FARTHEST_M
+            sound &= abs(velocity[i, axis]) <= FASTEST_MPS
+            sound &= wanted < np.inf and free >= 0
+            moving |= velocity[i, axis] != 0
+            slack |= free != 0
+            within &= wanted <= free
+            least = hypot(least, max(wanted - free, 0.0))
+        loaded = max(loaded, least)
+    return RequestFlags(sound, moving, curled, slack, within, loaded)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked at M parts, checked.
+
+    Attributes
+    ----------
+    position, force, velocity : (M, 2)
+        [m] in plate_home, [mu m g], [m/s].
+    curl : (M,)
+        [mu m g / m]; NaN where the curl is free.
+    tolerance : (M, 2)
+        Forces within +- this [mu m g] of those wanted are as good.
+    """
+
+    position: np.ndarray
+    force: np.ndarray
+    velocity: np.ndarray
+    curl: np.ndarray
+    tolerance: np.ndarray
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Which of force x, force y, curl, part by part, are asked for: (3 M,) bool."""
+        asked = np.ones((len(self.position), 3), bool)
+        asked[:, 2] = np.isfinite(self.curl)
+        return asked.ravel()
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """Force x, force y and curl (3 M,), part by part."""
+        return np.column_stack([self.force, self.curl]).ravel()
+
+    @property
+    def scale(self) -> np.ndarray:
+        """What makes force errors [mu m g] of errors in `wanted`, (3 M,)."""
+        return np.tile([1.0, 1.0, CURL_LENGTH_M], len(self.position))
+
+    @cached_property
+    def flags(self) -> RequestFlags:
+        """What kind of request this is."""
+        found: RequestFlags = request_flags(
+            self.position, self.force, self.velocity, self.curl, self.tolerance
+        )
+        return found
+
+    @property
+    def idle(self) -> bool:
+        """Whether a plate at rest does what is asked."""
+        return self.flags.within and not self.must_move
+
+    @property
+    def must_move(self) -> bool:
+        """Whether a plate at rest is no answer: it brakes moving parts, and it has no curl."""
+        return self.flags.moving or self.flags.curled
+
+    def times(self, fraction: float) -> Request:
+        """Return a fraction of the request: less force and curl in the same direction."""
+        return replace(self, force=fraction * self.force, curl=fraction * self.curl)
+
+    @classmethod
+    def check(
+        cls,
+        position: np.ndarray,
+        force: np.ndarray,
+        velocity: np.ndarray | None,
+        curl: np.ndarray | None,
+        tolerance: np.ndarray | None = None,
+    ) -> Request:
+        """Check shapes and values.
+
+        Raises
+        ------
+        PlateError
+            If a shape is not (M, 2), or (M,) for curl, or a value is not finite or absurd.
+        """
+        position = np.array(position, dtype=float)
+        if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+            raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
+        count = len(position)
+        force = np.array(force, dtype=float)
+        velocity = np.zeros((count, 2)) if velocity is None else np.array(velocity, dtype=float)
+        curl = np.full(count, np.nan) if curl is None else np.array(curl, dtype=float)
+        slack = np.zeros((count, 2)) if tolerance is None else np.array(tolerance, dtype=float)
+        for name, array in (("force", force), ("velocity", velocity), ("tolerance", slack)):
+            if array.shape != (count, 2):
+                raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
+        if curl.shape != (count,):
+            raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
+        request = cls(position, force, velocity, curl, slack)
+        if not request.flags.sound:
+            request._refuse()
+        return request
+
+    def _refuse(self) -> None:
+        """Raise the error that names the value that is not allowed."""
+        greatest = {"position": FARTHEST_M, "force": np.inf, "velocity": FASTEST_MPS}
+        for name, most in greatest.items():
+            array = getattr(self, name)
+            size = np.abs(array)
+            worst = float(size.max())
+            if not worst < np.inf:
+                raise PlateError(f"{name} has values that are not finite")
+            if worst > most:
+                value = array.flat[np.argmax(size)]
+                raise PlateError(f"{name} has value {value:g}, allowed: {-most:g} to {most:g}")
+        if np.isinf(self.curl).any():
+            raise PlateError("curl has infinite values, allowed: numbers, NaN where it is free")
+        raise PlateError("tolerance has values below 0 or NaN, allowed: 0 and above")

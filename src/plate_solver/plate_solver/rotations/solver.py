@@ -1,0 +1,319 @@
+"""Method A: sequences of rotations (section 3.1 of the paper).
+
+A linear programme picks few rotations out of a library and how long each is to last. Put in order
+they become a motion from rest to rest, whose lengths and twists are then corrected, on the averaged
+map or on the cycle map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core import PlateCycle, PlateError, Rig
+
+from ..fit import Fit, basin_hopping
+from ..limits import within_limits
+from ..maps import average_force
+from ..motion_solver import MotionSolver, check_options, make_options
+from ..requests import Goal, Request, Solution, fit_goal, force_solution, goal_solution
+from .average import fit_mean_force, mean_force_error
+from .family import RotationFamily
+from .library import Library
+from .plan import RotationPlan, best_order, nearest_order, plan_rotations, with_return_strokes
+
+FEW = (2, 4)
+"""Numbers of parts up to which half and three quarters of the period will do on the cycle map: the
+answer comes sooner, and fewer rotations have to fit in."""
+
+SETTLE = 0.05
+"""Time in which shaking takes away a part's velocity, about [s]."""
+
+CLOSURES = ("sequence", "strokes")
+ORDERS = ("auto", "nearest", "priority", "simulated")
+
+AVERAGED, FINE, FINEST = (20, 4), (60, 20), (600, 200)
+"""Steps in every ramp and hold when an average force is corrected, when that is done for good, and
+when a curl is judged: in a ramp the surface may almost stand still under a part."""
+
+FINER, POLISH = 3, 6
+"""A search that finer steps do not confirm goes on with so many times the steps, for so long."""
+
+SHAKE = 0.3
+"""How far a shaken start is from the best so far, in units of the parameters."""
+
+SPREAD = 0.3
+"""Random part of the costs of rotations in further plans: it picks other rotations, as good."""
+
+ORDER_TRIES = 200
+"""Sequences that are simulated in search of a better order."""
+
+
+@dataclass(frozen=True)
+class RotationOptions:
+    """Options of `RotationSolver`.
+
+    Attributes
+    ----------
+    period : float
+        Length of the cycle [s]; on the cycle map half of it for up to two parts, three quarters for
+        up to four.
+    speed : float
+        Usual speed of the plate's fastest corner in a rotation [m/s].
+    blend : float
+        Least time from one rotation to the next [s]: smooths the motion (3.2).
+    closure : str
+        `sequence`: the motion closes as a whole; `strokes`: each rotation is turned back at once.
+    order : str
+        `nearest`: least change of twist; `priority`: section 3.1.4; `simulated`: the one of some
+        hundred with the least error on the cycle map; `auto`: `nearest` for average forces, which
+        know of no order, as ramps then take the least time; `priority` on the cycle map, as parts
+        and plate stay closest to where they were.
+    most_price : float
+        Most time that a unit of force on a part may cost [cycles / (mu m g)]: what costs more, such
+        as parting two parts that almost touch, is given up in the plan.
+    tolerance : float
+        Greatest force error that counts as success [mu m g].
+    iterations : int
+        Most steps from one start.
+    restarts : int
+        Most further starts when the first fails.
+    seed : int
+        Seed of the further starts.
+    """
+
+    period: float = 0.2
+    speed: float = 0.25
+    blend: float = 0.0
+    closure: str = "sequence"
+    order: str = "auto"
+    most_price: float = 30.0
+    tolerance: float = 1e-3
+    iterations: int = 40
+    restarts: int = 4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_options(
+            self,
+            period=(1e-3, 10.0),
+            speed=(1e-3, 10.0),
+            blend=(0.0, 1.0),
+            most_price=(1.0, 1e6),
+            tolerance=(0.0, 1.0),
+            iterations=(1, 10_000),
+            restarts=(0, 10_000),
+            seed=(0, 2**31 - 1),
+        )
+        for name, allowed in (("closure", CLOSURES), ("order", ORDERS)):
+            if getattr(self, name) not in allowed:
+                raise PlateError(
+                    f"{name} is {getattr(self, name)!r}, allowed: {', '.join(allowed)}"
+                )
+
+
+class Start(NamedTuple):
+    """Where a search begins: a family, and parameters in it."""
+
+    family: RotationFamily
+    parameters: np.ndarray
+
+
+class Try(NamedTuple):
+    """What a search has found, in its family."""
+
+    family: RotationFamily
+    fit: Fit
+
+
+class RotationSolver(MotionSolver):
+    """Plate motions made of rotations.
+
+    Parameters
+    ----------
+    rig : Rig
+        Plate, friction and limits.
+    centres : (N, 2), optional
+        Centres of rotation [m], plate_home: these and no others. If left out, sequences start from
+        a library of centres and translations, and their centres move as the request asks.
+    **options
+        Fields of `RotationOptions`.
+    """
+
+    def __init__(self, rig: Rig, centres: np.ndarray | None = None, **options: float | str) -> None:
+        self.options: RotationOptions = make_options(RotationOptions, options, "centres")
+        super().__init__(rig, self.options.seed)
+        self._free = centres is None
+        if centres is None:
+            self.library = Library.around(rig.plate.half)
+        else:
+            self.library = Library.about(_checked(centres), rig.plate.half)
+        self._warm: Start | None = None
+        self._last: tuple[np.ndarray, Start] | None = None
+        self._basis: np.ndarray | None = None
+
+    def forget(self) -> None:
+        self._warm = self._basis = self._last = None
+
+    def steering_period(self, count: int, turns: int = 0) -> float:
+        return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
+
+    def _solve(self, request: Request) -> Solution:
+        options, tolerance = self.options, self.options.tolerance
+
+        def attempt(_: None, start: Start, __: int, ___: float) -> tuple[Try, float, int, bool]:
+            found = fit_mean_force(request, *start, tolerance / 4, options.iterations)
+            good = np.max(np.abs(found.error)) <= tolerance
+            return Try(start.family, found), found.cost, found.iterations, bool(good)
+
+        def planned(spread: bool) -> Start:
+            plan = self._plan(request.position, request.force, request.curl, spread, fill=True)
+            return self._family(plan, options.period, averaged=True)
+
+        def propose(_: None, __: int, near: Try, fresh: bool) -> Start:
+            return planned(spread=True) if fresh else self._shaken(near)
+
+        last = self._last
+        known = last is not None and np.array_equal(last[0], request.position)
+        begin = last[1] if last is not None and known else planned(spread=False)
+        search = basin_hopping(propose, attempt)
+        best, iterations, _ = search(None, begin, 1 + options.restarts, 1, False, 0)
+        family, found = best
+        self._last = request.position, Start(family, found.parameters)
+        cycle, error = self._judged(request, family, found.parameters)
+        if np.max(np.abs(error)) > tolerance:  # the samples missed a dip
+            fine = family.finer(FINE)
+            found = fit_mean_force(
+                request, fine, found.parameters, tolerance / 10, options.iterations
+            )
+            iterations += found.iterations
+            cycle, error = self._judged(request, fine, found.parameters)
+        solution = force_solution(request, error, cycle, tolerance, iterations, found.condition)
+        if solution.success or np.any(request.velocity):
+            return solution
+        fraction = self.library.reachable_fraction(request.position, request.force)
+        if fraction >= 1:
+            return solution
+        return replace(
+            solution, message=f"{solution.message}; about {fraction:.2g} of it is in reach"
+        )
+
+    def _judged(
+        self, request: Request, family: RotationFamily, parameters: np.ndarray
+    ) -> tuple[PlateCycle, np.ndarray]:
+        """Return the motion within the limits and its true errors in the rows asked for."""
+        cycle = within_limits(family.cycle(parameters), self._full)
+        error = np.zeros(np.count_nonzero(request.rows))
+        if np.any(np.isfinite(request.curl)):
+            error = mean_force_error(request, family.finer(FINEST), parameters)
+        true = request.force - average_force(cycle, request.position, request.velocity)
+        error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
+        return cycle, error
+
+    def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
+        options, enough = self.options, good_enough**2 * goal.rows
+        period = self.steering_period(len(goal.position))
+        if self._warm is not None and self._warm.family.period != period:
+            self._warm = None  # other parts
+        warm = self._warm is not None
+
+        def attempt(_: None, start: Start, n: int, ___: float) -> tuple[Try, float, int, bool]:
+            most = options.iterations if warm and n == 0 else 2 * options.iterations
+            found = fit_goal(goal, *start, tolerance, most)
+            return Try(start.family, found), found.cost, found.iterations, found.cost <= enough
+
+        def propose(_: None, number: int, near: Try, fresh: bool) -> Start:
+            return self.planned(goal, spread=number > warm) if fresh else self._shaken(near)
+
+        begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm
+        search = basin_hopping(propose, attempt)
+        best, iterations, _ = search(None, begin, tries, 1, False, int(warm))
+        family, found = best
+        self._warm = Start(family, found.parameters)
+        solution = self._finished(goal, best, good_enough, iterations)
+        if found.cost <= enough and not solution.success:  # too coarse a search
+            fine = family.finer(FINER)
+            found = fit_goal(goal, fine, found.parameters, tolerance, POLISH)
+            iterations += found.iterations
+            solution = self._finished(goal, Try(fine, found), good_enough, iterations)
+        return solution
+
+    def _finished(self, goal: Goal, best: Try, good_enough: float, iterations: int) -> Solution:
+        cycle = within_limits(best.family.cycle(best.fit.parameters), self._full)
+        return goal_solution(goal, cycle, good_enough, iterations, best.fit.condition)
+
+    def _shaken(self, near: Try) -> Start:
+        parameters = near.fit.parameters
+        shaken = parameters + SHAKE * self._rng.normal(size=len(parameters))
+        return Start(near.family, near.family.admissible(shaken))
+
+    def planned(self, goal: Goal, spread: bool = False) -> Start:
+        """Plan with the force that would move parts from rest by what is asked at least."""
+        period = self.steering_period(len(goal.position))
+        unit = 0.5 * period**2 * goal.friction_accel[:, None]
+        push = goal.displacement - SETTLE * goal.velocity
+        force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
+        curl = None
+        if goal.turns is not None:  # what turns a disc from rest by what is asked
+            curl = goal.turns.wanted * 4 / (goal.friction_accel * period**2)
+        plan = self._plan(goal.position, force, curl, spread)
+        if self.options.order != "simulated":
+            return self._family(plan, period)
+
+        def error(order: np.ndarray) -> float:
+            family, parameters = self._family(plan.in_order(order), period)
+            return fit_goal(goal, family, parameters, 0.0, 0).cost
+
+        first = np.arange(len(plan.fraction))
+        best = best_order(error, first, ORDER_TRIES, self._rng)
+        return self._family(plan.in_order(best), period)
+
+    def _plan(
+        self,
+        position: np.ndarray,
+        force: np.ndarray,
+        curl: np.ndarray | None,
+        spread: bool,
+        fill: bool = False,
+    ) -> RotationPlan:
+        options, half = self.options, self._limits.half
+        cost = None
+        if spread:
+            cost = 1 + SPREAD * self._rng.random(len(self.library.twist))
+        plan = plan_rotations(
+            self.library, position, force, curl, options.most_price, self._basis, cost
+        )
+        self._basis = plan.times.basis
+        if fill:
+            plan = plan.filled()
+        if options.order == "priority" or (options.order == "auto" and not fill):
+            return plan.in_order(np.argsort(-plan.priority, kind="stable"))
+        return plan.in_order(nearest_order(plan.twist, half))
+
+    def _family(self, plan: RotationPlan, period: float, averaged: bool = False) -> Start:
+        """Return the plan as a family of motions, and the plan's parameters in it."""
+        options = self.options
+        if options.closure == "strokes":
+            plan = with_return_strokes(plan)
+        family = RotationFamily(
+            plan.twist,
+            self._limits,
+            period,
+            options.speed,
+            self._free,
+            options.blend,
+            AVERAGED if averaged else None,
+            averaged,
+        )
+        return Start(family, family.parameters(plan.fraction))
+
+
+def _checked(centres: np.ndarray) -> np.ndarray:
+    centres = np.array(centres, dtype=float)
+    if centres.ndim != 2 or centres.shape[1] != 2 or len(centres) < 3:
+        raise PlateError(f"centres have shape {centres.shape}, allowed: (N, 2) with N at least 3")
+    if not np.all(np.isfinite(centres)):
+        raise PlateError("centres have values that are not finite")
+    return centres

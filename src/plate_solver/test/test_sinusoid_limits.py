@@ -1,0 +1,66 @@
+"""Limits as errors: excess and slopes against differences, and what steering makes of them."""
+
+import numpy as np
+import pytest
+
+from plate_core.motion import usage
+from plate_solver import Limits
+from plate_solver.limits import limit_use
+from plate_solver.sinusoids import sinusoid_basis
+from plate_solver.sinusoids.limits import AIM, EXCESS_M, LimitedSinusoids
+
+
+@pytest.fixture
+def limits(rig):
+    return Limits.of(rig)
+
+
+def family(limits, most=1.3, period=0.1):
+    return LimitedSinusoids(sinusoid_basis(3, period, True, 200), limits, most)
+
+
+@pytest.mark.parametrize("period", [0.1, 0.4])
+def test_slopes_are_derivatives_of_the_excess(limits, period):
+    # 0.1 s presses on the acceleration, 0.4 s on the stroke.
+    limited = family(limits, period=period)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        theta = 1.2 * limited.random(rng)
+        slopes = limited.penalty_slopes(theta)
+        way = rng.normal(size=theta.size)
+        step = 1e-7 * np.linalg.norm(theta) / np.linalg.norm(way)
+        ahead, behind = (limited.penalty(theta + sign * step * way) for sign in (1, -1))
+        assert len(ahead) == len(behind) == len(slopes) > 0
+        difference = (behind - ahead) / (2 * step)
+        np.testing.assert_allclose(slopes @ way, difference, rtol=1e-5, atol=1e-6 * EXCESS_M)
+
+
+def test_excess_begins_at_the_aim(limits):
+    limited = family(limits)
+    theta = limited.random(np.random.default_rng(1))
+    used = limited.use(theta)
+    assert len(limited.penalty((AIM - 1e-3) / used * theta)) == 0
+    # Instants looked at are not all samples: their peak is a little lower.
+    assert len(limited.penalty((AIM + 0.1) / used * theta)) > 0
+
+
+@pytest.mark.parametrize("most", [1.0, 1.3])
+def test_admissible_motions_stay_within_what_they_may(limits, most):
+    limited = family(limits, most)
+    for size in (1e-3, 1.0, 1e3):
+        theta = limited.admissible(size * limited.random(np.random.default_rng(2)))
+        used = limited.use(theta)
+        assert used <= most * (1 + 1e-12)
+        assert size > 1e-2 or used == pytest.approx(size)
+    assert not limited.admissible(np.zeros_like(theta)).any()
+
+
+@pytest.mark.parametrize("size", [1.0, 5.0])
+def test_limits_are_used_as_the_rig_says(rig, limits, size):
+    limited = family(limits)
+    for seed in range(5):
+        cycle = limited.cycle(size * limited.random(np.random.default_rng(seed)))
+        points = (cycle.control_points(order) for order in range(3))
+        used = limit_use(*points, Limits.of(rig, 1.0), False)
+        # Control points lie around the motion, at 8 knots to a wave by a little.
+        assert used == pytest.approx(usage(rig, cycle).worst, rel=5e-3)

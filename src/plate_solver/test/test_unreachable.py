@@ -1,0 +1,66 @@
+"""Proofs of what is out of reach: never wrong, sharp for one part, and not empty for several."""
+
+import numpy as np
+import pytest
+
+from plate_solver.analysis import is_out_of_reach
+from plate_solver.analysis.unreachable import _best, _cells, _circles, _proves, _vectors
+from plate_solver.maps import force_rules, sinusoid_forces
+
+ARM = 0.2
+
+
+def made_forces(rng: np.random.Generator, number: int, position: np.ndarray) -> np.ndarray:
+    """Forces (M, 2) of a random motion of few harmonics: certainly in reach."""
+    motion = rng.normal(size=(2 * number, 3)) * [1.0, 1.0, 1 / ARM]
+    many = np.broadcast_to(motion, (len(position), *motion.shape)).copy()
+    return sinusoid_forces(many, position, np.zeros_like(position), force_rules(number))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+def test_one_part_is_sharp(number):
+    most = (number - 1) / (number + 1)
+    way = np.array([[0.6, 0.8]])
+    place = np.array([[0.1, 0.05]])
+    assert is_out_of_reach(place, (most + 1e-3) * way, number, ARM)
+    assert not is_out_of_reach(place, max(most - 1e-3, 0.0) * way, number, ARM)
+
+
+@pytest.mark.parametrize(("parts", "number"), [(2, 2), (3, 2), (6, 3), (10, 2)])
+def test_what_a_motion_does_is_never_proven_out_of_reach(parts, number):
+    rng = np.random.default_rng(parts)
+    for _ in range(12):
+        position = rng.uniform(-1, 1, (parts, 2)) * [0.3, 0.15]
+        assert not is_out_of_reach(position, made_forces(rng, number, position), number, ARM)
+
+
+@pytest.mark.parametrize("number", [2, 3])
+def test_every_motion_stays_below_the_proven_bound(number):
+    # The support function, halved cell by cell, must be above all forces of many motions.
+    rng = np.random.default_rng(number)
+    position = rng.uniform(-1, 1, (5, 2)) * [0.3, 0.15]
+    way = rng.normal(size=10)
+    way /= np.linalg.norm(way)
+    found = max(abs(made_forces(rng, number, position).ravel() @ way) for _ in range(3000))
+    most = (number - 1) / (number + 1)
+    cells = _cells()
+    seen = most * _best(_vectors(_circles(cells), position, ARM) @ way)[0]
+    assert found < seen * 1.001
+    assert not _proves(cells, position, ARM, way, 0.98 * seen / most)
+    assert _proves(cells, position, ARM, way, 1.4 * seen / most)
+
+
+def test_many_parts_that_all_want_the_most_are_proven_out_of_reach():
+    rng = np.random.default_rng(1)
+    position = rng.uniform(-1, 1, (12, 2)) * [0.3, 0.15]
+    angle = rng.uniform(0, 2 * np.pi, 12)
+    force = 0.33 * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert is_out_of_reach(position, force, 2, ARM)
+    assert not is_out_of_reach(position, 0.1 * force, 2, ARM)
+
+
+def test_parts_in_one_place_cannot_be_pushed_apart():
+    position = np.array([[0.1, 0.05], [-0.2, 0.0], [0.1, 0.05]])
+    force = np.array([[0.05, 0.0], [0.0, 0.05], [0.05, 0.0]])
+    assert not is_out_of_reach(position, force, 2, ARM)
+    assert is_out_of_reach(position, force + [[0, 0], [0, 0], [0, 1e-3]], 2, ARM)
