@@ -279,6 +279,20 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     assert memory.scaling[1] == 1.0
 
 
+def test_a_lack_that_does_not_pass_never_stops_the_references():
+    scenario = load_scenario("follow_2")
+    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
+    memory = follower.begin(plant.seen(), 0.0)
+    short = np.full(2, 0.2 * 0.04)
+    for k in range(100):
+        seen = Parts.make(plant.ids, follower.reference(memory, k * T))
+        now = Situation(seen, k * T, (k + 1) * T, T, True, seen.position, short, True)
+        memory = follower.measure(memory, now)
+    before = follower.to_go(memory, 100 * T)
+    assert 0 < memory.scaling[1] < 0.1
+    assert follower.to_go(memory, 101 * T) < before
+
+
 def test_a_part_back_under_a_new_number_is_followed_on():
     scenario = load_scenario("follow_2")
     plant, planner = Plant(scenario), Planner(RIG, scenario)

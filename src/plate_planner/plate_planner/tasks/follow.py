@@ -33,6 +33,10 @@ LACKING, SLOW_DOWN = 0.1, 0.7
 """A cycle that lacks more than this fraction of a path's speed takes the speed scaling down to this
 fraction of what it was [-]."""
 
+LEAST = 0.05
+"""Speed scaling below which no lack of drift takes it [-]. Errors may stop the references: they pass.
+A lack need not pass while nothing moves on, and the task would be stuck."""
+
 NEGLIGIBLE = 0.3e-3
 """Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
 down on a slow path."""
@@ -231,7 +235,7 @@ class Follower(TaskRules):
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
         """Speed scaling after another, for an error [m] and a lack of drift [path's speed]."""
         room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
-        most = before * SLOW_DOWN if lacking > LACKING else before + SPEED_UP
+        most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(room, 0, min(1.0, most)))
 
     def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
