@@ -160,5 +160,5 @@ touch log/COLCON_IGNORE
 choose_ros
 prepare_environment
 build_packages
-[ "$quiet" = --quiet ] || (. ./env.sh && python tools/kernels.py)
+[ "$quiet" = --quiet ] || (set +u; . ./env.sh && python tools/kernels.py)
 [ "$quiet" = --quiet ] || say "ready. Next: make demo, or: source env.sh"
