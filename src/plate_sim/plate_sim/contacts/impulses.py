@@ -54,6 +54,18 @@ class Inertia(NamedTuple):
 
 
 @kernel(nogil=True, error_model="numpy")
+def closes(state, i, j, contact):
+    """Whether two parts close in at any point where they touch."""
+    for k in range(int(contact[COUNT])):
+        px, py = contact[POINTS + 2 * k], contact[POINTS + 2 * k + 1]
+        ax, ay = _velocity(state, i, px - state[X, i], py - state[Y, i])
+        bx, by = _velocity(state, j, px - state[X, j], py - state[Y, j])
+        if contact[NORMAL] * (bx - ax) + contact[NORMAL + 1] * (by - ay) > 0:
+            return True
+    return False
+
+
+@kernel(nogil=True, error_model="numpy")
 def collide(state, bodies, i, j, contact, rules, step, arms):
     """Let two parts, or a part and a wall, collide where they touch, in place.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, inf, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from plate_core.kernels import kernel
 
 from ..friction.step import ANGLE, X, Y
-from .impulses import collide
+from .impulses import KEPT, closes, collide
 from .manifold import (
     COUNT,
     DEPTHS,
@@ -28,6 +28,14 @@ SWEEPS = 24
 
 OVERLAP = 1e-5
 """Overlap [m] that ends the passes: a hundredth of a pixel."""
+
+
+MARGIN = 0.03
+"""Pairs apart by less than this share of their size take part in the passes of a step, as others
+may push them into each other."""
+
+PUSHES = 4.0
+"""A pass brings two parts closer by at most about this times the deepest overlap."""
 
 
 class Outlines(NamedTuple):
@@ -67,17 +75,20 @@ def resolve_contacts(state, bodies, here, outlines, pairs, found, rules, step, p
     contact, arms = np.zeros((2, SIZE)), np.empty((2, 4))
     state[:, -1] = plate
     c, s = cos(plate[2]), sin(plate[2])
+    close, count, margin, pushed = np.empty_like(pairs[:found]), 0, 0.0, inf
     for sweep in range(SWEEPS):
+        if pushed > margin:
+            count, margin, pushed = *_close_pairs(state, bodies, pairs, found, close), 0.0
         deepest = 0.0
-        for row in range(found):
+        for row in range(count):
             # Forth and back: pushes then travel both ways through a crowd.
-            k = row if sweep % 2 == 0 else found - 1 - row
-            i, j = pairs[k, 0], pairs[k, 1]
+            k = row if sweep % 2 == 0 else count - 1 - row
+            i, j = close[k, 0], close[k, 1]
             dx, dy = state[X, i] - state[X, j], state[Y, i] - state[Y, j]
             size = bodies[i].reach + bodies[j].reach
             if dx * dx + dy * dy < size * size:
                 i, j, depth = touch(state, bodies, i, j, outlines, contact)
-                if depth > 0:
+                if depth > KEPT or closes(state, i, j, contact[1]):
                     collide(state, bodies, i, j, contact[1], rules, step, arms)
                 deepest = max(deepest, depth)
         for i in range(len(here) if rules.walls else 0):
@@ -88,6 +99,23 @@ def resolve_contacts(state, bodies, here, outlines, pairs, found, rules, step, p
                 deepest = max(deepest, depth)
         if deepest <= OVERLAP:
             break
+        pushed += PUSHES * deepest
+
+
+@kernel(nogil=True, error_model="numpy")
+def _close_pairs(state, bodies, pairs, found, close):
+    """Fill `close` with the pairs whose rims are within `MARGIN`; return how many there are, and
+    the least distance [m] from which the others would have to be pushed."""
+    count, margin = 0, inf
+    for k in range(found):
+        i, j = pairs[k, 0], pairs[k, 1]
+        dx, dy = state[X, i] - state[X, j], state[Y, i] - state[Y, j]
+        reach = bodies[i].reach + bodies[j].reach
+        margin, size = min(margin, MARGIN * reach), (1 + MARGIN) * reach
+        if dx * dx + dy * dy < size * size:
+            close[count, 0], close[count, 1] = i, j
+            count += 1
+    return count, margin
 
 
 @kernel(nogil=True, error_model="numpy")

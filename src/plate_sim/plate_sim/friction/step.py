@@ -1,9 +1,10 @@
 """One step of one finite part: it slides and turns, rides with the plate, or comes to stick.
 
 Friction at the middle of the step moves a part that slides steadily (midpoint rule: second order;
-explicit, or implicit where friction changes much with the slip). Where the slip turns quickly or
-vanishes the step is halved, at most `HALVINGS` times, and the shortest are implicit Euler steps. A
-part that sticks at both ends of a step rides with the plate exactly, so it cannot creep.
+explicit, or implicit where friction changes much with the slip). Where the slip turns quickly the
+step is halved, at most `HALVINGS` times; where it reverses the step is cut just before. The
+shortest are implicit Euler steps. A part that sticks at both ends of a step rides with the plate
+exactly, so it cannot creep.
 
 Discs that slide steadily are most of all parts in most steps: `glide` moves them all at once,
 without branches, several per instruction; `advance` does what is left, part by part.
@@ -140,9 +141,10 @@ def glide(plate, step, ground, state, discs, done):
         z2 = zx * zx + zy * zy + g2 * zc * zc
         ab = ax * bx + ay * by + g2 * ac * bc
         az = ax * zx + ay * zy + g2 * ac * zc
-        least = min(a2, b2) - (DISC_STIFF / GENTLE * dv) ** 2
+        gentle = (min(a2, b2) >= (DISC_STIFF / GENTLE * dv) ** 2) & (there[i] * dv > 0)
+        gentle = gentle & (max(ak2, bk2) <= SERIES)
         turn = min(ab * abs(ab) - STEADY**2 * a2 * b2, az * abs(az) - STEADY**2 * a2 * z2)
-        steady = (least >= 0) & (turn > 0) & (max(ak2, bk2) <= SERIES) & (there[i] * dv > 0)
+        steady = gentle & (turn > 0)
         done[i] = 1.0 if steady else 0.0
         x[i] = px if steady else x[i]
         y[i] = py if steady else y[i]
@@ -172,55 +174,66 @@ def advance(table, start, step, plate, inner, ground, state, i, body, mesh):
         state[X, i], state[Y, i], state[ANGLE, i], state[VX, i], state[VY, i], state[SPIN, i]
     )
     none = STUCK * body.mu_g * step
-    fine, after = _try(plate, step, False, none, ground, motion, body, mesh)
+    fine, after, ahead = _try(plate, step, False, none, ground, motion, body, mesh)
     if not fine:
         after = _advance_in_parts(
-            table, start, step, none, plate, inner, ground, motion, body, mesh
+            table, start, step, none, plate[0], ahead, inner, ground, motion, body, mesh
         )
     state[X, i], state[Y, i], state[ANGLE, i] = after.x, after.y, after.angle
     state[VX, i], state[VY, i], state[SPIN, i] = after.vx, after.vy, after.spin
 
 
 @kernel(nogil=True, error_model="numpy")
-def _advance_in_parts(table, start, step, none, plate, inner, ground, motion, body, mesh):
-    """Return the motion after a step that is halved until each part of it is fine enough."""
+def _advance_in_parts(table, start, step, none, plate, ahead, inner, ground, motion, body, mesh):
+    """Return the motion after a step that is cut until each part of it is fine enough.
+
+    plate (6,): a sample at its start. ahead: as `_try` returns it for the whole step.
+    """
     finest = 1 << HALVINGS
-    done, size = 0, finest >> 1
-    inner[0], inner[2] = plate[0], plate[1]
+    done, size, to_end = 0, _shorter(finest, ahead), ahead > 0
+    inner[0] = plate
     while True:
         t, h = start + done * step / finest, step * size / finest
         sample(table, t + 0.5 * h, inner[1])
-        fine, after = _try(inner, h, size == 1, none, ground, motion, body, mesh)
+        sample(table, t + h, inner[2])
+        fine, after, ahead = _try(inner, h, size == 1, none, ground, motion, body, mesh)
         if not fine:
-            size >>= 1
-            inner[2] = inner[1]
+            size, to_end = _shorter(size, ahead), ahead > 0
             continue
         motion = after
         done += size
         if done == finest:
             return motion
-        if done % (2 * size) == 0:
-            size *= 2
+        # Where the slip was to vanish just ahead the finest part passes that, then all the rest.
+        size = 1 if to_end and size > 1 else finest - done if to_end else 2 * size
+        size, to_end = min(size, finest - done), to_end and size == 1
         inner[0] = inner[2]
-        sample(table, start + (done + size) * step / finest, inner[2])
+
+
+@kernel(nogil=True, error_model="numpy")
+def _shorter(size, ahead):
+    """A shorter part of a step than `size`: up to where the slip vanishes, or half of it."""
+    return max(1, min(size - 1, int(size * ahead))) if ahead > 0 else size >> 1
 
 
 @kernel(nogil=True, error_model="numpy")
 def _try(plate, h, last, none, ground, motion, body, mesh):
-    """Make one step of h [s]; return whether it is fine enough, and the motion after it.
+    """Make one step of h [s].
 
-    `last`: it has to be. `none`: slip [m/s] that counts as none.
+    `last`: it has to be fine enough. `none`: slip [m/s] that counts as none. Returned are whether
+    it is, the motion after it, and, if not, at what share of it the slip is about to reverse; else
+    0.
     """
     m, dv = motion, body.mu_g * h
     fall_x, fall_y, static = h * ground.gravity_x, h * ground.gravity_y, ground.static_ratio * dv
     if dv <= 0:
-        return True, _moved(m, h, m.vx + fall_x, m.vy + fall_y, m.spin)
-    after = m
+        return True, _moved(m, h, m.vx + fall_x, m.vy + fall_y, m.spin), 0.0
+    after, ahead = m, 0.0
     slip = _slip(plate[0], m.x, m.y, m.vx, m.vy, m.spin)
     if slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2 <= none * none:
         rides, after = _ride(plate, fall_x, fall_y, static, m, body, mesh)
         if rides:
-            return True, after
+            return True, after, 0.0
     else:
         middle = _slip(
             plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy, m.vx + 0.5 * fall_x,
@@ -230,7 +243,11 @@ def _try(plate, h, last, none, ground, motion, body, mesh):
         after = _moved(m, h, m.vx + fall_x + push.x, m.vy + fall_y + push.y, m.spin + push.turn)
         end = _slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin)
         if _alike(slip, half, body.gyration2) and _alike(slip, end, body.gyration2):
-            return True, after
+            return True, after, 0.0
+        product = slip.x * end.x + slip.y * end.y + body.gyration2 * slip.turn * end.turn
+        if product < 0:
+            size2 = slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2
+            ahead = size2 / (size2 - product)
     if last:
         free = _slip(plate[2], m.x + h * m.vx, m.y + h * m.vy, m.vx + fall_x, m.vy + fall_y, m.spin)
         turned = m.angle + h * m.spin
@@ -241,7 +258,7 @@ def _try(plate, h, last, none, ground, motion, body, mesh):
             m, h, m.vx + fall_x + free.x - end.x, m.vy + fall_y + free.y - end.y,
             m.spin + free.turn - end.turn,
         )  # fmt: skip
-    return last, after
+    return last, after, ahead
 
 
 @kernel(nogil=True, error_model="numpy")
