@@ -34,8 +34,8 @@ LACKING, SLOW_DOWN = 0.1, 0.7
 fraction of what it was [-]."""
 
 LEAST = 0.05
-"""Speed scaling below which no lack of drift takes it [-]. Errors may stop the references: they pass.
-A lack need not pass while nothing moves on, and the task would be stuck."""
+"""Speed scaling below which no lack of drift takes it [-]. Errors may stop the references: they
+pass. A lack need not pass while nothing moves on, and the task would be stuck."""
 
 NEGLIGIBLE = 0.3e-3
 """Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
