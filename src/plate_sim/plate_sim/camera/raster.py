@@ -118,7 +118,7 @@ def _edges(part: int, corner: np.ndarray) -> np.ndarray:
     return np.column_stack([normal, offset])
 
 
-@kernel
+@kernel()
 def expose(canvas, bank, noise, image):
     """Add noise to the canvas (n,), with deviates `bank` (n,), and round it to the image (n,)."""
     noise = np.float32(noise)
@@ -127,14 +127,14 @@ def expose(canvas, bank, noise, image):
         image[i] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
 
 
-@kernel
+@kernel()
 def along(fraction, last):
     """Return the piece of a path of `last` pieces, and the fraction of it, at one of the whole."""
     piece = min(int(fraction * last), last - 1)
     return piece, fraction * last - piece
 
 
-@kernel
+@kernel()
 def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, grey):
     """Paint background and plate anew where the plate's edge may be.
 
@@ -184,7 +184,7 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
         canvas[i] = (grey[0] + (grey[1] - grey[0]) * cover) * light[i]
 
 
-@kernel
+@kernel()
 def depths(pose, half, x, y):
     """Distances of a point [m] from the plate's edges across and along it, positive inside;
     pose: x, y, cosine, sine."""
@@ -193,7 +193,7 @@ def depths(pose, half, x, y):
     return across, half[1] - abs(pose[2] * dy - pose[3] * dx)
 
 
-@kernel
+@kernel()
 def draw_parts(canvas, light, places, sprites, outlines):
     """Blend parts into the canvas (height, width), one after the other.
 
@@ -237,7 +237,7 @@ def draw_parts(canvas, light, places, sprites, outlines):
                 canvas[row, col] += fraction * (grey * light[row, col] - canvas[row, col])
 
 
-@kernel
+@kernel()
 def positions(path, copies):
     """Return positions (copies, 2) averaged along a path (s, 2), its middle, and the farthest of
     them from that."""
@@ -252,7 +252,7 @@ def positions(path, copies):
     return centre, middle, spread
 
 
-@kernel
+@kernel()
 def polygons_cover(x, y, scale, outlines, begin, end):
     """Fraction of a pixel at (x, y) [m, part's frame] that convex polygons side by side cover."""
     edges, pieces, cover = outlines.edges, outlines.pieces, 0.0
@@ -264,7 +264,7 @@ def polygons_cover(x, y, scale, outlines, begin, end):
     return min(cover, 1.0)
 
 
-@kernel
+@kernel()
 def inner_radius(radius, outlines, begin, end):
     """Radius [m] about a part's centre within which all is part."""
     if begin == end:

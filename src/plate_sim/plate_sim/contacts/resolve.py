@@ -78,7 +78,8 @@ def resolve_contacts(state, bodies, here, outlines, pairs, found, rules, step, p
     close, count, margin, pushed = np.empty_like(pairs[:found]), 0, 0.0, inf
     for sweep in range(SWEEPS):
         if pushed > margin:
-            count, margin, pushed = *_close_pairs(state, bodies, pairs, found, close), 0.0
+            count, margin = _close_pairs(state, bodies, pairs, found, close)
+            pushed = 0.0
         deepest = 0.0
         for row in range(count):
             # Forth and back: pushes then travel both ways through a crowd.
