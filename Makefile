@@ -25,8 +25,10 @@ demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [METHOD=...] [TRANSPO
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test: workspace ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
-	@$(ENTER) python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
-	    exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
+	@$(ENTER) python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 || exit; many=0; alone=0; \
+	    python -m pytest -n $(WORKERS) --dist worksteal -m 'not alone' $(ARGS) || many=$$?; \
+	    python -m pytest -m alone $(ARGS) || alone=$$?; \
+	    case $$many$$alone in 00 | 05 | 50) ;; *) exit 1 ;; esac  # 5: ARGS select none of these
 
 lint: workspace ## Check style and types
 	@$(ENTER) ruff check . && ruff format --check . && exec mypy $(TYPED)

@@ -234,6 +234,7 @@ def test_build_without_the_projects_python_says_what_to_do(bench):
     assert f"run make setup in {ROOT}, or source its env.sh" in line
 
 
+@pytest.mark.alone
 @emulated
 def test_an_instruction_is_eight_nanoseconds(tmp_path):
     """The timer by which ticks are measured, over loops whose instructions are counted by hand."""
@@ -373,6 +374,7 @@ def test_a_crash_takes_the_enable_pin_down_and_feeds_no_more(firmware, tmp_path)
         assert sum(value == 0xAAAA for _, _, value in board.written()) == fed > 0
 
 
+@pytest.mark.alone
 @emulated
 def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
     with EmulatedBoard(firmware, tmp_path) as board:
@@ -407,6 +409,7 @@ def test_a_stop_stays_over_reset_and_cable(firmware, tmp_path):
         assert board.memory("driving", 1) == b"\1"
 
 
+@pytest.mark.alone
 @emulated
 def test_the_line_loses_no_byte(firmware, tmp_path):
     with EmulatedBoard(firmware, tmp_path) as board:
@@ -422,6 +425,7 @@ def test_the_line_loses_no_byte(firmware, tmp_path):
         assert (record.overruns, host.now().refused, host.refused) == (0, 0, 0)
 
 
+@pytest.mark.alone
 @emulated
 def test_the_driver_plays_on_the_board(firmware, tmp_path):
     """The driver's own transport, over the pseudo-terminal."""

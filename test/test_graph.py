@@ -30,6 +30,7 @@ from plate_core.tasks import load_scenario
 from plate_sim.camera import Camera, part_greys
 from plate_sim.world import WorldState
 
+pytestmark = pytest.mark.alone
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
 GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}

@@ -66,7 +66,7 @@ class Footprint:
         Share of the part's weight on each point; their sum is 1.
     blur : (n,)
         Each point stands for a cell about so large [m]: in a part that turns by the slip c, the
-        cell's mean slip is sqrt(|slip at the point|^2 + (c blur)^2). 0 for a real foot.
+        cell's mean slip is `sqrt(|slip at the point|^2 + (c blur)^2)`. 0 for a real foot.
     outline : tuple of (k, 2)
         Corners of the convex polygons that it consists of [m], counter-clockwise; of a disc, to
         draw it only.

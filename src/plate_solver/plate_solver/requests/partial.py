@@ -29,9 +29,8 @@ WORTH_IT = 0.5
 def easiest_force(request: Request, library: Library) -> np.ndarray:
     """Return the forces (M, 2) within the request's tolerance that take the least time.
 
-    The least time in which the library's rotations could do it is a linear programme:
-
-        minimise |w|_1    subject to    force - tolerance <= A w <= force + tolerance
+    The least time in which the library's rotations could do it is a linear programme: minimise
+    `|w|_1` subject to `force - tolerance <= A w <= force + tolerance`.
 
     Where nothing within the tolerance is in their reach, the forces are as wanted.
     """
