@@ -7,6 +7,7 @@ averaged map, scale and shift in time.
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +41,10 @@ class Damping(NamedTuple):
 
 DAMPING = Damping(1e-2, 1e-6, 1e3, 3.0, 4.0, 1_000_000, 1.0)
 """Where each evaluation is dear: patient, and never stalled."""
+
+
+FEW_ROWS = 12
+"""Up to which loops multiply a matrix by itself sooner than a library does."""
 
 
 class Fit(NamedTuple):
@@ -83,7 +88,7 @@ def levenberg_marquardt(
     ) -> Fit:
         parameters, error, notes = evaluate(problem, start)
         jacobian = slopes(problem, parameters, notes)
-        cost, factor, done = np.sum(error * error), damping.first, 0
+        cost, factor, done = _squared(error), damping.first, 0
         history = np.empty(iterations + 1)
         while np.max(np.abs(error)) > tolerance and done < iterations:
             history[done] = cost
@@ -93,7 +98,7 @@ def levenberg_marquardt(
             done += 1
             step = least_norm_step(jacobian, error, factor)
             trial, trial_error, notes = evaluate(problem, parameters + step)
-            trial_cost = np.sum(trial_error * trial_error)
+            trial_cost = _squared(trial_error)
             if trial_cost < cost:
                 parameters, error, cost = trial, trial_error, trial_cost
                 jacobian = slopes(problem, parameters, notes)
@@ -136,26 +141,65 @@ def fit(
     return levenberg_marquardt(there, slopes)(None, start, DAMPING, tolerance, iterations)
 
 
-@kernel(error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
     """Return the damped step: J' (J J' + damping mean(diag) 1)^-1 error, or the same in the space
     of the parameters where that is the smaller one."""
     rows, columns = jacobian.shape
-    across = jacobian.T
     if rows <= columns:
-        small = jacobian @ across
-        _raise_diagonal(small, damping)
-        return across @ np.linalg.solve(small, error)
-    small = across @ jacobian
-    _raise_diagonal(small, damping)
-    return np.linalg.solve(small, across @ error)
+        weights = error.copy()
+        _solve_damped(jacobian, damping, weights)
+        step = np.zeros(columns)
+        for i in range(rows):
+            for c in range(columns):
+                step[c] += weights[i] * jacobian[i, c]
+        return step
+    across = np.ascontiguousarray(jacobian.T)
+    step = across @ error
+    _solve_damped(across, damping, step)
+    return step
 
 
-@kernel()
-def _raise_diagonal(square: np.ndarray, damping: float) -> None:
-    more = damping * np.trace(square) / len(square) + 1e-30
-    for i in range(len(square)):
+@kernel(fastmath=True, error_model="numpy")
+def _solve_damped(rows: np.ndarray, damping: float, right: np.ndarray) -> None:
+    """Solve (rows rows' + damping mean(diag) 1) x = right in place, by Cholesky's method.
+
+    Where there are few rows the library takes three times as long as these loops.
+    """
+    count = len(rows)
+    square = np.empty((count, count))
+    if count > FEW_ROWS:
+        square[:] = rows @ rows.T
+    else:
+        for i in range(count):
+            for j in range(i + 1):
+                total = 0.0
+                for c in range(rows.shape[1]):
+                    total += rows[i, c] * rows[j, c]
+                square[i, j] = total
+    more = damping * np.trace(square) / count + 1e-30
+    for i in range(count):
         square[i, i] += more
+        for j in range(i + 1):
+            total = square[i, j]
+            for k in range(j):
+                total -= square[i, k] * square[j, k]
+            square[i, j] = sqrt(max(total, 1e-300)) if i == j else total / square[j, j]
+        for k in range(i):
+            right[i] -= square[i, k] * right[k]
+        right[i] /= square[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            right[i] -= square[k, i] * right[k]
+        right[i] /= square[i, i]
+
+
+@kernel(fastmath=True)
+def _squared(error: np.ndarray) -> float:
+    total = 0.0
+    for value in error:
+        total += value * value
+    return total
 
 
 @kernel(error_model="numpy")

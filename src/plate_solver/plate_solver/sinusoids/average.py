@@ -35,8 +35,8 @@ from ..maps.sinusoid_force import (
 )
 from .basis import SinusoidBasis
 
-AFRESH = Damping(1e-2, 1e-9, 1e2, 8.0, 6.0, 6, 0.7)
-NEAR = AFRESH._replace(first=1e-4)
+AFRESH = Damping(1.25e-3, 1e-9, 1e2, 8.0, 6.0, 6, 0.7)
+NEAR = AFRESH._replace(first=1.25e-5)
 """Damping from a fresh guess, and where a solution is near."""
 
 FEW_CANDIDATES = 12
@@ -101,21 +101,28 @@ PlainMotions = tuple[Any, ...]
 
 
 class Averages(NamedTuple):
-    """What is asked of motions on the averaged map, and room to write on.
+    """What is asked of motions on the averaged map.
 
     Attributes
     ----------
-    motions : Motions
+    rule : Rules
+    span : (2 N, h)
+        Of the basis.
+    arm_m : float
+        As in `Limits`.
     position, velocity, force : (M, 2)
     moving : bool
         Whether any velocity is not zero: else the scale does not matter.
     grid : int
         As in `force_of`.
     work, slip, gradient
-        Room for `force_of`.
+        To write on, for `force_of`.
+    motions : Motions
     """
 
-    motions: Motions
+    rule: Rules
+    span: np.ndarray
+    arm_m: float
     position: np.ndarray
     velocity: np.ndarray
     force: np.ndarray
@@ -124,6 +131,7 @@ class Averages(NamedTuple):
     work: np.ndarray
     slip: np.ndarray
     gradient: np.ndarray
+    motions: Motions
 
 
 class Search(NamedTuple):
@@ -225,8 +233,19 @@ def _asked(
 ) -> Averages:
     rows = len(motions.rule.waves)
     return Averages(
-        motions, position, velocity, force, bool(np.any(velocity != 0.0)), grid,
+        motions.rule, _block(motions, SPAN), motions.limits.arm_m,
+        position, velocity, force, bool(np.any(velocity != 0.0)), grid,
         np.empty((5, motions.rule.waves.shape[1])), np.empty((rows + 1, 2)), np.empty((3, rows)),
+        motions,
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def _with(asked: Averages, force: np.ndarray, grid: int) -> Averages:
+    """Return the same with another force and grid."""
+    return Averages(
+        asked.rule, asked.span, asked.arm_m, asked.position, asked.velocity, force, asked.moving,
+        grid, asked.work, asked.slip, asked.gradient, asked.motions,
     )  # fmt: skip
 
 
@@ -235,7 +254,7 @@ def _finished(asked: Averages, fit: Fit, iterations: int, tries: int) -> Found:
     """Make parameters a spline within the limits, and judge it."""
     motions = asked.motions
     theta = _full_amplitude(fit.parameters, motions)
-    own = _coefficients(theta, motions)
+    own = _coefficients(theta, motions.limits.arm_m)
     for _ in range(4):  # turning enters with its square: nearly linear in the scale
         hull = _product(_block(motions, HULL), own)
         third = len(hull) // 3
@@ -288,10 +307,7 @@ def _propose(task: Search, number: int, near: Fit, fresh: bool) -> np.ndarray:
     theta, asked = _fresh(task, number), task.asked
     left = LEG_ERROR * sqrt(np.sum(asked.force**2) / asked.force.size)
     for leg in range(1, LEGS):
-        part = Averages(
-            asked.motions, asked.position, asked.velocity, asked.force * leg / LEGS, asked.moving,
-            USUAL, asked.work, asked.slip, asked.gradient,
-        )  # fmt: skip
+        part = _with(asked, asked.force * leg / LEGS, USUAL)
         theta = _descend(part, USUAL, theta, AFRESH, left, LEG_STEPS).parameters
     return theta
 
@@ -310,7 +326,9 @@ def _fresh(task: Search, number: int) -> np.ndarray:
         if cost < least:
             least, index, sign = cost, i, 1.0
         # With g = f - error the force got, |f + g|^2 = |f - g|^2 + 4 f.g
-        opposite = cost + 4 * np.sum(wanted * (wanted - error))
+        opposite = cost
+        for k in range(len(error)):
+            opposite += 4 * wanted[k] * (wanted[k] - error[k])
         if opposite < least:
             least, index, sign = opposite, i, -1.0
     return sign * pool[index]
@@ -322,10 +340,7 @@ def _descend(
     iterations: int,
 ) -> Fit:  # fmt: skip
     """Correct a motion until its forces on a grid are as asked."""
-    problem = Averages(
-        asked.motions, asked.position, asked.velocity, asked.force, asked.moving, grid,
-        asked.work, asked.slip, asked.gradient,
-    )  # fmt: skip
+    problem = _with(asked, asked.force, grid)
     return _search_down(problem, theta, damping, tolerance, iterations)
 
 
@@ -352,16 +367,17 @@ def force_error(
 ) -> float:
     """Write request minus average force (2 M,), and d force / d theta (2 M, 3 h) unless it is
     (0, 0); return the squared error. `grid` as in `force_of`."""
-    motions, slip = asked.motions, asked.slip
-    span, turn = _block(motions, SPAN), 1 / motions.limits.arm_m
-    coefficients = _product(span, _coefficients(theta, motions))
+    rule, span, slip, work = asked.rule, asked.span, asked.slip, asked.work
+    position, velocity, force = asked.position, asked.velocity, asked.force
+    turn = 1 / asked.arm_m
+    coefficients = _product(span, _coefficients(theta, asked.arm_m))
     gradient = asked.gradient if len(jacobian) else np.empty((0, 0))
     cost = 0.0
-    for i in range(len(asked.position)):
-        x, y = asked.position[i, 0], asked.position[i, 1]
-        slip_at(coefficients, x, y, asked.velocity[i, 0], asked.velocity[i, 1], slip)
-        fx, fy = force_of(slip, motions.rule, grid, asked.work, gradient)
-        error[2 * i], error[2 * i + 1] = asked.force[i, 0] - fx, asked.force[i, 1] - fy
+    for i in range(len(position)):
+        x, y = position[i, 0], position[i, 1]
+        slip_at(coefficients, x, y, velocity[i, 0], velocity[i, 1], slip)
+        fx, fy = force_of(slip, rule, grid, work, gradient)
+        error[2 * i], error[2 * i + 1] = force[i, 0] - fx, force[i, 1] - fy
         cost += error[2 * i] ** 2 + error[2 * i + 1] ** 2
         for h in range(span.shape[1] if len(jacobian) else 0):
             xx = xy = yy = 0.0
@@ -381,7 +397,7 @@ def force_error(
 @njit(fastmath=True, error_model="numpy")
 def _full_amplitude(theta: np.ndarray, motions: Motions) -> np.ndarray:
     """Scale parameters (3 h,) so that the samples just reach the first of the limits."""
-    own = _coefficients(theta, motions)
+    own = _coefficients(theta, motions.limits.arm_m)
     used = limit_use(
         _product(_block(motions, POSE), own), _product(_block(motions, TWIST), own),
         _product(_block(motions, ACCEL), own), motions.limits, True,
@@ -395,10 +411,10 @@ def _block(motions: Motions, which: int) -> np.ndarray:
 
 
 @njit(inline="always")
-def _coefficients(theta: np.ndarray, motions: Motions) -> np.ndarray:
+def _coefficients(theta: np.ndarray, arm_m: float) -> np.ndarray:
     """Return coefficients (h, 3) of parameters (3 h,)."""
     own = theta.copy().reshape(-1, 3)
-    own[:, 2] /= motions.limits.arm_m
+    own[:, 2] /= arm_m
     return own
 
 
