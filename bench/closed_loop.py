@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def _rows(setups: list[Setup], rig: Rig, args: argparse.Namespace) -> Iterator[dict[str, object]]:
-    """Yield a row per run, in the order of the seeds, whoever does the work."""
+    """Yield a row per run, in the order of the seeds, with one worker or more."""
     if args.workers == 1 and args.scheduler is None:
         for setup in setups:
             yield summary(setup, rig)

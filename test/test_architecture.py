@@ -64,7 +64,7 @@ def roots(path: Path) -> set[str]:
 def may_use_ros(path: Path) -> bool:
     inside = path.relative_to(ROOT / "src").parts
     return (
-        path.name.endswith("node.py")
+        path.name == "node.py"
         or inside[:3] == ("plate_core", "plate_core", "ros")
         or inside == ("plate_bringup", "plate_bringup", "actions.py")
     )
@@ -105,8 +105,8 @@ def is_public(name: str) -> bool:
     stem, _, last = name.rpartition(".")
     return (
         name in PACKAGES
-        or name.endswith("node")
-        or stem.endswith("node")
+        or name.endswith(".node")
+        or stem.endswith(".node")
         or public(name) is not None
         or last in (public(stem) or ())
     )
@@ -121,7 +121,7 @@ def test_only_nodes_import_ros():
         for name in sorted(filter(is_ros, imports(path)))
     ]
     assert not offenders, (
-        "ROS is for *node.py, plate_core/ros and what launch files start:\n" + "\n".join(offenders)
+        "ROS is for node.py, plate_core/ros and what launch files start:\n" + "\n".join(offenders)
     )
 
 

@@ -3,7 +3,7 @@
 python tools/demos.py [SCENARIO ...]
 
 Each is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, but simulated time waits for the
-answers, so that a film does not depend on what else the machine does. A run that fails is told.
+answers, so that a film does not depend on what else the machine does. A run that fails is reported.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--js
 
 The machines are two network namespaces of this one, joined by a pair of virtual cards; needs root.
 `named`: as by default the graph stays on its machine, but each names the other (ROS_STATIC_PEERS).
-`subnet`: whoever is on the network. `nobody`: the default; the machines must not find each other.
+`subnet`: everybody on the network. `nobody`: the default; the machines must not find each other.
 """
 
 from __future__ import annotations

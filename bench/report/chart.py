@@ -290,7 +290,7 @@ class Panel:
         hollow : sequence of bool
             Points that do not count (parts missed, speed not kept): no front touches them.
         notes, labels : sequences of str
-            What is told of each point when it is pointed at; what is written beside it.
+            What the page shows of each point under the pointer; what is written beside it.
         in_front : bool
             Whether the points take part in the Pareto front.
         """

@@ -23,7 +23,7 @@ ABOUT = """# Results: speed against accuracy
 Written by `make charts` from its measurements; do not edit. The same with charts to point at and to
 zoom: `out/report/index.html`. µmg is the friction of one part. The front of what is not beaten in
 both time and error is drawn as a black line, our default has a ring. Times are of the cores: other
-programs count little, but on a busy machine (its load is told) times are up to twice as long.
+programs count little, but on a busy machine (its load is given) times are up to twice as long.
 """
 
 

@@ -70,7 +70,7 @@ def measure(quick: bool) -> Result:
             ),
         ],
         [
-            f"dearest option {worst:.2f} ms an image, limit {LIMIT_MS:g} ms",
+            f"slowest option {worst:.2f} ms an image, limit {LIMIT_MS:g} ms",
             f"largest error of a disc's centre {max(gap.max() for gap in gaps.values()):.3f} px",
         ],
     )

@@ -1,4 +1,4 @@
-"""ROS domains: whoever starts nodes takes one that nobody else on this machine has."""
+"""ROS domains: a program that starts nodes takes one that nobody else on this machine has."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def own_domain(chosen: int | None = None) -> Iterator[int]:
     Parameters
     ----------
     chosen : int, optional
-        This one, whoever else has it.
+        This one, even if others use it.
 
     Raises
     ------

@@ -29,7 +29,7 @@ class Recorder:
     Parameters
     ----------
     node : Node
-        Whose subscriptions these are; whoever spins it calls `discover` now and then.
+        Whose subscriptions these are; the one who spins it calls `discover` now and then.
     folder : path
         Of the bag, a new one: metadata.yaml and one .mcap file.
 

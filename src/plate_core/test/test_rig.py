@@ -1,4 +1,4 @@
-"""The rig file: what is read, and what a wrong one is told."""
+"""The rig file: what is read, and how a wrong one is refused."""
 
 import dataclasses
 

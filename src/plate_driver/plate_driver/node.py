@@ -38,7 +38,7 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
-from .safety_node import FAREWELL_S, SafetyNode
+from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
 from .state import CALIBRATING, DISABLED, READY, UNANSWERED, driver_state, health
 from .transports import (

@@ -131,7 +131,7 @@ def shaking(amplitude: float) -> PlateCycle:
 
 
 class Host:
-    """Says what is told, and heartbeats; keeps what the device says and does."""
+    """Sends what it is given, and heartbeats; keeps what the device says and does."""
 
     def __init__(self, accidents: FaultSchedule | None = None) -> None:
         self.setpoints: list[np.ndarray | None] = []

@@ -32,7 +32,7 @@ GOOD_MISS = 0.15
 for other motions than the last one's relatives."""
 
 EXACT_MISS = 0.02
-"""The same where a part has no slack at all: whoever asks so wants it exactly."""
+"""The same where a part has no slack at all: such a request is meant exactly."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {

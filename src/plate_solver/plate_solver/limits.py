@@ -70,7 +70,8 @@ def limit_use(
     """Return the greatest fraction of a limit that samples (n, 3) of a motion use.
 
     With the control points of a spline motion it is a bound, as in `plate_core.motion.usage`.
-    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits is told.
+    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits
+    still counts.
     """
     stroke = speed = peak = 0.0
     motors, half = limits.motors, limits.half

@@ -1,4 +1,4 @@
-"""Requests with slack, on refined maps, beyond reach and absurd: the truth is told about each."""
+"""Requests with slack, on refined maps, beyond reach and absurd: each answer is true."""
 
 import numpy as np
 import pytest

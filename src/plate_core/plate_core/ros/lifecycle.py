@@ -126,7 +126,7 @@ class SafeLifecycleNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Rest, also when the process is told to stop."""
+        """Rest, also when the process has to stop."""
         if self.active and self.context.ok():
             self.trigger_deactivate()
         super().destroy_node()

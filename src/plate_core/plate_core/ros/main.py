@@ -20,7 +20,7 @@ POLL_S = 0.1
 
 
 def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
-    """Make a node, spin it until it is told to stop, and leave nothing behind.
+    """Make a node, spin it until it has to stop, and leave nothing behind.
 
     The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
     rclpy's own handlers would have shut the context down at the signal.

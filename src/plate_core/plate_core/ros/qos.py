@@ -32,7 +32,7 @@ NEWEST = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""What takes long to answer: whoever is behind goes on with the newest, so that no queue stays."""
+"""What takes long to answer: a slow receiver goes on with the newest, so that no queue stays."""
 
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

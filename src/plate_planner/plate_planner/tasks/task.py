@@ -1,4 +1,4 @@
-"""A task, as the planner sees it: what it is told at each image, and what it answers."""
+"""A task, as the planner sees it: what it gets at each image, and what it answers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class DriftRequest:
     def force(self, velocity: np.ndarray, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean force over a cycle that leads from the present drift to the wanted.
 
-        F = m (v_wanted - v)/T. Whoever knows v gets v_wanted back, so an error of v, as
+        F = m (v_wanted - v)/T. If v is known, v_wanted results, so an error of v, as
         measured, does not matter, as long as no component of F is beyond mu m g.
 
         Parameters

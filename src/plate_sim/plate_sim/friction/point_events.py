@@ -6,7 +6,7 @@ friction gives. Where the slip vanishes the time is found; then the part sticks 
 hold it, else it slides off along the surface's acceleration: on a line that is a reversal. Where
 the slip in the plane only dips, steps shrink with it, but never below what the tolerance can feel.
 
-On a tilted plate all is told in a frame that falls with gravity along the plate (`plate.pieces`).
+On a tilted plate the frame falls with gravity along the plate (`plate.pieces`).
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Damping(NamedTuple):
 
 
 DAMPING = Damping(1e-2, 1e-6, 1e3, 3.0, 4.0, 1_000_000, 1.0)
-"""Where each evaluation is dear: patient, and never stalled."""
+"""Where each evaluation is expensive: it tries longer, and never counts as stalled."""
 
 
 FEW_ROWS = 12

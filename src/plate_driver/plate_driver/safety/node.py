@@ -20,11 +20,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from plate_core.ros import LATCHED
 
-from .state import CUT, DISABLED, EMERGENCY, READY, UNANSWERED
-from .transports import STOPPED_SINCE, Condition
+from ..state import CUT, DISABLED, EMERGENCY, READY, UNANSWERED
+from ..transports import STOPPED_SINCE, Condition
 
 if TYPE_CHECKING:
-    from .node import DriverNode
+    from ..node import DriverNode
 
 STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
 """Time between checks whether driver_state has changed, and after which it is repeated [s]."""
