@@ -4,9 +4,14 @@ MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint format bench charts docs clean workspace
 
+# A mistyped name would be ignored without a word.
+NAMES := ARGS METHOD PYTHON RIG SCENARIO TRANSPORT WORKERS
+$(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(if $(filter $(NAMES) MAKE% -%,$(name)),,\
+    $(error $(name) is unknown, allowed: $(NAMES)))))
+
 ENTER := . ./env.sh &&
 # Everything that is type-checked
-TYPED := $(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph tools/record)
+TYPED := $(filter-out %.egg-info,$(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph tools/record))
 
 help: ## List these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -17,9 +22,10 @@ setup: ## Install everything into .venv and build the packages
 workspace:
 	@tools/setup.sh --quiet
 
-demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [METHOD=...] [TRANSPORT=sim|serial]
-	@$(ENTER) exec python tools/demo.py --out out/demo $(if $(SCENARIO),--scenario '$(SCENARIO)') \
-	    $(if $(METHOD),--method '$(METHOD)') $(if $(TRANSPORT),--transport '$(TRANSPORT)') $(ARGS)
+# What is set after `make` reaches the shell as a variable of the environment, whatever is in it.
+demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial]
+	@$(ENTER) exec python tools/demo.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
+	    $${METHOD:+--method "$$METHOD"} $${TRANSPORT:+--transport "$$TRANSPORT"} $(ARGS)
 
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
@@ -48,4 +54,4 @@ docs: workspace ## Build the site, guide and API: out/site/docs/index.html
 	    python -m sphinx -q -W --keep-going -c docs . out/site && echo out/site/docs/index.html
 
 clean: ## Remove everything that set-up made; results in out/ stay
-	rm -rf .venv build install log .numba_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build install log .numba_cache .matplotlib_cache .mypy_cache .pytest_cache .ruff_cache *.egg-info

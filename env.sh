@@ -13,6 +13,16 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
     export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_plate_root/config/fastdds.xml}"
 
+    # Logs and caches stay in the clone: the home folder need not be there, nor be writable
+    export ROS_LOG_DIR="${ROS_LOG_DIR:-$_plate_root/log/ros}"
+    export MPLCONFIGDIR="${MPLCONFIGDIR:-$_plate_root/.matplotlib_cache}"
+
+    # Where there is no `ros2`: `plate start`, `plate --help`
+    case ":$PATH:" in
+        *":$_plate_root/install/plate_core/lib/plate_core:"*) ;;
+        *) export PATH="$_plate_root/install/plate_core/lib/plate_core:$PATH" ;;
+    esac
+
     # Numerics: keep what numba compiled; the matrices are small, so threads would only get in each other's way
     export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-$_plate_root/.numba_cache}"
     export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"

@@ -3,7 +3,8 @@
 python bench/charts.py [--quick] [--draw]
 
 Measurements go to out/bench/*.json. One that is there is not made again, unless the code that it
-rests on has changed, or it was a quick one and --quick is not given.
+rests on has changed, or it was a quick one and --quick is not given. --draw draws what is there: a
+chart that has not been measured here is drawn from its CSV file in docs/results.
 """
 
 from __future__ import annotations
@@ -23,22 +24,23 @@ def main() -> int:
             told = f"error: {name} is not installed: pip install -r requirements-bench.txt"
             print(told, file=sys.stderr)
             return 1
-    from report import CHARTS, made, write_report, write_results
+    from report import CHARTS, made, read_facts, write_report, write_results
 
     folder = args.out / "bench"
     if not args.draw:
-        needed = dict.fromkeys(name for _, names in CHARTS for name in names)
+        needed = dict.fromkeys(name for one in CHARTS for name in one.sources)
         run_all([n for n in needed if not is_done(folder, n, args.quick)], args.quick, folder)
-    data = read(folder)
-    charts = list(made(data))
-    if not charts:
-        print(f"error: no measurement in {folder}: leave out --draw", file=sys.stderr)
-        return 1
     # The project's own text shows thorough measurements only.
     own = args.out == ROOT / "out" and not args.quick
     text = (ROOT if own else args.out) / "docs/results.md"
-    write_results(text, data, charts)
-    write_report(args.out / "report/index.html", data, charts)
+    data, results = read(folder), text.with_suffix("")
+    facts, columns = read_facts(results, data)
+    charts = made(data, results, columns)
+    if not charts:
+        print(f"error: nothing in {folder} or {results}: leave out --draw", file=sys.stderr)
+        return 1
+    write_results(text, facts, charts)
+    write_report(args.out / "report/index.html", data, facts, charts)
     print(f"{text}\n{args.out / 'report/index.html'}")
     return 0
 

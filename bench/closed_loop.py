@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from harness import cluster, parallel, processes
-from harness.loop import Setup, summary, with_settings
+from harness.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
+from plate_planner import Planner
 
 
 def main() -> int:
@@ -24,14 +25,21 @@ def main() -> int:
     args = _arguments()
     try:
         rig = load_rig(args.rig)
-        load_scenario(args.scenario)
+        planner = Planner(rig, load_scenario(args.scenario))
         settings = dict(_pair(text) for text in args.set)
-        setups = [with_settings(Setup(args.scenario, seed), settings) for seed in args.seeds]
+        if args.planner:
+            load_planner(args.planner, rig)
+        setups = [
+            with_settings(Setup(args.scenario, seed, own_planner=args.planner), settings)
+            for seed in args.seeds
+        ]
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     rows = []
     print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
+    for doubt in planner.doubts():
+        print(f"note: {doubt}", flush=True)
     try:
         for row in _rows(setups, rig, args):
             rows.append(row)
@@ -68,10 +76,12 @@ def _line(row: dict) -> str:
     if row["turn_error_deg"] is not None:
         rms += f"  centre {1e3 * row['max_error_m']:.3f} mm at most"
         rms += f"  angle {row['turn_error_deg']:.2f} deg"
+    told = "" if row["pace"] is None or row["pace"] > 0.995 else f"  pace {row['pace']:.2f}"
+    told += "".join(f"  {row[k]} {k[:4]} cycles" for k in ("held_cycles", "late_cycles") if row[k])
     return (
         f"seed {row['seed']:4d}  {'ok  ' if row['success'] else 'FAIL'}  {row['time_s']:6.1f} s"
         f"  dropped {row['dropped']}{rms}  missed {100 * row['missed_share']:.0f} %"
-        f"  solve {row['solve_ms_median']:.1f} ms, p99 {row['solve_ms_p99']:.1f}"
+        f"  solve {row['solve_ms_median']:.1f} ms, p99 {row['solve_ms_p99']:.1f}{told}"
         + ("" if row["success"] else f"  {row['message']}")
     )
 
@@ -123,6 +133,7 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")
+    parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner (ours)")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--workers", type=int, default=1, help="processes (1)")
     place.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster: harness/pool.py")

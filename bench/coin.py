@@ -98,8 +98,8 @@ def slopes(values: np.ndarray) -> np.ndarray:
 
 def draw(track: np.ndarray, rate: np.ndarray, radius: np.ndarray, half: np.ndarray) -> Figure:
     """Draw the coin's path on the plate, its angular speed and its radius."""
-    mpl.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9})
-    figure = Figure(figsize=(10, 3.7), layout="constrained")
+    mpl.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "font.size": 12})
+    figure = Figure(figsize=(10, 4.4), layout="constrained")
     axes = figure.subplot_mosaic([["path", "rate"], ["path", "radius"]], width_ratios=[2.1, 1])
     minutes = np.arange(len(track)) / (60 * FREQUENCY)
     x, y = 1e3 * half
@@ -111,14 +111,14 @@ def draw(track: np.ndarray, rate: np.ndarray, radius: np.ndarray, half: np.ndarr
         cmap="viridis_r", lw=0.9,
     )  # fmt: skip
     path.add_collection(lines)
-    figure.colorbar(lines, ax=path, label="time [min]", location="left", shrink=0.75, pad=0.02)
+    figure.colorbar(lines, ax=path, label="time [min]", location="bottom", shrink=0.6, aspect=40)
     angle, _ = polar(track)
     first = np.searchsorted(angle, 2 * np.pi - 0.3)
     for at in [*track[:first][:: round(SHOWN * FREQUENCY)], track[-1]]:
         path.add_patch(Circle(1e3 * at, 1e3 * COIN_RADIUS, fc="#ffffffb0", ec=INK, lw=1, zorder=3))
     path.plot(0, 0, "+", color=INK)
-    path.set(aspect="equal", xticks=[], yticks=[], title="First turn every 2 s, and the last coin")
-    path.spines[:].set_visible(False)
+    path.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    path.set_title("First turn every 2 s, and the last coin")
     axes["radius"].plot(minutes, 1e3 * radius, color=COIN)
     axes["radius"].set(ylim=(0, None), title="Radius [mm]", xlabel="time [min]")
     t = MEAN * (np.arange(len(rate)) + 1.5) / 60

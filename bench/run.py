@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from harness import LONG, MEASUREMENTS, ROOT, run_all, text_table
+from plate_core import did_you_mean
 
 
 def main() -> int:
@@ -19,7 +20,8 @@ def main() -> int:
     unknown = [name for name in args.names if name not in MEASUREMENTS]
     if unknown:
         allowed = ", ".join(MEASUREMENTS)
-        print(f"error: measurement is {unknown[0]!r}, allowed: {allowed}", file=sys.stderr)
+        hint = did_you_mean(unknown[0], MEASUREMENTS)
+        print(f"error: measurement is {unknown[0]!r}{hint}, allowed: {allowed}", file=sys.stderr)
         return 2
     names = args.names or [name for name in MEASUREMENTS if args.quick or name not in LONG]
     run_all(names, args.quick, args.out)

@@ -3,7 +3,7 @@
 python examples/force_field.py [picture.png]
 """
 
-import sys
+import argparse
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,6 +11,9 @@ import numpy as np
 from plate_core import load_rig
 from plate_solver import SinusoidSolver, average_force
 
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", default="force_field.png", help="(force_field.png)")
+picture = parser.parse_args().picture
 rig = load_rig()
 
 # Two parts, to be pushed in different directions; a third one is to stay where it is.
@@ -27,11 +30,12 @@ x, y = np.meshgrid(np.linspace(-half[0], half[0], 31), np.linspace(-half[1], hal
 field = average_force(solution.cycle, np.column_stack([x.ravel(), y.ravel()]))
 
 plt.figure(figsize=(10, 5.5))
-plt.quiver(x, y, field[:, 0], field[:, 1], color="0.6", scale=6)
-plt.quiver(*position.T, *force.T, color="crimson", scale=1.5, zorder=3)
+arrows = plt.quiver(x, y, field[:, 0], field[:, 1], color="0.6", scale=6)
+asked = plt.quiver(*position.T, *force.T, color="crimson", scale=1.5, zorder=3)
+plt.quiverkey(asked, 0.2, 0.94, 0.15, "0.15 mu mg", labelpos="E", coordinates="figure")
+plt.quiverkey(arrows, 0.6, 0.94, 0.3, "0.3 mu mg", labelpos="E", coordinates="figure")
 plt.plot(*position.T, "o", color="black", markersize=12)
 plt.gca().set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-plt.title("Average force under parts at rest: asked (red), everywhere (grey)")
-picture = sys.argv[1] if len(sys.argv) > 1 else "force_field.png"
+plt.title("Average force on parts at rest: asked (red), everywhere (grey)")
 plt.savefig(picture, dpi=100)
 print(f"drawn: {picture}")

@@ -3,7 +3,7 @@
 python examples/simulate.py [picture.png]
 """
 
-import sys
+import argparse
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,6 +11,9 @@ import numpy as np
 from plate_core import PlateCycle, load_rig
 from plate_sim import simulate
 
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("picture", nargs="?", default="simulate.png", help="(simulate.png)")
+picture = parser.parse_args().picture
 rig = load_rig()
 
 # Quick one way, slow the other way: two sinusoids along x. Parts drift, since friction takes no
@@ -38,6 +41,5 @@ right.plot(path.time[path.time <= 2 * period], path.velocity[path.time <= 2 * pe
 right.plot(t, cycle.twist(t)[:, 0], color="0.6")
 right.set(xlabel="time [s]", ylabel="velocity [m/s]", title="Plate (grey), and the part at rest")
 figure.tight_layout()
-picture = sys.argv[1] if len(sys.argv) > 1 else "simulate.png"
 figure.savefig(picture, dpi=100)
 print(f"drawn: {picture}")

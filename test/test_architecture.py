@@ -15,6 +15,7 @@ ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ame
 # What a core may import besides the standard library, and the rosdep key that declares it.
 LIBRARIES = {
     "cv2": "python3-opencv",
+    "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
@@ -31,7 +32,8 @@ def tree(path: Path) -> ast.Module:
 def files(*patterns: str) -> list[Path]:
     found = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
     assert found, patterns
-    return [path for path in found if "__pycache__" not in path.parts]
+    made = {"__pycache__", "build"}  # by Python and by pip
+    return [path for path in found if not made & set(path.relative_to(ROOT).parts)]
 
 
 def sources(package: str) -> list[Path]:

@@ -17,7 +17,10 @@ from short_task import short_task
 from harness import MEASUREMENTS
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
-TIMINGS = {"solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99"}
+TIMINGS = {
+    "solve_ms_median", "solve_ms_p99", "step_ms_median", "step_ms_p99", "late_cycles", "load",
+}  # fmt: skip
+"""What depends on the machine and on what else it does."""
 
 TINY = short_task(0.01, 20)
 
@@ -148,6 +151,8 @@ def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
         (closed_loop, ["--scenario", "sort_3"], ("'sort_3'", "allowed", "sort_10")),
         (closed_loop, ["--set", "colour=blue"], ("'colour'", "allowed", "method")),
         (closed_loop, ["--set", "noise"], ("'noise'", "allowed", "key=value")),
+        (closed_loop, ["--planner", "mine.py"], ("'mine.py'", "allowed", "OwnPlanner")),
+        (closed_loop, ["--planner", closed_loop.__file__], ("no class OwnPlanner",)),
         (closed_loop, ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
         (closed_loop, ["--workers", "2", "--scheduler", "x"], ("--scheduler", "not allowed")),
         (run, ["simulator"], ("'simulator'", "allowed", "closed_loop")),

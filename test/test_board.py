@@ -82,7 +82,7 @@ def test_limits_in_c_are_those_of_the_rig_file(path):
 
 def test_limits_header_is_of_the_rig_that_is_named(tmp_path):
     rig = yaml.safe_load((ROOT / "config" / "rig.yaml").read_text(encoding="utf-8"))
-    rig["limits"] |= {"stroke_m": 0.0071, "following_error_m": 0.00123, "force_n": 1e-3}
+    rig["limits"] |= {"stroke_m": 0.0071, "following_error_m": 0.00123, "force_n": 7.25}
     rig["motors"]["motor_3"]["point_m"] = [-0.123, -0.15]
     path = tmp_path / "other.yaml"
     path.write_text(yaml.safe_dump(rig), encoding="utf-8")

@@ -7,15 +7,21 @@ import subprocess
 import sys
 import time
 import uuid
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy")
 
 from demo import arguments
+from graph.demo import LAST, clear, own_folder
 from graph.demo import demo as run
+from graph.processes import Interrupted
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,9 +54,24 @@ def marked(mark):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--scenario", "sort_3"], "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
-        (["--method", "C"], "method is 'C', allowed: A, B, rotations, sinusoids"),
-        (["--transport", "usb"], "transport is 'usb', allowed: serial, sim"),
+        (
+            ["--scenario", "folow_3"],
+            "scenario is 'folow_3' (did you mean follow_3?), allowed: ",
+        ),
+        (
+            ["--method", "sinusoid"],
+            "method is 'sinusoid' (did you mean sinusoids?), allowed: ",
+        ),
+        (
+            ["--transport", "serail"],
+            "transport is 'serail' (did you mean serial?), allowed: ",
+        ),
+        (["--rig", "no/such/rig.yaml"], "no/such/rig.yaml: no such file"),
+        (
+            ["--transport", "serial", "--port", "/dev/none"],
+            "port is '/dev/none', allowed: ",
+        ),
+        (["--port", "/dev/null"], "port is '/dev/null' with transport sim, allowed with it: no"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],
@@ -127,7 +148,7 @@ def test_an_interrupt_leaves_nothing_running(tmp_path):
     words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures"]
     with demo(*words, mark=mark, start_new_session=True) as process:
         for line in process.stdout:
-            if "parts sorted" in line:
+            if "parts sorted" in line and "|   0.0 s" not in line:
                 break
         assert len(marked(mark)) == 6
         began = time.monotonic()
@@ -139,7 +160,71 @@ def test_an_interrupt_leaves_nothing_running(tmp_path):
     assert process.returncode == 130
     assert output.endswith("demo: SIGINT, all nodes are stopped\n")
     assert marked(mark) == []
-    assert not (tmp_path / "result.json").exists()
+    result = json.loads((tmp_path / "result.json").read_text())  # what was done so far is kept
+    assert (result["success"], result["message"]) == (False, "ended by SIGINT")
+    assert result["cycles"] > 0
+
+
+def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypatch):
+    module, concluded = import_module("graph.demo"), []
+
+    @contextmanager
+    def running(plan):
+        yield SimpleNamespace(nodes=[], observer=None, begin=lambda: None)
+        raise Interrupted(signal.SIGINT)
+
+    monkeypatch.setattr(module, "running", running)
+    monkeypatch.setattr(module, "recording", lambda plan, observer: nullcontext())
+    monkeypatch.setattr(module, "watch", lambda plan, observer: None)
+    monkeypatch.setattr(
+        module, "conclude", lambda plan, graph, wall_s, problem: concluded.append(problem) or 0
+    )
+    monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", str(tmp_path)])
+    assert run(arguments()) == 130
+    assert concluded == [None]
+
+
+def test_every_run_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    LAST.mkdir(parents=True)  # as earlier versions made it
+    (LAST / "result.json").write_text("{}")
+    first = own_folder("sort_4")
+    clear(first)
+    assert LAST.resolve() == first.resolve()
+    (earlier,) = tmp_path.glob("out/demo-*_earlier")
+    assert (earlier / "result.json").exists()
+    with ThreadPoolExecutor(8) as pool:  # at the same time
+        others = list(pool.map(own_folder, ["sort_4"] * 8))
+    assert len({first, *others}) == 9
+    second = others[-1]
+    clear(second)
+    assert LAST.resolve() == second.resolve()
+    clear(tmp_path / "elsewhere")
+    assert LAST.resolve() == second.resolve()
+
+
+def test_a_camera_that_is_missing_is_said_at_once(tmp_path):
+    _, port = os.openpty()  # a serial port on which nobody answers
+    words = ["--transport", "serial", "--port", os.ttyname(port), "--out", str(tmp_path)]
+    with demo(*words) as process:
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    domain = os.environ["ROS_DOMAIN_ID"]
+    assert f"no camera: nobody publishes /image_raw in ROS domain {domain}" in errors
+
+
+def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatch):
+    broken = tmp_path / "lib" / "plate_solver" / "solver"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("#!/bin/sh\necho 'error: no such thing'\nexit 2\n")
+    broken.chmod(0o755)
+    prefixes = os.pathsep.join([str(tmp_path), os.environ["AMENT_PREFIX_PATH"]])
+    monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes)
+    with demo("--out", str(tmp_path / "out")) as process:
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "demo: solver ended with exit code 2\n    error: no such thing\n" in errors
+    assert "nodes answer" not in output
 
 
 def test_a_kill_leaves_nothing_running(tmp_path):
@@ -147,7 +232,7 @@ def test_a_kill_leaves_nothing_running(tmp_path):
     words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures"]
     with demo(*words, mark=mark, start_new_session=True) as process:
         for line in process.stdout:
-            if "nodes seen" in line:
+            if "nodes answer" in line:
                 break
         process.kill()
         process.communicate(timeout=30)

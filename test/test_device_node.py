@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from plate_core import PlateCycle, load_rig
 from plate_core.serial_protocol import State
@@ -42,13 +43,21 @@ def nudge(period: float = 0.2) -> PlateCycle:
 
 def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     link = tmp_path / "port"
-    words = [f"link:={link}", f"port:={link}", "transport:=serial", "hold_cycles:=20"]
-    arguments = ["--ros-args", *(w for p in words for w in ("-p", p)), "-r", "__ns:=/device_node"]
-    rclpy.init(args=arguments)
+    file, driven = tmp_path / "nodes.yaml", {"port": str(link), "transport": "serial"}
+    parameters = {"device": {"link": str(link)}, "driver": driven | {"hold_cycles": 20}}
+    text = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}
+    file.write_text(yaml.safe_dump(text), encoding="utf-8")
+    rclpy.init(args=["--ros-args", "--params-file", str(file), "-r", "__ns:=/device_node"])
     executor, own = SingleThreadedExecutor(), SingleThreadedExecutor()
     device = DeviceNode()
-    own.add_node(device)  # the device must not wait for the others
-    thread = threading.Thread(target=own.spin, daemon=True)
+    own.add_node(device)
+    ended = threading.Event()
+
+    def serve() -> None:
+        while not ended.is_set():
+            own.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=serve)  # the device must not wait for the others
     thread.start()
     driver, peer = DriverNode(), rclpy.create_node("peer")
     motions: list[JointTrajectory] = []
@@ -119,10 +128,11 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         motions.clear()
         assert until(lambda: sum(map(whole, motions)) > 2)
     finally:
-        driver.destroy_node()
+        driver.destroy_node()  # it still speaks with the device
         executor.shutdown()
+        ended.set()
+        thread.join(10)  # before what it waits for is destroyed
         own.shutdown()
-        thread.join(10)
         device.destroy_node()
         peer.destroy_node()
         rclpy.shutdown()

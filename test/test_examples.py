@@ -9,6 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from harness.loop import load_planner
+from plate_core import PlateError, load_rig
+
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
@@ -38,6 +41,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
     from sensor_msgs.msg import MultiDOFJointState
 
     from plate_bringup import RunOptions, load_graph
+    from plate_core import part_class
     from plate_core.ros import msg_to_parts
 
     options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
@@ -54,15 +58,27 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
             observer.await_answers(ANSWER_S)
             observer.activate_driver()
 
-            def beside(k):
+            def short_of_sides():
                 parts = msg_to_parts(
-                    deserialize_message(observer.record.truth[k], MultiDOFJointState)
+                    deserialize_message(observer.record.truth[-1], MultiDOFJointState)
                 )
                 assert len(parts) == 4
-                return np.abs(parts.position[:, 1])
+                side = [-1 if part_class(name) == "black" else 1 for name in parts.ids]
+                return np.max(0.6 * load_rig().plate.half[0] - side * parts.position[:, 0])
 
-            assert np.max(beside(0)) > 0.03
-            assert observer.until(lambda: np.max(beside(-1)) < 0.01, 120)
+            assert observer.until(lambda: bool(observer.record.truth), 60)
+            begin = short_of_sides()
+            assert begin > 0.1
+            assert observer.until(lambda: short_of_sides() < begin - 0.05, 120)
     finally:
         own.terminate()
         assert own.wait(20) == 0
+
+
+def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    assert load_planner(str(EXAMPLES / "own_planner.py"), load_rig())
+    broken = tmp_path / "broken.py"
+    broken.write_text("class OwnPlanner\n")
+    with pytest.raises(PlateError, match=r"planner .*broken.py cannot be loaded: .*line 1"):
+        load_planner(str(broken), load_rig())

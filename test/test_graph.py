@@ -25,12 +25,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
-from plate_core.ros import IMAGE, array_to_image, msg_to_motors, to_time
+from plate_core.ros import IMAGE, array_to_image, msg_to_motors, nanoseconds, to_time
 from plate_core.tasks import load_scenario
 from plate_sim.camera import Camera, part_greys
 from plate_sim.world import WorldState
 
-pytestmark = pytest.mark.alone
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
 GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}
@@ -78,17 +77,27 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
         assert not record.ended
         assert observer.until(lambda: record.ended, 60)
         assert observer.until(lambda: record.last("solver", "method") == "rotations", 5)
-        assert observer.until(lambda: record.last("planner", "task_state") == "done", 5)
+        assert observer.until(lambda: record.last("planner", "task_state").startswith("done"), 5)
         for name in NAMES:
             graph.processes.signal(name, signal.SIGINT)
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
-    assert record.states[-1] == "done"
+    assert record.states[-1].startswith("done")
     rig = load_rig()
     assert develop(record, rig).dropped == 0
     check = check_limits(record, rig)
     assert check.tables > 50
     assert check.faults == ()
     assert 0.5 < check.accel <= 1
+
+
+def by_stamp(record):
+    """Motor tables as bytes. One that came twice is the same: on a slow machine the simulator shows
+    an image again, and it is answered again."""
+    found = {}
+    for data in record.tables:
+        stamp = nanoseconds(deserialize_message(data, JointTrajectory).header.stamp)
+        assert found.setdefault(stamp, data) == data
+    return found
 
 
 def test_a_seed_gives_the_same_run_to_the_last_bit(tmp_path):
@@ -99,9 +108,13 @@ def test_a_seed_gives_the_same_run_to_the_last_bit(tmp_path):
             graph.begin()
             record = graph.observer.record
             assert graph.observer.until(lambda r=record: len(r.tables) > 60, 60)
-        runs.append(record.tables[:60])
-    assert not at_rest(msg_to_motors(load_rig(), deserialize_message(runs[0][9], JointTrajectory)))
-    assert runs[0] == runs[1]
+            runs.append(by_stamp(record))
+    first, second = runs
+    both = sorted(first.keys() & second.keys())
+    assert len(both) > 50
+    moving = tables(record)[len(both) // 2]
+    assert not at_rest(moving)
+    assert [first[stamp] for stamp in both] == [second[stamp] for stamp in both]
 
 
 # Faults
@@ -138,6 +151,7 @@ WRONG_IMAGES = {
 }
 
 
+@pytest.mark.alone
 def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     nodes = [node for node in GRAPH.values() if node.on_hardware]
     with (
@@ -176,8 +190,8 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
 
 BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
 WRONG_INPUT = [
-    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
-    ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3', allowed: assemble_8, coin_circle"),
+    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3' (did you mean sort_"),
+    ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3' (did you mean sort_"),
     ("planner", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
     ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),

@@ -36,7 +36,7 @@ def _pickled_here(monkeypatch):
     monkeypatch.setattr(pickle, "loads", lambda task: task)
 
 
-def test_results_come_in_order_whoever_is_first():
+def test_results_come_in_order():
     notes = []
     work = [(0.2, "a"), (0.0, "b"), (0.1, "c"), (0.0, "d")]
     with ThreadPoolExecutor(4) as workers:

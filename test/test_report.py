@@ -84,7 +84,9 @@ def drawn(tmp_path_factory):
 def chart():
     """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
     pytest.importorskip("plotly", reason=MISSING)
-    from report.chart import Axis, Chart, Panels
+    from report.axis import Axis
+    from report.chart import Chart, Sheet
+    from report.panels import Panels
 
     x, y, panels = Axis("x [m]", log=True), Axis("y [s]"), Panels()
     first = panels.add("points", x, y, "less less")
@@ -96,7 +98,8 @@ def chart():
     field = panels.add("field", y, y)
     field.heat([1.0, 2.0, 3.0], [2.0, 5.0], [[0.0, 0.5, None], [0.1, 0.9, 1.0]], "success")
     field.points("theory", [1.0, 3.0], [2.0, 5.0], marker="", line="-", in_front=False)
-    return Chart("one", "a", "Title </script>", "reading", "finding", "why", (), panels, [{"x": 1}])
+    sheet = Sheet([{"x": 1}])
+    return Chart("one", "a", "Title </script>", "reading", "finding", "why", panels, sheet)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +108,7 @@ def every_kind(chart, tmp_path_factory):
     from report import write_report
 
     path = tmp_path_factory.mktemp("page") / "index.html"
-    write_report(path, {}, [chart])
+    write_report(path, {}, {}, [chart])
     return path
 
 
@@ -149,7 +152,7 @@ def assert_drawn(result, console, panels):
     assert {chart["title"]: chart["panels"] for chart in result["charts"]} == panels
     for chart in result["charts"]:
         assert chart["marks"] >= chart["panels"], chart
-        assert chart["width"] > 250 * chart["panels"], chart
+        assert chart["width"] > 250 * min(chart["panels"], 2), chart
     assert result["resources"] == []
     assert not result["wide"]
 
@@ -220,9 +223,68 @@ def test_a_measurement_that_is_there_is_not_made_again(drawn):
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
+@pytest.mark.filterwarnings("ignore:setDaemon", "ignore:unclosed file")  # kaleido's own
+def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
+    drawn, tmp_path, monkeypatch, capfd
+):
+    """As on a fresh clone: the same text and CSV files; what cannot be drawn is reported."""
+    import charts
+
+    shutil.copytree(drawn / "docs", tmp_path / "docs")
+    (tmp_path / "docs/results.md").unlink()
+    (tmp_path / "docs/results/sim.csv").write_text("of,older,code\n1,2,3\n")
+    words = ["charts.py", "--draw", "--quick", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    assert charts.main() == 0
+    for name in ("results.md", f"results/{QUICK}.csv", "results/measured.json"):
+        assert (tmp_path / "docs" / name).read_text() == (drawn / "docs" / name).read_text()
+    told = capfd.readouterr().err
+    assert "left out chart sim: of older code, its rows lack 'case'" in told
+    assert "left out chart vision: neither measured nor in" in told
+    assert f"drawn from {tmp_path / 'docs/results'}: {QUICK}\n" in told
+
+
+def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.chart import Sheet
+
+    rows = [{"a": 1, "b": 2.5e-9, "c": None}, {"c": True, "a": '(3), "x"', "d": "1 ms"}]
+    sheet = Sheet.of(rows, {"c": "C [m]"})
+    (tmp_path / "one.csv").write_text(sheet.csv)
+    assert Sheet.read(tmp_path / "one.csv", {"c": "C [m]"}) == sheet
+    assert [list(row) for row in sheet.rows] == [["c", "a", "b", "d"]] * 2
+
+
+@pytest.mark.parametrize("span", [0.02, 0.3, 0.9, 1.7, 3.2, 6.5, 14.0])
+@pytest.mark.parametrize("low", [-11.3, -0.05, 2.7])
+def test_every_log_axis_has_some_numbers_and_not_too_many(low, span):
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.axis import log_ticks, numbers
+
+    ticks = log_ticks(low, low + span)
+    assert 3 <= len(ticks) <= 10
+    assert np.all(np.diff(ticks) > 0)
+    assert low <= np.log10(ticks[0]) < np.log10(ticks[-1]) <= low + span
+    assert len(set(numbers(ticks))) == len(ticks)
+
+
+def test_words_are_put_where_nothing_else_is():
+    pytest.importorskip("plotly", reason=MISSING)
+    from report.axis import Axis
+    from report.panels import Panels
+
+    panel = Panels().add("", Axis(""), Axis(""), "")
+    panel.points("", [0, 1], [0, 0], labels=["at the left end", "at the right end"])
+    panel.place_words((300, 200))
+    assert panel.traces[0].textposition == ("middle right", "middle left")
+    panel.points("", [0.1], [0.0])
+    panel.place_words((300, 200))
+    assert panel.traces[0].textposition[0] not in ("middle right", "middle left")
+
+
 def front_of(better, *places):
     pytest.importorskip("plotly", reason=MISSING)
-    from report.chart import pareto_front
+    from report.panels import pareto_front
 
     return pareto_front(places, better)
 
@@ -236,7 +298,8 @@ def test_the_front_is_a_staircase_along_what_nobody_beats():
 
 def test_no_front_goes_through_what_does_not_count():
     pytest.importorskip("plotly", reason=MISSING)
-    from report.chart import Axis, Panels
+    from report.axis import Axis
+    from report.panels import Panels
 
     panel = Panels().add("", Axis(""), Axis(""), "less less")
     panel.points("", [1, 2, 3], [1, 3, 2], hollow=[True, False, False])

@@ -320,6 +320,7 @@ WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
         ended(signal.SIGKILL), homed]  # fmt: skip
 
 
+@pytest.mark.alone  # the device must be heard in time
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
 def test_no_way_undoes_a_stop(bench, way):
     board = bench.board

@@ -6,7 +6,7 @@ import pytest
 from harness import Cache
 from maps import gamma, harmonics, latency, separation, stick, suspension
 from maps.grid import Grid, StabilityMap, crossing
-from maps.stability import MAPS, cells, grids, nearness, sample
+from maps.stability import MAPS, grids, nearness, sample
 from plate_core import PlateCycle, load_rig
 from plate_solver.rotations import Library
 
@@ -128,15 +128,14 @@ def test_the_predicted_error_of_one_harmonic_is_its_transmissibility_less_one(ri
 @pytest.mark.parametrize("key", MAPS)
 def test_the_chart_of_a_map_has_its_border_and_the_theory_in_every_panel(key):
     pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
-    from report.stability import chart_of
+    from report.stability import chart_of, rows_of
 
     one = MAPS[key]
     low, high = one.bounds
     z = [[low, low], [2 * one.level - low] * 2, [high, high]]
     found = [Grid(t, [1.0, 2.0], [1.0, 2.0, 3.0], z, [1.0, 2.0], [1.4, 1.6]) for t in ("a", "b")]
-    table = {"key": key, "columns": {"x": "x", "z": "z"}, "rows": cells(found[0])}
     samples = [sample(one, grid) for grid in found]
-    chart = chart_of({"stability": {"samples": samples, "tables": [table]}}, one)
+    chart = chart_of(rows_of({"stability": {"samples": samples}}, one).rows, one)
     assert [panel.title for panel in chart.panels.list] == ["a", "b"]
     for panel in chart.panels.list:
         field, border, theory = panel.traces

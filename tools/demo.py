@@ -3,7 +3,7 @@
 python tools/demo.py --scenario sort_10 --method sinusoids
 
 Exit code 0: the task succeeded, nothing was dropped, all limits were kept, all nodes ended well.
-1: it did not. 2: wrong arguments, nothing was started. 130: interrupted.
+1: it did not. 2: wrong arguments, nothing was started. 130: interrupted, what was done is kept.
 """
 
 from __future__ import annotations
@@ -30,21 +30,23 @@ def arguments() -> argparse.Namespace:
         prog="make demo",
         description="Run a task on the vibrating plate: five ROS 2 nodes as processes of their "
         "own, in a ROS domain of their own, driven only by what the camera sees.",
-        epilog="With make: make demo SCENARIO=sort_10 METHOD=rotations ARGS='--seed 3'",
+        epilog="With make: make demo SCENARIO=sort_10 RIG=my_rig.yaml METHOD=rotations "
+        "TRANSPORT=serial ARGS='--seed 3'. Ctrl-C ends it; what was done so far is kept.",
     )
     add = parser.add_argument
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
+    add("--rig", default="", help="name in config/rigs or .yaml file (config/rig.yaml)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add("--transport", default="sim", help="what moves the plate: sim (default) or serial")
     add(
         "--port",
         default="",
-        help="of a motor controller; serial without one: a simulated one",
+        help="of a motor controller, with your own camera; serial without one: a simulated one",
     )
     add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
-    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
-    add("--out", type=Path, default=Path("out/demo"), help="folder for the results (out/demo)")
+    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one; with a port ROS_DOMAIN_ID)")
+    add("--out", type=Path, help="folder of results (out/demo-TIME_SCENARIO; out/demo links to it)")
     add(
         "--record", action="store_true", help="keep all messages, for Foxglove or ros2 bag: OUT/bag"
     )

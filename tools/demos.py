@@ -18,6 +18,7 @@ from typing import Any
 from PIL import Image, ImageSequence
 from record.judge import summary
 
+from plate_core.rig import rig_names
 from plate_core.tasks import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,11 +27,11 @@ DOCS = ROOT / "docs/results"
 LONGEST_S = 600
 """A demo takes no longer [s]: set-up, the task, its pictures."""
 
-STRIP_PX, FILM_PX = 900, 520
+STRIP_PX, FILM_PX = 800, 520
 """Widths of the pictures kept."""
 
-QUALITY = 45
-"""Of the animation, which WebP keeps with losses."""
+QUALITY, COLOURS = 25, 64
+"""Of a film, which WebP keeps with losses, and of a strip."""
 
 
 def main() -> int:
@@ -55,8 +56,9 @@ def main() -> int:
 
 def run(name: str) -> dict[str, Any]:
     """Run one demo, keep its pictures, and say what became of it."""
-    out = ROOT / "out/demos" / name
+    out, rig = ROOT / "out/demos" / name, rig_of(name)
     command = ["tools/demo.py", "--scenario", name, "--lockstep", "--out", str(out)]
+    command += ["--rig", rig] if rig else []
     done = subprocess.run(
         [sys.executable, *command],
         capture_output=True,
@@ -67,7 +69,7 @@ def run(name: str) -> dict[str, Any]:
     )
     facts = {
         "description": load_scenario(name).description,
-        "command": f"make demo SCENARIO={name} ARGS=--lockstep",
+        "command": f"make demo SCENARIO={name}{rig and f' RIG={rig}'} ARGS=--lockstep",
     }
     result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
@@ -81,12 +83,17 @@ def run(name: str) -> dict[str, Any]:
     return facts | {"well": done.returncode == 0, "outcome": summary(found)}
 
 
+def rig_of(scenario: str) -> str:
+    """Return the rig that a scenario is for: the one that its name ends in; empty: the default."""
+    return next((rig for rig in rig_names() if scenario.endswith(f"_{rig}")), "")
+
+
 def shrink_strip(source: Path, target: Path) -> None:
     """Keep a picture strip with fewer pixels and colours."""
     with Image.open(source) as image:
         size = STRIP_PX, round(image.height * STRIP_PX / image.width)
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    small.quantize(64, dither=Image.Dither.NONE).save(target, optimize=True)
+    small.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 def shrink_film(source: Path, target: Path) -> None:
@@ -99,7 +106,7 @@ def shrink_film(source: Path, target: Path) -> None:
             durations.append(frame.info["duration"])
     frames[0].save(
         target, save_all=True, append_images=frames[1:], duration=durations, loop=0,
-        quality=QUALITY, method=4,
+        quality=QUALITY, method=4, minimize_size=True,
     )  # fmt: skip
 
 

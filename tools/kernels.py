@@ -8,6 +8,7 @@ Every job is a process, as many at a time as there are cores.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import os
 import subprocess
@@ -52,15 +53,60 @@ def solve_requests() -> None:
     manipulability(rig, place)
 
 
+def see_parts() -> None:
+    """Find parts in a picture, two of which touch."""
+    from plate_core import load_rig
+    from plate_sim.camera import Camera
+    from plate_vision import Tracker, make_vision, observe
+
+    rig, rng = load_rig(), np.random.default_rng(0)
+    place = rig.parts.radius_m * np.array([[-0.95, 0.0], [0.95, 0.0], [5.0, 0.0]])
+    image = Camera(rig).render(place, np.zeros(3), rng)
+    observe(make_vision(rig), Tracker(), image, 0.0)
+
+
+def measure_forces() -> None:
+    """Measure the mean forces of motions in every way that there is, and what is out of reach."""
+    from plate_core import PlateCycle, load_rig
+    from plate_solver import average_force
+    from plate_solver.analysis import is_out_of_reach
+    from plate_solver.maps import (
+        force_rules,
+        intervals,
+        sinusoid_forces,
+        step_forces,
+        triangular_forces,
+    )
+
+    rig, rng = load_rig(), np.random.default_rng(0)
+    place, still = rng.uniform(-0.1, 0.1, (3, 2)), np.zeros((3, 2))
+    wave = 1e-3 * np.sin(2 * np.pi * np.arange(64) / 64)[:, None] * rng.normal(size=3)
+    cycle, t = PlateCycle.from_samples(0.1, wave), np.arange(64) * 0.1 / 64
+    average_force(cycle, place)
+    step_forces(place, still, cycle.twist(t), np.ones(len(t)))
+    motions = rng.normal(size=(3, 4, 3))
+    sinusoid_forces(motions, place, still, force_rules(2))
+    triangular_forces(motions, place, *intervals(2))
+    close = np.array([[0.05, 0.03], [0.056, 0.03]])
+    is_out_of_reach(close, np.array([[0.15, 0.1], [-0.15, 0.1]]), 2, float(rig.plate.half[0]))
+
+
 JOBS = {
     "solver": [sys.executable, __file__, solve_requests.__name__],
     "simulator": [sys.executable, __file__, simulate_parts.__name__],
+    "vision": [sys.executable, __file__, see_parts.__name__],
+    "forces": [sys.executable, __file__, measure_forces.__name__],
     "tasks": [*LOOP, "follow_2"],
     "turning": [*LOOP, "spin_1", "--set", "method=rotations"],
     "many parts": [*LOOP, "assemble_8"],
     "rotations": [*LOOP, "sort_6", "--set", "method=rotations"],
 }
 """What is done, in this order."""
+
+
+OWN = (solve_requests, simulate_parts, see_parts, measure_forces)
+ALONE = {job.__name__: job for job in OWN}
+"""Jobs that this file does itself."""
 
 
 def state() -> str:
@@ -73,8 +119,11 @@ def state() -> str:
 
 def main() -> int:
     """Run the command line; returns its exit code."""
-    if sys.argv[1:]:
-        globals()[sys.argv[1]]()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("job", nargs="?", choices=ALONE, help="only this one, in this process")
+    job = parser.parse_args().job
+    if job:
+        ALONE[job]()
         return 0
     done = Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled"
     now = state()

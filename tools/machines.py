@@ -173,7 +173,7 @@ def inside(args: argparse.Namespace) -> int:
     print(result, flush=True)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    well = result["ended"] == "done" if args.reach != "nobody" else not result["heard"]
+    well = result["ended"].startswith("done") if args.reach != "nobody" else not result["heard"]
     return 0 if well else 1
 
 

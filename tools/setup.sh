@@ -124,14 +124,14 @@ prepare_environment() {
 
 # What the build reads, as "hash  path" lines; tests are not installed, so they do not count.
 build_inputs() {
-    find src config \( -name test -o -name __pycache__ \) -prune -o -type f -print0 |
+    find src config \( -name test -o -name __pycache__ -o -name build -o -name '*.egg-info' \) -prune -o -type f -print0 |
         xargs -0 sha256sum | sort
 }
 
 paths() { cut -c 67- "$@" | sort; }
 
 changed_packages() { # reads the differing "hash  path" lines
-    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/rig.yaml$|plate_core|; s|^config/.*|plate_bringup|' | sort -u
+    sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|' | sort -u
 }
 
 build_packages() {
@@ -147,9 +147,13 @@ build_packages() {
     fi
     say "building" $packages
     set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
+    # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
+    printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg
     # shellcheck disable=SC2086
-    env -u PYTHONDONTWRITEBYTECODE python -m colcon build --base-paths src --packages-select $packages > "$log" 2>&1 ||
+    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build --base-paths src --packages-select $packages > "$log" 2>&1 ||
         { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
+    # What colcon writes calls its Python without quotes, which ends at a space in the path.
+    sed -i -E 's|\$\((\$_colcon_python_executable) |$("\1" |' install/local_setup.*sh
     echo "$inputs" > install/.built
 }
 

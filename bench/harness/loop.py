@@ -7,15 +7,34 @@ image is missed, the plate repeats what it did. How answers get to the plate is 
 
 from __future__ import annotations
 
+import importlib.util
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from harness.race import cpu_time
-from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
+from plate_core import (
+    Parts,
+    PlateCycle,
+    PlateError,
+    Rig,
+    Wanted,
+    did_you_mean,
+    load_rig,
+)
+from plate_core.tasks import (
+    AssembleTask,
+    FollowTask,
+    PoseTask,
+    Scenario,
+    SortTask,
+    Task,
+    load_scenario,
+)
 from plate_driver.setpoints import MotorTable, prepare
 from plate_planner import (
     FollowOptions,
@@ -25,7 +44,7 @@ from plate_planner import (
     Progress,
     SortOptions,
 )
-from plate_planner.tasks import Assembler, Follower, Poser
+from plate_planner.tasks import Assembler, Follower, Poser, Sorter
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion, Playback, next_playback
 from plate_sim.world import NONE, Disturbances, Simulation, WorldState
@@ -34,6 +53,9 @@ from plate_vision import Tracker, make_vision, observe
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers that make an answer take longer, and better."""
+
+SIGHT_M, SIGHT_RAD = 3e-4, 0.01
+"""A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
 
 HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
@@ -63,6 +85,9 @@ class Setup:
         What the planner takes the images' latency to be [s]; None: it finds out.
     effort : mapping of str to int
         `iterations`, `restarts` of the solver, where `Controller`'s own are not wanted.
+    own_planner : str
+        Python file with a class `OwnPlanner` that says what is wanted of the parts, in place of
+        ours, which then only judges: it says when the task is done, stuck or has lost a part.
     """
 
     scenario: str
@@ -74,6 +99,7 @@ class Setup:
     planner: PlannerOptions = field(default_factory=PlannerOptions)
     image_age_s: float | None = None
     effort: Mapping[str, Any] = field(default_factory=dict)
+    own_planner: str = ""
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
@@ -110,7 +136,8 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             kinds = (Disturbances, SortOptions, FollowOptions)
             known += [f.name for kind in kinds for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
-            raise PlateError(f"setting {key!r}, allowed: {names}") from None
+            hint = did_you_mean(key, known)
+            raise PlateError(f"setting {key!r}{hint}, allowed: {names}") from None
         except PlateError:
             raise
         except ValueError:
@@ -127,7 +154,8 @@ def _flag(key: str, text: str) -> bool:
 
 def _method(name: str) -> str:
     if name not in METHODS:
-        raise PlateError(f"setting method is {name!r}, allowed: {', '.join(METHODS)}")
+        hint = did_you_mean(name, METHODS)
+        raise PlateError(f"setting method is {name!r}{hint}, allowed: {', '.join(METHODS)}")
     return METHODS[name]
 
 
@@ -154,12 +182,17 @@ class Moment:
         Time of the cores that the answer took [s].
     step_s : float
         And from the image to the motors' table [s].
-    limit_share : float
-        Greatest share of a limit that the motors' table uses.
+    limit_share, force_share, heat_share : float
+        Greatest share of any limit that the motors' table uses; of a motor's peak force; and of its
+        continuous force, were the table played for ever.
+    scaled : bool
+        Whether the driver had to scale the answer down to these limits.
     error_m : (P,)
         True distance of each seen part from its reference or place [m]; empty when sorting.
     turn_error : (P,)
         What is missing to its angle [rad], in a task of poses.
+    held : int
+        Cycles since the last image that repeated what had run before, because no new image came.
     """
 
     time: float
@@ -172,8 +205,12 @@ class Moment:
     solve_s: float
     step_s: float
     limit_share: float
+    force_share: float
+    heat_share: float
+    scaled: bool
     error_m: np.ndarray
     turn_error: np.ndarray
+    held: int
 
 
 class Transport(Protocol):
@@ -195,6 +232,37 @@ class Transport(Protocol):
 
     def play(self) -> Sequence[PlateCycle | PlateMotion]:
         """Let time pass until the next image is due; returns the plate's motions until then."""
+
+
+class ControlLaw(Protocol):
+    """An own planner: made from the rig, asked once for each image."""
+
+    def plan(self, parts: Parts, t: float) -> Wanted:
+        """Return the mean force wanted on each part; `t` is the stamp of the image [s]."""
+
+
+def load_planner(path: str, rig: Rig) -> ControlLaw:
+    """Return the `OwnPlanner` of a Python file.
+
+    Raises
+    ------
+    PlateError
+        If there is no such file, or no such class in it.
+    """
+    if not Path(path).is_file():
+        raise PlateError(f"planner is {path!r}, allowed: a Python file with a class OwnPlanner")
+    spec = importlib.util.spec_from_file_location("own_planner", path)
+    if spec is None or spec.loader is None:
+        raise PlateError(f"planner is {path!r}, allowed: a file whose name ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (SyntaxError, ImportError) as error:
+        raise PlateError(f"planner {path} cannot be loaded: {error}") from error
+    if not hasattr(module, "OwnPlanner"):
+        raise PlateError(f"planner {path} has no class OwnPlanner")
+    law: ControlLaw = module.OwnPlanner(rig)
+    return law
 
 
 class Direct:
@@ -236,14 +304,19 @@ def run(
     vision, tracker = make_vision(rig), Tracker()
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
+    own = load_planner(setup.own_planner, rig) if setup.own_planner else None
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
+    held = 0
     while True:
         world, t = simulation.state, line.now
+        held += 1
         image = simulation.capture()
         if image is not None:
             at_work = cpu_time()
             tracker = observe(vision, tracker, image, t)
             state, wanted, progress = planner.plan(state, tracker.parts, t)
+            if own is not None:
+                wanted = own.plan(tracker.parts, t)
             began = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - began
@@ -253,10 +326,14 @@ def run(
             step_s = cpu_time() - at_work
             error = _true_error(scenario, rig, state, tracker.parts, world, t)
             turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
+            used = fitted.usage
             yield Moment(
                 t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
-                fitted.usage.overall, error, turned,
+                used.overall, used.force / rig.limits.force,
+                float(np.sqrt(np.max(used.thermal_load))), fitted.factor < 1, error, turned,
+                held - 1,
             )  # fmt: skip
+            held = 0
             if progress.ended:
                 return
         for motion in line.play():
@@ -281,6 +358,8 @@ def _true_error(
         true_parts = _named(parts, state.memory.match, world)
         return Poser(task, rig).errors(state.memory, true_parts)[0]
     if not isinstance(task, FollowTask) or state.memory is None or not len(true):
+        return np.zeros(0)
+    if state.memory.leading:  # the path has not begun
         return np.zeros(0)
     reference = Follower(task, rig).reference(state.memory, t)
     seen = dict(zip(parts.ids, parts.position, strict=True))
@@ -310,28 +389,52 @@ def _named(parts: Parts, wanted: tuple[str, ...], world: WorldState) -> Parts:
     return Parts.make(tuple(ids), world.position[rows], angle=world.angle[rows])
 
 
+def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
+    """Whether the true parts are, at the end, what the task asks; all of them still on the plate.
+
+    `error` (n,) [m] are their distances from where they should have been, as far as these count.
+    """
+    if moment.world.dropped:
+        return False
+    if isinstance(task, SortTask):
+        true = Parts.make(moment.world.ids, moment.world.position)
+        return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= SIGHT_M
+    if isinstance(task, FollowTask):
+        return float(np.max(error, initial=0.0)) <= task.max_error_m + SIGHT_M
+    there = float(np.max(moment.error_m, initial=0.0)) <= task.tolerance_m + SIGHT_M
+    if isinstance(task, PoseTask):
+        turned = float(np.max(moment.turn_error, initial=0.0))
+        there = there and turned <= task.tolerance_rad + SIGHT_RAD
+    return there
+
+
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
-    solve_s, step_s, shares, errors, misses, asks = [], [], [], [], [], []
+    solve_s, step_s, errors, misses, asks = [], [], [], [], []
+    shares, scaled, held, late = [], 0, 0, 0
     task = load_scenario(setup.scenario).task
     for moment in run(setup, rig):
+        held += moment.held
+        late += moment.step_s > moment.answer.cycle.period
         if moment.answer.solution is not None:
             solve_s.append(moment.solve_s)
             step_s.append(moment.step_s)
             misses.append(moment.answer.error_m)
             asks.append(moment.answer.asked_m)
-        shares.append(moment.limit_share)
+        shares.append((moment.limit_share, moment.force_share, moment.heat_share))
+        scaled += moment.scaled
         errors.append(moment.error_m)
     all_along = isinstance(task, FollowTask | PoseTask)
     error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables
     steps = 1e3 * np.array(step_s[1:] or [0.0])
+    most = np.max(shares, axis=0).tolist()
     return {
         "scenario": setup.scenario,
         "seed": setup.seed,
         "method": setup.method,
-        "success": moment.progress.phase == "done" and moment.world.dropped == 0,
+        "success": moment.progress.phase == "done" and as_asked(task, rig, moment, error),
         "message": moment.progress.text,
         "time_s": round(moment.progress.time_s, 3),
         "dropped": moment.world.dropped,
@@ -339,11 +442,16 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "rms_error_m": float(np.sqrt(np.mean(error**2))) if len(error) else None,
         "max_error_m": float(np.max(error)) if len(error) else None,
         "turn_error_deg": float(turned) if isinstance(task, PoseTask) else None,
+        "pace": moment.progress.pace if isinstance(task, FollowTask) else None,
+        "held_cycles": held,
+        "late_cycles": late,
+        "load": round(os.getloadavg()[0], 2),
         "missed_share": float(np.sum(misses) / max(np.sum(asks), 1e-12)),
         "solve_ms_median": float(np.median(milliseconds)),
         "solve_ms_p99": float(np.percentile(milliseconds, 99)),
         "step_ms_median": float(np.median(steps)),
         "step_ms_p99": float(np.percentile(steps, 99)),
-        "limit_share_max": float(np.max(shares)),
+        **dict(zip(("limit_share_max", "force_share_max", "heat_share_max"), most, strict=True)),
+        "scaled": scaled,
         "gamma": round(rig.gamma, 2),
     }

@@ -116,8 +116,8 @@ MAP = StabilityMap(
     key="gamma",
     title="Averages fail: shaking ratio and number of parts",
     x_label="parts",
-    y_label="shaking ratio Γ = greatest acceleration/(µg)",
-    z_label="force missed over force asked for",
+    y_label="shaking ratio Γ = a_max/(mu g) [-]",
+    z_label="missed force over wanted force [-]",
     line_label="theory, first order in 1/Γ: the velocity that parts gain within a cycle",
     level=LEVEL,
     measure=measure,
@@ -126,6 +126,6 @@ MAP = StabilityMap(
     steps=True,
     finding="A motion whose forces are right on average pushes parts wrongly unless the plate "
     "shakes much harder than a rig can: that is why what runs is solved on the cycle map.",
-    note=f"Over one cycle, from rest; median of {REQUESTS} random requests up to {FORCE:g} µmg on "
-    "each axis, as many harmonics as the solver takes. The default rig has Γ = 40.8.",
+    note=f"Over one cycle, from rest; median of {REQUESTS} random requests up to {FORCE:g} mu mg "
+    "on each axis, as many harmonics as the solver takes. The default rig has Γ = 40.8.",
 )

@@ -59,7 +59,7 @@ MAP = StabilityMap(
     title="Too many parts: number of parts and harmonics, Method B",
     x_label="harmonics N",
     y_label="parts M",
-    z_label="requests solved",
+    z_label="share of requests solved [-]",
     line_label="theory: 2 M = 6 N - 2",
     level=0.5,
     measure=measure,
@@ -67,5 +67,5 @@ MAP = StabilityMap(
     steps=True,
     finding="Small random requests that Method B solves. N harmonics have 6 N - 2 numbers that "
     "matter, M parts need 2 M: one harmonic serves nobody, two serve five parts.",
-    note=f"{REQUESTS} random requests of {FORCE:g} mu m g at most, solved to {TOLERANCE:g}.",
+    note=f"{REQUESTS} random requests of {FORCE:g} mu mg at most, solved to {TOLERANCE:g}.",
 )

@@ -75,7 +75,7 @@ MAP = StabilityMap(
     title="Parts too near: distance of two parts and number of centres, Method A",
     x_label="centres of rotation",
     y_label="distance of the two parts [mm]",
-    z_label="force guaranteed in every direction [µmg]",
+    z_label="guaranteed force [mu mg]",
     line_label=f"theory: distance = 4 · {LEVEL:g} · spacing of the centres",
     level=LEVEL,
     measure=measure,

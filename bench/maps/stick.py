@@ -99,9 +99,9 @@ def measure(quick: bool) -> list[Grid]:
 MAP = StabilityMap(
     key="stick",
     title="Parts at rest: request and shaking ratio, one part on a line",
-    x_label="request: average force on a part at rest [µmg]",
-    y_label="shaking ratio Γ = greatest acceleration/(µg)",
-    z_label="share of a cycle at rest on the plate",
+    x_label="request: average force on a part at rest [mu mg]",
+    y_label="shaking ratio Γ = a_max/(mu g) [-]",
+    z_label="share of a cycle at rest [-]",
     line_label="theory: above it a part never rests",
     level=LEVEL,
     measure=measure,

@@ -6,46 +6,102 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
+from maps.stability import MAPS
 from plate_core import PlateError
-from report.chart import Chart, Data
-from report.forces import force_map, inversion, learning, rotations
-from report.loop import control, tracking
-from report.model import model
+from report.chart import Chart, Data, Row, Sheet, table
+from report.forces import (
+    force_map,
+    force_map_rows,
+    inversion,
+    learning,
+    rotations,
+    rotations_rows,
+)  # fmt: skip
+from report.loop import control, crowds, shaking, tracking
+from report.model import model, model_rows
 from report.page import write_report
-from report.results import write_results
-from report.solver import options, solver, steering
-from report.stability import STABILITY
-from report.world import cost, sim, vision
+from report.results import read_facts, write_results
+from report.solver import options, solver, solver_rows, steering
+from report.stability import chart_of, rows_of
+from report.world import cost, cost_rows, sim, sim_rows, vision
 
-__all__ = ["CHARTS", "made", "write_report", "write_results"]
+__all__ = ["CHARTS", "made", "read_facts", "write_report", "write_results"]
 
-CHARTS: tuple[tuple[Callable[[Data], Chart], tuple[str, ...]], ...] = (
-    (force_map, ("force_map",)),
-    (solver, ("solver",)),
-    (options, ("options",)),
-    (steering, ("steering",)),
-    (rotations, ("rotations",)),
-    (inversion, ("inversion",)),
-    (sim, ("sim", "bodies")),
-    (model, ("model",)),
-    (vision, ("vision",)),
-    (control, ("control",)),
-    (tracking, ("tracking",)),
-    (cost, ("stages", "sim")),
-    (learning, ("learning",)),
-    *((make, ("stability",)) for make in STABILITY),
+
+class Entry(NamedTuple):
+    """A chart: how it is drawn from its rows, and these from measurements."""
+
+    key: str
+    draw: Callable[[list[Row]], Chart]
+    rows: Callable[[Data], Sheet]
+    sources: tuple[str, ...]
+
+
+def of_table(draw: Callable[[list[Row]], Chart], name: str, key: str = "") -> Entry:
+    """Return the entry of a chart whose rows are one table of a measurement."""
+    return Entry(name, draw, lambda data: table(data, name, key or name), (name,))
+
+
+CHARTS: tuple[Entry, ...] = (
+    Entry("force_map", force_map, force_map_rows, ("force_map",)),
+    Entry("solver", solver, solver_rows, ("solver",)),
+    of_table(options, "options"),
+    of_table(steering, "steering"),
+    Entry("rotations", rotations, rotations_rows, ("rotations",)),
+    of_table(inversion, "inversion", "fate"),
+    Entry("sim", sim, sim_rows, ("sim", "bodies")),
+    Entry("model", model, model_rows, ("model",)),
+    of_table(vision, "vision"),
+    of_table(control, "control"),
+    of_table(tracking, "tracking"),
+    Entry("shaking", shaking, lambda data: table(data, "sizing", "ratio"), ("sizing",)),
+    Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
+    Entry("cost", cost, cost_rows, ("stages", "sim")),
+    of_table(learning, "learning"),
+    *(
+        Entry(f"stability_{key}", partial(chart_of, one=m), partial(rows_of, one=m), ("stability",))
+        for key, m in MAPS.items()
+    ),
 )
-"""Every chart, and the measurements that it is drawn from."""
+"""Every chart."""
 
 
-def made(data: Data) -> Iterator[Chart]:
-    """Yield all charts for which there are measurements; the others are told."""
-    for make, names in CHARTS:
+def made(data: Data, folder: Path, columns: Mapping[str, dict[str, str]]) -> list[Chart]:
+    """Draw all charts: from measurements, or where they are missing from CSV files.
+
+    Those for which there is neither are told.
+
+    Parameters
+    ----------
+    data : mapping
+        Measurements by name, as in their JSON files.
+    folder : path
+        Of CSV files that were written before.
+    columns : mapping
+        Key of a chart -> headings of its CSV file, by column.
+    """
+    charts, old = [], []
+    for one in CHARTS:
+        measured = all(name in data for name in one.sources)
         try:
-            if names[0] not in data:
-                raise PlateError(f"measurement {names[0]} is not there")
-            yield make(data)
+            if measured:
+                sheet = one.rows(data)
+            else:
+                sheet = Sheet.read(folder / f"{one.key}.csv", columns.get(one.key, {}))
+            chart = one.draw(sheet.rows)
         except PlateError as error:
-            print(f"left out a chart: {error}", file=sys.stderr)
+            print(f"left out chart {one.key}: {error}", file=sys.stderr)
+        except KeyError as key:
+            print(f"left out chart {one.key}: of older code, its rows lack {key}", file=sys.stderr)
+        else:
+            charts.append(replace(chart, sheet=sheet, sources=one.sources))
+            old += [one.key] * (not measured)
+    if old:
+        print(f"not measured here, drawn from {folder}: {', '.join(old)}", file=sys.stderr)
+    return charts

@@ -3,49 +3,44 @@
 from __future__ import annotations
 
 from harness import shown
-from report.chart import (
-    LIMIT,
-    OURS,
-    PEER,
-    SECOND,
-    THIRD,
-    Axis,
-    Chart,
-    Data,
-    Panels,
-    Row,
-    column,
-    columns,
-    table,
-)
+from report.axis import Axis
+from report.chart import Chart, Data, Row, Sheet, by, column, table
+from report.panels import LIMIT, OURS, PEER, SECOND, THIRD, Panels
 
 LEAST_ERROR = 1e-11
-"""Errors below this [mu m g] are rounding, and drawn here."""
+"""Errors below this [mu mg] are rounding, and drawn here."""
 
 WANTED = 1e-6
-"""Error of the force map that is wanted in the worst 1 % [mu m g]."""
+"""Error of the force map that is wanted in the worst 1 % [mu mg]."""
 
 
-def force_map(data: Data) -> Chart:
+def force_map_rows(data: Data) -> Sheet:
+    """Return the rows of the chart of that name."""
+    rows = [
+        {"case": case} | {key: r[value] for key, value in (("method", "method"), ("us", time),
+                                                         ("median", "median"), ("p99", "p99"))}
+        for case, name, time in (("many", "batched", "us"), ("one", "methods", "one_us"))
+        for r in table(data, "force_map", name).rows if r.get("harmonics", 2) == 2
+    ]  # fmt: skip
+    heads = {
+        "case": "case", "method": "method", "us": "time of one force [µs]",
+        "median": "median error [mu mg]", "p99": "worst 1 % [mu mg]",
+    }  # fmt: skip
+    return Sheet.of(rows, heads)
+
+
+def force_map(rows: list[Row]) -> Chart:
     """Return time and error of every way to the averaged force."""
-    batched = [r for r in table(data, "force_map", "batched") if r["harmonics"] == 2]
-    one = table(data, "force_map", "methods")
-    rows: list[Row] = []
-    panels = Panels()
-    for case, title, found, time, name in (
-        ("many", "Many motions in one call, N = 2", batched, "us", "forces"),
-        ("one", "One finished cycle, 1 part", one, "one_us", "average_force"),
+    panels, groups = Panels(), by(rows, "case")
+    for case, title, name in (
+        ("many", "Many motions in one call, N = 2", "forces"),
+        ("one", "One finished cycle, 1 part", "average_force"),
     ):
-        mine: list[Row] = [
-            {"case": case, "method": r["method"], "us": r[time], "median": r["median"],
-             "p99": r["p99"]}
-            for r in found
-        ]  # fmt: skip
-        rows += mine
-        limits = (1, 3e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
+        mine = groups[case]
+        limits = (0.1, 1e4) if case == "one" else (0, 1.6 * max(column(mine, "us")))
         panel = panels.add(
             title, Axis("time of one part's force [µs]", log=case == "one", limits=limits),
-            Axis("error, worst 1 % of cases [µmg]", log=True), "less less",
+            Axis("error, worst 1 % of cases [mu mg]", log=True), "less less",
         )  # fmt: skip
         best = next(r for r in mine if r["method"] == name)
         others = [r for r in mine if r is not best]
@@ -53,52 +48,63 @@ def force_map(data: Data) -> Chart:
             panel.points(
                 who, column(kind, "us"), column(kind, "p99", LEAST_ERROR), colour,
                 notes=[f"{r['method']}, median error {shown(r['median'])}" for r in kind],
-                labels=column(kind, "method"),
+                labels=[f"\u2002{short(r['method'])}\u2002" for r in kind],
             )  # fmt: skip
         panel.rule("wanted", y=WANTED)
         panel.mark(best["us"], best["p99"])
-    best = next(r for r in one if r["method"] == "average_force")
-    quad = next(r for r in one if r["method"].startswith("quad"))
+    best, quad = (
+        next(r for r in groups["one"] if r["method"].startswith(name))
+        for name in ("average_force", "quad")
+    )
     return Chart(
         "force_map", "a", "Force map: error against time",
         "The averaged friction of a part under a plate motion, random cases; the truth is scipy's "
         "quad with its tolerances at 1e-10. Down and to the left is better.",
-        f"The error of the worst 1 % is {best['p99']:.0e} µmg in {best['one_us']:.0f} µs, "
-        f"{quad['one_us'] / best['one_us']:.0f} times as fast as scipy's quad; equal steps are "
+        f"The error of the worst 1 % is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
+        f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad; equal steps are "
         f"faster but miss {WANTED:g} by a factor of a hundred and more where the surface almost "
         "stands still.",
         "average_force for judging, forces inside the search: the fastest that keep the worst "
-        f"1 % below {WANTED:g} µmg; what is faster on the front is wrong just at the dips where "
+        f"1 % below {WANTED:g} mu mg; what is faster on the front is wrong just at the dips where "
         "a search ends.",
-        ("force_map",), panels, rows,
-        {"us": "time of one force [µs]", "median": "median error [µmg]",
-         "p99": "worst 1 % [µmg]"},
+        panels,
     )  # fmt: skip
 
 
-def rotations(data: Data) -> Chart:
-    """Return forces and times of Method A, with its peers."""
+def short(method: str) -> str:
+    """Return a name that stands free beside its mark."""
+    return method.replace("step_forces, n =", "steps:")
+
+
+def rotations_rows(data: Data) -> Sheet:
+    """Return the rows of the chart of that name."""
     rows: list[Row] = [
         {"case": "force", "label": f"{r['centres']}, {r['method']}", "value": r["p10"],
          "ours": r["method"] == "least time" and r["centres"] == "library"}
-        for r in table(data, "rotations", "guaranteed")
+        for r in table(data, "rotations", "guaranteed").rows
     ]  # fmt: skip
     rows += [
         {"case": "force", "label": f"realised, {r['closure']}", "value": r["p10"], "ours": True}
-        for r in table(data, "rotations", "realised")
+        for r in table(data, "rotations", "realised").rows
     ]
     rows += [
         {"case": "time", "label": r["method"], "value": r["milliseconds"],
          "ours": r["method"].startswith("ours")}
-        for r in table(data, "rotations", "times")
+        for r in table(data, "rotations", "times").rows
     ]  # fmt: skip
+    return Sheet.of(rows, {"value": "value [mu mg or ms]"})
+
+
+def rotations(rows: list[Row]) -> Chart:
+    """Return forces and times of Method A, with its peers."""
     panels = Panels()
     for case, title, unit in (
-        ("force", "Force at 10 parts, 10 % quantile", "[µmg]"),
-        ("time", "Linear problem of 10 parts", "[ms]"),
+        ("force", "Force at 10 parts, 10 % quantile", "force [mu mg]"),
+        ("time", "Linear problem of 10 parts", "time [ms]"),
     ):
         mine = [r for r in rows if r["case"] == case]
-        panel = panels.add(title, Axis(unit), Axis("", names=tuple(column(mine, "label")[::-1])))
+        x = Axis(unit, limits=(0, 1.2 * max(column(mine, "value"))))
+        panel = panels.add(title, x, Axis("", names=tuple(column(mine, "label")[::-1])))
         for name, colour, ours in (("ours", OURS, True), ("others", PEER, False)):
             kind = [r for r in mine if r["ours"] is ours]
             labels = [f"{r['value']:.2g}" for r in kind]
@@ -109,23 +115,22 @@ def rotations(data: Data) -> Chart:
         "rotations", "b", "Method A: forces and time of its linear problem",
         "Guaranteed: the force in any direction that takes one cycle of time, before it is "
         "realised as a motion; realised: what closed motions within the rig's limits give.",
-        f"A library of centres with least time guarantees {ours:.3f} µmg for ten parts, the "
+        f"A library of centres with least time guarantees {ours:.3f} mu mg for ten parts, the "
         f"paper's SVD weights on 24 centres {svd:.4f}; ours takes "
         f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
         "Library, least time, closed as a sequence: ten times the force of the SVD for a fraction "
         "of the time of a general linear programme.",
-        ("rotations",), panels, rows, {"value": "value [µmg or ms]"},
+        panels,
     )  # fmt: skip
 
 
-def inversion(data: Data) -> Chart:
+def inversion(rows: list[Row]) -> Chart:
     """Return what becomes of requests, and the time that it takes."""
-    rows = table(data, "inversion", "fate")
     names = [f"{r['parts']} parts, N = {r['harmonics']}" for r in rows]
     y = Axis("", names=tuple(names[::-1]))
     panels = Panels()
     left = panels.add(
-        "What becomes of requests up to 0.2 µmg", Axis("requests [%]", limits=(0, 100)), y
+        "What becomes of requests up to 0.2 mu mg", Axis("requests [%]", limits=(0, 100)), y
     )
     left.bars("solved", column(rows, "solved"), names, OURS)
     if any(column(rows, "proven")):
@@ -142,14 +147,12 @@ def inversion(data: Data) -> Chart:
         f"Met with as many harmonics as the solver chooses: {told}; of "
         f"the rest at least a share of {least:.2f} in the median.",
         "As many harmonics as the solver chooses: with the fewest that the rank allows, "
-        "many requests are out of reach.", ("inversion",), panels, rows,
-        columns(data, "inversion", "fate"),
+        "many requests are out of reach.", panels,
     )  # fmt: skip
 
 
-def learning(data: Data) -> Chart:
+def learning(rows: list[Row]) -> Chart:
     """Return the error of realised harmonics against the number of experiments."""
-    rows = table(data, "learning", "learning")
     x = column(rows, "iteration")
     panels = Panels()
     panel = panels.add(
@@ -165,6 +168,5 @@ def learning(data: Data) -> Chart:
         "A plate on flexures, 35 Hz, damping 3 %, motors 15 % apart: error of the harmonics of "
         "cycles not used for learning, after each experiment; three are the calibration.",
         f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
-        f"{last['iteration']} experiments.", "", ("learning",), panels, rows,
-        columns(data, "learning", "learning"),
+        f"{last['iteration']} experiments.", "", panels,
     )  # fmt: skip

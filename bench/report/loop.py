@@ -1,25 +1,26 @@
-"""The charts of the closed loop: tracking, and what control time buys."""
+"""The charts of the closed loop: tracking, what control time buys, and what a rig must be."""
 
 from __future__ import annotations
 
 from harness import shown
-from report.chart import Axis, Chart, Data, Panels, Row, by, column, columns, parts, table
+from report.axis import Axis
+from report.chart import Chart, Row, by, column, parts
+from report.panels import Panel, Panels
 from report.solver import METHODS
 
 COUNT_COLOURS = ("#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#8a6d00", "#b02a37")
 SPEEDS = (2, 5, 10, 20, 40, 80, 160, 320, 1000)
 
 
-def tracking(data: Data) -> Chart:
+def tracking(rows: list[Row]) -> Chart:
     """Return tracking error against speed, and the fastest speed by parts, with the bound."""
-    rows = table(data, "tracking", "tracking")
     counts = sorted(by(rows, "parts"))
     colours = dict(zip(counts, COUNT_COLOURS, strict=False))
     panels = Panels()
     for method, mine in by(rows, "method").items():
         panel = panels.add(
             METHODS[method][1], Axis("speed along the path [mm/s]", log=True, ticks=SPEEDS),
-            Axis("distance from the path's point, RMS [mm]", log=True),
+            Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         for count, these in by(mine, "parts").items():
             panel.points(
@@ -27,8 +28,8 @@ def tracking(data: Data) -> Chart:
                 colours[count], "o", "-", hollow=[not r["kept"] for r in these],
                 notes=["kept" if r["kept"] else "not kept" for r in these],
             )  # fmt: skip
-        for bound in sorted(by(mine, "bound_mm_s")):
-            panel.rule(f"aT/16 = {bound:.0f}", x=bound)
+        for number, bound in enumerate(sorted(by(mine, "bound_mm_s"))):
+            panel.rule("" if number else "bounds aT/16", x=bound)
     last = panels.add(
         "Fastest speed that is kept", Axis("parts", ticks=tuple(counts)),
         Axis("speed [mm/s]", log=True, ticks=SPEEDS),
@@ -53,7 +54,7 @@ def tracking(data: Data) -> Chart:
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
         "Method B: the fastest at every number of parts." if leads else
         "Method B; where Method A keeps a higher speed the last panel shows it.",
-        ("tracking",), panels, rows, columns(data, "tracking", "tracking"),
+        panels,
     )  # fmt: skip
 
 
@@ -62,9 +63,8 @@ def fastest(rows: list[Row], count: int) -> float:
     return max((r["speed_mm_s"] for r in rows if r["kept"] and r["parts"] == count), default=0)
 
 
-def control(data: Data) -> Chart:
+def control(rows: list[Row]) -> Chart:
     """Return what the closed loop reaches against the time that the controller takes."""
-    rows = table(data, "control", "control")
     panels = Panels()
     for scenario, these in by(rows, "scenario").items():
         tracks = these[0]["rms_mm"] is not None
@@ -102,5 +102,58 @@ def control(data: Data) -> Chart:
         f"Per cycle, our default: {told}.",
         "Method B, at most 24 iterations and 3 restarts: in the loop a cycle starts next to its "
         "solution and seldom needs them; fewer iterations lose accuracy.",
-        ("control",), panels, rows, columns(data, "control", "control"),
+        panels,
     )  # fmt: skip
+
+
+def shaking(rows: list[Row]) -> Chart:
+    """Return what a task takes, and how exact it is, against the shaking ratio."""
+    x = Axis("shaking ratio [-]", log=True, ticks=tuple(sorted(by(rows, "gamma"))))
+    panels = Panels()
+    sorts = panels.add("Sorting", x, Axis("time of the task [s]", log=True))
+    follows = panels.add("Following a path", x, Axis("tracking error, RMS [mm]", log=True))
+    told, tasks = [], by(rows, "scenario").items()
+    for colour, (scenario, mine) in zip(COUNT_COLOURS, tasks, strict=False):
+        y, unit = ("time_s", "s") if mine[0]["rms_mm"] is None else ("rms_mm", "mm")
+        sized(sorts if y == "time_s" else follows, scenario, "gamma", y, mine, colour)
+        told.append(f"{scenario} {slashed(mine, y)} {unit}")
+    return Chart(
+        "shaking", "", "Sizing a rig: how hard it must shake",
+        "The plate's acceleration over mu g, that of a sliding part. Medians over the seeds, in a "
+        "clean world; hollow: not all runs ended well.",
+        f"Shaking ratio {' / '.join(f'{g:g}' for g in by(rows, 'gamma'))}: {'; '.join(told)}.",
+        "", panels,
+    )  # fmt: skip
+
+
+def crowds(rows: list[Row]) -> Chart:
+    """Return how long a sort takes, and how many parts it loses, against their number."""
+    panels = Panels()
+    panel = panels.add(
+        "Sorting", Axis("parts", log=True, ticks=tuple(by(rows, "parts"))),
+        Axis("time of the task [s]", log=True),
+    )  # fmt: skip
+    sized(panel, "sort", "parts", "time_s", rows, COUNT_COLOURS[0])
+    dropped = sum(r["dropped"] for r in rows)
+    return Chart(
+        "crowds", "", "Sizing a rig: how many parts it sorts",
+        "Half of them to the left, half to the right, on the default rig. Medians over the seeds, "
+        "in a clean world; hollow: not all runs ended well.",
+        f"{slashed(rows, 'parts')} parts are sorted in {slashed(rows, 'time_s')} s, "
+        f"{dropped or 'none'} dropped.",
+        "", panels,
+    )  # fmt: skip
+
+
+def sized(panel: Panel, name: str, x: str, y: str, rows: list[Row], colour: str) -> None:
+    """Add a line of one task; hollow where not all runs ended well."""
+    panel.points(
+        name, column(rows, x), column(rows, y), colour, "o", "-",
+        hollow=[len(set(r["succeeded"].split(" of "))) > 1 for r in rows],
+        notes=[f"{r['succeeded']} ended well, {r['dropped']} parts dropped" for r in rows],
+    )  # fmt: skip
+
+
+def slashed(rows: list[Row], key: str) -> str:
+    """Return the values of a column in a row."""
+    return " / ".join(shown(r[key]) for r in rows)

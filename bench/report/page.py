@@ -12,7 +12,8 @@ import pandas as pd
 from plotly.offline import get_plotlyjs
 
 from harness import shown
-from report.chart import PANEL_PX, Chart, Data
+from report.chart import Chart, Data
+from report.panels import PANEL_PX
 
 STYLE = Path(__file__).with_suffix(".css")
 
@@ -22,12 +23,12 @@ sends each part its own way. A camera sees the parts, and before the next cycle 
 to 0.2 s) a motion must be found. So every stage has a time and an error: this page shows one
 against the other, ours beside the best others, and how both grow with the number of parts.</p>
 <p class="soft">Method A of the paper strings rotations of the plate about chosen centres together,
-Method B, our default, superposes sinusoids. µmg is the friction of one part: forces are given as
-fractions of it. Times are of one core. Point at a mark to see what it is; drag to zoom,
+Method B, our default, superposes sinusoids. Forces are given in mu mg, the sliding friction of one
+part. Times are of one core. Point at a mark to see what it is; drag to zoom,
 double-click to zoom out; the names above a chart switch its marks on and off.</p>"""
 
 
-def write_report(path: Path, data: Data, charts: Sequence[Chart]) -> None:
+def write_report(path: Path, data: Data, facts: Data, charts: Sequence[Chart]) -> None:
     """Write the page.
 
     Parameters
@@ -35,7 +36,9 @@ def write_report(path: Path, data: Data, charts: Sequence[Chart]) -> None:
     path : path
         The HTML file.
     data : mapping
-        Measurements by name, as in their JSON files.
+        Measurements by name, as in their JSON files: for the tables at the end.
+    facts : mapping
+        Name of a measurement -> what it was made on, as far as that is known.
     charts : sequence of Chart
     """
     links = "".join(
@@ -53,12 +56,12 @@ def write_report(path: Path, data: Data, charts: Sequence[Chart]) -> None:
         f"<style>{STYLE.read_text(encoding='utf-8')}</style>",
         f"<script>{get_plotlyjs()}</script>",
         ABOUT,
-        warning(data),
-        *(f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(data)),
+        warning(facts),
+        *(f'<p class="soft">Measured on: {escape(text)}.</p>' for text in machines(facts)),
         f'</header><nav><a href="#summary">Summary</a>{links}<a href="#tables">Tables</a></nav>',
         f'<main><section id="summary"><h2>Summary</h2><table class="words">{rows}</table>',
         "</section>",
-        *(section(one, data) for one in charts),
+        *(section(one, facts) for one in charts),
         '<section id="tables"><h2>All measurements</h2>',
         *(measurement(name, item) for name, item in data.items()),
         "</section></main>\n</html>\n",
@@ -67,49 +70,58 @@ def write_report(path: Path, data: Data, charts: Sequence[Chart]) -> None:
     path.write_text("\n".join(parts), encoding="utf-8")
 
 
-def warning(data: Data) -> str:
+def warning(facts: Data) -> str:
     """Warn of quick measurements."""
-    quick = ", ".join(name for name, item in data.items() if item["quick"])
+    quick = ", ".join(name for name, item in facts.items() if item["quick"])
     text = f'<p class="warning">Quick measurements with few cases: {quick}.</p>'
     return text if quick else ""
 
 
-def machines(data: Data) -> dict[str, list[str]]:
+def machines(facts: Data) -> dict[str, list[str]]:
     """Return what figures were measured on, and which."""
     found: dict[str, list[str]] = {}
-    for name, item in data.items():
-        facts = {key: value for key, value in item["machine"].items() if key != "load"}
-        found.setdefault(", ".join(f"{k} {v}" for k, v in facts.items()), []).append(name)
+    for name, item in facts.items():
+        told = [f"{key} {value}" for key, value in item["machine"].items() if key != "load"]
+        found.setdefault(", ".join(told), []).append(name)
     return found
 
 
-def section(chart: Chart, data: Data) -> str:
+def section(chart: Chart, facts: Data) -> str:
     """Return one chart: what it says, its figure, and the table behind it."""
     figure = chart.panels.draw().to_html(
-        full_html=False, include_plotlyjs=False, config={"responsive": True, "displaylogo": False}
+        full_html=False,
+        include_plotlyjs=False,
+        config={"responsive": True, "displayModeBar": False},
     )
     default = f'<p class="why"><b>Our default.</b> {escape(chart.default)}</p>'
-    csv = b64encode(pd.DataFrame(chart.rows).to_csv(index=False).encode()).decode()
+    csv = b64encode(chart.sheet.csv.encode()).decode()
     return (
         f'<section id="{chart.key}"><h2>{escape(chart.full_title)}</h2>'
         f'<p>{escape(chart.finding)}</p><p class="soft">{escape(chart.reading)}</p>'
         f'<div class="wide"><div class="chart" role="img" aria-label="{escape(chart.title)}" '
         f'style="min-width:{chart.panels.across * PANEL_PX[0] * 3 // 4}px">{figure}</div></div>'
-        f"{default if chart.default else ''}<details><summary>Table, {len(chart.rows)} rows"
+        f"{default if chart.default else ''}<details><summary>Table, {len(chart.sheet.rows)} rows"
         f"</summary>{html_table(chart.frame)}</details>"
         f'<p class="soft"><a download="{chart.key}.csv" href="data:text/csv;base64,{csv}">'
-        f"{chart.key}.csv</a>. {repeat(chart.sources, data)}</p></section>"
+        f"{chart.key}.csv</a>. {repeat(chart.sources, facts)}</p></section>"
     )
 
 
-def repeat(sources: Iterable[str], data: Data) -> str:
+def repeat(sources: Iterable[str], facts: Data) -> str:
     """Tell how to measure again."""
     told = [
-        f"<code>make bench ARGS={name}</code> ({data[name]['seconds']:.0f} s, commit "
-        f"{escape(data[name].get('commit') or 'unknown')})"
+        f"<code>make bench ARGS={name}</code>{escape(measured(facts.get(name)))}"
         for name in sources
     ]
     return "To measure again: " + ", ".join(told) + "." if told else ""
+
+
+def measured(facts: Mapping[str, Any] | None) -> str:
+    """Tell how long a measurement took, and its commit and load, if that is known."""
+    if facts is None:
+        return ""
+    commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
+    return f" ({facts['seconds']:.0f} s, commit {commit}, load {load:g})"
 
 
 def measurement(name: str, item: Mapping[str, Any]) -> str:

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from report.chart import Chart, Data
-from report.page import cells, machines
+from report.page import cells, machines, measured
 
 FOLDER = "results"
 """Beside the text: pictures and CSV files."""
+
+FACTS = "measured.json"
+"""There too: when and on what machine the CSV files were measured, and their headings."""
 
 MOST_ROWS = 24
 """Longer tables are in the CSV file only."""
@@ -21,21 +22,39 @@ MOST_ROWS = 24
 ABOUT = """# Results: speed against accuracy
 
 Written by `make charts` from its measurements; do not edit. The same with charts to point at and to
-zoom: `out/report/index.html`. µmg is the friction of one part. The front of what is not beaten in
-both time and error is drawn as a black line, our default has a ring. Times are of the cores: other
-programs count little, but on a busy machine (its load is given) times are up to twice as long.
+zoom: `out/report/index.html`. Forces are in mu mg, the sliding friction of one part. The front of
+what is not beaten in both time and error is drawn as a black line, our default has a ring. Times
+are of the cores: other programs count little, but on a busy machine (its load is given) times are
+up to twice as long.
 """
 
 
-def write_results(path: Path, data: Data, charts: Sequence[Chart]) -> None:
-    """Write the text, and beside it pictures and CSV files."""
+def read_facts(folder: Path, data: Data) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what is known of measurements, and the headings of CSV files, by chart.
+
+    Measurements that are not in `data` (as in their JSON files) are those of which the CSV files
+    in the folder were made.
+    """
+    path = folder / FACTS
+    told = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    keys = ("quick", "seconds", "commit", "machine")
+    new = {name: {key: item.get(key) for key in keys} for name, item in data.items()}
+    return told.get("measurements", {}) | new, told.get("columns", {})
+
+
+def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
+    """Write the text, and beside it pictures, CSV files and what is known of them."""
     folder = path.parent / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for one in charts:
-        pd.DataFrame(one.rows).to_csv(folder / f"{one.key}.csv", index=False)
+        (folder / f"{one.key}.csv").write_text(one.sheet.csv, encoding="utf-8")
         width, height = one.panels.size_px
         one.panels.draw().write_image(folder / f"{one.key}.png", width=width, height=height)
-    used = {name: data[name] for one in charts for name in one.sources}
+    names = dict.fromkeys(name for one in charts for name in one.sources if name in facts)
+    used = {name: facts[name] for name in names}
+    columns = {one.key: one.sheet.columns for one in charts}
+    told = json.dumps({"measurements": used, "columns": columns}, indent=1)
+    (folder / FACTS).write_text(told + "\n", encoding="utf-8")
     lines = [
         f"Machine{'' if len(machines(used)) == 1 else ' of ' + ', '.join(mine)}: {facts}."
         for facts, mine in machines(used).items()
@@ -45,12 +64,11 @@ def write_results(path: Path, data: Data, charts: Sequence[Chart]) -> None:
     minutes = sum(item["seconds"] for item in used.values()) / 60
     parts = [
         ABOUT,
-        "\n".join(lines) + "\n",
-        f"All measurements behind the charts: {minutes:.0f} minutes.\n",
+        "\n".join([*lines, f"All measurements behind the charts: {minutes:.0f} minutes."]) + "\n",
         "## Summary\n",
         *(f"- [{one.full_title}](#{anchor(one.full_title)}): {one.finding}" for one in charts),
         "",
-        *(section(one, data) for one in charts),
+        *(section(one, facts) for one in charts),
         demos(folder),
     ]
     path.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
@@ -62,7 +80,7 @@ def anchor(title: str) -> str:
     return kept.replace(" ", "-")
 
 
-def section(chart: Chart, data: Data) -> str:
+def section(chart: Chart, facts: Data) -> str:
     """Return one chart in words and figures."""
     lines = [
         f"## {chart.full_title}\n",
@@ -72,14 +90,10 @@ def section(chart: Chart, data: Data) -> str:
     ]
     if chart.default:
         lines.append(f"Our default: {chart.default}\n")
-    if len(chart.rows) <= MOST_ROWS:
+    if len(chart.sheet.rows) <= MOST_ROWS:
         lines.append(cells(chart.frame).to_markdown(index=False, disable_numparse=True) + "\n")
-    told = [
-        f"`make bench ARGS={name}` ({data[name]['seconds']:.0f} s, commit "
-        f"{data[name].get('commit') or 'unknown'}, load {data[name]['machine']['load']:g})"
-        for name in chart.sources
-    ]
-    rows = f"[All {len(chart.rows)} rows]({FOLDER}/{chart.key}.csv)."
+    told = [f"`make bench ARGS={name}`{measured(facts.get(name))}" for name in chart.sources]
+    rows = f"[All {len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)."
     lines.append(f"{rows} To repeat: {', '.join(told)}.\n")
     return "\n".join(lines)
 
@@ -95,7 +109,9 @@ def demos(folder: Path) -> str:
         "Each is one run of the real graph, five nodes in five processes. With `--lockstep` "
         "simulated time waits for the answers, so a film does not depend on what else the machine "
         "did, and a seed repeats it; without it is real time. `python tools/demos.py` makes all. "
-        "Arrows are the average force of the cycle that runs.\n",
+        "Parts, their trails and targets have the colour of their class; a cross shows where a "
+        "part fell off. Arrows are the mean friction force of the cycle that runs: in films on "
+        "each part, in picture strips on a part anywhere on the plate; keys tell their scale.\n",
     ]
     for name, run in runs.items():
         lines.append(f"### {name}\n\n{run['description']} {run['outcome']}\n")

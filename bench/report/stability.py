@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from maps.grid import StabilityMap
-from maps.stability import MAPS, nearness
-from report.chart import PEER, Axis, Chart, Data, Panels, columns, edges, table
+from maps.grid import Grid, StabilityMap
+from maps.stability import nearness, sample
+from report.axis import Axis, edges
+from report.chart import Chart, Data, Row, Sheet, by, column
+from report.panels import PEER, Panels
 
 MOST_NAMED = 14
 """As many whole numbers on an axis are all named."""
@@ -18,19 +19,41 @@ MOST_NAMED = 14
 Line = list[tuple[float, float]]
 
 
-def chart_of(data: Data, one: StabilityMap) -> Chart:
+def rows_of(data: Data, one: StabilityMap) -> Sheet:
+    """Return the cells of one map's grids, and the points of theory's line."""
+    rows = [
+        {"panel": s["panel"], "case": case, "x": x, "y": y, "z": z}
+        for s in data["stability"]["samples"]
+        if s["key"] == one.key
+        for case, points in (
+            ("measured", [(x, y, z) for y, row in zip(s["y"], s["z"], strict=True)
+                          for x, z in zip(s["x"], row, strict=True)]),
+            ("theory", [(x, y, None) for x, y in zip(s["line_x"], s["line_y"], strict=True)]),
+        )
+        for x, y, z in points
+    ]  # fmt: skip
+    heads = {"x": one.x_label, "y": one.y_label, "z": one.z_label}
+    return Sheet.of(rows, {"panel": "panel", "case": "case"} | heads)
+
+
+def chart_of(rows: list[Row], one: StabilityMap) -> Chart:
     """Return the chart of one map."""
-    samples = [s for s in data["stability"]["samples"] if s["key"] == one.key]
-    rows, heads = table(data, "stability", one.key), columns(data, "stability", one.key)
-    panels = Panels()
-    for sample in samples:
-        add_panel(panels, one, sample)
+    panels, samples = Panels(), []
+    for title, mine in by(rows, "panel").items():
+        cells = [r for r in mine if r["case"] == "measured"]
+        line = [r for r in mine if r["case"] == "theory"]
+        found = Grid(
+            title or "", list(by(cells, "x")), list(by(cells, "y")),
+            [column(row, "z") for row in by(cells, "y").values()],
+            column(line, "x"), column(line, "y"),
+        )  # fmt: skip
+        samples.append(sample(one, found))
+        add_panel(panels, one, samples[-1])
     return Chart(
         f"stability_{one.key}", "", one.title,
         f"Colour: {one.z_label}. Black: where it passes {one.level:g}. Dashed: {one.line_label}. "
         f"{one.note}",
-        f"{one.finding} {nearness(samples)}", "", ("stability",), panels,
-        [{key: row[key] for key in heads} for row in rows], heads,
+        f"{one.finding} {nearness(samples)}", "", panels,
     )  # fmt: skip
 
 
@@ -68,8 +91,3 @@ def steps(line: Line, x: Sequence[float], log: bool) -> Line:
     ends = edges(x, log)
     number = {value: k for k, value in enumerate(x)}
     return [(ends[number[a] + side], b) for a, b in line for side in (0, 1)]
-
-
-STABILITY: tuple[Callable[[Data], Chart], ...] = tuple(
-    partial(chart_of, one=one) for one in MAPS.values()
-)

@@ -4,25 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from harness import rounded
 from plate_sim.friction import TOLERANCE
 from plate_sim.world import STEP
-from report.chart import (
-    FAINT,
-    LIMIT,
-    OURS,
-    PEER,
-    SECOND,
-    THIRD,
-    Axis,
-    Chart,
-    Data,
-    Panels,
-    Row,
-    by,
-    column,
-    columns,
-    table,
-)
+from report.axis import Axis
+from report.chart import Chart, Data, Row, Sheet, by, column, table
+from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, THIRD, Panels
 
 LEAST_MM = 1e-12
 """Errors below this [mm] are rounding, and drawn here."""
@@ -38,64 +25,68 @@ SIMULATORS = {
 """Colour and marker of our integrators and the peers."""
 
 
-def sim(data: Data) -> Chart:
+def sim_rows(data: Data) -> Sheet:
+    """Return the rows of the chart of that name, by case: travel, discs, body, lead."""
+    error, discs = table(data, "sim", "error"), table(data, "sim", "discs")
+    rows: list[Row] = [{"case": "travel"} | r for r in error.rows]
+    rows += [
+        {"case": "discs", "setting": f"{r['step_ms']:g} ms"}
+        | {key: r[key] for key in ("method", "parts", "step_ms", "overlap_um", "speed")}
+        for r in discs.rows
+    ]
+    if "bodies" in data:
+        rows += [{"case": "body"} | r for r in table(data, "bodies", "bodies").rows]
+    rows += [
+        {"case": "lead", "parts": r["parts"], "lead": r["lead"]}
+        for r in table(data, "sim", "speed").rows
+        if r["scene"] == "all ways"
+    ]
+    kinds = {"case": "case", "method": "method", "gamma": "peak accel. [mu g]", "parts": "parts"}
+    heads = {"overlap_um": discs.columns["overlap_um"], "lead": "times as fast as pymunk"}
+    return Sheet.of(rows, kinds | error.columns | kinds | heads)
+
+
+def sim(rows: list[Row]) -> Chart:
     """Return error against speed of the simulator: parts alone, and parts that collide."""
-    rows = table(data, "sim", "error")
     names = {
         "by events": "points, by events", "in steps": "points, in steps",
         "plate_sim": "discs, ours",
         "bodies": "bodies that turn, ours", "scipy RK45": "scipy",
     }  # fmt: skip
-    panels = Panels()
-    for gamma, mine in sorted(by(rows, "gamma").items()):
+    panels, cases = Panels(), by(rows, "case")
+    for gamma, mine in sorted(by(cases["travel"], "gamma").items()):
         speed_panel(
-            panels, f"1 part, shaken at {gamma} µg", "error of the travel after 1 s [mm]", names,
+            panels, f"1 part, shaken at {gamma} mu g", "error of the travel after 1 s [mm]", names,
             [r | {"error": max(r["error_mm"], LEAST_MM)} for r in mine], "-",
             lambda r: r["method"] == "by events" and r["setting"] == DEFAULT_TOLERANCE,
         )  # fmt: skip
-    for count, mine in sorted(by(table(data, "sim", "discs"), "parts").items()):
+    for count, mine in sorted(by(cases["discs"], "parts").items()):
         speed_panel(
             panels, f"{count} discs that collide", "deepest overlap [µm]", names,
-            [r | {"error": max(r["overlap_um"], 0.01), "setting": f"steps of {r['step_ms']:g} ms"}
-             for r in mine], "",
+            [r | {"error": max(r["overlap_um"], 0.01)} for r in mine], "",
             lambda r: r["method"] == "plate_sim" and r["step_ms"] <= 1.01e3 * STEP,
         )  # fmt: skip
-    if "bodies" in data:
+    if "body" in cases:
         speed_panel(
-            panels, "1 body that slides and turns", "error of centre or rim after 0.2 s [mm]",
-            names, [r | {"error": r["error_mm"]} for r in table(data, "bodies", "bodies")], "-",
+            panels, "1 body that slides and turns, 0.2 s", "error of centre or rim [mm]",
+            names, [r | {"error": r["error_mm"]} for r in cases["body"]], "-",
             lambda r: r["setting"] == f"{1e3 * STEP:g} ms",
         )  # fmt: skip
-    speeds = [r for r in table(data, "sim", "speed") if r["scene"] == "all ways"]
-    lead = ", ".join(f"{r['lead']:.0f}" for r in speeds if r["lead"])
-    counts = ", ".join(str(r["parts"]) for r in speeds)
+    lead = ", ".join(f"{r['lead']:.0f}" for r in cases["lead"] if r["lead"])
+    counts = ", ".join(str(r["parts"]) for r in cases["lead"])
     return Chart(
         "sim", "c", "Simulator: error against speed, beside its peers",
         "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
         "answer is known; discs that collide by how deep they overlap, which true ones never do; "
         "a body that turns against scipy. Down and to the right is better.",
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
-        f"ways, and to an error of {min(column(rows, 'error_mm')):.0e} mm where that is wanted.",
+        f"ways, and to an error of {min(column(cases['travel'], 'error_mm')):.0e} mm where that is "
+        "wanted.",
         f"Points by events at a tolerance of {DEFAULT_TOLERANCE}: at once the fastest and the most "
         f"exact. The world takes one model of parts, in steps of {1e3 * STEP:g} ms: they slide, "
         "turn and touch, at an overlap that no camera sees.",
-        tuple(n for n in ("sim", "bodies") if n in data), panels, [*rows, *other_rows(data)],
-        columns(data, "sim", "error") | {"gamma": "peak accel. [µg], or parts"},
+        panels,
     )  # fmt: skip
-
-
-def other_rows(data: Data) -> list[Row]:
-    """Return the settings of discs and bodies in the form of the other rows."""
-    found: list[Row] = [
-        {"method": r["method"], "gamma": "a body", "setting": r["setting"],
-         "error_mm": r["error_mm"], "error_percent": None, "speed": r["speed"]}
-        for r in (table(data, "bodies", "bodies") if "bodies" in data else ())
-    ]  # fmt: skip
-    return found + [
-        {"method": r["method"], "gamma": f"{r['parts']} discs", "setting": f"{r['step_ms']:g} ms",
-         "error_mm": 1e-3 * r["overlap_um"], "error_percent": None, "speed": r["speed"]}
-        for r in table(data, "sim", "discs")
-    ]  # fmt: skip
 
 
 def speed_panel(
@@ -104,7 +95,10 @@ def speed_panel(
 ) -> None:  # fmt: skip
     """Add a panel of `error` against `speed` by method; our default has a mark."""
     panel = panels.add(
-        title, Axis("simulated s per s of one core", log=True), Axis(label, log=True), "more less"
+        title,
+        Axis("simulated time per core time [s/s]", log=True),
+        Axis(label, log=True),
+        "more less",
     )
     for method, mine in by(rows, "method").items():
         panel.points(
@@ -115,9 +109,22 @@ def speed_panel(
         panel.mark(row["speed"], row["error"])
 
 
-def cost(data: Data) -> Chart:
-    """Return the cost of every stage, and of every model of the simulator, by parts."""
+def cost_rows(data: Data) -> Sheet:
+    """Return the rows of the chart of that name: stages [ms], and models of parts [s of 1 s]."""
     stages, models = table(data, "stages", "stages"), table(data, "sim", "cost")
+    seconds = [
+        {key: value if key == "parts" else value and 1 / value for key, value in r.items()}
+        for r in models.rows
+    ]
+    rows = [{"case": "stages"} | r for r in stages.rows]
+    rows += [{"case": "simulator"} | r for r in rounded(seconds)]
+    heads = {key: f"{key} [s for 1 s]" for key in models.columns if key != "parts"}
+    return Sheet.of(rows, {"case": "case"} | stages.columns | heads)
+
+
+def cost(rows: list[Row]) -> Chart:
+    """Return the cost of every stage, and of every model of the simulator, by parts."""
+    stages, models = by(rows, "case")["stages"], by(rows, "case")["simulator"]
     counts = column(stages, "parts")
     panels = Panels()
     first = panels.add(
@@ -134,7 +141,7 @@ def cost(data: Data) -> Chart:
         first.points(name, counts, column(stages, key), colour, marker, line)
     second = panels.add(
         "The simulator", Axis("parts", log=True),
-        Axis("time of 1 simulated s [s]", log=True),
+        Axis("core time for 1 s [s]", log=True),
     )  # fmt: skip
     for key, name, colour, marker in (
         ("by events", "points, by events", OURS, "o"), ("in steps", "parts, in steps", SECOND, "s"),
@@ -142,8 +149,7 @@ def cost(data: Data) -> Chart:
     ):  # fmt: skip
         there = [r for r in models if r.get(key)]
         if there:
-            seconds = [1 / r[key] for r in there]
-            second.points(name, column(there, "parts"), seconds, colour, marker, "-")
+            second.points(name, column(there, "parts"), column(there, key), colour, marker, "-")
     second.rule("real time", y=1)
     last = stages[-1]
     return Chart(
@@ -152,8 +158,7 @@ def cost(data: Data) -> Chart:
         "one cycle of the plate; camera and simulator stand in for the machine.",
         f"{last['parts']} parts: {last['answer']:.1f} ms from image to setpoints, "
         f"{100 * last['answer'] / last['period']:.0f} % of a cycle of {last['period']:.0f} ms; "
-        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.", "",
-        ("stages", "sim"), panels, stages, columns(data, "stages", "stages"),
+        f"the solver is {100 * last['solver'] / last['answer']:.0f} % of it.", "", panels,
     )  # fmt: skip
 
 
@@ -162,9 +167,8 @@ def span(rows: list[Row], key: str) -> str:
     return f"{min(column(rows, key)):.2g} to {max(column(rows, key)):.2g}"
 
 
-def vision(data: Data) -> Chart:
+def vision(rows: list[Row]) -> Chart:
     """Return error against time of finding discs, a panel for each scene."""
-    rows = table(data, "vision", "vision")
     methods, looks = list(by(rows, "method")), list("osD^vx")
     colours = (OURS, PEER, SECOND, THIRD, "#8a6d00", LIMIT)
     scenes = by([r for r in rows if r["rms_px"] is not None], "place", "discs")
@@ -196,5 +200,5 @@ def vision(data: Data) -> Chart:
         "where they touch.",
         "plate_vision.detect: the most exact in every scene. Contours are faster where discs "
         "touch, but cannot part them, and err four to six times as much.",
-        ("vision",), panels, rows, columns(data, "vision", "vision"),
+        panels,
     )  # fmt: skip

@@ -12,11 +12,11 @@ from math import cos, hypot, pi, sin
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.integrate import quad
 
 from harness import Result, Table, race
 from plate_core import PlateCycle, load_rig
+from plate_core.kernels import kernel
 from plate_solver import Limits, average_force
 from plate_solver.maps import (
     force_rules,
@@ -91,7 +91,7 @@ def random_motion(basis: SinusoidBasis, rng: np.random.Generator, limits: Limits
     return family.coefficients(family.random(rng))
 
 
-@njit(fastmath=True)
+@kernel(fastmath=True)
 def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
     """Return average forces (C, 2) by equal steps: what one would write first."""
     force = np.empty((len(coefficients), 2))

@@ -182,7 +182,7 @@ def methods(tray: Tray, pymunk: Any, mujoco: Any, quick: bool) -> list[tuple[str
     steps = (33, 22) if quick else (33, 22, 167)
     own = round(tray.cycle.period / STEP)
     found: list[tuple[str, int, Any]] = [
-        (OURS, n, lambda t, n=n: t.trace(n)) for n in (*steps, own)
+        (OURS, n, lambda t, n=n: t.trace(n)) for n in dict.fromkeys((*steps, own))
     ]
     for name, module, build in ((PYMUNK, pymunk, Tray.in_pymunk), (MUJOCO, mujoco, Tray.in_mujoco)):
         if module:

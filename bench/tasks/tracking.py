@@ -152,7 +152,7 @@ def _row(
         **{key: row[key] for key in own},
         "delay": delay,
         "kept": kept and delay <= MOST_DELAY,
-        "bound_mm_s": 1e3 * rig.limits.accel * period / 16,
+        "bound_mm_s": 1e3 * rig.reach.accel * period / 16,
     }
 
 

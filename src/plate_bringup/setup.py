@@ -5,17 +5,6 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "plate_bringup"
-SUFFIXES = (".yaml", ".xml", ".py", ".rviz", ".json")
-
-
-def shared_files(folder):
-    """List the files under `folder` for share/<package>/<folder>; plate_core has the rig file."""
-    by_target = {}
-    for path in sorted(Path(folder).glob("**/*.*")):
-        if path.suffix in SUFFIXES and path.name != "rig.yaml":
-            by_target.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
-    return list(by_target.items())
-
 
 setup(
     name=NAME,
@@ -25,10 +14,9 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *shared_files("config"),
-        *shared_files("launch"),
+        (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.py")))),
     ],
-    install_requires=["setuptools"],
+    install_requires=["plate_core"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",

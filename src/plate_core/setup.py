@@ -9,18 +9,22 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "config/*", "config/*/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", ["config/rig.yaml"]),  # a link to the workspace's
     ],
-    install_requires=["setuptools"],
+    install_requires=["numba", "numpy", "PyYAML", "scipy"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
     description="Rig facts, frames, plate cycles and message conversion shared by all stages.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"plate = {NAME}.ros.command:main"]},
+    entry_points={
+        "console_scripts": [
+            f"plate = {NAME}.ros.command:main",
+            f"check_rig = {NAME}.rig.check_rig:main",
+        ]
+    },
 )

@@ -13,7 +13,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["plate_core", "numpy", "pyserial", "scipy"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",

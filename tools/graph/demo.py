@@ -15,18 +15,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from record.bag import Recorder
 from record.judge import judge, summary
 
 from plate_bringup import GraphError, RunOptions, load_graph
-from plate_core import PlateError, Rig, load_rig
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, Scenario, load_scenario
-from plate_driver.transports import check_transport
+from plate_core import PlateError, Rig, did_you_mean, load_rig
+from plate_core.tasks import (
+    AssembleTask,
+    FollowTask,
+    PoseTask,
+    Scenario,
+    load_scenario,
+    start_positions,
+)
+from plate_driver.transports import check_transport, open_port
+from plate_planner import Planner
 from plate_solver import METHODS
 
 from .domains import own_domain
 from .observer import Observer, Record
-from .processes import Interrupted, ros_environment, signals_raise
+from .processes import Interrupted, ros_environment, signals_raise, signals_wait
 from .session import Session, session
 
 SILENCE_S = 30.0
@@ -37,6 +46,12 @@ EXTRA_S = 30.0
 
 LOCKSTEP_SLOWER = 3
 """Lockstep may take this many times the task's own time on a slow machine."""
+
+PROGRESS_S, WAITING_S = 2.0, 10.0
+"""Between two lines where they cannot overwrite each other: of a task, and until it begins [s]."""
+
+LAST = Path("out/demo")
+"""A link to the folder of the last demo."""
 
 BAG = "bag"
 OUTPUT = ("result.json", "strip.png", "demo.gif")
@@ -80,7 +95,7 @@ def demo(args: argparse.Namespace) -> int:
         with signals_raise():
             return run(plan)
     except Interrupted as interrupt:
-        print(f"\ndemo: {signal.Signals(interrupt.number).name}, all nodes are stopped", flush=True)
+        print(f"\ndemo: {name_of(interrupt)}, all nodes are stopped", flush=True)
         return 128 + interrupt.number
     except PlateError as error:
         print(f"\ndemo: {error}", file=sys.stderr, flush=True)
@@ -95,29 +110,69 @@ def checked(args: argparse.Namespace) -> Plan:
     PlateError
         Names the argument, its value and what is allowed.
     """
-    scenario = load_scenario(args.scenario)
+    rig, scenario = load_rig(args.rig), load_scenario(args.scenario)
     if args.method not in METHODS:
-        raise PlateError(f"method is {args.method!r}, allowed: {', '.join(sorted(METHODS))}")
-    link = str((args.out / "device").absolute())
-    check_transport(args.transport, args.port or link)
-    if args.lockstep and args.transport == "serial":
-        raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
+        raise PlateError(
+            f"method is {args.method!r}{did_you_mean(args.method, METHODS)}, "
+            f"allowed: {', '.join(sorted(METHODS))}"
+        )
     if not 0 <= args.seed < 2**31:
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
         raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    check_transport(args.transport, args.port or "of the simulated device")
+    if args.lockstep and args.transport == "serial":
+        raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
+    if args.port and args.transport == "sim":
+        raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
+    for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
+        print(f"demo: {doubt}", flush=True)
+    start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
+    if args.port:
+        open_port(args.port).close()
+    out = args.out or own_folder(scenario.name)
     options = RunOptions(
-        scenario=str(args.scenario),
+        scenario=absolute(args.scenario),
         method=METHODS[args.method],
         seed=args.seed,
         transport=args.transport,
         port=args.port,
-        link=link,
+        link=str((out / "device").absolute()),
         lockstep=args.lockstep,
+        rig_file=absolute(args.rig),
         autostart=False,
     )
-    pictures = not args.no_pictures
-    return Plan(options, scenario, load_rig(), args.out, args.domain, pictures, args.record)
+    domain = args.domain
+    if domain is None and args.port:  # the camera is somebody else's, in the domain of this shell
+        domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
+    return Plan(options, scenario, rig, out, domain, not args.no_pictures, args.record)
+
+
+def absolute(name: str) -> str:
+    """Return the whole path of a file; a name that is shipped stays as it is."""
+    return str(Path(name).absolute()) if Path(name).suffix in (".yaml", ".yml") else name
+
+
+def own_folder(scenario: str) -> Path:
+    """Make a folder that no other run has, one that begins at the same time neither.
+
+    Raises
+    ------
+    PlateError
+        If that cannot be done.
+    """
+    stem = f"{LAST}-{time.strftime('%Y-%m-%d-%H%M%S')}_{scenario}"
+    number = 0
+    while True:
+        number += 1
+        path = Path(stem if number == 1 else f"{stem}_{number}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as problem:
+            raise PlateError(f"out is {path}: {problem}") from None
+        return path
 
 
 def run(plan: Plan) -> int:
@@ -128,30 +183,75 @@ def run(plan: Plan) -> int:
     print(
         f"{plan.scenario.description} Method: {plan.options.method}. "
         f"Gamma = {plan.rig.gamma:.1f}.\n"
-        f"Starting {', '.join(names)} (the first time they compile: about a minute).",
+        f"Results: {plan.out}\n"
+        f"Starting {', '.join(names)}.",
         flush=True,
     )
-    with running(plan) as graph:
-        print(
-            f"All {len(graph.nodes)} nodes seen after {time.monotonic() - began:.0f} s. "
-            f"To look on: source env.sh; export ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
-            flush=True,
-        )
-        with recording(plan, graph.observer):
-            graph.begin()
-            watch(plan, graph.observer)
+    problem: Interrupted | PlateError | None = None
+    late: Interrupted | None = None
+    ended = False
+    try:
+        with running(plan) as graph:
+            print(
+                f"All {len(graph.nodes)} nodes answer after {time.monotonic() - began:.0f} s. "
+                f"To look on: source env.sh; export ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
+                flush=True,
+            )
+            try:
+                with recording(plan, graph.observer):
+                    graph.begin()
+                    watch(plan, graph.observer)
+            except (Interrupted, PlateError) as stopped:
+                problem = stopped
+            ended = True
+    except Interrupted as while_nodes_stop:
+        if not ended:
+            raise
+        late = while_nodes_stop
+    code = conclude(plan, graph, time.monotonic() - began, problem)
+    stop = problem if isinstance(problem, Interrupted) else late
+    if stop is not None:
+        print(f"demo: {name_of(stop)}, all nodes are stopped", flush=True)
+        return 128 + stop.number
+    if problem is not None:
+        print(f"\ndemo: {problem}", file=sys.stderr, flush=True)
+        return 1
+    return code
+
+
+def conclude(
+    plan: Plan, graph: Session, wall_s: float, problem: Interrupted | PlateError | None
+) -> int:
+    """Judge and draw what was done, up to a problem if there was one; returns the exit code."""
     record, codes = graph.observer.record, graph.processes.exit_codes
-    result = judge(plan.rig, plan.options, record, graph.nodes, codes)
-    result["wall_s"] = round(time.monotonic() - began, 1)
-    print(summary(result), flush=True)
-    write(plan.out / "result.json", result)
+    with signals_wait():
+        try:
+            result = judge(plan.rig, plan.options, record, graph.nodes, codes)
+        except PlateError as error:  # the task never began
+            if problem is None:
+                raise
+            print(f"\n{error}", flush=True)
+            return 1
+        result["wall_s"] = round(wall_s, 1)
+        if problem is not None:
+            words = name_of(problem) if isinstance(problem, Interrupted) else str(problem)
+            result |= {"success": False, "message": "ended by " + words.split("\n")[0]}
+        print(("\n" if problem else "") + summary(result), flush=True)
+        write(plan.out / "result.json", result)
     if plan.pictures:
+        if problem is not None:
+            print("  drawing what was done so far; Ctrl-C: no pictures", flush=True)
         draw(plan, record)
     if result["success"] and result["setpoints_within_limits"] and not any(codes.values()):
         return 0
-    for name in (name for name, code in codes.items() if code):
+    for name in (name for name, code in codes.items() if code and problem is None):
         print(f"{name}:\n{graph.processes.tail(name)}", flush=True)
     return 1
+
+
+def name_of(interrupt: Interrupted) -> str:
+    """Return the name of the signal."""
+    return signal.Signals(interrupt.number).name
 
 
 @contextmanager
@@ -159,7 +259,9 @@ def running(plan: Plan) -> Iterator[Session]:
     """Run the graph, in a domain that programs started by us hear of too."""
     with own_domain(plan.domain) as domain:
         os.environ.update(ros_environment(domain))
-        with session(plan.options, plan.out / "logs", domain) as graph:
+        line = StatusLine(WAITING_S)
+        with session(plan.options, plan.out / "logs", domain, waiting=line.show) as graph:
+            line.end()
             yield graph
 
 
@@ -171,9 +273,11 @@ def recording(plan: Plan, observer: Observer) -> Iterator[None]:
         return
     with Recorder(observer.node, plan.out / BAG) as recorder:
         observer.pulses.append(recorder.discover)
-        yield
-    observer.pulses.remove(recorder.discover)
-    print(f"\n  {plan.out / BAG}", flush=True)
+        try:
+            yield
+        finally:
+            observer.pulses.remove(recorder.discover)
+            print(f"\n  {plan.out / BAG}", flush=True)
 
 
 def watch(plan: Plan, observer: Observer) -> None:
@@ -184,14 +288,14 @@ def watch(plan: Plan, observer: Observer) -> None:
     GraphError
         If the planner falls silent, or does not end the task in time.
     """
-    line = ProgressLine(plan.scenario)
+    line, progress = StatusLine(PROGRESS_S), Progress(plan.scenario)
     record = observer.record
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
     count, news = 0, time.monotonic()
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
-        line.show(record)
+        line.show(progress.text(record))
         now = time.monotonic()
         if len(record.reports["planner"]) > count:
             count, news = len(record.reports["planner"]), now
@@ -201,11 +305,12 @@ def watch(plan: Plan, observer: Observer) -> None:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1].split(":")[0]
     observer.until(lambda: record.last("planner", "task_state").startswith(over), 2.0)
-    line.show(record, last=True)
+    line.end(progress.text(record))
 
 
 def clear(out: Path) -> None:
-    """Make the folder and remove an earlier run's results, so that none are taken for ours.
+    """Make the folder, remove an earlier run's results, so that none are taken for ours, and let
+    the link point to it if it is one of ours.
 
     Raises
     ------
@@ -218,50 +323,77 @@ def clear(out: Path) -> None:
             path.unlink(missing_ok=True)
         if (out / BAG).exists():
             shutil.rmtree(out / BAG)
+        if out.parent == LAST.parent and out.name.startswith(LAST.name + "-"):
+            point(LAST, out)
     except OSError as problem:
         raise PlateError(f"out is {out}: {problem}") from None
+
+
+def point(link: Path, folder: Path) -> None:
+    """Let a link point to a folder beside it; a folder of the link's name is kept under another."""
+    if link.is_dir() and not link.is_symlink():
+        link.rename(own_folder("earlier"))
+    fresh = link.with_name(f".{link.name}-{os.getpid()}")
+    fresh.symlink_to(folder.name)
+    fresh.replace(link)  # in one step, so that two demos do not disturb each other
 
 
 def write(path: Path, result: dict[str, Any]) -> None:
     """Write the result."""
     path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    print(f"  {path}")
+    print(f"  {path}", flush=True)
 
 
 def draw(plan: Plan, record: Record) -> None:
-    """Draw strip and animation, and say where they are."""
+    """Draw strip and animation, and say where they are; an interrupt ends that."""
     from record.film import develop
-    from record.pictures import Scene, draw_animation, draw_strip
+    from record.pictures import Scene, draw_film, draw_strip
 
     scene = Scene(plan.rig, plan.scenario, develop(record, plan.rig))
-    title = f"{plan.scenario.name}, {plan.options.method}"
+    rig = f", rig {Path(plan.options.rig_file).stem}" if plan.options.rig_file else ""
+    title = f"{plan.scenario.name}, method {plan.options.method}{rig}"
     strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
-    draw_strip(scene, strip, title)
-    print(f"  {strip}", flush=True)
-    draw_animation(scene, animation, title)
-    print(f"  {animation}", flush=True)
+    with signals_raise():  # again: after an interrupt the next ones were ignored
+        draw_strip(scene, strip, title)
+        print(f"  {strip}", flush=True)
+        draw_film(scene, animation, title)
+        print(f"  {animation}", flush=True)
 
 
-class ProgressLine:
-    """Rewrites itself on a terminal; elsewhere a new line every `QUIET_S`."""
+class StatusLine:
+    """Rewrites itself on a terminal; elsewhere a new line, `quiet_s` after the last one [s]."""
 
     PERIOD_S = 0.25
-    QUIET_S = 2.0
+
+    def __init__(self, quiet_s: float) -> None:
+        self._quiet_s, self._terminal = quiet_s, sys.stdout.isatty()
+        self._shown_at, self._open = 0.0, False
+
+    def show(self, text: str) -> None:
+        """Show what is known now."""
+        now = time.monotonic()
+        if self._terminal:
+            print(f"\r\033[K  {text}", end="", flush=True)
+            self._open = True
+        elif now - self._shown_at >= self._quiet_s:
+            self._shown_at = now
+            print(f"  {text}", flush=True)
+
+    def end(self, text: str = "") -> None:
+        """End the line, with a last text that stays; without one nothing is left of it."""
+        if text:
+            print(f"\r\033[K  {text}" if self._terminal else f"  {text}", flush=True)
+        elif self._open:
+            print("\r\033[K", end="", flush=True)
+        self._open = False
+
+
+class Progress:
+    """What there is to tell of a task of this scenario while it runs."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._following = isinstance(scenario.task, FollowTask)
         self._there = "placed" if isinstance(scenario.task, AssembleTask | PoseTask) else "sorted"
-        self._terminal = sys.stdout.isatty()
-        self._shown_at = 0.0
-
-    def show(self, record: Record, last: bool = False) -> None:
-        """Print what is known now; `last`: and end the line."""
-        now = time.monotonic()
-        if self._terminal:
-            print(f"\r\033[K  {self.text(record)}", end="\n" if last else "", flush=True)
-        elif last or now - self._shown_at >= self.QUIET_S:
-            self._shown_at = now
-            print(f"  {self.text(record)}", flush=True)
 
     def text(self, record: Record) -> str:
         """Return the line."""

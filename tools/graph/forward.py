@@ -84,7 +84,7 @@ def main() -> None:
     """Run the forwarder that is named."""
     number, folder = NODES.index(sys.argv[1]), Path(sys.argv[2])
     make: Callable[[], Node] = lambda: Forwarder(number, folder)  # noqa: E731
-    run_node(make, ["--ros-args", "--disable-external-lib-logs"])
+    run_node(make, args=["--ros-args", "--disable-external-lib-logs"])
 
 
 if __name__ == "__main__":

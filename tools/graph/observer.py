@@ -24,6 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError
 from plate_core.ros import CAMERA, LATCHED, nanoseconds
+from plate_core.status import COMPILING, Level
 
 MOST_IMAGES = 240
 """Images kept for drawing (300 kB each)."""
@@ -35,6 +36,15 @@ CALL_S = 10.0
 """Longest wait for a service [s]."""
 
 POLL_S = 0.05
+
+LOOK_S = 0.25
+"""Between two looks why there is no answer yet [s]."""
+
+ANSWERED_S = 15.0
+"""Longest wait for the first answer once all nodes have told how they are, none compiling [s]."""
+
+FRESH_S = 2.5
+"""What a node has said counts for so long [s]: it says something each second."""
 
 READY_S = 15.0
 """Longest wait until the driver is ready [s]: the device may have to find home first, for 5 s."""
@@ -67,6 +77,20 @@ class Thinned:
         self.count += 1
 
 
+@dataclass(frozen=True)
+class Health:
+    """What a node said of itself last: level and message of its diagnostics, and when they came."""
+
+    level: Level
+    message: str
+    at: float
+
+    @property
+    def compiles(self) -> bool:
+        """Whether it compiles, and so cannot answer yet."""
+        return self.message.startswith(COMPILING) and time.monotonic() - self.at < FRESH_S
+
+
 @dataclass
 class Record:
     """Messages of one run, undecoded where decoding would steal time from the nodes.
@@ -81,6 +105,8 @@ class Record:
         Some of image_raw, as bytes.
     reports : dict of str to list of (stamp in ns, dict)
         Diagnostics by node: keys and values, and the message under "message".
+    health : dict of str to Health
+        The newest of them.
     states : list of str
         Of task_state.
     driver_state : str
@@ -94,6 +120,7 @@ class Record:
     reports: dict[str, list[tuple[int, dict[str, str]]]] = field(
         default_factory=lambda: defaultdict(list)
     )
+    health: dict[str, Health] = field(default_factory=dict)
     states: list[str] = field(default_factory=list)
     driver_state: str = ""
 
@@ -127,6 +154,7 @@ class Observer:
     Attributes
     ----------
     record : Record
+    domain : int
     node : Node
     pulses : list of callables
         Called about every `POLL_S` while waiting; each may raise to end the wait.
@@ -135,7 +163,7 @@ class Observer:
     def __init__(
         self, domain: int, pulse: Callable[[], None] = lambda: None, pictures: bool = True
     ) -> None:
-        self.record = Record()
+        self.record, self.domain = Record(), domain
         self.pulses = [pulse]
         self._pulsed_at = 0.0
         rclpy.init(
@@ -179,7 +207,10 @@ class Observer:
             node = status.name.split(":")[0].rsplit("/", 1)[-1]
             values = {item.key: item.value for item in status.values}
             stamp = nanoseconds(msg.header.stamp)
-            self.record.reports[node].append((stamp, {"message": status.message, **values}))
+            if values:  # a node that compiles has none yet
+                self.record.reports[node].append((stamp, {"message": status.message, **values}))
+            level = Level(int.from_bytes(status.level, "little"))
+            self.record.health[node] = Health(level, status.message, time.monotonic())
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""
@@ -200,7 +231,12 @@ class Observer:
         there = self.node.get_node_names()
         return [name for name in names if name in there]
 
-    def await_nodes(self, names: list[str], timeout_s: float) -> list[str]:
+    def await_nodes(
+        self,
+        names: list[str],
+        timeout_s: float,
+        waiting: Callable[[str], None] = lambda _: None,
+    ) -> list[str]:
         """Wait until all nodes are in the graph, and return their names.
 
         Raises
@@ -208,26 +244,89 @@ class Observer:
         GraphError
             Names those that did not appear within the time [s].
         """
-        if not self.until(lambda: self.seen(names) == names, timeout_s):
-            missing = [name for name in names if name not in self.seen(names)]
+
+        def missing() -> list[str]:
+            seen = self.seen(names)
+            return [name for name in names if name not in seen]
+
+        def there() -> bool:
+            absent = missing()
+            if absent:
+                waiting(f"waiting for {', '.join(absent)}")
+            return not absent
+
+        if not self.until(there, timeout_s):
             raise GraphError(
-                f"not seen within {timeout_s:g} s: {', '.join(missing)} (of {', '.join(names)})"
+                f"not seen within {timeout_s:g} s: {', '.join(missing())} (of {', '.join(names)})"
             )
         return self.seen(names)
 
-    def await_answers(self, timeout_s: float) -> None:
-        """Wait until images are answered as far as the solver.
+    def await_camera(self, timeout_s: float) -> None:
+        """Wait until somebody publishes images.
 
         Raises
         ------
         GraphError
-            If that does not happen within the time [s].
+            If nobody does within the time [s].
         """
-        if not self.until(lambda: self.record.answers > 0, timeout_s):
+        topics = ("image_raw", "image_raw/compressed")
+        if not self.until(lambda: any(map(self.node.count_publishers, topics)), timeout_s):
             raise GraphError(
-                f"no plate_cycle within {timeout_s:g} s: images are not answered "
-                f"({self.record.images.count} images seen)"
+                f"no camera: nobody publishes /image_raw in ROS domain {self.domain}. Start it "
+                f"there (export ROS_DOMAIN_ID={self.domain}), or say in which domain it is: "
+                "--domain N"
             )
+
+    def await_answers(
+        self,
+        timeout_s: float,
+        names: Iterable[str] = (),
+        waiting: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """Wait until images are answered as far as the solver; time in which a node says that it
+        compiles does not count.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest wait [s].
+        names : iterable of str
+            Nodes: once all have told how they are, `ANSWERED_S` is long enough.
+        waiting : callable
+            Called with what is waited for.
+
+        Raises
+        ------
+        GraphError
+            If that does not happen: what the nodes say.
+        """
+        health, names = self.record.health, list(names)
+        began = since = time.monotonic()
+        while not self.until(lambda: self.record.answers > 0, LOOK_S):
+            now = time.monotonic()
+            busy = [name for name, said in health.items() if said.compiles]
+            if busy:
+                since = now
+                waiting(
+                    f"{COMPILING}, at the first start a minute or two: {', '.join(busy)}"
+                    f" | {now - began:.0f} s"
+                )
+            told = bool(names) and all(name in health for name in names)
+            allowed_s = min(timeout_s, ANSWERED_S) if told else timeout_s
+            if now - since > allowed_s:
+                raise GraphError(
+                    f"images are not answered within {allowed_s:g} s: {self.blame()} "
+                    f"({self.record.images.count} images seen)"
+                )
+
+    def blame(self) -> str:
+        """Say why images are not answered: the first node on their way that says so, or all."""
+        health = self.record.health
+        for name in ("detector", "planner", "solver"):
+            if name in health and health[name].level in (Level.ERROR, Level.STALE):
+                return f"{name}: {health[name].message}"
+        said = [f"{name}: {h.message}" for name, h in health.items()]
+        return "; ".join(said) or "no node says how it is"
 
     def activate_driver(self) -> None:
         """Let the driver pass on what the solver answers, as far as the motors may move.

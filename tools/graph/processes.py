@@ -36,9 +36,14 @@ class Interrupted(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def signals_raise() -> Iterator[None]:
-    """Turn the signals that end a program into `Interrupted`, so that `finally` is reached."""
+    """Turn the first signal that ends a program into `Interrupted`, so that `finally` is reached.
+
+    Later ones are ignored, so that what is to be done at the end is done.
+    """
 
     def on_signal(number: int, frame: object) -> None:
+        for each in ENDING:
+            signal.signal(each, signal.SIG_IGN)
         raise Interrupted(number)
 
     before = {number: signal.signal(number, on_signal) for number in ENDING}
@@ -94,8 +99,9 @@ def command(node: GraphNode, parameters: Mapping[str, Value]) -> list[str]:
     words += ["-r", f"__node:={node.name}", "--params-file", str(config_path("nodes.yaml"))]
     for name, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
-        # A text of digits must stay a text.
-        words += ["-p", f"{name}:='{text}'" if isinstance(value, str) else f"{name}:={text}"]
+        if isinstance(value, str):  # quoted: a text of digits must stay a text
+            text = "'" + text.replace("'", "''") + "'"
+        words += ["-p", f"{name}:={text}"]
     return words
 
 

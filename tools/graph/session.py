@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +14,13 @@ from .observer import Observer
 from .processes import Processes
 
 START_S = 180.0
-"""Longest wait for the nodes [s]: at their first start they compile."""
+"""Longest wait for the nodes [s]: a busy machine may take long to load them."""
 
 ANSWER_S = 180.0
-"""Longest wait for the answer to the first image [s]: some compile when they are already seen."""
+"""Longest wait for the answer to the first image [s], from when no node compiles any more."""
+
+CAMERA_S = 3.0
+"""Longest wait for a camera that is not simulated [s]."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,11 @@ class Session:
 
 @contextmanager
 def session(
-    options: RunOptions, logs: Path, domain: int | None = None, pictures: bool = True
+    options: RunOptions,
+    logs: Path,
+    domain: int | None = None,
+    pictures: bool = True,
+    waiting: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Session]:
     """Start the nodes, and stop them at the end.
 
@@ -75,11 +82,13 @@ def session(
         ROS domain; if left out, one of its own.
     pictures : bool
         Whether the observer listens to images.
+    waiting : callable
+        Called with what is waited for, while it is.
 
     Raises
     ------
     GraphError
-        If a node ends or does not appear.
+        If a node ends or does not appear, there is no camera, or images are not answered: why.
     """
     nodes = options.nodes(load_graph())
     with (
@@ -87,6 +96,8 @@ def session(
         Processes(nodes, options, logs, domain) as processes,
         Observer(domain, processes.check, pictures) as observer,
     ):
-        seen = observer.await_nodes([node.name for node in nodes], START_S)
-        observer.await_answers(ANSWER_S)
+        seen = observer.await_nodes([node.name for node in nodes], START_S, waiting)
+        if "simulator" not in seen:
+            observer.await_camera(CAMERA_S)
+        observer.await_answers(ANSWER_S, seen, waiting)
         yield Session(options, processes, observer, seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_bringup import RunOptions
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.motion import corner_accel, motor_state
+from plate_core.rig import motor_loads
 from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
 
@@ -20,6 +22,12 @@ from .film import develop
 
 SAMPLES = 1000
 """Instants of every motor table at which the limits are checked."""
+
+WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
+"""The sentence about a machine that was too slow."""
+
+SLOWED = 0.95
+"""An average pace below this is reported."""
 
 ROUNDING = 1e-6
 """Share of a limit that rounding may add."""
@@ -35,8 +43,10 @@ class LimitCheck:
         How many there were.
     faults : tuple of str
         What was wrong; empty: all was well.
-    stroke, speed, accel : float
+    stroke, speed, accel, force : float
         Greatest shares of the limits [-].
+    heat : float
+        Greatest share of the heat that a motor bears for ever, by I2t over all tables [-].
     """
 
     tables: int
@@ -44,32 +54,39 @@ class LimitCheck:
     stroke: float
     speed: float
     accel: float
+    force: float
+    heat: float
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
     """Evaluate every motor table at `SAMPLES` instants, independently of who made it."""
     faults: list[str] = []
-    most = np.zeros(3)
+    most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
     for number, data in enumerate(record.tables):
         try:
             cycle = msg_to_motors(rig, deserialize_message(data, JointTrajectory))
         except PlateError as error:
             faults.append(f"motor table {number}: {error}")
             continue
-        share = limit_shares(rig, cycle)
+        share, load = limit_shares(rig, cycle), thermal_load(rig, cycle)
+        heat = load + (heat - load) * np.exp(-cycle.period / rig.limits.thermal_time_s)
+        hottest = max(hottest, float(np.max(heat)))
         most = np.maximum(most, share)
         if np.any(share > 1 + ROUNDING):
             faults.append(
                 f"motor table {number}: stroke {share[0]:.4f}, speed {share[1]:.4f}, "
-                f"acceleration {share[2]:.4f} of the limit"
+                f"acceleration {share[2]:.4f}, force {share[3]:.4f} of the limit"
             )
+        if hottest > 1 + ROUNDING:
+            faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
         if not cycle.starts_at_rest:
             faults.append(f"motor table {number}: does not begin at rest at home")
-    return LimitCheck(len(record.tables), tuple(faults), *(float(share) for share in most))
+    stroke, speed, accel, force = map(float, most)
+    return LimitCheck(len(record.tables), tuple(faults), stroke, speed, accel, force, hottest)
 
 
 def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return the greatest shares (3,) of stroke, speed and acceleration in one cycle."""
+    """Return the greatest shares (4,) of stroke, speed, acceleration and force in one cycle."""
     t = np.linspace(0, cycle.period, SAMPLES)
     state = cycle.pose(t), cycle.twist(t), cycle.accel(t)
     q, qd, _ = motor_state(rig, *state)
@@ -78,8 +95,23 @@ def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
             np.max(np.abs(q)) / rig.limits.stroke_m,
             np.max(np.abs(qd)) / rig.limits.speed,
             np.max(corner_accel(rig, *state)) / rig.limits.accel,
+            np.max(np.abs(motor_forces(rig, cycle))) / rig.limits.force,
         ]
     )
+
+
+def thermal_load(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+    """Return each motor's mean square force (4,) over that of its continuous force."""
+    force = motor_forces(rig, cycle)[:-1]
+    return np.asarray(np.mean(force**2, axis=0) / rig.limits.continuous_force**2)
+
+
+def motor_forces(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+    """Return the motors' forces (n, 4) [N] at equal steps."""
+    t = np.linspace(0, cycle.period, SAMPLES)
+    on_pose, on_twist, on_accel = motor_loads(rig)
+    moved = cycle.pose(t) @ on_pose.T + cycle.twist(t) @ on_twist.T
+    return np.asarray(moved + cycle.accel(t) @ on_accel.T)
 
 
 def judge(
@@ -97,6 +129,7 @@ def judge(
     state = record.states[-1]
     task = load_scenario(options.scenario).task
     follows = isinstance(task, FollowTask)
+    poses = isinstance(task, PoseTask)
     follows &= float(record.last("planner", "max_error_m")) > 0
     return {
         "scenario": options.scenario,
@@ -104,7 +137,7 @@ def judge(
         "transport": options.transport,
         "seed": options.seed,
         "lockstep": options.lockstep,
-        "success": state == "done" and film.dropped == 0,
+        "success": state.startswith("done") and film.dropped == 0,
         "message": state,
         "dropped": film.dropped,
         "parts": len(film.ids),
@@ -122,10 +155,15 @@ def judge(
         "stroke_share_max": round(limits.stroke, 4),
         "speed_share_max": round(limits.speed, 4),
         "accel_share_max": round(limits.accel, 4),
+        "force_share_max": round(limits.force, 4),
+        "heat_share_max": round(limits.heat, 4),
         "missed_share": typical(record, "missed_fraction"),
         "solve_ms_median": typical(record, "solve_ms_median"),
+        "turn_error_deg": float(record.last("planner", "turn_error_deg")) if poses else None,
+        "pace": float(record.last("planner", "pace")) if follows else None,
         "late_cycles": int(record.last("simulator", "late cycles", "0")),
         "held_cycles": int(record.last("simulator", "held cycles", "0")),
+        "load": round(os.getloadavg()[0], 2),
         "gamma": round(rig.gamma, 2),
     }
 
@@ -143,11 +181,17 @@ def summary(result: dict[str, Any]) -> str:
     else:
         whose = "part followed its path" if result["parts"] == 1 else "parts followed their paths"
         done = f"{result['parts']} {whose}, error {1e3 * result['rms_error_m']:.2f} mm rms"
+        if result["pace"] < SLOWED:
+            done += f", at {100 * result['pace']:.0f} % of the speed asked for"
+    if result["turn_error_deg"] is not None:
+        done += f", {result['turn_error_deg']:.1f} degrees off at most"
     verdict = "Success" if result["success"] else f"No success ({result['message']})"
-    used = max(result[f"{name}_share_max"] for name in ("stroke", "speed", "accel"))
+    used = max(result[f"{name}_share_max"] for name in ("stroke", "speed", "accel", "force"))
     limits = "within limits" if result["setpoints_within_limits"] else "LIMITS BROKEN"
+    waits = [f"{result[key]} {words}" for key, words in WAITS.items() if result[key]]
+    waited = f" {', '.join(waits)} (machine load {result['load']:g})." if waits else ""
     return (
         f"{verdict}: {done} in {result['time_s']:.1f} s and {result['cycles']} cycles, "
         f"{result['dropped'] or 'none'} dropped; all {result['motor_setpoints']} motor tables "
-        f"{limits} ({100 * used:.0f} % used)."
+        f"{limits} ({100 * used:.0f} % used).{waited}"
     )

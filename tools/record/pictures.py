@@ -1,27 +1,56 @@
-"""The run in pictures: a strip like Figure 15 of the paper, and an animation."""
+"""The run in pictures: a strip like Figure 15 of the paper, and a film over what the camera saw.
+
+Both are sheets of frames with one key: a frame is the plate at one instant, drawn by `draw_plate`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon, Rectangle
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
-from plate_core import Rig, part_class
+from plate_core import PlateCycle, Rig, part_class
+from plate_core.colours import FORCE, INK, Colour, class_colour, part_colour
 from plate_core.rig import homography
-from plate_core.tasks import AssembleTask, Bin, FollowTask, Scenario, Side, SortTask, circle_points
+from plate_core.tasks import (
+    AssembleTask,
+    Bin,
+    FollowTask,
+    PoseTask,
+    Scenario,
+    Side,
+    SortTask,
+    circle_points,
+)  # fmt: skip
 from plate_solver import average_force
 
+from .canvas import Canvas, Sample, heading, key
 from .film import Film
 
-FACE = {"black": "#1a1a1a", "grey": "#a8a8a8"}
-TRAIL = {"black": "#d1495b", "grey": "#2e86ab"}
-FIELD, GOAL = "#8fa3ad", "#e9f0e4"
+SNAPSHOTS = 8
+
+ARROWS = 153
+"""Arrows of a strip's force field, about."""
+
+FIELD_ARROW, PART_ARROW = 0.85, 6.0
+"""Length of the longest arrows: of a field [distance between them], on parts [radii]."""
+
+FULL_FORCE = 80
+"""Arrows beyond this percentile of the forces are equally long, so that weak ones show."""
+
+TINT = 0.14
+"""Of targets."""
+
+FILM_FRAMES, FILM_RATE = 100, 12.5
+"""Most frames, and frames a second; GIF counts in hundredths of a second."""
+
+LAST_MS = 2500
+"""The last frame is shown so long."""
 
 SAME = 12
 """Pixels that differ no more from the picture without parts show the plate [grey values]."""
@@ -29,26 +58,12 @@ SAME = 12
 BRIGHT = 85
 """Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
 
-SNAPSHOTS = 8
-COLUMNS = 2
-ARROWS = (17, 9)
-"""Arrows of the force field along x and y."""
+NOW = 1e-6
+"""Rounding of times [s]."""
 
-FULL_LENGTH = 80
-"""Arrows beyond this percentile of the forces are drawn equally long, so that weak ones show."""
-
-GIF_FRAMES = 100
-GIF_RATE = 12.5
-"""Frames a second; GIF counts in hundredths of a second."""
-
-PX_PER_M = 1150.0
-"""Of the animation."""
-
-SHIFT = 4
-"""Lines are drawn in 1/16 px, so that they do not jitter."""
-
-MARK = (0.5, 0.35)
-"""Where on a part its mark is drawn, and how large [radii]."""
+TRUE_RAY, WANTED_RAY, BESIDE = 2.8, 5.5, 4.5
+"""How far from its centre a part's angle is drawn, and the commanded one; where it is written
+[radii]."""
 
 
 @dataclass(frozen=True)
@@ -59,206 +74,350 @@ class Scene:
     scenario: Scenario
     film: Film
 
-    @property
-    def classes(self) -> list[str]:
+    @cached_property
+    def labels(self) -> list[str]:
         """Class of every part."""
         return [part_class(name) for name in self.film.ids]
 
-    def until(self, t: float) -> np.ndarray:
-        """Positions (n, M, 2) [m] from the task's beginning until t [s]."""
-        shown = (self.film.time >= -1e-6) & (self.film.time <= t + 1e-6)
-        return self.film.position[shown]
-
-    def paths(self) -> list[np.ndarray]:
-        """Polygons (n, 2) [m] that parts are to follow; closed ones end where they begin."""
-        task = self.scenario.task
-        if not isinstance(task, FollowTask):
-            return []
-        return [
-            np.array([*path.waypoint, *(path.waypoint[:1] if path.closed else ())])
-            for path in task.paths
-        ]
-
-    def goals(self) -> list[np.ndarray]:
-        """Polygons (n, 2) [m] where parts belong."""
-        task = self.scenario.task
+    @cached_property
+    def targets(self) -> list[tuple[str, np.ndarray]]:
+        """Class and polygon (n, 2) [m] of every place where parts belong."""
+        task, radius = self.scenario.task, self.rig.parts.radius_m
+        if isinstance(task, SortTask):
+            return [
+                (label, np.array(r.corner) if isinstance(r, Bin) else self._side(r, task))
+                for label, r in task.regions.items()
+            ]
+        places = [(label, centre) for label, centre, _ in self.poses]
         if isinstance(task, AssembleTask):
-            radius = self.rig.parts.radius_m
-            return [circle_points(place, radius, 0.0, True) for place in task.place]
-        if not isinstance(task, SortTask):
-            return []
+            places = [(c, np.array(at)) for c, at in zip(task.labels, task.place, strict=True)]
         return [
-            np.array(region.corner) if isinstance(region, Bin) else self._side(region, task)
-            for region in dict.fromkeys(task.regions.values())
+            (label, circle_points((x, y), 1.25 * radius, 0.0, True)) for label, (x, y) in places
         ]
+
+    @cached_property
+    def paths(self) -> list[tuple[str, np.ndarray]]:
+        """Class and polygon (n, 2) [m] of every path; closed ones end where they begin."""
+        task = self.scenario.task
+        return [
+            (path.label, np.array([*path.waypoint, *(path.waypoint[:1] if path.closed else ())]))
+            for path in (task.paths if isinstance(task, FollowTask) else ())
+        ]
+
+    @cached_property
+    def poses(self) -> list[tuple[str, np.ndarray, float]]:
+        """Class, place [m] and angle [rad] of every commanded pose."""
+        task = self.scenario.task
+        free, found = list(range(len(self.labels))), []
+        for pose in task.poses if isinstance(task, PoseTask) else ():
+            place = np.array(pose.place or (0.0, 0.0))
+            if pose.place is None:
+                part = next(k for k in free if self.labels[k] == pose.label)
+                free.remove(part)
+                place = self.until(0.0)[-1, part]
+            found.append((pose.label, place, pose.angle))
+        return found
+
+    def until(self, t: float) -> np.ndarray:
+        """Positions (n, M, 2) [m] from the task's beginning until t [s], one at least."""
+        first = int(np.searchsorted(self.film.time, -NOW))
+        last = int(np.searchsorted(self.film.time, t + NOW, side="right"))
+        return self.film.position[min(first, len(self.film.time) - 1) :][: max(1, last - first)]
+
+    def clock(self, t: float) -> str:
+        """Return time and cycle in words."""
+        done = int(np.sum((self.film.time > NOW) & (self.film.time <= t + NOW)))
+        return f"{t:.1f} s, cycle {min(done, self.film.cycles)} of {self.film.cycles}"
+
+    def motion(self, t: float) -> PlateCycle | None:
+        """Return the plate's motion at t [s]; at the beginning the first one."""
+        film = self.film
+        if t <= 0:
+            stamps = zip(film.table_time, film.tables, strict=True)
+            first = next((s for s, table in stamps if s >= -NOW and np.any(table.knot_twist)), 0.0)
+            later = film.time[film.time > first + NOW]
+            t = float(later[0]) + NOW if len(later) else 0.0
+        return film.running(min(t, film.end - 1e-3))
+
+    def forces(self, t: float, point: np.ndarray) -> np.ndarray:
+        """Mean friction forces (n, 2) [mu m g] of the cycle that runs at t, on parts at points."""
+        cycle = self.motion(t)
+        return np.zeros_like(point) if cycle is None else average_force(cycle, point)
 
     def _side(self, side: Side, task: SortTask) -> np.ndarray:
         """Corners (4, 2) [m] of the part of the plate beyond the goal line, or lines."""
-        half = self.rig.plate.half
         ranges = [
             (-h, h) if sign == 0 else tuple(sorted((sign * task.goal_fraction * h, sign * h)))
-            for sign, h in zip((side.x, side.y), half, strict=True)
+            for sign, h in zip((side.x, side.y), self.rig.plate.half, strict=True)
         ]
         (left, right), (bottom, top) = ranges
         return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
 
+@dataclass(frozen=True)
+class Layout:
+    """How large a picture is: columns of frames, most width and height of a frame, words [px]."""
+
+    columns: int
+    frame: tuple[int, int]
+    words: int
+
+    GAP = 14
+    """Between frames [px]."""
+
+    THIN = 1 / 560
+    """Width of thin lines [widths of a frame]."""
+
+    def canvas(self, scene: Scene, pixels: np.ndarray | None = None) -> Canvas:
+        """Return a frame: white, or these pixels. Parts on the plate's edge have room."""
+        half = scene.rig.plate.half + 1.5 * scene.rig.parts.radius_m
+        scale = float(np.min(np.array(self.frame) / (2 * half)))
+        wide, high = self.frame[0], round(2 * half[1] * scale)
+        if pixels is None:
+            pixels = np.full((high, wide, 3), 255, np.uint8)
+        return Canvas(pixels.copy(), scale, (wide / 2, high / 2), wide * self.THIN, self.words)
+
+    def sheet(
+        self, frames: list[np.ndarray], clocks: list[str], title: str, right: str, key: np.ndarray
+    ) -> Image.Image:
+        """Return title, frames with their clocks, row by row, and the key."""
+        gap = np.full((frames[0].shape[0] + round(1.6 * self.words), self.GAP, 3), 255, np.uint8)
+        told = [
+            np.vstack([heading(self.frame[0], self.words, clock), frame])
+            for clock, frame in zip(clocks, frames, strict=True)
+        ]
+        rows = [
+            np.hstack([piece for frame in told[k : k + self.columns] for piece in (gap, frame)])
+            for k in range(0, len(told), self.columns)
+        ]
+        top = heading(self.width, self.words, title, right)
+        page = np.vstack([top, *(row[:, self.GAP :] for row in rows), key])
+        return Image.fromarray(np.pad(page, ((0, 0), (8, 8), (0, 0)), constant_values=255))
+
+    @property
+    def width(self) -> int:
+        """Of a row of frames [px]."""
+        return self.columns * (self.frame[0] + self.GAP) - self.GAP
+
+    def key(self, scene: Scene, arrows: Arrows) -> np.ndarray:
+        """Return the key of all that frames show."""
+        canvas = self.canvas(scene)
+        return key(samples(scene, arrows, canvas), self.width, canvas)
+
+
+STRIP = Layout(2, (680, 420), 25)
+FILM = Layout(1, (700, 460), 19)
+"""A strip is shown at half its size, or less."""
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Forces as arrows: those of `force` [mu m g] and more are `length` [m] long."""
+
+    force: float
+    length: float
+
+    @classmethod
+    def of(cls, forces: np.ndarray, length: float) -> Arrows:
+        """Choose the scale by all forces (..., 2) that are to be drawn."""
+        size = np.hypot(*forces.reshape(-1, 2).T)
+        size = size[size > 0]
+        return cls(round_number(np.percentile(size, FULL_FORCE)) if len(size) else 1.0, length)
+
+    def draw(
+        self, canvas: Canvas, point: np.ndarray, force: np.ndarray, width: float, pivot: float
+    ) -> None:
+        """Draw arrows of forces (n, 2); `pivot` is the share of an arrow that is before its point
+        (n, 2) [m]."""
+        size = np.maximum(np.hypot(*force.T), self.force)
+        whole = self.length * force / size[:, None]
+        for start, way in zip(point - pivot * whole, whole, strict=True):
+            canvas.arrow(start, start + way, FORCE, width)
+
+
 def draw_strip(scene: Scene, path: Path, title: str) -> None:
     """Draw snapshots, left to right and top to bottom: parts, their trails, the force field."""
-    rows = SNAPSHOTS // COLUMNS
-    figure = Figure(figsize=(11, 0.6 + rows * 2.85), layout="constrained", facecolor="white")
-    grid = figure.subplots(rows, COLUMNS)
-    for t, axes in zip(np.linspace(0, scene.film.end, SNAPSHOTS), grid.flat, strict=True):
-        draw_snapshot(scene, axes, float(t))
-    figure.suptitle(title, fontsize=12)
-    figure.savefig(path, dpi=110)
-
-
-def draw_snapshot(scene: Scene, axes: Axes, t: float) -> None:
-    """Draw the plate at one instant [s]."""
-    half = scene.rig.plate.half
-    left, bottom = -half
-    size = scene.rig.plate.length_m, scene.rig.plate.width_m
-    for goal in scene.goals():
-        axes.add_patch(Polygon(goal, color=GOAL, lw=0, zorder=0))
-    axes.add_patch(Rectangle((left, bottom), *size, fill=False, ec="#333333", lw=1, zorder=5))
-    for polygon in scene.paths():
-        axes.plot(*polygon.T, color="#777777", lw=0.8, ls=(0, (4, 3)), zorder=1)
-    draw_field(scene, axes, t)
-    position = scene.until(t)
-    for part, label in enumerate(scene.classes):
-        axes.plot(*position[:, part].T, color=TRAIL.get(label, "#555555"), lw=1.3, zorder=3)
-        if len(position) and np.all(np.isfinite(position[-1, part])):
-            axes.add_patch(
-                Circle(
-                    tuple(position[-1, part]),
-                    scene.rig.parts.radius_m,
-                    fc=FACE.get(label, "#555555"),
-                    ec="#1a1a1a",
-                    lw=0.8,
-                    zorder=4,
-                )
-            )
-    if scene.scenario.marked and len(position):
-        angle, radius = scene.film.angle[scene.film.time <= t + 1e-6][-1], scene.rig.parts.radius_m
-        there = position[-1] + MARK[0] * radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        for point in there[np.all(np.isfinite(there), axis=1)]:
-            spot = Circle(tuple(point), MARK[1] * radius, color="#ffffff", lw=0, zorder=4.5)
-            axes.add_patch(spot)
-    axes.set_xlim(-half[0] - 0.004, half[0] + 0.004)
-    axes.set_ylim(-half[1] - 0.004, half[1] + 0.004)
-    axes.set_aspect("equal")
-    axes.set_axis_off()
-    axes.set_title(f"{t:.1f} s", fontsize=10, loc="left", pad=2)
-
-
-def draw_field(scene: Scene, axes: Axes, t: float) -> None:
-    """Draw the mean friction force of the cycle that runs at t, where a part would feel it."""
-    cycle = scene.film.running(min(t, scene.film.end - 1e-3) if t > 0 else first_motion(scene))
-    if cycle is None:
-        return
-    half = scene.rig.plate.half
-    x, y = (np.linspace(-h + h / n, h - h / n, n) for h, n in zip(half, ARROWS, strict=True))
+    times, half = np.linspace(0, scene.film.end, SNAPSHOTS), scene.rig.plate.half
+    counts = np.maximum(1, np.round(half * np.sqrt(ARROWS / np.prod(half))).astype(int))
+    x, y = (np.linspace(-h + h / n, h - h / n, n) for h, n in zip(half, counts, strict=True))
     point = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    force = average_force(cycle, point)
-    if not np.any(force):
-        return
-    usual = float(np.percentile(np.hypot(*force.T), FULL_LENGTH))
-    arrow = force * np.minimum(1 / usual, 1 / np.maximum(np.hypot(*force.T), 1e-9))[:, None]
-    arrow *= 0.85 * (x[1] - x[0])
-    axes.quiver(
-        *point.T, *arrow.T, color=FIELD, angles="xy", scale_units="xy", scale=1, pivot="middle",
-        width=0.0022, headwidth=4, headlength=4.5, headaxislength=4, zorder=2,
-    )  # fmt: skip
+    forces = np.array([scene.forces(t, point) for t in times])
+    arrows = Arrows.of(forces, FIELD_ARROW * 2 * float(half[0] / counts[0]))
+    frames = []
+    for t, force in zip(times, forces, strict=True):
+        canvas = STRIP.canvas(scene)
+        draw_task(scene, canvas)
+        arrows.draw(canvas, point, force, 0.8, 0.5)
+        draw_trails(scene, canvas, t)
+        draw_parts(scene, canvas, t, faces=True)
+        frames.append(canvas.pixels)
+    clocks = [scene.clock(t) for t in times]
+    STRIP.sheet(frames, clocks, title, "", STRIP.key(scene, arrows)).save(path)
 
 
-def first_motion(scene: Scene) -> float:
-    """Return a time within the first cycle that moves the plate [s]."""
-    film = scene.film
-    for stamp, table in zip(film.table_time, film.tables, strict=True):
-        if stamp >= -1e-6 and np.any(table.knot_twist):
-            later = film.time[film.time > stamp + 1e-6]
-            return float(later[0]) + 1e-6 if len(later) else 0.0
-    return 0.0
-
-
-def draw_animation(scene: Scene, path: Path, title: str) -> float:
+def draw_film(scene: Scene, path: Path, title: str) -> float:
     """Draw what the camera saw, with trails, as a GIF; returns how much faster than life it is."""
     film = scene.film
-    shown = np.flatnonzero((film.image_time >= -1e-6) & (film.image_time <= film.end + 1e-6))
+    shown = np.flatnonzero((film.image_time >= -NOW) & (film.image_time <= film.end + NOW))
     if not len(shown):
         return 1.0
-    chosen = shown[np.unique(np.linspace(0, len(shown) - 1, GIF_FRAMES).round().astype(int))]
-    seconds = len(chosen) / GIF_RATE
-    speed = max(1.0, film.end / seconds)
-    bare, views, parts = from_above(film, scene.rig, PX_PER_M)
-    frames = []
-    for k in chosen:
-        picture = with_trails(scene, cv2.cvtColor(bare, cv2.COLOR_GRAY2RGB), film.image_time[k])
-        picture[parts[k]] = views[k][parts[k], None]  # parts lie on top of their trails
-        frames.append(page(picture, title, f"{film.image_time[k]:.1f} s", f"{speed:.1f} x"))
-    palette = frames[-1].quantize(64, dither=Image.Dither.NONE)
-    pages = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in frames]
-    duration = [round(1000 / GIF_RATE)] * (len(pages) - 1) + [2500]
+    chosen = shown[np.unique(np.linspace(0, len(shown) - 1, FILM_FRAMES).round().astype(int))]
+    speed = max(1.0, film.end / (len(chosen) / FILM_RATE))
+    bare, views, seen = from_above(scene, FILM.canvas(scene), [film.images[k] for k in chosen])
+    times = film.image_time[chosen]
+    places = [scene.until(t)[-1] for t in times]
+    forces = [scene.forces(t, np.nan_to_num(at)) for t, at in zip(times, places, strict=True)]
+    arrows = Arrows.of(np.array(forces), PART_ARROW * scene.rig.parts.radius_m)
+    key, pages = FILM.key(scene, arrows), []
+    for t, at, force, view, part in zip(times, places, forces, views, seen, strict=True):
+        canvas = FILM.canvas(scene, bare)
+        draw_task(scene, canvas)
+        draw_trails(scene, canvas, t)
+        canvas.pixels[part] = view[part]  # parts lie on top of their trails
+        draw_parts(scene, canvas, t, faces=False)
+        there = np.all(np.isfinite(at), axis=1)
+        arrows.draw(canvas, at[there], force[there], 1.6, 0.0)
+        life = f"{speed:.1f} x real time"
+        pages.append(FILM.sheet([canvas.pixels], [scene.clock(t)], title, life, key))
+    palette = pages[-1].quantize(96, dither=Image.Dither.NONE)
+    pages = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in pages]
+    duration = [round(1000 / FILM_RATE)] * (len(pages) - 1) + [LAST_MS]
     pages[0].save(
         path, save_all=True, append_images=pages[1:], duration=duration, loop=0, optimize=False
     )
     return speed
 
 
-def with_trails(scene: Scene, picture: np.ndarray, t: float) -> np.ndarray:
-    """Draw the task, and where parts have been until t [s], into a picture (H, W, 3)."""
-    half = scene.rig.plate.half
+def draw_task(scene: Scene, canvas: Canvas) -> None:
+    """Draw the plate, targets and paths."""
+    x, y = scene.rig.plate.half
+    for label, corner in scene.targets:
+        canvas.area(corner, class_colour(label), TINT)
+    canvas.line([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)], INK, 1.2)
+    for label, line in scene.paths:
+        canvas.line(line, class_colour(label), 1.2, dashed=True)
 
-    def pixels(point: np.ndarray) -> np.ndarray:
-        place = (point - [-half[0], half[1]]) * [PX_PER_M, -PX_PER_M]
-        return np.round(place * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)
 
-    lines = scene.paths()
-    lines += [np.vstack([goal, goal[:1]]) for goal in scene.goals()]
-    for line in lines:
-        cv2.polylines(picture, [pixels(line)], False, (165, 165, 165), 1, cv2.LINE_AA, SHIFT)
+def draw_trails(scene: Scene, canvas: Canvas, t: float) -> None:
+    """Draw where parts have been until t [s]."""
     position = scene.until(t)
-    for part, label in enumerate(scene.classes):
+    for part, label in enumerate(scene.labels):
         track = position[:, part]
-        track = track[np.all(np.isfinite(track), axis=1)]
-        colour = tuple(int(TRAIL.get(label, "#555555")[i : i + 2], 16) for i in (1, 3, 5))
-        if len(track) > 1:
-            cv2.polylines(picture, [pixels(track)], False, colour, 2, cv2.LINE_AA, SHIFT)
-    return picture
+        canvas.line(track[np.all(np.isfinite(track), axis=1)], class_colour(label), 2)
 
 
-def page(picture: np.ndarray, title: str, clock: str, speed: str) -> Image.Image:
-    """Return a picture with a white margin and a line above it."""
-    height, width = picture.shape[:2]
-    sheet = Image.new("RGB", (width + 20, height + 44), "white")
-    sheet.paste(Image.fromarray(picture), (10, 34))
-    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(16)
-    pen.text((12, 9), title, fill="black", font=font)
-    pen.text((width // 2 + 40, 9), clock, fill="black", font=font, anchor="ra")
-    pen.text((width + 8, 9), f"{speed} real time", fill="black", font=font, anchor="ra")
-    return sheet
+def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
+    """Draw parts at t [s], or only their edges; angles; and where parts have left the plate."""
+    position, radius = scene.until(t), scene.rig.parts.radius_m
+    now = max(0, int(np.searchsorted(scene.film.time, t + NOW, side="right")) - 1)
+    for label, place, angle in scene.poses:
+        draw_angle(canvas, place, angle, radius, class_colour(label), dashed=True)
+    for part, label in enumerate(scene.labels):
+        there = np.flatnonzero(np.all(np.isfinite(position[:, part]), axis=1))
+        if not len(there):
+            continue
+        at = position[there[-1], part]
+        if there[-1] + 1 < len(position):
+            canvas.cross(at, radius, class_colour(label))
+            continue
+        canvas.disc(at, radius, part_colour(label) if faces else None, class_colour(label))
+        if scene.scenario.marked:
+            draw_angle(canvas, at, float(scene.film.angle[now, part]), radius, INK, dashed=False)
+
+
+def draw_angle(
+    canvas: Canvas, centre: np.ndarray, angle: float, radius: float, colour: Colour, dashed: bool
+) -> None:
+    """Draw which way a part points, written beside it, or is to point, written at its end."""
+    along, ray = np.array([np.cos(angle), np.sin(angle)]), WANTED_RAY if dashed else TRUE_RAY
+    canvas.line(centre + radius * np.outer([1.0, ray], along), colour, 2, dashed)
+    side = [-BESIDE if along[0] > 0.1 else BESIDE, 0.0]
+    at = centre + radius * (np.array(side) if not dashed else (ray + 1.5) * along)
+    canvas.write(at, f"{(np.degrees(angle) + 180) % 360 - 180:.0f}°")
+
+
+def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
+    """Return what a key is to explain in such frames of this run."""
+    radius = min(scene.rig.parts.radius_m, 0.5 * frame.words / frame.scale)
+    bar = round_number(scene.rig.plate.length_m / 6)
+    ray, end = WANTED_RAY * radius, np.array([radius, 0.0])
+    force = np.array([[arrows.force, 0.0]])
+    found = [class_sample(scene, label, radius) for label in dict.fromkeys(scene.labels)]
+    found.append(
+        Sample(
+            arrows.length,
+            lambda c: arrows.draw(c, np.zeros((1, 2)), force, 1.2, 0.0),
+            f"mean force on a part: {arrows.force:g} mu mg or more (mu mg: its friction)",
+        )
+    )
+    if scene.scenario.marked:
+        told = "angle of a part" + "; dashed: wanted" * bool(scene.poses)
+        found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), told))
+    if scene.film.dropped:
+        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
+    ruler = [
+        (0, radius / 2),
+        (0, -radius / 2),
+        (0, 0),
+        (bar, 0),
+        (bar, radius / 2),
+        (bar, -radius / 2),
+    ]
+    found.append(Sample(bar, lambda c: c.line(ruler, INK, 1.5), f"{1e3 * bar:g} mm"))
+    return found
+
+
+def class_sample(scene: Scene, label: str, radius: float) -> Sample:
+    """Return the sample of a class: target or path, trail and part of a radius [m]."""
+    colour = class_colour(label)
+    wide, told = 6 * radius, [f"{label}: part, trail"]
+    target = label in [one for one, _ in scene.targets]
+    path = label in [one for one, _ in scene.paths]
+    told += ["target"] * target + ["path"] * path
+
+    def draw(canvas: Canvas) -> None:
+        high = 1.6 * radius
+        if target:
+            canvas.area(
+                np.array([[0, -high], [wide, -high], [wide, high], [0, high]]), colour, TINT
+            )
+        if path:
+            canvas.line([(0, -high / 2), (wide, -high / 2)], colour, 1.2, dashed=True)
+        canvas.line([(0.5 * radius, 0), (4.5 * radius, 0)], colour, 2)
+        canvas.disc((4.5 * radius, 0), radius, part_colour(label), colour)
+
+    return Sample(wide, draw, ", ".join(told))
 
 
 def from_above(
-    film: Film, rig: Rig, px_per_m: float
+    scene: Scene, canvas: Canvas, images: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-    """Return the images as seen straight from above, plate_home, cut at the plate's edge.
+    """Return images as seen straight from above, as on the canvas.
 
     Returns
     -------
-    bare : (H, W)
+    bare : (H, W, 3)
         The plate without parts: the bright end of what each pixel shows in the course of time.
-    views : list of (H, W)
+    views : list of (H, W, 1)
         The images.
     parts : list of (H, W)
         True where an image shows a part: where it differs from `bare` by more than the noise.
     """
-    width, height = rig.plate.length_m * px_per_m, rig.plate.width_m * px_per_m
-    to_picture = np.array([[px_per_m, 0, width / 2], [0, -px_per_m, height / 2], [0, 0, 1.0]])
-    matrix = to_picture @ np.linalg.inv(homography(rig))
-    size = round(width), round(height)
-    views = [cv2.warpPerspective(i, matrix, size, flags=cv2.INTER_LINEAR) for i in film.images]
-    step = max(1, len(views) // 31)
-    bare = np.percentile(views[::step], BRIGHT, axis=0).astype(np.uint8)
-    return bare, views, [cv2.absdiff(view, bare) > SAME for view in views]
+    (x, y), scale = canvas.origin, canvas.scale
+    matrix = np.array([[scale, 0, x], [0, -scale, y], [0, 0, 1.0]]) @ np.linalg.inv(
+        homography(scene.rig)
+    )
+    size = canvas.pixels.shape[1::-1]
+    views = [
+        cv2.warpPerspective(image, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+        for image in images
+    ]
+    bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
+    parts = [cv2.absdiff(view, bare) > SAME for view in views]
+    return cv2.cvtColor(bare, cv2.COLOR_GRAY2RGB), [view[..., None] for view in views], parts
+
+
+def round_number(value: float) -> float:
+    """Return the greatest of 1, 2, 5, 10, ... times a power of ten that is not beyond a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= value * (1 + NOW)))

@@ -17,13 +17,13 @@ JUDGING = ("simulator", "detector", "planner", "solver")
 OWN = {
     "simulator": ("scenario", "seed", "lockstep", "rate"),
     "device": ("seed",),
-    "planner": ("scenario",),
+    "planner": ("scenario", "lockstep"),
     "solver": ("method", "seed"),
     "driver": ("transport", "autostart"),
 }
 """Options of a run that are parameters of a node, under the same name."""
 
-UNTIMED_S = 600.0
+UNTIMED_S = 30.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
 
 

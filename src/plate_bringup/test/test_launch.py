@@ -151,7 +151,7 @@ sys.exit(service.run())
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("scenario:=sort_3", "ended with exit code 2: error: scenario is 'sort_3', allowed: "),
+        ("scenario:=sort_3", "ended with exit code 2: error: scenario is 'sort_3' (did you mean "),
         ("method:=C", "method"),
         ("params_file:=none.yaml", "params_file is 'none.yaml': no such file"),
     ],

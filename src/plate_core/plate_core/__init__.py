@@ -1,10 +1,10 @@
 """What two or more stages share: rig facts, plate motions, tasks, messages, the serial protocol.
 
 Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, `ros`,
-`serial_protocol`, `status` and `yaml_fields` have the rest.
+`serial_protocol`, `colours`, `status` and `yaml_fields` have the rest.
 """
 
-from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError
+from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
 from .parts import Parts, Wanted, part_class
 from .rig import Rig, load_rig
@@ -21,6 +21,7 @@ __all__ = [
     "ScenarioError",
     "Wanted",
     "config_path",
+    "did_you_mean",
     "load_rig",
     "part_class",
 ]

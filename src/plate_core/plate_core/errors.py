@@ -1,5 +1,10 @@
 """Errors that a user can act on. Each message names the thing, its value and what is allowed."""
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class PlateError(ValueError):
     """Base of every error that wrong input can raise."""
@@ -19,3 +24,9 @@ class CycleError(PlateError):
 
 class FrameError(PlateError):
     """Bytes of the serial protocol are damaged, or a message does not fit into them."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Ask for the nearest of the known words, ` (did you mean mu?)`; empty if none is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""

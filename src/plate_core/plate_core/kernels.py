@@ -12,10 +12,27 @@ from typing import Any
 from numba import njit
 from numba.core import caching
 
-__all__ = ["kernel"]
+__all__ = ["inner_kernel", "kernel"]
 
-kernel = partial(njit, cache=True)
+
+def _kept() -> bool:
+    """Whether there is a folder for compiled code: without one numba refuses to keep any."""
+    try:
+        njit(cache=True)(lambda: None)
+    except RuntimeError:
+        return False
+    return True
+
+
+kernel = partial(njit, cache=_kept())
 """Decorator of a function that numba compiles: `@kernel`, or with more options of `numba.njit`."""
+
+inner_kernel: Any = partial(kernel, nogil=True, error_model="numpy", _nrt=False)
+"""Decorator of a kernel that other kernels call and that makes no array.
+
+numba then counts no references to its arrays: an atomic operation of 5 ns for each array at every
+call, where a short kernel takes 20 ns in all.
+"""
 
 
 def _stamp(locator: Any) -> Any:

@@ -15,11 +15,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-__all__ = ["INPUT_TIMEOUT_S", "Finding", "Input", "Level", "used", "worst"]
+__all__ = ["COMPILING", "INPUT_TIMEOUT_S", "Finding", "Input", "Level", "used", "worst"]
 
 INPUT_TIMEOUT_S = 1.5
 """Silence of an input after which it counts as gone [s]: three of the longest usual cycles, and
 short enough for a task to end within 2 s of the fault."""
+
+
+COMPILING = "compiling kernels"
+"""How the message of a node begins that cannot answer yet, since it compiles."""
 
 
 class Level(IntEnum):

@@ -1,27 +1,262 @@
-"""Files of config/: found, and read field by field, so that wrong ones are refused usefully."""
+"""Files of config/: found, and read key by key, so that wrong ones are refused usefully.
+
+A `Key` says once what may stand in a file: for its reader, and for the reference of all keys
+(docs/reference.md).
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
-import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 import yaml
 
-from .errors import PlateError
+from .errors import PlateError, did_you_mean
 
-__all__ = ["Fields", "read_yaml"]
+__all__ = [
+    "REQUIRED",
+    "Choice",
+    "Fields",
+    "Flag",
+    "Key",
+    "Kind",
+    "List",
+    "Number",
+    "Numbers",
+    "Section",
+    "Table",
+    "Text",
+    "Whole",
+    "did_you_mean",
+    "keys_of",
+    "measured",
+    "read_yaml", "required",
+]  # fmt: skip
 
 Data = TypeVar("Data")
 
+REQUIRED: Any = object()
+"""In place of a default: the key may not be left out."""
 
-def measured(key: str, low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
-    """Return a dataclass field that `Fields.read` takes from `key`: a number in [low, high]."""
-    return dataclasses.field(default=default, metadata={"key": key, "range": (low, high)})
+UNITS = {
+    "m": "m", "kg": "kg", "s": "s", "mps": "m/s", "mps2": "m/s^2", "n": "N", "k": "K", "px": "px",
+    "deg": "degrees", "hz": "Hz", "kgm2": "kg m^2", "npm": "N/m", "nspm": "N s/m",
+}  # fmt: skip
+"""Units by the ends of keys."""
+
+
+class Kind(Protocol):
+    """What may stand at a key."""
+
+    @property
+    def words(self) -> str:
+        """What is allowed, for messages and for the reference."""
+        ...
+
+    def read(self, value: Any) -> Any:
+        """Return the value, checked; raises a ValueError for what is not allowed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number in [low, high]."""
+
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """What is allowed."""
+        return f"a number from {self.low:g} to {self.high:g}"
+
+    def read(self, value: Any) -> float:
+        """Return it as a float."""
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError
+        if not math.isfinite(value) or not self.low <= value <= self.high:
+            raise ValueError
+        return float(value)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole number in [low, high]."""
+
+    low: int
+    high: int
+
+    @property
+    def words(self) -> str:
+        """What is allowed."""
+        return f"a whole number from {self.low} to {self.high}"
+
+    def read(self, value: Any) -> int:
+        """Return it."""
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise ValueError
+        if not self.low <= value <= self.high:
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class _OfType:
+    """A value of one type."""
+
+    words: str
+    python_type: ClassVar[type]
+
+    def read(self, value: Any) -> Any:
+        """Return it."""
+        if not isinstance(value, self.python_type):
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Flag(_OfType):
+    """True or false."""
+
+    words: str = "true or false"
+    python_type = bool
+
+
+@dataclass(frozen=True)
+class Text(_OfType):
+    """Any text."""
+
+    words: str = "a text"
+    python_type = str
+
+
+@dataclass(frozen=True)
+class Table(_OfType):
+    """A mapping, whose keys stand in a section of their own."""
+
+    words: str = "a mapping"
+    python_type = Mapping
+
+
+@dataclass(frozen=True)
+class List(_OfType):
+    """A list of mappings, whose keys stand in a section of their own."""
+
+    words: str = "a list of mappings"
+    python_type = list
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some words."""
+
+    choices: Sequence[str]
+
+    @property
+    def words(self) -> str:
+        """What is allowed."""
+        return "one of " + ", ".join(self.choices)
+
+    def read(self, value: Any) -> str:
+        """Return it."""
+        if not isinstance(value, str) or value not in self.choices:
+            raise ValueError
+        return value
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """An array of finite numbers in [low, high]; None in its shape is any length."""
+
+    shape: tuple[int | None, ...]
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """What is allowed."""
+        size = " x ".join("n" if n is None else str(n) for n in self.shape)
+        return f"{size} numbers from {self.low:g} to {self.high:g}"
+
+    def read(self, value: Any) -> np.ndarray:
+        """Return it as an array."""
+        try:
+            array = np.array(value, dtype=float)
+        except TypeError:
+            raise ValueError from None
+        fits = array.ndim == len(self.shape) and all(
+            n is None or n == m for n, m in zip(self.shape, array.shape, strict=True)
+        )
+        if not fits or not np.all((array >= self.low) & (array <= self.high)):
+            raise ValueError
+        return array
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a file.
+
+    Attributes
+    ----------
+    name : str
+        Its end tells the unit: `radius_m`.
+    kind : Kind
+        What may stand there.
+    meaning : str
+        For a user, in a sentence.
+    default
+        What is taken where it is left out; REQUIRED: it may not be left out.
+    otherwise : str
+        The default in words, where the value does not say it.
+    """
+
+    name: str
+    kind: Kind
+    meaning: str
+    default: Any = REQUIRED
+    otherwise: str = ""
+
+    @property
+    def required(self) -> bool:
+        """Whether it may not be left out."""
+        return self.default is REQUIRED
+
+    @property
+    def unit(self) -> str:
+        """Unit of its numbers; `-` for pure numbers, nothing where there are no numbers."""
+        if not isinstance(self.kind, Number | Numbers | Whole):
+            return ""
+        return UNITS.get(self.name.rsplit("_", 1)[-1] if "_" in self.name else "", "-")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A mapping in a file: where it stands, what it is about, and its keys."""
+
+    where: str
+    about: str
+    keys: tuple[Key, ...]
+
+    def __getitem__(self, name: str) -> Key:
+        return next(key for key in self.keys if key.name == name)
+
+
+def measured(name: str, low: float, high: float, meaning: str, default: Any = REQUIRED) -> Any:
+    """Return a dataclass field that `Fields.read` takes from a key: a number in [low, high]."""
+    key = Key(name, Number(low, high), meaning, default)
+    missing = dataclasses.MISSING if key.required else default
+    return dataclasses.field(default=missing, metadata={"key": key})
+
+
+def keys_of(kind: type) -> tuple[Key, ...]:
+    """Return the keys of a dataclass whose fields are `measured`."""
+    return tuple(item.metadata["key"] for item in dataclasses.fields(kind))
 
 
 class Fields:
@@ -57,11 +292,15 @@ class Fields:
     def _get(self, key: str, allowed: str) -> Any:
         self._used.add(key)
         if key not in self._data:
-            raise self._error(f"{self._where}: {key} is missing, expected {allowed}")
+            spare = [str(name) for name in self._data if name not in self._used]
+            near = difflib.get_close_matches(key, spare, n=1)
+            instead = f" (there is {near[0]}, is that it?)" if near else ""
+            raise self._error(f"{self._where}: {key} is missing, expected {allowed}{instead}")
         return self._data[key]
 
     def has(self, key: str) -> bool:
-        """Tell whether the optional key is present."""
+        """Tell whether the optional key is present, and count it as known."""
+        self._used.add(key)
         return key in self._data
 
     def holds_mapping(self, key: str) -> bool:
@@ -77,58 +316,36 @@ class Fields:
         self._used.update(self._data)
         return tuple(str(key) for key in self._data)
 
+    def value(self, key: Key) -> Any:
+        """Return what stands at a key, checked, or its default."""
+        self._used.add(key.name)
+        if not key.required and key.name not in self._data:
+            return key.default
+        value = self._get(key.name, key.kind.words)
+        try:
+            return key.kind.read(value)
+        except ValueError:
+            raise self.fail(key.name, key.kind.words) from None
+
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         """Return a finite number in [low, high]."""
-        allowed = f"a number from {low:g} to {high:g}"
-        if default is not None and key not in self._data:
-            return default
-        value = self._get(key, allowed)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(key, allowed)
-        if not math.isfinite(value) or not low <= value <= high:
-            raise self.fail(key, allowed)
-        return float(value)
+        return float(self.value(_key(key, Number(low, high), default)))
 
     def integer(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number in [low, high]."""
-        allowed = f"a whole number from {low} to {high}"
-        if default is not None and key not in self._data:
-            return default
-        value = self._get(key, allowed)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self.fail(key, allowed)
-        return value
+        return int(self.value(_key(key, Whole(low, high), default)))
 
     def flag(self, key: str) -> bool:
         """Return true or false."""
-        value = self._get(key, "true or false")
-        if not isinstance(value, bool):
-            raise self.fail(key, "true or false")
-        return value
+        return bool(self.value(_key(key, Flag())))
 
     def text(self, key: str, choices: Sequence[str] | None = None) -> str:
         """Return a string, one of `choices` if given."""
-        allowed = "one of " + ", ".join(choices) if choices else "a text"
-        value = self._get(key, allowed)
-        if not isinstance(value, str) or (choices is not None and value not in choices):
-            raise self.fail(key, allowed)
-        return value
+        return str(self.value(_key(key, Choice(choices) if choices else Text())))
 
     def array(self, key: str, shape: tuple[int | None, ...], low: float, high: float) -> np.ndarray:
         """Return an array of finite numbers in [low, high]; None in `shape` is any length."""
-        size = " x ".join("n" if n is None else str(n) for n in shape)
-        allowed = f"{size} numbers from {low:g} to {high:g}"
-        value = self._get(key, allowed)
-        try:
-            array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            raise self.fail(key, allowed) from None
-        fits = array.ndim == len(shape) and all(
-            n is None or n == m for n, m in zip(shape, array.shape, strict=True)
-        )
-        if not fits or not np.all((array >= low) & (array <= high)):
-            raise self.fail(key, allowed)
-        return array
+        return np.asarray(self.value(_key(key, Numbers(shape, low, high))))
 
     def child(self, key: str) -> Fields:
         """Return the mapping at `key`."""
@@ -136,20 +353,15 @@ class Fields:
 
     def children(self, key: str) -> list[Fields]:
         """Return the mappings of the list at `key`."""
-        value = self._get(key, "a list of mappings")
-        if not isinstance(value, list):
-            raise self.fail(key, "a list of mappings")
+        value = self.value(_key(key, List()))
         return [
             Fields(item, f"{self._where}: {key}[{i}]", self._error) for i, item in enumerate(value)
         ]
 
     def read(self, kind: type[Data]) -> Data:
         """Return a dataclass whose fields are `measured`; the mapping has no other keys."""
-        values = {}
-        for item in dataclasses.fields(kind):  # type: ignore[arg-type]
-            default = None if item.default is dataclasses.MISSING else item.default
-            key, (low, high) = item.metadata["key"], item.metadata["range"]
-            values[item.name] = self.number(key, low, high, default)
+        items = dataclasses.fields(kind)  # type: ignore[arg-type]
+        values = {item.name: self.value(item.metadata["key"]) for item in items}
         self.finish()
         return kind(**values)
 
@@ -157,16 +369,30 @@ class Fields:
         """Refuse keys that nobody asked for: most of them are spelling mistakes."""
         unknown = [str(key) for key in self._data if key not in self._used]
         if unknown:
+            known = sorted(self._used)
             raise self._error(
-                f"{self._where}: unknown key {unknown[0]}, allowed: {', '.join(sorted(self._used))}"
+                f"{self._where}: unknown key {unknown[0]}{did_you_mean(unknown[0], known)}, "
+                f"allowed: {', '.join(known)}"
             )
+
+
+def required(key: Key) -> Key:
+    """Return a key that may not be left out here."""
+    return dataclasses.replace(key, default=REQUIRED)
+
+
+def _key(name: str, kind: Kind, default: Any = None) -> Key:
+    """Return a key of a file that has no reference; None: there is no default."""
+    return Key(name, kind, "", REQUIRED if default is None else default)
 
 
 def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
     """Return the top mapping of a YAML file; every failure is one clear line of type `error`."""
     path = Path(path)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        again = _twice(yaml.compose(text, yaml.SafeLoader))
+        data = yaml.safe_load(text)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as problem:
@@ -176,28 +402,42 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
         line = f" at line {mark.line + 1}" if mark is not None else ""
         reason = getattr(problem, "problem", None) or "no valid YAML"
         raise error(f"{path}: broken YAML{line}: {reason}") from None
+    if again:
+        raise error(f"{path.name}: {again}")
     return Fields(data, path.name, error)
 
 
-CONFIGURED_BY = ("plate_core", "plate_bringup")
-"""Packages that install files of config/."""
+def _twice(node: yaml.Node | None) -> str:
+    """Name the first key that stands twice in one mapping, at any depth; empty if none does."""
+    if isinstance(node, yaml.SequenceNode):
+        return next(filter(None, map(_twice, node.value)), "")
+    if not isinstance(node, yaml.MappingNode):
+        return ""
+    lines: dict[str, int] = {}
+    for key, value in node.value:
+        line, name = key.start_mark.line + 1, str(key.value)
+        if name in lines:
+            return f"key {name} stands twice, at line {lines[name]} and at line {line}; remove one"
+        lines[name] = line
+        again = _twice(value)
+        if again:
+            return again
+    return ""
+
+
+CONFIG = Path(__file__).parent / "config"
+"""The folder config/: a link to it in the source tree, a copy where the package is installed."""
 
 
 def config_path(name: str) -> Path:
-    """Return the path of a file of config/, installed or in the source tree.
+    """Return the path of a file or folder of config/.
 
     Raises
     ------
     PlateError
-        If it is in neither.
+        If there is none of that name.
     """
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
-    places = [p / "share" / package / "config" for p in prefixes for package in CONFIGURED_BY]
-    places += [parent / "config" for parent in Path(__file__).resolve().parents]
-    for place in places:
-        if (place / name).exists():
-            return place / name
-    raise PlateError(
-        f"config file {name}: in no share/{' or share/'.join(CONFIGURED_BY)} of AMENT_PREFIX_PATH, "
-        "nor in the source tree; are these packages installed and sourced?"
-    )
+    path = CONFIG / name
+    if not path.exists():
+        raise PlateError(f"config file {name}: not in {CONFIG}")
+    return path

@@ -1,5 +1,7 @@
 """Diagnostics come by the steady clock, whatever comes in and whatever ROS time does."""
 
+import re
+import sys
 import time
 
 import pytest
@@ -9,8 +11,8 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
-from plate_core.ros import DATA, DIAGNOSTICS_PERIOD_S, Diagnostics  # noqa: E402
-from plate_core.status import Finding, Level  # noqa: E402
+from plate_core.ros import DATA, DIAGNOSTICS_PERIOD_S, Diagnostics, compiling  # noqa: E402
+from plate_core.status import COMPILING, Finding, Level  # noqa: E402
 
 LONGEST_S = 20.0
 
@@ -71,3 +73,25 @@ def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):
             assert len(heard) == before + 1
     level[0] = Level.OK
     until(lambda: heard[-1].status[0].level == b"\x00")
+
+
+def test_a_node_that_compiles_says_so(talker, monkeypatch, capfd):
+    node, heard, until = talker
+    module = sys.modules[compiling.__module__]
+    monkeypatch.setattr(module, "QUIET_S", 0.05)
+    monkeypatch.setattr(module, "TELL_S", 0.05)
+    with compiling(node):
+        until(lambda: len(heard) >= 3)
+    (status,) = heard[-1].status
+    assert (status.name, int.from_bytes(status.level)) == ("/diagnostics_test/talker", Level.WARN)
+    assert re.match(f"{COMPILING} for [0-9]+ s ", status.message)
+    log = capfd.readouterr().err
+    assert log.count(COMPILING) == 1  # diagnostics each second, the log not as often
+    assert "compiled within" in log
+
+
+def test_a_node_that_has_compiled_before_says_nothing(talker, capfd):
+    node, _, _ = talker
+    with compiling(node):
+        pass
+    assert "compil" not in capfd.readouterr().err

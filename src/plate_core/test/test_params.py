@@ -67,6 +67,11 @@ def test_descriptions_are_told(make_node):
         ("count:=true", "parameter count is True, allowed: a value of type int"),
         ("method:=slow", "parameter method is 'slow', allowed: one of fast, exact"),
         ("name:=3", "parameter name is 3, allowed: a value of type str"),
+        (
+            "cuont:=4",
+            "parameter cuont is not one of parametric (did you mean count?), allowed: gain, count, "
+            "method, name, on",
+        ),
         ("on:=1", "parameter on is 1, allowed: a value of type bool"),
     ],
 )

@@ -1,5 +1,6 @@
 """Scenarios: what is shipped, what is refused, where parts start."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from plate_core.tasks import (
     scenario_names,
     start_positions,
 )
-from plate_core.tasks.scenario import MIN_SEPARATION_M
+from plate_core.tasks.scenario import SCATTER_GAPS
 
 SORT = """
 description: test
@@ -127,7 +128,7 @@ def test_the_papers_tasks_are_shipped():
 
 
 def test_an_unknown_name_lists_the_available_ones():
-    with pytest.raises(ScenarioError, match=r"'sort_11'.*follow_2, .*sort_10") as info:
+    with pytest.raises(ScenarioError, match=r"11' \(did you mean sort_\d+\?\).*follow_2") as info:
         load_scenario("sort_11")
     assert "\n" not in str(info.value)
 
@@ -147,6 +148,9 @@ def test_an_unknown_name_lists_the_available_ones():
         ),
         (SORT, ", grey: right", "", r"grey is missing"),
         (SORT, "grey: right", "grey: right, red: left", r"unknown key red, allowed: black, grey"),
+        (SORT, "hold_s: 0.5", "hold_s: 0.5, hold_s: 5", r"key hold_s stands twice, at line"),
+        (SORT, "time_limit_s: 10", "task: {kind: sort}", r"key task stands twice, at"),
+        (SORT, "time_limit_s: 10", "time_limit_s: 10\nmakred: true", r"did you mean marked\?"),
         (
             SORT,
             "kind: sort",
@@ -156,7 +160,7 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "goal_fraction: 0.6", "goal_fraction: 0.9", r"goal_fraction is 0.9, allowed"),
         (SORT, "time_limit_s: 10", "time_limit_s: .nan", r"time_limit_s is nan, allowed"),
         (SORT, "time_limit_s: 10", "", r"time_limit_s is missing"),
-        (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing"),
+        (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing, .*there is time_lim"),
         (SORT, "[[0.1, 0.0]]", "[[0.1, 0.0]], count: 1", r"positions_m is .*not both"),
         (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
         (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),
@@ -253,7 +257,7 @@ def test_scattered_parts_keep_apart_and_clear_of_the_edges(rig):
     for seed in range(20):
         _, position = start_positions(scenario, rig, np.random.default_rng(seed))
         gap = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
-        assert np.min(gap + np.eye(len(position))) >= MIN_SEPARATION_M
+        assert np.min(gap + np.eye(len(position))) >= SCATTER_GAPS[0] * rig.parts.radius_m
         assert np.all(np.abs(position) <= [0.85 * 0.30, 0.80 * 0.15])
 
 
@@ -275,8 +279,22 @@ def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
 
 def test_too_many_parts_are_refused(tmp_path, rig):
     scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 100")))
-    with pytest.raises(ScenarioError, match=r"100 parts to scatter, allowed: as many as fit"):
-        start_positions(scenario, rig, np.random.default_rng(0))
+    large = replace(rig, parts=replace(rig.parts, radius_m=0.025))
+    with pytest.raises(ScenarioError, match=r"100 parts to scatter, allowed: \d\d; .* 25 mm rad"):
+        start_positions(scenario, large, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("name", "radius", "sides"), [("sort_10", 0.025, (0.6, 0.3)), ("sort_4", 0.005, (0.15, 0.15))]
+)
+def test_parts_are_scattered_by_their_size(rig, name, radius, sides):
+    plate = replace(rig.plate, length_m=sides[0], width_m=sides[1])
+    other = replace(rig, plate=plate, parts=replace(rig.parts, radius_m=radius))
+    for seed in range(5):
+        _, position = start_positions(load_scenario(name), other, np.random.default_rng(seed))
+        gap = np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1))
+        assert np.min(gap + np.eye(len(position))) >= 2.5 * radius
+        assert np.all(np.abs(position) <= plate.half - 1.5 * radius)
 
 
 @pytest.mark.parametrize("text", [SORT, FOLLOW])

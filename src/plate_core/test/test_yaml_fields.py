@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateError
-from plate_core.yaml_fields import Fields, read_yaml
+from plate_core.yaml_fields import Fields, Key, Number, Text, read_yaml
 
 
 class FileError(PlateError):
@@ -81,6 +81,40 @@ def test_unknown_keys_are_refused():
     f.number("a", 0, 1)
     with pytest.raises(FileError, match=r"file\.yaml: unknown key typo, allowed: a$"):
         f.finish()
+
+
+def test_the_nearest_known_key_is_asked_for():
+    f = fields(a=1, hold=2)
+    assert f.number("a", 0, 1) + f.number("hold_s", 0, 1, default=0) == 1
+    with pytest.raises(FileError, match=r"key hold \(did you mean hold_s\?\), allowed: a, "):
+        f.finish()
+    with pytest.raises(FileError, match=r"hold_s is missing, .* \(there is hold, is that it\?\)"):
+        fields(a=1, hold=2).number("hold_s", 0, 1)
+    optional = fields(makred=True)
+    assert not optional.has("marked")
+    with pytest.raises(FileError, match=r"did you mean marked\?"):
+        optional.finish()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\nb: 2\na: 3\n", "key a stands twice, at line 1 and at line 3; remove one"),
+        ("a: {mu: 1, mu: 2}\n", "key mu stands twice, at line 1 and at line 1"),
+        ("a:\n- b: 1\n- c: 1\n  c: 2\n", "key c stands twice, at line 3 and at line 4"),
+    ],
+)
+def test_a_key_that_stands_twice_is_refused(tmp_path, text, message):
+    path = tmp_path / "some.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError, match=rf"some\.yaml: {message}"):
+        read_yaml(path, FileError)
+
+
+def test_a_key_tells_its_unit_by_its_name():
+    names = {"a_m": "m", "b_mps2": "m/s^2", "c_deg": "degrees", "mu": "-", "goal_fraction": "-"}
+    assert {name: Key(name, Number(0, 1), "").unit for name in names} == names
+    assert Key("side_m", Text(), "").unit == ""
 
 
 def test_keys_are_in_order_and_known():

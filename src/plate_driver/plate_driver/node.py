@@ -96,8 +96,11 @@ class Options:
 
 
 class DriverNode(SafeLifecycleNode):
-    """Lifecycle node `driver`: subscribes plate_cycle, publishes motor_setpoints and motor_states
-    while active, and diagnostics always; serves calibrate.
+    """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
+
+    Subscribes plate_cycle.
+    Publishes motor_setpoints and motor_states while active, driver_state and diagnostics always.
+    Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate.
 
     What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
     in every lifecycle state: emergency_stop, cut_power, enable, home and driver_state. Nothing but
@@ -187,7 +190,13 @@ class DriverNode(SafeLifecycleNode):
                 transport.stop()
             elif transport.enable(self._latch.number).done:
                 self._latch.open(self._latch.number)
+
+    @logged
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to pass cycles on, and say so before the first one."""
+        result = super().on_activate(state)
         self._safety.publish_state()
+        return result
 
     def rest(self) -> None:
         """Have the motors stop, and wait until they are off."""
@@ -201,9 +210,9 @@ class DriverNode(SafeLifecycleNode):
         if not done:
             self.get_logger().error(UNANSWERED)
         else:
-            end = self._now() + REST_S
+            end = time.monotonic() + REST_S
             while transport.report.condition not in (Condition.OFF, Condition.GONE):
-                if self._now() > end:
+                if time.monotonic() > end:
                     self.get_logger().error(f"the plate still moves after {REST_S:g} s")
                     break
                 time.sleep(0.01)
@@ -283,7 +292,17 @@ class DriverNode(SafeLifecycleNode):
 
     # Work
 
+    @property
+    def _simulated(self) -> bool:
+        """Whether time is the simulator's: true motors get warm in true time."""
+        transport = self._transport
+        plain = transport is not None and not transport.motors
+        return plain and bool(self.get_parameter("use_sim_time").value)
+
     def _now(self) -> float:
+        """Time in which cycles are played, and motors get warm [s]."""
+        if self._simulated:
+            return 1e-9 * self.get_clock().now().nanoseconds
         return time.monotonic()
 
     def _take(self) -> None:
@@ -307,7 +326,10 @@ class DriverNode(SafeLifecycleNode):
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
             msg = deserialize_message(data, JointTrajectory)
             stamp_ns = nanoseconds(msg.header.stamp)
-            guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, self._now())
+            now = self._now()
+            if self._simulated:  # the clock may be heard after the cycle
+                now = max(now, 1e-9 * stamp_ns)
+            guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, now)
             self._send(transport, guard, number)
         except PlateError as error:
             self._guard = self._guard.refused()
@@ -474,7 +496,7 @@ class DriverNode(SafeLifecycleNode):
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")
         state, statistics = self.state_text(), self._guard.statistics
-        return health(state, statistics, self._again, self._quiet_s(now), lasting)
+        return health(state, statistics, self._again, self._quiet_s(self._now()), lasting)
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""
@@ -505,4 +527,4 @@ class DriverNode(SafeLifecycleNode):
 
 def main() -> None:
     """Run the driver."""
-    run_node(DriverNode)
+    run_node(DriverNode, Options)

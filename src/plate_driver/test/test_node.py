@@ -18,6 +18,7 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -281,6 +282,20 @@ def test_foreign_cycle_and_silence(peer, rig):
     assert at_rest(peer.answer(LAST_STAMP, count=2))
 
 
+@pytest.mark.parametrize("peer", [["hold_cycles:=2", "use_sim_time:=true"]], indirect=True)
+def test_in_simulated_time_silence_is_simulated_too(peer):
+    peer.connect()
+    clock = peer.node.create_publisher(Clock, "/clock", DATA)
+    assert peer.until(lambda: clock.get_subscription_count() > 0)
+    peer.send(shaking(0.0005), LAST_STAMP)
+    peer.answer(LAST_STAMP)
+    count = len(peer.reports)
+    assert peer.until(lambda: len(peer.reports) > count + 1)
+    assert peer.value("rests") == "0"  # the plate waits: nothing has come for a second and more
+    clock.publish(Clock(clock=to_time(LAST_STAMP + 250 * MS)))
+    assert peer.until(lambda: peer.value("rests") == "1")
+
+
 @pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
 def test_lifecycle(peer):
     assert peer.state() == "unconfigured"
@@ -402,14 +417,15 @@ def test_the_command_line_stops_and_tells(peer):
             [sys.executable, "-c", code, *words, "--namespace", NAMESPACE],
             capture_output=True, text=True, timeout=60,
         )  # fmt: skip
-        return done.returncode, done.stdout
+        return done.returncode, done.stdout + done.stderr
 
     assert plate("emergency_stop") == (0, EMERGENCY + "\n")
     code, text = plate("state")
+    assert "\n  driver: " in text
     assert (code, EMERGENCY in text) == (0, True)
     assert plate("enable") == (0, "ready\n")
     code, text = plate("start")
-    assert (code, "no service start" in text) == (1, True)
+    assert (code, "no service start: nodes here: driver, driver_safety" in text) == (1, True)
 
 
 def test_a_stop_latches_in_every_state(peer):

@@ -26,6 +26,7 @@ from plate_core.ros import (
     LATCHED,
     NEWEST,
     Diagnostics,
+    compiling,
     declare,
     follow,
     forces_to_msg,
@@ -66,6 +67,10 @@ class PlannerParameters:
     autostart: bool = parameter(
         False, "Start the task once, as soon as the driver is ready, without the service `start`"
     )
+    lockstep: bool = parameter(
+        False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
+        "one before, with autostart the second one when the task runs; so a seed repeats a run",
+    )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
         "A running task ends when parts, plate_cycle or driver_state fail for longer [s, wall]",
@@ -141,8 +146,12 @@ class PlannerParameters:
 
 
 class PlannerNode(Node):
-    """Subscribes `parts`, `plate_cycle`, `driver_state`; publishes `part_forces`, `task_state` and
-    `diagnostics`; serves `start` and `stop`."""
+    """Node `planner`: runs a task; says for each image which mean force it wants on each part.
+
+    Subscribes parts, plate_cycle, driver_state, diagnostics.
+    Publishes part_forces, task_state, markers, diagnostics.
+    Services start and stop: begin and end the task.
+    """
 
     def __init__(self) -> None:
         super().__init__("planner")
@@ -152,11 +161,15 @@ class PlannerNode(Node):
         self._state = self._planner.initial()
         self._progress: Progress | None = None
         self._start_timeout_s = max(values.start_timeout_s, values.input_timeout_s)
-        self._autostart = values.autostart
+        self._autostart, self._lockstep = values.autostart, values.lockstep
+        self._asked_ns: int | None = None  # stamp of the last part_forces
+        self._open = False  # whether plate_cycle has not answered them yet
+        self._early: MultiDOFJointState | None = None  # parts that came too early, in lockstep
         self._began = 0.0  # when the task was started, by the steady clock
         self._stopped = False  # by a person, which is no failure
         self._refused = ""
-        warm_up(rig)
+        with compiling(self):
+            warm_up(rig)
         self._reported = ""
         follow(self, values, self._retune)
 
@@ -181,6 +194,8 @@ class PlannerNode(Node):
 
         self._report()
         self.get_logger().info(f"scenario {values.scenario}: {self._planner.scenario.description}")
+        for doubt in self._planner.doubts():
+            self.get_logger().warning(doubt)
 
     # Inputs
 
@@ -189,6 +204,26 @@ class PlannerNode(Node):
         self._stamp = stamp = msg.header.stamp
         self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
         self._start_by_itself(now)
+        self._early = msg
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Plan what came, unless it is too early.
+
+        In lockstep driver and simulator may have heard a cycle, or the driver that it is ready,
+        and gone on to the next image before we hear it: that is chance, and must not matter.
+        """
+        msg = self._early
+        if msg is None:
+            return
+        next_one = self._asked_ns is not None and nanoseconds(msg.header.stamp) > self._asked_ns
+        if not (self._lockstep and next_one and (self._open or self._autostart)):
+            self._early = None
+            self._plan(msg)
+
+    def _plan(self, msg: MultiDOFJointState) -> None:
+        """Answer the parts of an image."""
+        stamp = msg.header.stamp
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -208,6 +243,7 @@ class PlannerNode(Node):
             self._diagnostics.publish()  # in lockstep a task may be over within a report's period
 
     def _ask(self, msg: MultiDOFJointState) -> None:
+        self._asked_ns, self._open = nanoseconds(msg.header.stamp), True
         self._forces.publish(msg)
         self._inputs = self._inputs.asked(time.monotonic())
 
@@ -219,10 +255,17 @@ class PlannerNode(Node):
             cycle = msg_to_cycle(msg)
         except PlateError as error:
             self._warn(str(error))
-            return
+        else:
+            self._state = self._planner.hear(self._state, cycle, self._arrival(stamp))
+        if nanoseconds(msg.header.stamp) == self._asked_ns:
+            self._open = False
+            self._go_on()
+
+    def _arrival(self, stamp: float) -> float:
+        """Return when the cycle came that answers an image [s, the time of the stamps]."""
         now = 1e-9 * self.get_clock().now().nanoseconds
-        arrival = now if abs(now - stamp) < SAME_CLOCK_S else stamp
-        self._state = self._planner.hear(self._state, cycle, arrival)
+        # In lockstep it is never late, whatever our clock has already heard.
+        return now if abs(now - stamp) < SAME_CLOCK_S and not self._lockstep else stamp
 
     def _on_driver(self, msg: String) -> None:
         now = self._wake()
@@ -244,6 +287,9 @@ class PlannerNode(Node):
         now = self._wake()
         self._start_by_itself(now)
         self._judge(now)
+        if self._early is not None and self._inputs.answer_overdue(now, self._period):
+            self._open = False
+            self._go_on()
 
     def _wake(self) -> float:
         """Return the time, and end the task if this process has stood still."""
@@ -296,14 +342,17 @@ class PlannerNode(Node):
 
     def _not_ready(self, now: float) -> str:
         """Say why no task can be started; empty if one can."""
-        return self._inputs.driver_problem(now) or self._inputs.parts_problem(
-            now, self._publisher_count
+        return (
+            self._inputs.compiling(now)
+            or self._inputs.driver_problem(now)
+            or self._inputs.parts_problem(now, self._publisher_count)
         )
 
     def _start(self, now: float) -> None:
         self._autostart, self._stopped, self._began = False, False, now
         self._state = self._planner.start(self._state)
         self._report()
+        self._go_on()
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         now, scenario = self._wake(), self._planner.scenario
@@ -317,7 +366,12 @@ class PlannerNode(Node):
             return response
         self._start(now)
         response.success = True
-        response.message = f"{scenario.name} starts as soon as all {scenario.count} parts are seen"
+        response.message = "; ".join(
+            (
+                f"{scenario.name} starts as soon as all {scenario.count} parts are seen",
+                *self._planner.doubts(),
+            )
+        )
         return response
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -326,6 +380,7 @@ class PlannerNode(Node):
         self._autostart, self._stopped = False, True
         self._state = self._planner.stop(self._state)
         self._report()
+        self._go_on()
         response.success = True
         response.message = f"{self._planner.scenario.name} stopped, was {was}"
         return response
@@ -383,4 +438,4 @@ class PlannerNode(Node):
 
 def main() -> None:
     """Run the node."""
-    run_node(PlannerNode)
+    run_node(PlannerNode, PlannerParameters)

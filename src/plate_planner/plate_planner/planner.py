@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -14,13 +15,17 @@ from plate_core.tasks import Scenario, check_scenario
 from .estimation import DriftBias, Estimator
 from .supervision import (
     Findings,
+    LastSeen,
     Phase,
     Progress,
     TaskLimits,
     TaskState,
     begin,
+    gone,
     judge,
     missing_parts,
+    remedy,
+    shakes_little,
     shortfall_text,
     started,
     stopped,
@@ -68,6 +73,8 @@ class PlannerState:
         What the rules of the task remember; None before it begins.
     known : tuple of str
         Ids in the last image with all parts.
+    last : mapping of str to LastSeen
+        Where each part was on the plate when it was seen last.
     answer : (Wanted, Progress) or None
         Answer to the last image, given again when the same image comes again.
     """
@@ -76,6 +83,7 @@ class PlannerState:
     estimator: Estimator
     memory: Any = None
     known: tuple[str, ...] = ()
+    last: Mapping[str, LastSeen] = field(default_factory=dict)
     answer: tuple[Wanted, Progress] | None = None
 
 
@@ -100,6 +108,12 @@ class Planner:
         """The rules of the task: kept, since they hold tables of paths and bins."""
         return rules_for(self.scenario.task, self.rig, self.options)
 
+    def doubts(self) -> tuple[str, ...]:
+        """Say, before the start, what this rig will probably not do, and what would do."""
+        if not shakes_little(self.rig):
+            return self.rules.doubts()
+        return (*self.rules.doubts(), f"{remedy(self.rig, 1)}; expect it to take long")
+
     @property
     def limits(self) -> TaskLimits:
         """When to give up, and when to call it done."""
@@ -120,7 +134,7 @@ class Planner:
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen twice."""
-        return replace(state, task=started(), memory=None)
+        return replace(state, task=started(), memory=None, last={})
 
     def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
@@ -160,7 +174,9 @@ class Planner:
         if clock.went_back(t) and state.task.phase is Phase.RUNNING:
             state = self.start(state)
         state = replace(state, estimator=state.estimator.update(parts, t))
-        present = self._on_plate(state.estimator.parts if self.rules.estimated else parts)
+        there = state.estimator.parts if self.rules.estimated else parts
+        present = self._on_plate(there)
+        state = replace(state, last=self._last_seen(state.last, there, t))
         state, found = self._advance(state, present)
         wanted = NOTHING
         if state.task.active and found.request is not None and len(present):
@@ -173,9 +189,20 @@ class Planner:
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
 
+    def _last_seen(
+        self, before: Mapping[str, LastSeen], parts: Parts, t: float
+    ) -> Mapping[str, LastSeen]:
+        """Where each part was seen last; of one that is off the plate, where it left it."""
+        half = self.rig.plate.half
+        off = {name for name, at in before.items() if np.any(np.abs(at.position) > half)}
+        on = np.all(np.abs(parts.position) <= half, axis=1)
+        seen = zip(parts.ids, parts.position.tolist(), on, strict=True)
+        now = {i: LastSeen((x, y), t) for i, (x, y), back in seen if back or i not in off}
+        return {**before, **now}
+
     def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
         """Bring the task up to date."""
-        t = state.estimator.stamp
+        t, count = state.estimator.stamp, self.scenario.count
         missing = missing_parts(self.scenario, state.known, parts)
         again = set(state.known) == set(parts.ids) <= set(state.estimator.seen.ids)
         task = begin(state.task, t, missing, again, self.limits)
@@ -187,7 +214,9 @@ class Planner:
             found.goal_met,
             found.to_go_m,
             found.problem,
-            shortfall_text(estimator.request, self.rig, parts, found.distance),
+            shortfall_text(estimator.request, self.rig, parts, found.distance, count),
+            found.outcome,
+            gone(missing, state.last, t if task.began is None else task.began, self.rig, count),
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
@@ -248,7 +277,9 @@ class Planner:
             to_go_m=found.to_go_m,
             rms_error_m=found.rms_error_m,
             max_error_m=found.max_error_m,
+            turn_error=found.turn_error,
             speed_scaling=found.speed_scaling,
+            pace=found.pace,
             period_s=estimator.period,
             image_age_s=estimator.latency.latency,
         )

@@ -15,6 +15,7 @@ from plate_planner.supervision import (
     started,
     stopped,
 )
+from plate_planner.supervision.phase import LOOK
 
 LIMITS = TaskLimits(
     time_limit_s=10.0, hold_s=0.5, start_timeout_s=3.0, unseen_timeout_s=1.0, nearer_m=0.002
@@ -50,7 +51,7 @@ def test_it_gives_up_waiting_for_parts():
     waiting = run((5.0, GONE, False), state=started())
     assert run((8.0, GONE, False), state=waiting).phase is Phase.RUNNING
     state = run((8.0 + EPS, ("2 of 5 black parts", "grey_1"), False), state=waiting)
-    assert state.text == "aborted: 2 of 5 black parts, grey_1 not seen within 3 s of start"
+    assert state.text == "aborted: 2 of 5 black parts, grey_1 not seen within 3 s of start; " + LOOK
 
 
 def test_it_gives_up_waiting_for_the_same_parts_again():
@@ -58,13 +59,13 @@ def test_it_gives_up_waiting_for_the_same_parts_again():
     assert not waiting.active
     assert begin(waiting, 8.0, (), False, LIMITS).phase is Phase.RUNNING
     state = begin(waiting, 8.0 + EPS, (), False, LIMITS)
-    assert state.text == "aborted: no two images with the same parts within 3 s of start"
+    assert state.text == "aborted: no two images with the same parts within 3 s of start; " + LOOK
 
 
 def test_done_when_the_goal_was_met_for_the_hold_time():
     assert run((101.0, (), True), (101.5 - EPS, (), True)).phase is Phase.RUNNING
     state = run((101.0, (), True), (101.5, (), True))
-    assert (state.text, state.ended, state.elapsed(200.0)) == ("done", 101.5, 1.5)
+    assert (state.text, state.ended, state.elapsed(200.0)) == ("done after 1.5 s", 101.5, 1.5)
 
 
 def test_a_break_starts_the_hold_time_again():
@@ -75,6 +76,25 @@ def test_a_break_starts_the_hold_time_again():
 def test_without_a_hold_time_the_first_image_counts():
     state = judge(RUNNING, 101.0, Findings((), True, 0.0), replace(LIMITS, hold_s=0.0))
     assert state.phase is Phase.DONE
+
+
+def test_the_end_says_how_it_went_and_what_became_of_a_part():
+    limits = replace(LIMITS, hold_s=0.0)
+    done = judge(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
+    assert done.text == "done after 1.0 s: 4 of 4 parts"
+    found = Findings(("black_1", "grey_2"), False, 0.0, gone={"black_1": "black_1 left the plate"})
+    state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.1, found, LIMITS)
+    assert state.text == "lost part after 2.1 s: black_1 left the plate; grey_2"
+
+
+def test_a_time_limit_says_whether_it_was_still_getting_nearer():
+    near = judge(RUNNING, 100.0, Findings((), False, 0.2), LIMITS)
+    near = judge(near, 109.0, Findings((), False, 0.1), LIMITS)
+    state = judge(near, 110.1, Findings((), False, 0.1, detail="grey_2 has 8 mm to go"), LIMITS)
+    assert state.text == (
+        "stuck after 10.1 s: time limit of 10 s (still getting nearer: a longer time_limit_s would "
+        "do); grey_2 has 8 mm to go"
+    )
 
 
 def test_a_part_may_hide_for_a_while():
@@ -88,7 +108,8 @@ def test_a_part_may_hide_for_a_while():
 
 def test_the_time_limit():
     assert run((110.0, (), False)).phase is Phase.RUNNING
-    assert run((110.0 + EPS, (), False)).text == "stuck after 10.0 s: time limit of 10 s"
+    state = run((101.0, (), False), (110.0 + EPS, (), False))
+    assert state.text == "stuck after 10.0 s: time limit of 10 s"
 
 
 def test_done_at_the_last_moment_is_done():

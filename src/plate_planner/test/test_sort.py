@@ -59,11 +59,11 @@ def test_y_is_free_in_the_middle_and_exact_at_the_edge():
     assert (low[1], high[1]) == pytest.approx((-0.6, 0.6))
     low, high = interval("grey_1", 0, 0.775)
     assert (low[1], high[1]) == pytest.approx((-0.8, -0.2))
-    for y in (0.85, 0.99):
+    for y, most in ((0.85, 1), (0.99, 2)):  # and faster inwards is welcome where a fall is near
         low, high = interval("grey_1", 0, y)
-        assert (low[1], high[1]) == pytest.approx((-1, -1))
+        assert (low[1], high[1]) == pytest.approx((-most, -1))
         low, high = interval("grey_1", 0, -y)
-        assert (low[1], high[1]) == pytest.approx((1, 1))
+        assert (low[1], high[1]) == pytest.approx((1, most))
 
 
 def test_requests_do_not_jump():
@@ -106,7 +106,7 @@ def test_a_class_without_a_goal_is_only_kept_on_the_plate():
     low, high = interval("red_1", 0.3, 0.3)
     assert low == pytest.approx([-0.6, -0.6])
     assert high == pytest.approx([0.6, 0.6])
-    low, high = interval("red_1", -0.9, 0.9)
+    low, high = interval("red_1", -0.87, 0.87)
     assert low == pytest.approx([1, -1])
     assert high == pytest.approx([1, -1])
     parts = Parts.make(("red_1",), np.array([[0.29, 0]]))
@@ -178,17 +178,62 @@ def fractions(*points: tuple[float, float]) -> np.ndarray:
     return np.array(points) * HALF
 
 
+def test_nothing_else_is_asked_while_a_part_is_nearly_off_the_plate():
+    others = fractions((-0.5, 0.0), (0.4, 0.5), (0.86, 0.0))
+    ids = ("black_1", "black_2", "grey_1", "grey_2")
+    free = 0.0
+    for y, share in ((0.88, 0.0), (0.915, 0.5), (0.95, 1.0)):
+        parts = Parts.make(ids, np.vstack([others, fractions((0.0, -y))]))
+        low, high = (x / OPTIONS.drift_max for x in vars(SORTER.request(parts, 0.1)).values())
+        assert low[3, 1] == pytest.approx(1)  # inwards, whatever the others do
+        assert high[3, 1] == pytest.approx(1 + share)
+        free = high[0, 0] if share == 0 else free
+        assert free < -0.2
+        assert high[0, 0] == pytest.approx((1 - share) * free + share * 2, abs=0.01)
+        assert high[2, 0] <= 0  # not off another edge meanwhile
+        assert np.all(low <= high)
+
+
+def test_a_place_near_an_edge_is_no_danger():
+    task = SortTask({"grey": Bin(((0.2, 0.1), (0.3, 0.1), (0.3, 0.15), (0.2, 0.15)))}, 0.0, 0.5)
+    sorter = Sorter(task, RIG, OPTIONS)
+    place = slots(task.regions["grey"], RIG)
+    there = place[np.argmax(place[:, 1])]
+    assert there[1] > 0.9 * HALF[1]
+    parts = Parts.make(("grey_1", "grey_2"), np.array([there, [-0.1, 0.0]]))
+    request = sorter.request(parts, 0.1)
+    assert request.low[1, 0] == pytest.approx(OPTIONS.drift_max, rel=0.2)  # on its way as ever
+
+
+def test_corners_are_sorted_along_x_first_and_then_along_y():
+    task = SortTask({"black": Side(-1, 1), "grey": Side(1, -1)}, goal_fraction=0.6, hold_s=0.5)
+    sorter = Sorter(task, RIG, OPTIONS)
+    ids = ("black_1", "grey_1")
+
+    def asked(*points):
+        request = sorter.request(Parts.make(ids, fractions(*points)), 0.1)
+        return request.low / OPTIONS.drift_max, request.high / OPTIONS.drift_max
+
+    low, high = asked((-0.7, 0.2), (0.3, 0.3))  # grey is not at its end
+    assert (low[1, 0], high[1, 0]) == pytest.approx((1, 2))
+    assert low[:, 1] == pytest.approx([-0.6, -0.6])
+    assert high[:, 1] == pytest.approx([0.6, 0.6])
+    low, high = asked((-0.7, -0.3), (0.7, 0.3))
+    assert (low[0, 1], high[0, 1]) == pytest.approx((1, 2))
+    assert (low[1, 1], high[1, 1]) == pytest.approx((-2, -1))
+    assert np.all((low[:, 0] < 0.61) & (high[:, 0] > -0.61))  # and stay at their ends
+
+
 def test_a_corner_wants_both_axes_and_top_is_left_turned_round():
     task = SortTask({"black": Side(-1, 1), "grey": Side(0, 1)}, goal_fraction=0.6, hold_s=0.5)
     sorter = Sorter(task, RIG, OPTIONS)
     ids = ("black_1", "black_2", "black_3", "grey_1", "grey_2")
-    points = fractions((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.9, 0.7), (0.0, 0.0))
+    points = fractions((-0.7, 0.7), (-0.7, 0.3), (0.3, 0.2), (0.86, 0.7), (0.0, 0.0))
     parts = Parts.make(ids, points)
     short = [0, 0.3 * HALF[1], np.hypot(0.9 * HALF[0], 0.4 * HALF[1]), 0, 0.6 * HALF[1]]
     assert sorter.to_go(parts) == pytest.approx(np.array(short))
     low, high = (x / OPTIONS.drift_max for x in vars(sorter.request(parts, 0.1)).values())
-    assert (low[2, 1], high[2, 1]) == pytest.approx((1, 2))  # up
-    assert (low[2, 0], high[2, 0]) == pytest.approx((-2, -1))  # and to the left
+    assert (low[2, 0], high[2, 0]) == pytest.approx((-2, -1))  # to the left first
     assert (low[4, 0], high[4, 0]) == pytest.approx((-0.6, 0.6))  # grey's x is free
     # On a square plate the rules along y are those along x.
     square = replace(RIG, plate=replace(RIG.plate, width_m=RIG.plate.length_m))
@@ -228,8 +273,32 @@ def test_a_bin_too_small_for_its_parts_is_refused():
     room = len(slots(small, RIG))
     assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
     scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
-    with pytest.raises(ScenarioError, match=rf"bin of black is for {room + 1} parts, .*{room},"):
+    with pytest.raises(ScenarioError, match=rf"region of black is for {room + 1} parts, .*{room},"):
         Sorter(scenario.task, RIG).check(scenario)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.03])
+def test_two_bins_in_one_place_are_refused(shift):
+    other = Bin(tuple((x + shift, y) for x, y in BIN.corner))
+    beside = Bin(tuple((-x, y) for x, y in BIN.corner))
+    scenario = load_scenario("sort_4")
+    with pytest.raises(ScenarioError, match=r"bins of black and grey overlap .*one beside"):
+        Sorter(SortTask({"black": BIN, "grey": other}, 0, 0), RIG).check(scenario)
+    Sorter(SortTask({"black": BIN, "grey": beside}, 0, 0), RIG).check(scenario)
+
+
+def test_a_corner_too_small_for_its_parts_is_refused():
+    task = SortTask({"black": Side(-1, -1), "grey": Side(1, 0)}, goal_fraction=0.6, hold_s=0)
+    scenario = replace(load_scenario("sort_4"), task=task)
+    room = 5 * 3  # of 16 mm, centres in 75 x 37.5 mm
+    for count, fits in ((room, True), (room + 1, False)):
+        parts = (PartGroup("black", count), PartGroup("grey", 50))
+        crowded = replace(scenario, parts=parts)
+        if fits:
+            Sorter(task, RIG).check(crowded)
+            continue
+        with pytest.raises(ScenarioError, match=r"black is for 16 parts, allowed: at most 15,"):
+            Sorter(task, RIG).check(crowded)
 
 
 def test_no_parts_no_request():

@@ -23,6 +23,7 @@ from plate_core.ros import (
     Diagnostics,
     array_to_image,
     camera_to_info,
+    compiling,
     declare,
     msg_to_knots,
     msg_to_motors,
@@ -127,10 +128,14 @@ class Tally:
 
 
 class SimulatorNode(Node):
-    """Node `simulator`: subscribes motor_setpoints; publishes image_raw, camera_info, diagnostics
-    and, unless it runs in real time, /clock. `ground_truth` (parts on the plate with true names,
-    angles, velocities and spins) is for judging a run: no stage may subscribe to it. The service
-    `~/reset` puts the parts down anew.
+    """Node `simulator`: plays motor tables, moves the parts, takes the camera's images.
+
+    Subscribes motor_setpoints (or, driven by the device, motor_motion).
+    Publishes image_raw, camera_info, diagnostics, ground_truth and, unless in real time, /clock.
+    Service ~/reset: put the parts down anew.
+
+    `ground_truth` (parts on the plate with true names, angles, velocities and spins) is for judging
+    a run: no stage may subscribe to it.
 
     Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
     are moved to t_k+1. Driven by the device it is the device's clock that counts: the parts follow
@@ -172,8 +177,10 @@ class SimulatorNode(Node):
     def _compile(self) -> None:
         """Have everything compiled before time starts."""
         state = self._simulation.state
-        run_cycle(state, self._playback.cycle, self._rig)
-        Camera(self._rig).render(state.position, np.zeros(len(state.ids)), np.random.default_rng(0))
+        angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
+        with compiling(self):
+            run_cycle(state, self._playback.cycle, self._rig)
+            Camera(self._rig).render(state.position, angle, rng)
 
     def _connect(self) -> None:
         self._images = self.create_publisher(Image, "image_raw", IMAGE)
@@ -378,4 +385,4 @@ class SimulatorNode(Node):
 
 def main() -> None:
     """Run the simulator."""
-    run_node(SimulatorNode)
+    run_node(SimulatorNode, Options)

@@ -215,3 +215,14 @@ def test_walls_need_a_plate():
             PlateCycle.rest(0.1), disc(0.01), [[0, 0]], 0, [[0, 0]], 0, 0.2,
             contacts=Contacts(walls=True),
         )  # fmt: skip
+
+
+def test_parts_that_do_not_touch_take_nothing_from_a_pair_that_does():
+    # The first two squares meet; the others near each other, but stay 1.5 mm apart.
+    square = polygon([[0.01, 0.01], [-0.01, 0.01], [-0.01, -0.01], [0.01, -0.01]])
+    place = [[0, 0], [0.0201, 0], [0.1, 0], [0.122, 0]]
+    run = simulate_bodies(
+        PlateCycle.rest(0.005), square, place, 0, [[0.1, 0], [0, 0], [0, 0], [-0.1, 0]], 0, 0,
+        contacts=Contacts(),
+    )  # fmt: skip
+    np.testing.assert_allclose(run.velocity[-1, :, 0], [0.05, 0.05, 0, -0.1], atol=1e-12)

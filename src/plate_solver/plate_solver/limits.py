@@ -14,12 +14,24 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 from plate_core.kernels import kernel
 from plate_core.motion import PIECES
+from plate_core.rig import force_per_accel, motor_loads
 
 MARGIN = 0.98
 """Fraction of the limits that a search uses: its samples may miss a peak by a little."""
 
+SPINNING = 1.05
+"""A plate that spins takes a little more force for the same acceleration of its corners."""
+
 CERTAIN = 0.999
 """Fraction of the limits that a finished cycle uses at most, by its control points."""
+
+
+EQUAL_WEIGHT = np.ones(1)
+"""Weights of samples at equal steps."""
+
+HULL_WEIGHT = np.array([2.0, 1, 1, 1, 1])
+"""Weights of control points at equal steps: a square's mean is at most that of the points' squares,
+as the six basis functions of a piece share its time; its last point is the next one's first."""
 
 
 class Limits(NamedTuple):
@@ -35,6 +47,12 @@ class Limits(NamedTuple):
         Of motors [m], [m/s], and of any point of the plate [m/s2].
     arm_m : float
         Length that turns theta into a travel of its usual effect: scales the parameters.
+    loads : (3, 4, 3)
+        Force of each motor for pose, twist and acceleration, over its peak force.
+    heat : float
+        Peak force over continuous force.
+    forceful : bool
+        Whether motors may lack force or get hot where all else is within limits.
     """
 
     motors: np.ndarray
@@ -43,10 +61,16 @@ class Limits(NamedTuple):
     speed: float
     accel: float
     arm_m: float
+    loads: np.ndarray
+    heat: float
+    forceful: bool
 
     @classmethod
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
         """Take a fraction of a rig's limits."""
+        limits = rig.limits
+        needed = SPINNING * limits.accel * float(np.max(force_per_accel(rig)))
+        weak = needed > limits.force or needed > SPINNING * 1.01 * limits.continuous_force
         return cls(
             np.array([[m.point, m.direction] for m in rig.motors], dtype=float),
             np.asarray(rig.plate.half, dtype=float),
@@ -54,6 +78,9 @@ class Limits(NamedTuple):
             fraction * rig.limits.speed,
             fraction * rig.limits.accel,
             float(np.hypot(*rig.plate.half)) * 0.6,
+            motor_loads(rig) / (fraction * limits.force),
+            limits.force / limits.continuous_force,
+            rig.suspension is not None or weak,
         )
 
     @property
@@ -64,15 +91,10 @@ class Limits(NamedTuple):
 
 
 @kernel(fastmath=True, error_model="numpy")
-def limit_use(
+def motion_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, limits: Limits, linear: bool
 ) -> float:
-    """Return the greatest fraction of a limit that samples (n, 3) of a motion use.
-
-    With the control points of a spline motion it is a bound, as in `plate_core.motion.usage`.
-    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits
-    still counts.
-    """
+    """Return the greatest fraction of stroke, speed or acceleration that samples (n, 3) use."""
     stroke = speed = peak = 0.0
     motors, half = limits.motors, limits.half
     for k in range(len(pose)):
@@ -101,11 +123,55 @@ def limit_use(
     return max(stroke / limits.stroke_m, speed / limits.speed, sqrt(peak) / limits.accel)
 
 
+@kernel(fastmath=True, error_model="numpy")
+def force_use(
+    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits
+) -> float:
+    """Return the greatest fraction of a motor's peak or continuous force that samples use."""
+    most = hottest = total = 0.0
+    for k in range(len(pose)):
+        total += weight[k % len(weight)]
+    for i in range(limits.loads.shape[1]):
+        square = 0.0
+        for k in range(len(pose)):
+            force = 0.0
+            for c in range(3):
+                force += limits.loads[0, i, c] * pose[k, c] + limits.loads[1, i, c] * twist[k, c]
+                force += limits.loads[2, i, c] * accel[k, c]
+            most = max(most, abs(force))
+            square += weight[k % len(weight)] * force * force
+        hottest = max(hottest, square / total)
+    return max(most, limits.heat * sqrt(hottest))
+
+
+@kernel(fastmath=True, error_model="numpy")
+def limit_use(
+    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
+    linear: bool,
+) -> float:  # fmt: skip
+    """Return the greatest fraction of a limit that samples (n, 3) of a motion use.
+
+    With the control points of a spline motion it is a bound, as in `plate_core.motion.usage`.
+    Searches take it `linear` in theta, so that the scale of a motion far beyond the limits
+    still counts.
+
+    Parameters
+    ----------
+    weight : (m,)
+        Time that each sample stands for, over and over again from the first to the last: for the
+        motors' heat, as if the motion were played for ever.
+    """
+    used = motion_use(pose, twist, accel, limits, linear)
+    return max(used, force_use(pose, twist, accel, weight, limits)) if limits.forceful else used
+
+
 def within_limits(cycle: PlateCycle, full: Limits) -> PlateCycle:
     """Return the cycle, scaled down as a whole if its control points exceed the full limits."""
+    share = np.repeat(np.diff(cycle.times), 5 * PIECES)
+    share[::5] += np.roll(share[::5], 1)
     for _ in range(4):  # turning enters with its square: nearly linear in the scale
         pose, twist, accel = (cycle.control_points(order, PIECES) for order in range(3))
-        used = limit_use(pose, twist, accel, full, False)
+        used = limit_use(pose, twist, accel, share, full, False)
         if used <= CERTAIN:
             break
         cycle = cycle.scaled(0.9995 * CERTAIN / used)

@@ -14,11 +14,13 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import Parts, PlateCycle, PlateError, Wanted, load_rig
+from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
     NEWEST,
     Diagnostics,
     centres_to_msg,
+    compiling,
     cycle_to_msg,
     declare,
     follow,
@@ -86,15 +88,23 @@ class Tally:
 
 
 class SolverNode(Node):
-    """Node `solver`: subscribes part_forces, publishes plate_cycle and diagnostics."""
+    """Node `solver`: finds the next plate cycle that puts the wanted mean force on each part.
+
+    Subscribes part_forces. Publishes plate_cycle, one for each, and markers, diagnostics.
+    """
 
     def __init__(self) -> None:
         super().__init__("solver")
         options = declare(self, Options)
         self._rig = rig = load_rig(options.rig_file)
+        limit = rig.reach.limit
+        self.get_logger().info(f"Gamma = {rig.gamma:.1f}, limited by {limit} of the rig file")
+        for doubt in doubts(rig, "motors", "limits"):
+            self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
         self._controller = Controller(rig, options.method, options.seed)
-        warm_up(self._controller, rig.plate.half)
+        with compiling(self):
+            warm_up(self._controller, rig.plate.half)
         self._sent: deque[Sent] = deque(maxlen=4)
         self._tally = Tally()
         self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0}
@@ -238,4 +248,4 @@ def warm_up(controller: Controller, half: np.ndarray) -> None:
 
 def main() -> None:
     """Run the solver."""
-    run_node(SolverNode)
+    run_node(SolverNode, Options)

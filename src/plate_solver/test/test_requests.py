@@ -11,6 +11,7 @@ from plate_sim import simulate
 from plate_solver import RotationSolver, SinusoidSolver, Status
 from plate_solver.maps import step_forces
 from plate_solver.requests.request import request_flags
+from plate_solver.sinusoids.average import invert
 
 METHODS = {"sinusoids": SinusoidSolver, "rotations": RotationSolver}
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
@@ -173,6 +174,15 @@ def test_slack_makes_possible_what_is_not(method):
     assert abs(got[0, 1] - 0.1) <= own
     assert abs(got[1, 1] - 0.1) <= 0.01 + own
     assert abs(got[1, 0] + 0.15) <= 0.2 + own
+
+
+def test_no_order_of_numbers_in_memory_compiles_the_search_again():
+    position = np.asfortranarray([[0.05, 0.03], [-0.1, 0.03]])
+    force = np.asfortranarray([[0.05, 0.1], [-0.05, 0.1]])
+    solver = SinusoidSolver(RIG, restarts=1)
+    for slack in (None, np.asfortranarray([[np.inf, 0.0], [0.2, 0.01]])):
+        solver.solve(position, force, np.zeros((2, 2), order="F"), tolerance=slack)
+    assert len(invert.signatures) == 1
 
 
 @BOTH

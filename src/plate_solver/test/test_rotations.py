@@ -18,6 +18,7 @@ CORNERS = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 CENTRES = np.array([[0.1, 0.05], [-0.2, 0.0], [0.0, -0.12], [0.28, 0.14]])
 PERIOD, ACCEL = 0.2, 90.0
 TWISTS = unit_twists(CENTRES, HALF)
+NO_LOADS = np.empty((0, 3))
 HOLDS = np.array([1.0, 2.0, 0.5, 1.5, 0.3])
 SPEED = np.array([0.25, -0.2, 0.1, -0.3])
 TURNS = TWISTS * SPEED[:, None]
@@ -25,7 +26,7 @@ TURNS = TWISTS * SPEED[:, None]
 
 def line(turns=TURNS, least=0.0):
     """Knots of the example sequence."""
-    return timeline(HOLDS, turns, ramps(turns, HALF, ACCEL, least)[0], PERIOD)
+    return timeline(HOLDS, turns, ramps(turns, HALF, NO_LOADS, ACCEL, least)[0], PERIOD)
 
 
 @pytest.fixture(name="played")

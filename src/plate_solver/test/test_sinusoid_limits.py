@@ -61,6 +61,6 @@ def test_limits_are_used_as_the_rig_says(rig, limits, size):
     for seed in range(5):
         cycle = limited.cycle(size * limited.random(np.random.default_rng(seed)))
         points = (cycle.control_points(order) for order in range(3))
-        used = limit_use(*points, Limits.of(rig, 1.0), False)
+        used = limit_use(*points, np.ones(1), Limits.of(rig, 1.0), False)
         # Control points lie around the motion, at 8 knots to a wave by a little.
         assert used == pytest.approx(usage(rig, cycle).worst, rel=5e-3)

@@ -12,6 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from plate_core.rig import PART_PX
+
 from .camera import grey_levels
 from .discs import (
     RIM_PX,
@@ -88,7 +90,7 @@ class DetectorOptions:
     """
 
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
-        "radius_px": (3.0, 200.0),
+        "radius_px": PART_PX,
         "radius_tolerance": (0.05, 0.6),
         "threshold": (0.1, 0.95),
         "class_threshold": (0.05, 0.95),

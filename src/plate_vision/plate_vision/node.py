@@ -18,12 +18,14 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
+from plate_core.rig import doubts
 from plate_core.ros import (
     CAMERA,
     DATA,
     IMAGE,
     Diagnostics,
     array_to_image,
+    compiling,
     declare,
     follow,
     parameter,
@@ -138,17 +140,23 @@ class Tally:
 
 
 class DetectorNode(Node):
-    """Node `detector`: subscribes image_raw and camera_info, publishes parts and diagnostics.
+    """Node `detector`: finds the parts, and the plate if it has markers, in the camera's images.
+
+    Subscribes image_raw (or image_raw/compressed), camera_info.
+    Publishes parts, plate_pose (with markers), detections_image, markers, diagnostics.
+    Service ~/reset: forget all parts, and find the plate again.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
-    is in the image say its markers, or the rig file. With markers, `plate_pose` is published too.
+    is in the image say its markers, or the rig file.
     """
 
     def __init__(self) -> None:
         super().__init__("detector")
         values = declare(self, DetectorParameters)
         self._rig = load_rig(values.rig_file)
+        for doubt in doubts(self._rig, "camera", "parts"):
+            self.get_logger().warning(doubt.text)
         self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
@@ -158,7 +166,8 @@ class DetectorNode(Node):
             size = self._rig.camera
             self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
         self._vision = make_vision(self._rig, values.detector(), self._lens)
-        warm_up(self._vision)
+        with compiling(self):
+            warm_up(self._vision)
         self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
         self._follow = follow(self, values, self._retune)
@@ -386,4 +395,4 @@ def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:
 
 def main() -> None:
     """Run the node."""
-    run_node(DetectorNode)
+    run_node(DetectorNode, DetectorParameters)

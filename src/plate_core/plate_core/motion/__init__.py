@@ -4,7 +4,7 @@ A `PlateCycle` is knots and quintic splines; `usage` holds one against a rig's l
 """
 
 from .cycle import PIECES, PlateCycle, quintic_pieces
-from .kinematics import motor_levers, motor_state, plate_state
+from .kinematics import motor_state, plate_state
 from .limits import CycleUsage, corner_accel, derivative, polynomial_peaks, usage
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "PlateCycle",
     "corner_accel",
     "derivative",
-    "motor_levers",
     "motor_state",
     "plate_state",
     "polynomial_peaks",

@@ -93,15 +93,6 @@ def plate_state(
     return pose, twist, accel
 
 
-def motor_levers(rig: Rig) -> np.ndarray:
-    """Return B^T (4, 3) at home: what each motor's travel is of the pose x, y, theta [1, 1, m].
-
-    So forces f (4,) push the plate with the wrench f B^T [N, N, N m].
-    """
-    point, direction = _geometry(rig)
-    return _jacobian(direction, _projections(point, direction, np.zeros(1))[1])[0]
-
-
 def _geometry(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     point = np.array([motor.point for motor in rig.motors])
     direction = np.array([motor.direction for motor in rig.motors])

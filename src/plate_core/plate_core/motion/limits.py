@@ -1,7 +1,7 @@
 """How much of the rig's limits a motion uses: on its exact splines, not on samples.
 
 Between two times h apart a curve is within h^2 max |c''| / 8 of its chord; pieces that can still
-hide a peak are halved until it is bounded to 1e-6.
+hide a peak are cut until it is bounded to 1e-6.
 """
 
 from __future__ import annotations
@@ -11,16 +11,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..rig import Rig, mass_matrix
+from ..rig import Rig, motor_loads
 from .cycle import PlateCycle, quintic_pieces
-from .kinematics import motor_levers, motor_state
+from .kinematics import motor_state
 
 CERTAINTY = 1e-6
 """A peak comes out too high by this fraction of its value at most."""
 
+CUTS = 8
+"""Pieces that may hide a peak are cut in so many: the bound's gap is 1/64 then."""
+
 MOST_PIECES = 4000
-"""More halves than this, beyond the motion's own pieces, are not examined: the bound so far is the
-answer, too high for a motion far beyond any limit. Others take some 50."""
+"""More parts than this, beyond the motion's own pieces, are not examined: the bound so far is the
+answer, too high for a motion far beyond any limit. Others take some 20."""
 
 GAUSS_U, GAUSS_WEIGHT = np.polynomial.legendre.leggauss(6)
 """Exact for polynomials up to degree 11: for the square of a quintic."""
@@ -85,21 +88,16 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Powers (k, 6, 4) of the time since the knot of the motors' forces [N].
 
     They carry the plate's mass and, where the rig file tells of flexures, stretch those:
-    f = B^+ (M z'' + C z' + K z), B the motors' levers at home.
+    see `plate_core.rig.motor_loads`.
     """
-    inverse = np.linalg.pinv(motor_levers(rig).T)
     pose = cycle.coefficients
-    suspension = rig.suspension
-    if suspension is None:
-        sides = rig.plate.length_m**2 + rig.plate.width_m**2
-        need = _padded(derivative(pose, 2)) @ np.array(
-            mass_matrix(rig.plate.mass_kg, rig.plate.mass_kg * sides / 12)
+    return np.asarray(
+        sum(
+            _padded(derivative(pose, order)) @ load.T
+            for order, load in enumerate(motor_loads(rig))
+            if np.any(load)
         )
-    else:
-        need = pose @ np.array(suspension.stiffness)
-        need = need + _padded(derivative(pose)) @ np.array(suspension.damping)
-        need = need + _padded(derivative(pose, 2)) @ np.array(suspension.mass)
-    return np.asarray(need @ inverse.T)
+    )
 
 
 def polynomial_peaks(
@@ -163,34 +161,28 @@ def _peaks(
     """Return the peak of each group of curves; `group` (k,) tells which one a piece belongs to.
 
     Their vectors bend by at most `bend` (k,), the second derivative: between two times h apart a
-    curve is within h^2 bend/8 of its chord. Pieces that can still hide a peak are halved. What
-    cannot be computed is infinite.
+    curve is within h^2 bend/8 of its chord. Pieces that can still hide a peak are cut in `CUTS`.
+    What cannot be computed is infinite.
     """
-    piece = np.arange(len(steps))
-    start, length = np.zeros(len(steps)), np.array(steps, dtype=float)
-    left, right = _most(curve(piece, start)), _most(curve(piece, length))
     low = np.zeros(int(np.max(group)) + 1)
-    np.maximum.at(low, group, np.maximum(left, right))
+    piece, start, length = np.arange(len(steps)), np.zeros(len(steps)), np.asarray(steps, float)
+    spans = 1
     while True:
-        high = np.maximum(left, right) + bend[piece] * length**2 / 8
+        t = start[:, None] + length[:, None] * np.arange(spans + 1) / spans
+        value = np.max(curve(np.repeat(piece, spans + 1), t.ravel()), axis=1).reshape(t.shape)
+        np.maximum.at(low, group[piece], np.max(value, axis=1))
+        length = length / spans
+        high = np.maximum(value[:, :-1], value[:, 1:]) + (bend[piece] * length**2 / 8)[:, None]
         if not np.all(np.isfinite(high)):
             return np.full(len(low), np.inf)
-        hides = high > np.maximum(low[group[piece]] * (1 + CERTAINTY), enough)
-        if not np.any(hides):
+        seen = np.maximum(low[group[piece]] * (1 + CERTAINTY), enough)
+        hiding, span = np.nonzero(high > seen[:, None])
+        if not len(hiding):
             return np.asarray(low * (1 + CERTAINTY))
-        if len(piece) > MOST_PIECES + len(steps):
-            np.maximum.at(low, group[piece], high)
+        if len(hiding) > MOST_PIECES + len(steps):
+            np.maximum.at(low, group[piece], np.max(high, axis=1))
             return low
-        piece, start, length = piece[hides], start[hides], length[hides] / 2
-        middle = _most(curve(piece, start + length))
-        np.maximum.at(low, group[piece], middle)
-        left, right = np.append(left[hides], middle), np.append(middle, right[hides])
-        start = np.append(start, start + length)
-        piece, length = np.tile(piece, 2), np.tile(length, 2)
-
-
-def _most(values: np.ndarray) -> np.ndarray:
-    return np.asarray(np.max(values, axis=1))
+        piece, start, length, spans = piece[hiding], t[hiding, span], length[hiding], CUTS
 
 
 def _at(coefficients: np.ndarray, t: np.ndarray) -> np.ndarray:

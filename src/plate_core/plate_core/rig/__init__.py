@@ -1,13 +1,16 @@
 """Measured facts of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials.
 
-Also its frames: room (`plate_home`), moving plate, image. A rig file is read by `load_rig`.
+Also its frames: room (`plate_home`), moving plate, image. A rig file is read by `load_rig`;
+`SECTIONS` are its keys.
 """
 
+from .consistency import CYCLE_HZ, PART_PX, Doubt, doubts
 from .fiducials import Fiducials
 from .frames import (
     camera_pose,
     fit_homography,
     homography,
+    part_radius_px,
     project,
     surface_velocity,
     to_home,
@@ -15,7 +18,9 @@ from .frames import (
     to_plate,
 )
 from .lens import Lens
+from .motors import PEAK_OVER_RMS, Reach, force_per_accel, motor_levers, motor_loads, plate_mass
 from .rig import (
+    SECTIONS,
     Camera,
     Friction,
     Limits,
@@ -25,11 +30,18 @@ from .rig import (
     Rig,
     default_rig_path,
     load_rig,
+    rig_names,
+    rig_path,
 )
 from .suspension import Suspension, mass_matrix, modal_matrices
 
 __all__ = [
+    "CYCLE_HZ",
+    "PART_PX",
+    "PEAK_OVER_RMS",
+    "SECTIONS",
     "Camera",
+    "Doubt",
     "Fiducials",
     "Friction",
     "Lens",
@@ -37,16 +49,25 @@ __all__ = [
     "Motor",
     "PartFacts",
     "Plate",
+    "Reach",
     "Rig",
     "Suspension",
     "camera_pose",
     "default_rig_path",
+    "doubts",
     "fit_homography",
+    "force_per_accel",
     "homography",
     "load_rig",
     "mass_matrix",
     "modal_matrices",
+    "motor_levers",
+    "motor_loads",
+    "part_radius_px",
+    "plate_mass",
     "project",
+    "rig_names",
+    "rig_path",
     "surface_velocity",
     "to_home",
     "to_image",

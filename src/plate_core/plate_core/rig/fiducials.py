@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import RigError
 from ..yaml_fields import Fields
+from .keys import FAR_M, FIDUCIALS
 
 LEAST, MOST = 4, 16
 """How many there may be: fewer than four cannot be checked against each other."""
@@ -53,8 +54,8 @@ def read_fiducials(fields: Fields) -> Fiducials:
     RigError
         If a key is missing, unknown, or its value is not allowed.
     """
-    dictionary = fields.text("dictionary")
-    side = fields.number("side_m", 0.001, 1)
+    dictionary = fields.value(FIDUCIALS["dictionary"])
+    side = fields.value(FIDUCIALS["side_m"])
     centres = fields.child("centre_m")
     names = centres.keys()
     if not LEAST <= len(names) <= MOST:
@@ -63,7 +64,7 @@ def read_fiducials(fields: Fields) -> Fiducials:
         raise RigError(
             f"{centres.where}: keys are {', '.join(names)}, allowed: marker_0, marker_1 and so on"
         )
-    places = [centres.array(name, (2,), -10, 10) for name in names]
+    places = [centres.array(name, (2,), -FAR_M, FAR_M) for name in names]
     gap = np.linalg.norm(np.array(places)[:, None] - places, axis=2)
     if np.any(gap[~np.eye(len(places), dtype=bool)] < 1.2 * side):
         raise RigError(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import RigError
-from .rig import Rig
+
+if TYPE_CHECKING:
+    from .rig import Rig
 
 
 def to_home(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -92,6 +96,14 @@ def to_image(rig: Rig, point: np.ndarray) -> np.ndarray:
     straight = project(homography(rig), point)
     lens = rig.camera.lens
     return straight if lens is None or not lens.bends else lens.bend(straight)
+
+
+def part_radius_px(rig: Rig) -> float:
+    """Return the radius of a part in the middle of the plate as the camera sees it [px]."""
+    radius = rig.parts.radius_m
+    right, left, up, down = to_image(rig, radius * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+    (ax, ay), (bx, by) = right - left, up - down
+    return float(np.sqrt(np.abs(ax * by - ay * bx)) / 2)
 
 
 def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:

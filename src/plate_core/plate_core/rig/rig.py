@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import RigError
-from ..yaml_fields import Fields, config_path, measured, read_yaml
+from ..errors import RigError, did_you_mean
+from ..yaml_fields import Fields, Section, config_path, keys_of, measured, read_yaml, required
+from . import keys
+from .consistency import check
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
+from .motors import Reach, reach
 from .suspension import Suspension, read_suspension
 
 
@@ -19,9 +23,11 @@ from .suspension import Suspension, read_suspension
 class Plate:
     """The plate: its sides along x and y at rest [m] and its mass [kg]."""
 
-    length_m: float = measured("length_m", 0.01, 10)
-    width_m: float = measured("width_m", 0.01, 10)
-    mass_kg: float = measured("mass_kg", 0.001, 1000)
+    length_m: float = measured("length_m", 0.01, 10, "Side of the plate along x.")
+    width_m: float = measured("width_m", 0.01, 10, "Side of the plate along y.")
+    mass_kg: float = measured(
+        "mass_kg", 0.001, 1000, "Mass of the plate with all that moves with it."
+    )
 
     @property
     def half(self) -> np.ndarray:
@@ -38,8 +44,8 @@ class Plate:
 class Friction:
     """Coulomb friction between parts and plate: coefficient [-] and gravity [m/s2]."""
 
-    mu: float = measured("mu", 0.01, 2)
-    gravity: float = measured("gravity_mps2", 0.1, 30)
+    mu: float = measured("mu", 0.01, 2, "Coefficient of dynamic friction between parts and plate.")
+    gravity: float = measured("gravity_mps2", 0.1, 30, "Gravity.")
 
     @property
     def accel(self) -> float:
@@ -51,8 +57,8 @@ class Friction:
 class PartFacts:
     """The parts: round, all alike; mass [kg] and radius [m]."""
 
-    mass_kg: float = measured("mass_kg", 1e-6, 10)
-    radius_m: float = measured("radius_m", 1e-4, 1)
+    mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part; all parts are alike.")
+    radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part; all parts are round.")
 
 
 @dataclass(frozen=True)
@@ -76,14 +82,44 @@ class Limits:
         watched.
     """
 
-    stroke_m: float = measured("stroke_m", 1e-5, 1)
-    speed: float = measured("speed_mps", 1e-3, 100)
-    accel: float = measured("accel_mps2", 0.1, 1e4)
-    force: float = measured("force_n", 1e-3, 1e6, 200.0)
-    continuous_force: float = measured("continuous_force_n", 1e-3, 1e6, 100.0)
-    thermal_time_s: float = measured("thermal_time_s", 0.1, 1e5, 60.0)
-    heat_rise_k: float = measured("heat_rise_k", 0.1, 1e3, 80.0)
-    following_error_m: float = measured("following_error_m", 0, 1, 0.0)
+    stroke_m: float = measured(
+        "stroke_m", 1e-5, 1, "How far each motor can go from home, to either side."
+    )
+    speed: float = measured("speed_mps", 1e-3, 100, "Greatest speed of each motor.")
+    accel: float = measured(
+        "accel_mps2",
+        0.1,
+        1e4,
+        "Greatest acceleration of any point of the plate; less where motors lack the force.",
+    )
+    force: float = measured(
+        "force_n", 1e-3, 1e6, "Greatest force of each motor, for a moment.", 200.0
+    )
+    continuous_force: float = measured(
+        "continuous_force_n",
+        1e-3,
+        1e6,
+        "Root mean square force that each motor bears for ever; half of `force_n` where only that "
+        "is given.",
+        100.0,
+    )
+    thermal_time_s: float = measured(
+        "thermal_time_s", 0.1, 1e5, "Time constant of the heat of a motor's winding.", 60.0
+    )
+    heat_rise_k: float = measured(
+        "heat_rise_k",
+        0.1,
+        1e3,
+        "How much warmer than the air a winding is at the continuous force.",
+        80.0,
+    )
+    following_error_m: float = measured(
+        "following_error_m",
+        0,
+        1,
+        "Distance of a motor from where it was told to be that is a fault; 0: not watched.",
+        0.0,
+    )
 
 
 @dataclass(frozen=True)
@@ -122,10 +158,15 @@ class Rig:
     suspension: Suspension | None = None
     fiducials: Fiducials | None = None
 
+    @cached_property
+    def reach(self) -> Reach:
+        """What acceleration any point of the plate can have for ever, and what limits it."""
+        return reach(self)
+
     @property
     def gamma(self) -> float:
-        """Shaking ratio a_max/(mu g) [-]: the number that rules the problem."""
-        return self.limits.accel / self.friction.accel
+        """Shaking ratio a_max/(mu g) [-], the number that rules the problem: a_max is `reach`."""
+        return self.reach.accel / self.friction.accel
 
     @property
     def force_unit(self) -> float:
@@ -136,12 +177,38 @@ class Rig:
 def default_rig_path() -> Path:
     """Return the rig file to use when none is named.
 
-    That is, in order: the file named by the environment variable PLATE_RIG, the one installed
-    with plate_core, the one of the source tree.
+    That is the one named by the environment variable PLATE_RIG, or else config/rig.yaml.
     """
     if "PLATE_RIG" in os.environ:
         return Path(os.environ["PLATE_RIG"])
     return config_path("rig.yaml")
+
+
+def rig_names() -> tuple[str, ...]:
+    """Return the names of the rigs in config/rigs."""
+    return tuple(sorted(path.stem for path in config_path("rigs").glob("*.yaml")))
+
+
+def rig_path(name_or_path: str | Path | None = None) -> Path:
+    """Return the file of a rig that is named, or the default one: as `load_rig`.
+
+    Raises
+    ------
+    RigError
+        If it is neither a file nor the name of one: the message lists those there are.
+    """
+    text = str(name_or_path or "")
+    if not text:
+        return default_rig_path()
+    if Path(text).is_file() or text.endswith((".yaml", ".yml")):
+        return Path(text)
+    names = rig_names()
+    if text not in names:
+        raise RigError(
+            f"rig is {text!r}{did_you_mean(text, names)}, allowed: {', '.join(names)}, or the path "
+            "of a .yaml file"
+        )
+    return config_path("rigs") / f"{text}.yaml"
 
 
 def load_rig(path: str | Path | None = None) -> Rig:
@@ -150,7 +217,8 @@ def load_rig(path: str | Path | None = None) -> Rig:
     Parameters
     ----------
     path : path, optional
-        YAML file; `default_rig_path()` if None or empty.
+        YAML file, or the name of one in config/rigs, such as desk; `default_rig_path()` if None or
+        empty.
 
     Returns
     -------
@@ -159,28 +227,41 @@ def load_rig(path: str | Path | None = None) -> Rig:
     Raises
     ------
     RigError
-        If a key is missing, unknown, or its value is out of range: the message names the key, the
-        value and what is allowed.
+        If a key is missing, unknown, or its value is out of range, or facts contradict each other:
+        the message names the key, the value and what is allowed.
     """
-    fields = read_yaml(path or default_rig_path(), RigError)
+    file = rig_path(path)
+    rig = read_rig(file)
+    try:
+        check(rig)
+    except RigError as error:
+        raise RigError(f"{file.name}: {error}") from None
+    return rig
+
+
+def read_rig(path: Path) -> Rig:
+    """Read a rig file as `load_rig`, but do not hold its facts against each other."""
+    fields = read_yaml(path, RigError)
     plate = fields.child("plate").read(Plate)
     rig = Rig(
         plate=plate,
         friction=fields.child("friction").read(Friction),
         parts=fields.child("parts").read(PartFacts),
-        limits=fields.child("limits").read(Limits),
+        limits=_limits(fields.child("limits")),
         motors=_motors(fields.child("motors")),
         camera=_camera(fields.child("camera")),
         suspension=_suspension(fields, plate),
         fiducials=read_fiducials(fields.child("fiducials")) if fields.has("fiducials") else None,
     )
     fields.finish()
-    if rig.gamma <= 1:
-        raise RigError(
-            f"limits: accel_mps2 is {rig.limits.accel:g}, allowed: more than mu g = "
-            f"{rig.friction.accel:g} m/s2 (below that parts never slide)"
-        )
     return rig
+
+
+def _limits(fields: Fields) -> Limits:
+    limits = fields.read(Limits)
+    if fields.has("force_n") and not fields.has("continuous_force_n"):
+        return replace(limits, continuous_force=limits.force / 2)
+    return limits
 
 
 def _suspension(fields: Fields, plate: Plate) -> Suspension | None:
@@ -198,8 +279,8 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
     motors = []
     for name in names:
         child = fields.child(name)
-        point = child.array("point_m", (2,), -10, 10)
-        direction = child.array("direction", (2,), -1, 1)
+        point = child.value(keys.MOTOR["point_m"])
+        direction = child.value(keys.MOTOR["direction"])
         length = float(np.hypot(*direction))
         if length < 1e-6:
             raise child.fail("direction", "a vector that is not zero")
@@ -207,21 +288,13 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
         motors.append(
             Motor(name, (point[0], point[1]), (direction[0] / length, direction[1] / length))
         )
-    rows = [
-        (m.direction[0], m.direction[1], m.point[0] * m.direction[1] - m.point[1] * m.direction[0])
-        for m in motors
-    ]
-    if np.linalg.matrix_rank(np.array(rows), tol=1e-3) < 3:
-        raise RigError(
-            "motors: their directions and points cannot move the plate in x, y and theta"
-        )
     return tuple(motors)
 
 
 def _camera(fields: Fields) -> Camera:
-    width = fields.integer("width_px", 16, 16384)
-    height = fields.integer("height_px", 16, 16384)
-    corners = fields.array("corners_px", (4, 2), -16384, 32768)
+    width = fields.value(keys.CAMERA["width_px"])
+    height = fields.value(keys.CAMERA["height_px"])
+    corners = fields.value(keys.CAMERA["corners_px"])
     x, y = corners.T
     area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
     if abs(area) < 100:
@@ -229,7 +302,7 @@ def _camera(fields: Fields) -> Camera:
     camera = Camera(
         width_px=width,
         height_px=height,
-        exposure_s=fields.number("exposure_s", 0, 0.1),
+        exposure_s=fields.value(keys.CAMERA["exposure_s"]),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
         lens=_lens(fields, width, height),
     )
@@ -240,11 +313,11 @@ def _camera(fields: Fields) -> Camera:
 def _lens(fields: Fields, width: int, height: int) -> Lens | None:
     if not any(fields.has(key) for key in ("focal_px", "centre_px", "distortion")):
         return None
-    fx, fy = fields.array("focal_px", (2,), 1, 1e6)
-    cx, cy = fields.array("centre_px", (2,), -1e6, 1e6)
+    fx, fy = fields.value(required(keys.CAMERA["focal_px"]))
+    cx, cy = fields.value(required(keys.CAMERA["centre_px"]))
     distortion = [0.0] * 5
     if fields.has("distortion"):
-        distortion = fields.array("distortion", (5,), -100, 100).tolist()
+        distortion = fields.value(keys.CAMERA["distortion"]).tolist()
     k1, k2, p1, p2, k3 = distortion
     lens = Lens((float(fx), float(fy)), (float(cx), float(cy)), (k1, k2, p1, p2, k3))
     across, down = np.linspace(0, width - 1, 33), np.linspace(0, height - 1, 33)
@@ -252,3 +325,16 @@ def _lens(fields: Fields, width: int, height: int) -> Lens | None:
     if not np.all(np.isfinite(lens.straighten(image))):
         raise fields.fail("distortion", "one that does not fold the image")
     return lens
+
+
+SECTIONS = (
+    Section("plate", "The plate.", keys_of(Plate)),
+    Section("friction", "Coulomb friction between parts and plate.", keys_of(Friction)),
+    Section("parts", "The parts: round, all alike.", keys_of(PartFacts)),
+    Section("limits", "What the motors and the plate can do.", keys_of(Limits)),
+    keys.MOTOR,
+    keys.CAMERA,
+    keys.FIDUCIALS,
+    keys.SUSPENSION,
+)
+"""All of a rig file, in the order of the reference."""

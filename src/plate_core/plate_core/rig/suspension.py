@@ -8,12 +8,10 @@ from math import inf, pi
 import numpy as np
 
 from ..errors import RigError
-from ..yaml_fields import Fields
+from ..yaml_fields import Fields, required
+from .keys import SUSPENSION
 
 Matrix = tuple[tuple[float, float, float], ...]
-
-STIFFEST = 1e9
-"""Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
 
 ASYMMETRY = 1e-6
 """Greatest difference of entries that should mirror each other, as a fraction of the largest."""
@@ -139,8 +137,9 @@ def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]
         If a key is missing, unknown, or its value is out of range.
     """
     uniform = mass_kg * (sides_m[0] ** 2 + sides_m[1] ** 2) / 12
-    inertia = fields.number("inertia_kgm2", 1e-9, 1e6, default=uniform)
-    centre = _vector(fields, "centre_of_mass_m", (0.0, 0.0), -10, 10)
+    given = fields.value(SUSPENSION["inertia_kgm2"])
+    inertia = uniform if given is None else given
+    centre = tuple(map(float, fields.value(SUSPENSION["centre_of_mass_m"])))
     mass = mass_matrix(mass_kg, inertia, (centre[0], centre[1]))
     if fields.has("stiffness") or fields.has("damping"):
         damping = _matrix(fields, "damping")
@@ -148,14 +147,14 @@ def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]
     else:
         damping, stiffness = modal_matrices(
             mass,
-            fields.array("frequency_hz", (3,), 0, 1e3),
-            fields.array("damping_ratio", (3,), 0, 2),
+            fields.value(required(SUSPENSION["frequency_hz"])),
+            fields.value(required(SUSPENSION["damping_ratio"])),
         )
     known = fields.child("feedforward")
     supplied = [known.number(key, 0, 2) for key in ("mass", "damping", "stiffness")]
     known.finish()
-    gain = _vector(fields, "motor_gain", (1.0,) * 4, 0.1, 3)
-    bandwidth = fields.number("motor_bandwidth_hz", 1, 1e4, default=inf)
+    gain = tuple(map(float, fields.value(SUSPENSION["motor_gain"])))
+    bandwidth = fields.value(SUSPENSION["motor_bandwidth_hz"])
     stiff, damped = 0.0, 0.0
     if fields.has("servo"):
         servo = fields.child("servo")
@@ -168,13 +167,5 @@ def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]
     )  # fmt: skip
 
 
-def _vector(
-    fields: Fields, key: str, default: tuple[float, ...], low: float, high: float
-) -> tuple[float, ...]:
-    if not fields.has(key):
-        return default
-    return tuple(fields.array(key, (len(default),), low, high).tolist())
-
-
 def _matrix(fields: Fields, key: str) -> Matrix:
-    return _checked(key, fields.array(key, (3, 3), -STIFFEST, STIFFEST))
+    return _checked(key, fields.value(required(SUSPENSION[key])))

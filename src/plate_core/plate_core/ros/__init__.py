@@ -3,6 +3,7 @@
 Nothing else outside the nodes imports ROS.
 """
 
+from .compiling import compiling
 from .convert import (
     array_to_image,
     camera_to_info,
@@ -43,6 +44,7 @@ __all__ = [
     "array_to_image",
     "camera_to_info",
     "centres_to_msg",
+    "compiling",
     "cycle_to_msg",
     "declare",
     "follow",

@@ -1,81 +1,307 @@
-"""Stops, enable, start and state from the command line, also where there is no `ros2`."""
+"""The program `plate`: starts, stops, states and parameters of a running graph, without `ros2`."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from .qos import LATCHED
+from ..errors import PlateError, did_you_mean
+from ..status import COMPILING, Level
+from ..yaml_fields import config_path
+from .qos import DATA, LATCHED
 
 SERVICES = {
-    "emergency_stop": "brake, then current off (stop category 1)",
-    "cut_power": "current off at once (stop category 0)",
-    "enable": "clear the present stop: the motors get current, and the plate goes home",
-    "disable": "brake, then current off, without an emergency",
-    "home": "forget where home is: the next enable finds it",
     "start": "start the planner's task",
     "stop": "end the planner's task",
-    "state": "print driver_state and task_state",
+    "enable": "clear the present stop: the motors get current, and the plate goes home",
+    "disable": "brake, then current off, without an emergency",
+    "emergency_stop": "brake, then current off (stop category 1)",
+    "cut_power": "current off at once (stop category 0)",
+    "home": "forget where home is: the next enable finds it",
+    "calibrate": "learn the plate's response",
 }
-FOUND_S, ANSWER_S = 3.0, 15.0
-"""Longest waits: for the service to be found, and for its answer [s]."""
+OTHERS = {
+    "state": "print driver_state, task_state, and what each node says of itself",
+    "params": "[NODE]: list parameters, their values and meanings",
+    "get": "NODE NAME: print a parameter",
+    "set": "NODE NAME VALUE: change a parameter of a running node",
+}
+
+NOBODY_S, FOUND_S, ANSWER_S = 1.0, 3.0, 15.0
+"""Longest waits: for any node to be seen, for a service to be found, for its answer [s]."""
+
+URGENT = ("emergency_stop", "cut_power", "disable")
+"""These are tried for longer, also where nobody is seen."""
+
+REPORT_S, LATE_S = 1.2, 2.0
+"""What nodes say of themselves once a second is listened to for so long, and for so much longer
+where some of those that are known have said nothing yet [s]."""
+
+NAME = "plate_command"
+
+DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
+"""UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains whose ports are nobody else's."""
 
 
 def main() -> None:
     """Run the command line; exit code 0 if it was done, 1 if not."""
-    lines = "\n".join(f"  {name:15}{what}" for name, what in SERVICES.items())
+    args = _arguments()
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
+    rclpy.init(args=[])
+    graph = Graph(args.namespace)
+    try:
+        print(graph.run(args))
+    except PlateError as error:
+        print(f"plate: {error}", file=sys.stderr)
+        sys.exit(1)
+    finally:
+        graph.node.destroy_node()
+        rclpy.shutdown()
+
+
+def _arguments() -> argparse.Namespace:
+    lines = "\n".join(f"  {name:15}{what}" for name, what in (SERVICES | OTHERS).items())
     parser = argparse.ArgumentParser(
-        prog="plate", description=f"Call a service of the plate:\n{lines}",
+        prog="plate", usage="plate COMMAND [--namespace NAME]",
+        description=f"Talk to the plate's running nodes, in the domain ROS_DOMAIN_ID:\n{lines}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
-    parser.add_argument("service", choices=SERVICES, metavar="SERVICE")
-    parser.add_argument("--namespace", default="", help="of the nodes")
-    args = parser.parse_args()
-    rclpy.init()
-    node = Node("plate_command", namespace=args.namespace)
-    try:
-        done, text = _state(node) if args.service == "state" else _call(node, args.service)
-    finally:
-        node.destroy_node()
-        rclpy.shutdown()
-    print(text)
-    sys.exit(0 if done else 1)
+    commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
+    for name, what in (SERVICES | OTHERS).items():
+        one = commands.add_parser(name, description=what)
+        if name in ("get", "set", "params"):
+            one.add_argument("node", nargs="?" if name == "params" else None, metavar="NODE")
+        if name in ("get", "set"):
+            one.add_argument("name", metavar="NAME")
+        if name == "set":
+            one.add_argument("value", metavar="VALUE")
+        one.add_argument("--namespace", default="", help="of the nodes")
+    words = sys.argv[1:]
+    if words and words[0] not in (*SERVICES, *OTHERS, "-h", "--help"):
+        known = (*SERVICES, *OTHERS)
+        hint = did_you_mean(words[0], known)
+        parser.exit(2, f"plate: command is {words[0]!r}{hint}, allowed: {', '.join(known)}\n")
+    return parser.parse_args()
 
 
-def _call(node: Node, name: str) -> tuple[bool, str]:
-    switch = name in ("enable", "disable")
-    service = "enable" if switch else name
-    client = node.create_client(SetBool if switch else Trigger, service)
-    if not client.wait_for_service(FOUND_S):
-        return False, f"no service {service}: does the node run, in this ROS_DOMAIN_ID?"
-    request = SetBool.Request(data=name == "enable") if switch else Trigger.Request()
-    future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_S)
-    answer = future.result() if future.done() else None
-    if answer is None:
-        return False, f"{service} does not answer: cut the power by hand"
-    return bool(answer.success), str(answer.message)
+class Graph:
+    """The running nodes, as seen by one of our own.
 
+    Parameters
+    ----------
+    namespace : str
+        Of the nodes.
+    """
 
-def _state(node: Node) -> tuple[bool, str]:
-    said: dict[str, str] = {}
+    def __init__(self, namespace: str) -> None:
+        self.node = Node(NAME, namespace=namespace)
+        self._said: dict[str, str] = {}  # by topic
+        self._health: dict[str, str] = {}  # by node
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
 
-    def hear(topic: str) -> None:
+    def run(self, args: argparse.Namespace) -> str:
+        """Do what is asked, and return what there is to tell.
+
+        Raises
+        ------
+        PlateError
+            If it was not done.
+        """
+        match args.command:
+            case "state":
+                return self._state()
+            case "params":
+                return "\n".join(self._list(name) for name in self._nodes(args.node))
+            case "get":
+                (node,) = self._nodes(args.node)
+                return str(self._get(node, args.name))
+            case "set":
+                (node,) = self._nodes(args.node)
+                return self._set(node, args.name, args.value)
+            case "enable" | "disable":
+                request = SetBool.Request(data=args.command == "enable")
+                return self._asked(SetBool, "enable", request, args.command in URGENT)
+            case _:
+                trigger = Trigger.Request()
+                return self._asked(Trigger, args.command, trigger, args.command in URGENT)
+
+    # Services
+
+    def _asked(self, kind: Any, service: str, request: Any, urgent: bool) -> str:
+        answer = self._call(kind, service, request, urgent)
+        if not answer.success:
+            raise PlateError(str(answer.message))
+        return str(answer.message)
+
+    def _call(self, kind: Any, service: str, request: Any, urgent: bool = False) -> Any:
+        client = self.node.create_client(kind, service)
+
+        def there() -> bool:  # a service may be known before the name of its node is
+            return urgent or client.service_is_ready() or bool(self._seen())
+
+        if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
+            raise PlateError(self._missing(service))
+        future = client.call_async(request)
+        if not self._until(future.done, ANSWER_S):
+            cut = ": cut the power by hand" if urgent else ""
+            raise PlateError(f"{service} does not answer{cut}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def _missing(self, service: str) -> str:
+        """Say why there is no such service."""
+        here = self._seen()
+        if not here:
+            return f"no service {service}: {nobody()}"
+        busy = [f"{name} is {text}" for name, text in self._health.items() if COMPILING in text]
+        return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
+
+    # State
+
+    def _state(self) -> str:
+        topics = ("driver_state", "task_state")
+        for topic in topics:
+            self.node.create_subscription(String, topic, self._on_text(topic), LATCHED)
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        if self._seen():
+            self._until(lambda: False, REPORT_S)
+            said, speakers = self._health, self.node.count_publishers
+            self._until(lambda: len(said) >= speakers("diagnostics"), LATE_S)
+        if not self._seen() and not self._said:
+            raise PlateError(nobody())
+        lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
+        return "\n".join([*lines, *(f"  {name}: {text}" for name, text in self._health.items())])
+
+    def _on_text(self, topic: str) -> Callable[[String], None]:
         def on_message(msg: String) -> None:
-            said[topic] = msg.data
+            self._said[topic] = msg.data
 
-        node.create_subscription(String, topic, on_message, LATCHED)
+        return on_message
 
-    hear("driver_state")
-    hear("task_state")
-    end = time.monotonic() + FOUND_S
-    while len(said) < 2 and time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=0.1)
-    lines = [f"{t}: {said.get(t, 'nothing heard')}" for t in ("driver_state", "task_state")]
-    return "driver_state" in said, "\n".join(lines)
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            level = Level(int.from_bytes(status.level, "little")).name
+            self._health[status.name.rsplit("/", 1)[-1]] = f"{level}, {status.message}"
+
+    # Parameters
+
+    def _nodes(self, name: str | None) -> list[str]:
+        """Return the node of a name, or all."""
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        if self._seen():
+            self._until(lambda: name in self._seen(), NOBODY_S)
+        here = self._seen()
+        if not here:
+            raise PlateError(nobody())
+        if name is None:
+            return here
+        if name not in here:
+            raise PlateError(f"node is {name!r}{did_you_mean(name, here)}, here: {', '.join(here)}")
+        return [name]
+
+    def _names(self, node: str) -> list[str]:
+        answer = self._call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
+        return sorted(answer.result.names)
+
+    def _get(self, node: str, name: str) -> Any:
+        request = GetParameters.Request(names=[name])
+        values = self._call(GetParameters, f"{node}/get_parameters", request).values
+        value = parameter_value_to_python(values[0]) if values else None
+        if value is None:
+            known = self._names(node)
+            hint = did_you_mean(name, known)
+            raise PlateError(f"{node} has no parameter {name!r}{hint}, it has: {', '.join(known)}")
+        return value
+
+    def _list(self, node: str) -> str:
+        names = self._names(node)
+        request = GetParameters.Request(names=names)
+        values = self._call(GetParameters, f"{node}/get_parameters", request).values
+        asked = DescribeParameters.Request(names=names)
+        told = self._call(DescribeParameters, f"{node}/describe_parameters", asked).descriptors
+        lines = [node]
+        for name, value, about in zip(names, values, told, strict=True):
+            shown = repr(parameter_value_to_python(value))
+            allowed = f" ({about.additional_constraints})" if about.additional_constraints else ""
+            fixed = "" if not about.read_only else " [fixed]"
+            lines.append(f"  {name:20} {shown:14} {about.description}{allowed}{fixed}")
+        return "\n".join(lines)
+
+    def _set(self, node: str, name: str, text: str) -> str:
+        before = self._get(node, name)
+        scalar = isinstance(before, bool | int | float | str)
+        kind = type(before) if scalar else list
+        try:
+            value = text if isinstance(before, str) else yaml.safe_load(text)
+            if isinstance(before, float) and type(value) is int:
+                value = float(value)
+            allowed = type(value) is kind
+        except yaml.YAMLError:
+            allowed = False
+        if not allowed:
+            raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        result = self._call(SetParameters, f"{node}/set_parameters", request).results[0]
+        if not result.successful:
+            raise PlateError(f"{node} refuses: {result.reason}")
+        return f"{node} {name}: {before} -> {value}"
+
+    # Waiting
+
+    def _seen(self) -> list[str]:
+        """Return the names of the nodes of our namespace."""
+        ours = self.node.get_namespace()
+        found = self.node.get_node_names_and_namespaces()
+        return sorted(  # names with _ are hidden: tools, such as the daemon of the ros2 command
+            name
+            for name, where in found
+            if name != NAME and where == ours and not name.startswith("_")
+        )
+
+    def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not true():
+            if time.monotonic() > end:
+                return False
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+        return True
+
+
+def nobody() -> str:
+    """Say that no graph is there, and in which domains of this machine there may be one."""
+    domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
+    others = sorted(domains_in_use() - {domain})
+    text = f"no graph runs in ROS domain {domain}"
+    if others:
+        listed = ", ".join(map(str, others))
+        text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID={others[0]}"
+    return text
+
+
+def domains_in_use() -> set[int]:
+    """Return the ROS domains of this machine's processes, as their UDP ports tell."""
+    found = set()
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        path = Path(table)
+        for line in path.read_text("ascii").splitlines()[1:] if path.exists() else ():
+            port = int(line.split()[1].rsplit(":", 1)[1], 16)
+            domain, offset = divmod(port - DDS_PORT, PORTS_PER_DOMAIN)
+            if domain in DOMAINS and offset >= 10:  # below: multicast
+                found.add(domain)
+    return found

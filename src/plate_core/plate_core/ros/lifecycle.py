@@ -81,7 +81,7 @@ class SafeLifecycleNode(LifecycleNode):
         self._kept += [(destroy, thing) for thing in things]
 
     def begin(self) -> None:
-        """Begin to work."""
+        """Make ready for work: `active` is set next."""
 
     def rest(self) -> None:
         """Leave nothing moving."""
@@ -93,8 +93,8 @@ class SafeLifecycleNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to listen and to publish."""
         result = super().on_activate(state)
-        self.active = True
         self.begin()
+        self.active = True
         return result
 
     @logged

@@ -14,13 +14,19 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
+from .usage import answered
 
 POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
 
 
-def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> None:
+def run_node(
+    make: Callable[[], Node], options: type | None = None, args: Sequence[str] | None = None
+) -> None:
     """Make a node, spin it until it has to stop, and leave nothing behind.
+
+    With `--help` on the command line it only prints what the node's docstring says, and the
+    parameters of `options`, the dataclass that the node gives to `declare`.
 
     The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
     rclpy's own handlers would have shut the context down at the signal.
@@ -28,6 +34,12 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> Non
     Exit code 0 after SIGINT, SIGTERM or a shutdown; 2, with one line, if `make` refuses its
     parameters or files; 1, with a traceback, after a defect.
     """
+    try:
+        if answered(make, options, args):
+            return
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        sys.exit(2)
     stopped = False
     node = None
     code = 0

@@ -10,6 +10,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from ..colours import FORCE, PLATE, TURNING, VELOCITY, Colour, class_colour, part_colour
 from ..motion import PlateCycle
 from ..parts import Parts, Wanted, part_class
 from ..rig import Rig
@@ -35,19 +36,6 @@ CENTRES = 200
 
 FAR_HALVES = 4.0
 """How far centres are drawn [half lengths of the plate]."""
-
-COLOURS: Mapping[str, tuple[float, float, float]] = {
-    "black": (0.1, 0.1, 0.1),
-    "grey": (0.5, 0.5, 0.5),
-}
-"""Red, green, blue of classes; others are orange."""
-
-ORANGE, PLATE, VELOCITY, FORCE = (
-    (1.0, 0.5, 0.1),
-    (0.85, 0.85, 0.8),
-    (0.2, 0.3, 1.0),
-    (0.9, 0.1, 0.1),
-)
 
 
 def scene_to_msg(
@@ -75,11 +63,11 @@ def scene_to_msg(
     plate.scale.x, plate.scale.y, plate.scale.z = rig.plate.length_m, rig.plate.width_m, THICK_M
     markers = [plate]
     for i, name in enumerate(parts.ids):
-        place, colour = parts.position[i], COLOURS.get(part_class(name), ORANGE)
-        disc = _marker("parts", i, Marker.CYLINDER, colour, stamp)
+        place, colour = parts.position[i], class_colour(part_class(name))
+        disc = _marker("parts", i, Marker.CYLINDER, part_colour(part_class(name)), stamp)
         disc.scale.x = disc.scale.y = 2 * rig.parts.radius_m
         disc.scale.z = THICK_M
-        text = _marker("names", i, Marker.TEXT_VIEW_FACING, VELOCITY, stamp)
+        text = _marker("names", i, Marker.TEXT_VIEW_FACING, colour, stamp)
         text.text = name
         text.scale.z = 1.5 * rig.parts.radius_m
         text.pose.position.z = 2 * THICK_M
@@ -115,25 +103,26 @@ def centres_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> MarkerArray:
     with np.errstate(all="ignore"):
         centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
     reach = np.max(np.abs(centre), axis=1) < FAR_HALVES * rig.plate.half.max()
-    points = _marker("centres", 0, Marker.POINTS, ORANGE, stamp)
+    points = _marker("centres", 0, Marker.POINTS, FORCE, stamp)
     points.scale.x = points.scale.y = LINE_M
     for at, spin in zip(centre[reach], twist[reach, 2], strict=True):
-        red, green, blue = FORCE if spin > 0 else VELOCITY
         points.points.append(_point(at))
-        points.colors.append(ColorRGBA(r=red, g=green, b=blue, a=1.0))
+        points.colors.append(_rgba(TURNING[0 if spin > 0 else 1]))
     return MarkerArray(markers=[points])
 
 
-def _marker(
-    kind: str, number: int, shape: int, colour: tuple[float, float, float], stamp: Time
-) -> Marker:
-    red, green, blue = colour
+def _marker(kind: str, number: int, shape: int, colour: Colour, stamp: Time) -> Marker:
     marker = Marker(header=Header(stamp=stamp, frame_id=FRAME), ns=kind, id=number, type=shape)
     marker.action = Marker.ADD
-    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    marker.color = _rgba(colour)
     marker.lifetime = Duration(sec=int(LIFETIME_S))
     marker.pose.orientation.w = 1.0
     return marker
+
+
+def _rgba(colour: Colour) -> ColorRGBA:
+    red, green, blue = (level / 255 for level in colour)
+    return ColorRGBA(r=red, g=green, b=blue, a=1.0)
 
 
 def _arrow(
@@ -141,7 +130,7 @@ def _arrow(
     number: int,
     start: np.ndarray,
     end: np.ndarray,
-    colour: tuple[float, float, float],
+    colour: Colour,
     stamp: Time,
 ) -> Marker:
     arrow = _marker(kind, number, Marker.ARROW, colour, stamp)

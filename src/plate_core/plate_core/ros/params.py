@@ -10,9 +10,12 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..errors import PlateError
+from ..errors import PlateError, did_you_mean
 
 Options = TypeVar("Options")
+
+OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+"""What rclpy declares by itself, some of it late."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,15 @@ class Spec:
     high: float | None = None
     choices: tuple[str, ...] | None = None
     live: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """What is allowed, in words; empty where everything of the right type is."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.low is not None and self.high is not None:
+            return f"{self.low} to {self.high}"
+        return ""
 
     def problem(self, name: str, value: Any) -> str | None:
         """Return why a value is refused, or None."""
@@ -56,8 +68,8 @@ def declare(node: Node, kind: type[Options]) -> Options:
     Raises
     ------
     PlateError
-        If a value given at start has the wrong type or is out of range: names the parameter, the
-        value and what is allowed.
+        If a value given at start has the wrong type or is out of range, or is of a parameter that
+        the node does not have: names the parameter, the value and what is allowed.
     """
     values = {}
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
@@ -66,7 +78,18 @@ def declare(node: Node, kind: type[Options]) -> Options:
         node.declare_parameter(item.name, item.default, _descriptor(item.default, spec))
         given = node.get_parameter_or(item.name).value
         values[item.name] = _checked(item.name, given, item.default, spec)
+    _refuse_unknown(node, tuple(values))
     return kind(**values)
+
+
+def _refuse_unknown(node: Node, known: Sequence[str]) -> None:
+    """Refuse parameters that were given at start and that nobody declares: spelling mistakes."""
+    for name in node._parameter_overrides:  # rclpy has no public name for what was given
+        if not node.has_parameter(name) and not name.startswith(OF_RCLPY):
+            raise PlateError(
+                f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
+                f"allowed: {', '.join(known)}"
+            )
 
 
 def follow(
@@ -115,8 +138,5 @@ def _descriptor(default: Any, spec: Spec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=spec.description, dynamic_typing=True, read_only=not spec.live
     )
-    if spec.choices:
-        descriptor.additional_constraints = "one of " + ", ".join(spec.choices)
-    elif spec.low is not None and spec.high is not None:
-        descriptor.additional_constraints = f"{spec.low} to {spec.high}"
+    descriptor.additional_constraints = spec.allowed
     return descriptor

@@ -1,9 +1,11 @@
 """Scenarios: which parts are on the plate, and what is to be done with them.
 
 `load_scenario` reads one, `start_positions` places its parts; the tasks are plain data.
+`SECTIONS` are the keys of a scenario file.
 """
 
 from .curves import circle_points
+from .keys import SECTIONS
 from .scenario import check_scenario, load_scenario, scenario_names, start_positions
 from .tasks import (
     AssembleTask,
@@ -22,6 +24,7 @@ from .tasks import (
 )
 
 __all__ = [
+    "SECTIONS",
     "AssembleTask",
     "Bin",
     "FollowTask",

@@ -9,9 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..errors import PlateError, ScenarioError
+from ..errors import PlateError, ScenarioError, did_you_mean
 from ..rig import Rig
-from ..yaml_fields import Fields, config_path, read_yaml
+from ..yaml_fields import Fields, config_path, read_yaml, required
+from . import keys
 from .curves import circle_points, spline_points
 from .tasks import (
     AssembleTask,
@@ -29,27 +30,17 @@ from .tasks import (
     Task,
 )
 
-MIN_SEPARATION_M = 0.04
-"""Least distance of scattered centres [m]: five radii of the default parts."""
+SCATTER_GAPS = (5.0, 4.0, 3.0, 2.5)
+"""Least distances of scattered centres [part radii]: the first at which all parts find room."""
 
 SCATTER_FRACTION = (0.85, 0.80)
 """Fraction of the half sides (x, y) within which parts are scattered: clear of the edges."""
 
-SCATTER_TRIES = 80
-"""Tries to place one part, and to place all of them, before a scenario counts as too crowded."""
+SCATTER_CLEAR = 1.5
+"""And at least so far from the edges [part radii]."""
 
-SIDES = {
-    "left": Side(-1, 0), "right": Side(1, 0), "bottom": Side(0, -1), "top": Side(0, 1),
-    "bottom_left": Side(-1, -1), "bottom_right": Side(1, -1),
-    "top_left": Side(-1, 1), "top_right": Side(1, 1),
-}  # fmt: skip
-"""Sides and corners of the plate."""
-
-CURVES = ("waypoints_m", "circle", "spline_m")
-"""What a path may be given by: one of these."""
-
-SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
-"""Speeds along a path [m/s]."""
+SCATTER_TRIES, SCATTER_STARTS = 80, 20
+"""Tries to place one part, and to place all of them, before they count as too many."""
 
 APART_M = 1e-6
 """Points nearer to each other are the same [m]."""
@@ -89,7 +80,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         names = scenario_names()
         if text not in names:
             raise ScenarioError(
-                f"scenario is {text!r}, allowed: {', '.join(names)}, or the path of a .yaml file"
+                f"scenario is {text!r}{did_you_mean(text, names)}, allowed: {', '.join(names)}, or "
+                "the path of a .yaml file"
             )
         path = config_path("scenarios") / f"{text}.yaml"
     fields = read_yaml(path, ScenarioError)
@@ -98,14 +90,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         raise fields.fail("parts", "at least one group of parts")
     labels = [group.label for group in parts]
     if len(set(labels)) < len(labels):
-        raise fields.fail("parts", "each class once")
+        raise fields.fail("parts", keys.ALL_DIFFERENT)
     scenario = Scenario(
         name=path.stem,
-        description=fields.text("description"),
+        description=fields.value(keys.FILE["description"]),
         parts=parts,
         task=_task(fields.child("task"), parts),
-        time_limit_s=fields.number("time_limit_s", 0.1, 1e5),
-        marked=fields.has("marked") and fields.flag("marked"),
+        time_limit_s=fields.value(keys.FILE["time_limit_s"]),
+        marked=fields.value(keys.FILE["marked"]),
     )
     if isinstance(scenario.task, PoseTask) and not scenario.marked:
         raise ScenarioError(
@@ -117,15 +109,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def _group(fields: Fields) -> PartGroup:
-    label = fields.text("class")
+    label = fields.value(keys.GROUP["class"])
     if not label.isidentifier() or label.rsplit("_", 1)[-1].isdigit():
-        raise fields.fail("class", "a plain word such as black, without a number")
+        raise fields.fail("class", keys.GROUP["class"].kind.words)
     if fields.has("positions_m") == fields.has("count"):
         raise fields.fail("positions_m", "a list of [x, y] in m, or count in its place, not both")
     if fields.has("count"):
-        group = PartGroup(label, fields.integer("count", 1, 100))
+        group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
-        position = fields.array("positions_m", (None, 2), -10, 10)
+        position = fields.value(keys.GROUP["positions_m"])
         group = PartGroup(label, len(position), _pairs(position))
     fields.finish()
     return group
@@ -134,7 +126,7 @@ def _group(fields: Fields) -> PartGroup:
 def _task(fields: Fields, parts: tuple[PartGroup, ...]) -> Task:
     kinds: dict[str, Callable[[Fields, tuple[PartGroup, ...]], Task]]
     kinds = {"sort": _sort, "follow": _follow, "assemble": _assemble, "pose": _pose}
-    task = kinds[fields.text("kind", tuple(kinds))](fields, parts)
+    task = kinds[fields.value(keys.TASK["kind"])](fields, parts)
     fields.finish()
     return task
 
@@ -149,19 +141,21 @@ def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
     child = fields.child("sides" if fields.has("sides") else "regions")
     regions = {group.label: _region(child, group.label) for group in parts}
     child.finish()
-    has_side = any(isinstance(region, Side) for region in regions.values())
+    goal = keys.SORT["goal_fraction"]
+    if any(isinstance(region, Side) for region in regions.values()):
+        goal = required(goal)
     return SortTask(
         regions=MappingProxyType(regions),
-        goal_fraction=fields.number("goal_fraction", 0, 0.8, None if has_side else 0.0),
-        hold_s=fields.number("hold_s", 0, 60),
+        goal_fraction=fields.value(goal) or 0.0,
+        hold_s=fields.value(keys.HOLD),
     )
 
 
 def _region(fields: Fields, label: str) -> Region:
     if not fields.holds_mapping(label):
-        return SIDES[fields.text(label, tuple(SIDES))]
+        return keys.SIDES[fields.text(label, tuple(keys.SIDES))]
     child = fields.child(label)
-    corner = child.array("bin_m", (None, 2), -10, 10)
+    corner = child.value(keys.BIN["bin_m"])
     if not _is_simple(corner):
         raise child.fail("bin_m", "at least three corners, in order, of a polygon with an area")
     child.finish()
@@ -194,15 +188,15 @@ def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
     labels = tuple(group.label for group in parts)
     paths = tuple(_path(child, labels) for child in fields.children("paths"))
     _one_each(fields, "paths", [path.label for path in paths], parts)
-    return FollowTask(paths=paths, max_error_m=fields.number("max_error_m", 1e-4, 10))
+    return FollowTask(paths=paths, max_error_m=fields.value(keys.FOLLOW["max_error_m"]))
 
 
 def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
-    given = [key for key in CURVES if fields.has(key)]
+    given = [key for key in keys.CURVES if fields.has(key)]
     if len(given) != 1:
         raise ScenarioError(
             f"{fields.where}: {' and '.join(given) or 'no curve'} given, "
-            f"allowed: one of {', '.join(CURVES)}"
+            f"allowed: one of {', '.join(keys.CURVES)}"
         )
     if given[0] == "circle":
         closed, waypoint = True, _circle(fields.child("circle"))
@@ -210,11 +204,11 @@ def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
         closed, waypoint = _points(fields, given[0])
     profile = _profile(fields)
     path = PathTask(
-        label=fields.text("class", labels),
+        label=fields.value(keys.class_key(*labels)),
         waypoint=_pairs(waypoint),
         speed=max(speed for _, speed in profile),
         closed=closed,
-        laps=fields.number("laps", 0.01, 1000) if closed else 1.0,
+        laps=fields.value(required(keys.PATH["laps"])) if closed else 1.0,
         profile=profile if len(profile) > 1 else (),
     )
     fields.finish()
@@ -222,23 +216,23 @@ def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
 
 
 def _circle(fields: Fields) -> np.ndarray:
-    x, y = fields.array("centre_m", (2,), -10, 10)
+    x, y = fields.value(keys.CIRCLE["centre_m"])
     points = circle_points(
         (float(x), float(y)),
-        fields.number("radius_m", 1e-4, 10),
-        np.radians(fields.number("start_deg", -360, 360, 0.0)),
-        fields.text("turn", ("left", "right")) == "left",
+        fields.value(keys.CIRCLE["radius_m"]),
+        np.radians(fields.value(keys.CIRCLE["start_deg"])),
+        fields.value(keys.CIRCLE["turn"]) == "left",
     )
     fields.finish()
     return points
 
 
 def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
-    waypoint = fields.array(key, (None, 2), -10, 10)
+    waypoint = fields.value(keys.PATH[key])
     step = np.hypot(*np.diff(waypoint, axis=0).T)
     if len(waypoint) < 2 or np.min(step) < APART_M:
         raise fields.fail(key, "at least two points, each apart from the next")
-    closed = fields.flag("closed")
+    closed = fields.value(required(keys.PATH["closed"]))
     if closed and np.hypot(*(waypoint[-1] - waypoint[0])) < APART_M:
         raise fields.fail(key, "for a closed path, a last point that is not the first")
     if key == "spline_m":
@@ -251,19 +245,19 @@ def _points(fields: Fields, key: str) -> tuple[bool, np.ndarray]:
 def _profile(fields: Fields) -> tuple[tuple[float, float], ...]:
     """Return speeds [m/s] at fractions of a lap; one pair if the speed is the same all the way."""
     if not fields.holds_list("speed_mps"):
-        return ((0.0, fields.number("speed_mps", SLOWEST_MPS, FASTEST_MPS)),)
-    profile = fields.array("speed_mps", (None, 2), 0, FASTEST_MPS)
+        return ((0.0, fields.value(keys.PATH["speed_mps"])),)
+    profile = fields.array("speed_mps", (None, 2), 0, keys.FASTEST_MPS)
     fraction, speed = profile.T
     if (
         len(profile) < 2
         or np.any(np.diff(fraction) <= 0)
         or (fraction[0], fraction[-1]) != (0, 1)
-        or np.min(speed) < SLOWEST_MPS
+        or np.min(speed) < keys.SLOWEST_MPS
     ):
         raise fields.fail(
             "speed_mps",
             f"a number, or pairs [fraction of a lap, m/s], fractions growing from 0 to 1, "
-            f"speeds from {SLOWEST_MPS:g} to {FASTEST_MPS:g}",
+            f"speeds from {keys.SLOWEST_MPS:g} to {keys.FASTEST_MPS:g}",
         )
     return _pairs(profile)
 
@@ -273,7 +267,7 @@ def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
     labels: list[str] = []
     place: list[Point] = []
     for group in parts:
-        points = _pairs(child.array(group.label, (None, 2), -10, 10))
+        points = _pairs(child.array(group.label, (None, 2), -keys.FAR_M, keys.FAR_M))
         labels += [group.label] * len(points)
         place += points
     child.finish()
@@ -281,8 +275,8 @@ def _assemble(fields: Fields, parts: tuple[PartGroup, ...]) -> AssembleTask:
     return AssembleTask(
         labels=tuple(labels),
         place=tuple(place),
-        tolerance_m=fields.number("tolerance_m", 1e-4, 1),
-        hold_s=fields.number("hold_s", 0, 60),
+        tolerance_m=fields.value(keys.TOLERANCE),
+        hold_s=fields.value(keys.HOLD),
     )
 
 
@@ -290,18 +284,18 @@ def _pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
     labels = tuple(group.label for group in parts)
     poses = []
     for child in fields.children("poses"):
-        label = child.text("class", labels)
-        place = (
-            _pairs(child.array("place_m", (2,), -10, 10)[None])[0] if child.has("place_m") else None
-        )
-        poses.append(Pose(label, place, float(np.radians(child.number("angle_deg", -360, 360)))))
+        label = child.value(keys.class_key(*labels))
+        at = child.value(keys.POSES["place_m"])
+        place = None if at is None else _pairs(at[None])[0]
+        angle = child.value(keys.POSES["angle_deg"])
+        poses.append(Pose(label, place, float(np.radians(angle))))
         child.finish()
     _one_each(fields, "poses", [pose.label for pose in poses], parts)
     return PoseTask(
         poses=tuple(poses),
-        tolerance_m=fields.number("tolerance_m", 1e-4, 1),
-        tolerance_rad=float(np.radians(fields.number("tolerance_deg", 0.1, 180))),
-        hold_s=fields.number("hold_s", 0, 60),
+        tolerance_m=fields.value(keys.TOLERANCE),
+        tolerance_rad=float(np.radians(fields.value(keys.POSE["tolerance_deg"]))),
+        hold_s=fields.value(keys.HOLD),
     )
 
 
@@ -385,8 +379,8 @@ def start_positions(
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Place the parts: the given ones where given, the others at random.
 
-    Scattered parts keep `MIN_SEPARATION_M` from all others and stay within `SCATTER_FRACTION` of
-    the plate's half sides.
+    Scattered parts keep the first of `SCATTER_GAPS` that leaves room for all, from all others, and
+    are clear of the edges (`SCATTER_FRACTION`, `SCATTER_CLEAR`).
 
     Parameters
     ----------
@@ -409,16 +403,20 @@ def start_positions(
     """
     check_scenario(scenario, rig)
     given = [p for group in scenario.parts for p in group.position or ()]
-    limit = np.array(SCATTER_FRACTION) * rig.plate.half
+    radius, half = rig.parts.radius_m, rig.plate.half
+    limit = np.minimum(np.array(SCATTER_FRACTION) * half, half - SCATTER_CLEAR * radius)
     count = sum(group.count for group in scenario.parts if group.position is None)
-    for _ in range(SCATTER_TRIES):
-        scattered = _scatter(count, np.array(given).reshape(-1, 2), limit, rng)
-        if scattered is not None:
+    taken, most = np.array(given).reshape(-1, 2), 0
+    for gap in np.repeat(SCATTER_GAPS, SCATTER_STARTS) * radius:
+        scattered = _scatter(count, taken, np.maximum(limit, 0), gap, rng)
+        most = max(most, len(scattered))
+        if most == count:
             break
     else:
         raise ScenarioError(
-            f"scenario {scenario.name}: {count} parts to scatter, allowed: as many as fit "
-            f"{MIN_SEPARATION_M:g} m apart on {2 * limit[0]:g} x {2 * limit[1]:g} m"
+            f"scenario {scenario.name}: {count} parts to scatter, allowed: {most}; no more parts "
+            f"of {1e3 * radius:g} mm radius find room {1e3 * gap:g} mm from centre to centre on "
+            f"{2 * half[0]:g} x {2 * half[1]:g} m; fewer parts, or positions_m"
         )
     rest = iter(scattered)
     rows = [
@@ -430,16 +428,17 @@ def start_positions(
 
 
 def _scatter(
-    count: int, taken: np.ndarray, limit: np.ndarray, rng: np.random.Generator
-) -> np.ndarray | None:
-    """Throw `count` points (count, 2), each clear of all before it; None if one finds no room."""
+    count: int, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Throw up to `count` points (k, 2), each `gap` [m] from all before it and those taken; fewer
+    if one finds no room."""
     start = len(taken)
     points = np.vstack([taken, np.zeros((count, 2))])
     for i in range(start, start + count):
         for _ in range(SCATTER_TRIES):
             points[i] = rng.uniform(-limit, limit)
-            if np.all(np.hypot(*(points[:i] - points[i]).T) >= MIN_SEPARATION_M):
+            if np.all(np.hypot(*(points[:i] - points[i]).T) >= gap):
                 break
         else:
-            return None
+            return points[start:i]
     return points[start:]

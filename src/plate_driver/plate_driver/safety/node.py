@@ -73,6 +73,7 @@ class SafetyNode:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         own = MutuallyExclusiveCallbackGroup()
         node.create_timer(STATE_PERIOD_S, self.publish_state, clock=steady, callback_group=own)
+        self._ended = False
         self._executor = MultiThreadedExecutor(THREADS, context=self._context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name="safety", daemon=True)
@@ -80,9 +81,9 @@ class SafetyNode:
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):
-            while self._context.ok():
+            while self._context.ok() and not self._ended:
                 try:
-                    self._executor.spin()
+                    self._executor.spin_once()  # at most until the timer ticks
                 except ExternalShutdownException:
                     raise
                 except Exception as error:
@@ -116,8 +117,10 @@ class SafetyNode:
         """Publish the last state, and end."""
         self.publish_state()
         self._states.wait_for_all_acked(Duration(seconds=FAREWELL_S))
-        self._executor.shutdown(timeout_sec=FAREWELL_S)
+        self._ended = True
         self._thread.join(FAREWELL_S)
+        # Only now: it destroys what a thread that still spins waits for.
+        self._executor.shutdown(timeout_sec=FAREWELL_S)
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

@@ -15,13 +15,13 @@ every few milliseconds. Times are of `TransportContext.clock`, so that a test ca
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
-from plate_core import PlateError, Rig
+from plate_core import PlateError, Rig, did_you_mean
 
 from ..setpoints import MotorTable
 
@@ -227,8 +227,7 @@ def make_transport(name: str, context: TransportContext) -> Transport:
         If it is not installed, cannot be loaded, or refuses a parameter.
     """
     known = installed()
-    if name not in known:
-        raise PlateError(f"transport is {name!r}, allowed: {', '.join(sorted(known))}")
+    _check_name(name, known)
     try:
         make = known[name].load()
     except (ImportError, AttributeError) as error:
@@ -242,8 +241,12 @@ def make_transport(name: str, context: TransportContext) -> Transport:
 
 def check_transport(name: str, port: str) -> None:
     """Refuse a transport that is not installed, or lacks its port."""
-    known = installed()
-    if name not in known:
-        raise PlateError(f"transport is {name!r}, allowed: {', '.join(sorted(known))}")
+    _check_name(name, installed())
     if name == "serial" and not port:
         raise PlateError("port is '', allowed with transport serial: the name of a serial port")
+
+
+def _check_name(name: str, known: Iterable[str]) -> None:
+    if name not in known:
+        hint = did_you_mean(name, known)
+        raise PlateError(f"transport is {name!r}{hint}, allowed: {', '.join(sorted(known))}")

@@ -3,7 +3,7 @@
 `begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
 """
 
-from .failure import shortfall_text
+from .failure import LastSeen, gone, remedy, shakes_little, shortfall_text
 from .inputs import Inputs
 from .phase import (
     Findings,
@@ -21,13 +21,17 @@ from .progress import Progress
 __all__ = [
     "Findings",
     "Inputs",
+    "LastSeen",
     "Phase",
     "Progress",
     "TaskLimits",
     "TaskState",
     "begin",
+    "gone",
     "judge",
     "missing_parts",
+    "remedy",
+    "shakes_little",
     "shortfall_text",
     "started",
     "stopped",

@@ -1,27 +1,102 @@
-"""What is said of a part for which a task does not get on: part of the failure's reason."""
+"""What is said at the end of a task that failed: what happened, the numbers, what would help."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import Parts, Rig
 
 from ..estimation import LastRequest
+from .phase import LOOK
+
+NEAR_EDGE = 3.0
+"""A part that was last seen this near an edge has left the plate [part radii]."""
+
+LEAST_GAMMA = 6.0
+"""Shaking ratio below which tasks take long or fail for this reason alone [-]: docs/results.md."""
+
+FEW = 5
+"""So many parts can be moved at will; more leave a cycle little freedom."""
+
+AT_REST_MPS = 0.5e-3
+"""A part that is asked for less is not asked to move [m/s]."""
 
 
-def shortfall_text(request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray) -> str:
-    """Say which part is furthest from where it should be (M,) [m], and what was asked of it."""
+class LastSeen(NamedTuple):
+    """Where a part was when it was seen last (x, y) [m, plate_home], and the stamp [s]."""
+
+    position: tuple[float, float]
+    stamp: float
+
+
+def loss_text(name: str, last: LastSeen, began: float, rig: Rig, count: int) -> str:
+    """Say what became of a part that is no longer seen, and what would help.
+
+    `began` is when the task did [s], `count` the number of parts.
+    """
+    x, y = last.position
+    where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
+    edge = float(np.min(rig.plate.half - np.abs(last.position)))
+    if edge > NEAR_EDGE * rig.parts.radius_m:
+        return f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
+    more = ", fewer parts" if count > FEW else ""
+    return (
+        f"{name} left the plate {where}; starts and goals further from the edges{more} or less "
+        "drift_max would keep it"
+    )
+
+
+def shortfall_text(
+    request: LastRequest, rig: Rig, parts: Parts, distance: np.ndarray, count: int
+) -> str:
+    """Say which part is furthest from where it should be (M,) [m], what was asked of it, and what
+    would help."""
     if not len(distance):
         return ""
     worst = int(np.argmax(distance))
-    name = parts.ids[worst]
-    text = f"{name} is {distance[worst] * 1e3:.1f} mm short"
+    name, (x, y) = parts.ids[worst], parts.position[worst]
+    text = f"{name} at ({x:.3f}, {y:.3f}) m has {distance[worst] * 1e3:.1f} mm to go"
     if name not in request.ids:
         return text
     row = request.ids.index(name)
-    drift, force = 1e3 * request.drift[row], 1e3 * request.force[row]
-    got, most = 1e3 * parts.velocity[worst], 1e3 * rig.force_unit
-    return (
-        f"{text}, asked for ({drift[0]:.1f}, {drift[1]:.1f}) mm/s with ({force[0]:.2f}, "
-        f"{force[1]:.2f}) mN of {most:.1f}, had ({got[0]:.1f}, {got[1]:.1f}) mm/s"
+    drift, got = request.drift[row], parts.velocity[worst]
+    force, most = 1e3 * float(np.hypot(*request.force[row])), 1e3 * rig.force_unit
+    text += (
+        f": asked to drift ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (a change that takes "
+        f"{force:.1f} of {most:.1f} mN of friction), it drifted ({1e3 * got[0]:.1f}, "
+        f"{1e3 * got[1]:.1f}) mm/s"
     )
+    size = float(np.hypot(*drift))
+    if size < AT_REST_MPS or float(drift @ got) > 0.5 * size**2:
+        return text
+    return f"{text}; {remedy(rig, count)}"
+
+
+def shakes_little(rig: Rig) -> bool:
+    """Whether the plate shakes so little that tasks take long for this reason alone."""
+    return rig.gamma < LEAST_GAMMA
+
+
+def remedy(rig: Rig, count: int) -> str:
+    """Say what helps parts that do not move as they are asked."""
+    if shakes_little(rig):
+        return (
+            f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
+            f"{rig.reach.limit}; {LEAST_GAMMA:g} or more would do (check_rig tells more)"
+        )
+    if count > FEW:
+        return f"{count} parts at once leave the plate little freedom: fewer parts, or more room"
+    return (
+        "friction.mu or the motors may not be as the rig file says, or something is in its way "
+        "(calibrate the rig)"
+    )
+
+
+def gone(
+    missing: tuple[str, ...], last: Mapping[str, LastSeen], began: float, rig: Rig, count: int
+) -> dict[str, str]:
+    """Say of each part that is missing and known what became of it."""
+    return {n: loss_text(n, last[n], began, rig, count) for n in missing if n in last}

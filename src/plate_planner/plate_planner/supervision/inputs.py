@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from plate_core.status import Finding, Input, Level
+from plate_core.status import COMPILING, Finding, Input, Level
 
 CYCLES = 3.0
 """Silence of so many cycles is none yet, however short the timeout."""
@@ -153,6 +153,10 @@ class Inputs:
         """Longest silence [s] at cycles of `period` [s]."""
         return max(self.parts.timeout_s, CYCLES * period) + SECOND_HAND_S
 
+    def answer_overdue(self, now: float, period: float) -> bool:
+        """Tell whether the solver has not answered for too long."""
+        return self.unanswered is not None and now - self.unanswered > self.timeout(period)
+
     def driver_problem(self, now: float) -> str:
         """Say why no task can be started with the driver; empty if one can."""
         gone = self.driver.gone(now)
@@ -161,6 +165,14 @@ class Inputs:
         if not self.driver_state.known:
             return f"no driver_state yet: {self.driver.question}"
         return "" if self.driver_state.ready else self._driver_text
+
+    def compiling(self, now: float) -> str:
+        """Say that a node of the loop compiles, so that no task can be started yet; or nothing."""
+        for name, report in self.reports.items():
+            fresh = now - report.at <= REPORT_TIMEOUT_S
+            if fresh and report.message.startswith(COMPILING):
+                return f"the {name} is {report.message}"
+        return ""
 
     @property
     def _driver_text(self) -> str:
@@ -209,12 +221,13 @@ class Inputs:
         if self.enabled_again is not None and self.enabled_again > began:
             return "driver: the motors were stopped and enabled again"
         silence = min(self.parts.silence(now), now - began)
-        if silence > timeout:
-            return self._no_parts(now, silence, publishers)
-        if self.unanswered is not None and now - max(self.unanswered, began) > timeout:
+        if self.unanswered is not None:  # a simulator in lockstep shows nothing new until then
             silence, question = now - max(self.unanswered, began), "does the solver run?"
-            why = self._blame("plate_cycle", "solver", question, now, publishers)
-            return f"no plate_cycle for {silence:.1f} s: {why}"
+            if silence > timeout:
+                why = self._blame("plate_cycle", "solver", question, now, publishers)
+                return f"no plate_cycle for {silence:.1f} s: {why}"
+        elif silence > timeout:
+            return self._no_parts(now, silence, publishers)
         name = self._cut_off(now, began, period)
         return f"{name}: {self.reports[name].message}" if name else ""
 

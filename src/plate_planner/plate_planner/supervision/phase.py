@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from plate_core import Parts, part_class
@@ -15,6 +16,13 @@ from plate_core.tasks import Scenario
 
 TIME_TOLERANCE_S = 1e-6
 """Stamps are sums of periods in nanoseconds: closer than this, two times are the same."""
+
+
+LOOK = "detections_image shows what the camera sees"
+"""Where to look when parts are not seen."""
+
+STILL_S = 3.0
+"""A task that came nearer within this time was still getting on [s]."""
 
 
 class Phase(StrEnum):
@@ -74,7 +82,7 @@ class TaskState:
     ----------
     phase : Phase
     reason : str
-        Why it ended without being done.
+        What there is to say of its end: the result if it is done, else why, and what would help.
     asked : float or None
         First image after `start`.
     began : float or None
@@ -106,13 +114,13 @@ class TaskState:
 
     @property
     def text(self) -> str:
-        """The phase; of a failure with time and reason: `lost part after 3.1 s: black_2`."""
-        if not self.phase.is_failure:
+        """The phase; of an end with time and reason: `done after 14.1 s: 10 of 10 parts ...`."""
+        if not self.phase.is_end:
             return self.phase.value
         time = ""
         if self.began is not None and self.ended is not None:
             time = f" after {self.ended - self.began:.1f} s"
-        return f"{self.phase.value}{time}: {self.reason}"
+        return f"{self.phase.value}{time}" + (f": {self.reason}" if self.reason else "")
 
     def elapsed(self, t: float) -> float:
         """Time [s] since the task began, until `t` or its end."""
@@ -164,7 +172,8 @@ def begin(
         return replace(state, asked=asked, began=t)
     if t - asked > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
-        return _end(state, t, Phase.ABORTED, f"{what} within {limits.start_timeout_s:g} s of start")
+        why = f"{what} within {limits.start_timeout_s:g} s of start; {LOOK}"
+        return _end(state, t, Phase.ABORTED, why)
     return replace(state, asked=asked)
 
 
@@ -190,7 +199,11 @@ class Findings:
     problem : str
         Why the task cannot go on; empty if it can.
     detail : str
-        Which part is furthest from its goal, and what was asked of it.
+        Which part is furthest from its goal, what was asked of it, and what would help.
+    outcome : str
+        What there is to tell if the task is done now.
+    gone : mapping of str to str
+        Of parts that are missing: what became of them.
     """
 
     missing: tuple[str, ...]
@@ -198,6 +211,8 @@ class Findings:
     to_go_m: float
     problem: str = ""
     detail: str = ""
+    outcome: str = ""
+    gone: Mapping[str, str] = field(default_factory=dict)
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -216,15 +231,17 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
-        return _end(state, t, Phase.LOST, _listed(lost))
+        return _end(state, t, Phase.LOST, "; ".join(found.gone.get(name, name) for name in lost))
     if found.problem:
         return _end(state, t, Phase.STUCK, found.problem)
     held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
     if held and not found.missing:
-        return replace(state, phase=Phase.DONE, ended=t)
+        return _end(state, t, Phase.DONE, found.outcome)
     reason = ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:
         reason = f"time limit of {limits.time_limit_s:g} s"
+        if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
+            reason += " (still getting nearer: a longer time_limit_s would do)"
     elif met_since is None and t - state.nearest_at > limits.stuck_timeout_s + TIME_TOLERANCE_S:
         reason = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
     if not reason:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from .phase import Phase
@@ -15,7 +16,7 @@ class Progress:
     ----------
     phase : Phase
     text : str
-        The phase, and time and reason of a failure.
+        The phase; of an end the time, the result or the reason, and what would help.
     time_s : float
         Time since the task began, until now or its end [s].
     parts_total, parts_seen, parts_sorted : int
@@ -27,8 +28,12 @@ class Progress:
         assembling and posing: of parts from their places in this image [m].
     max_error_m : float
         The greatest such distance [m].
+    turn_error : float
+        Posing: the greatest angle that is missing in this image [rad].
     speed_scaling : float
         Following: speed of the references, 1 is full speed [-].
+    pace : float
+        And on average since they began to move [-].
     period_s : float
         Length of a cycle [s].
     image_age_s : float
@@ -44,7 +49,9 @@ class Progress:
     to_go_m: float
     rms_error_m: float
     max_error_m: float
+    turn_error: float
     speed_scaling: float
+    pace: float
     period_s: float
     image_age_s: float
 
@@ -63,7 +70,9 @@ class Progress:
             "to_go_m": f"{self.to_go_m:.6f}",
             "rms_error_m": f"{self.rms_error_m:.6f}",
             "max_error_m": f"{self.max_error_m:.6f}",
+            "turn_error_deg": f"{math.degrees(self.turn_error):.2f}",
             "speed_scaling": f"{self.speed_scaling:.3f}",
+            "pace": f"{self.pace:.3f}",
             "period_s": f"{self.period_s:.4f}",
             "image_age_s": f"{self.image_age_s:.4f}",
         }

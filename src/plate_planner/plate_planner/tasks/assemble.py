@@ -40,6 +40,7 @@ class Assembler(TaskRules):
         """Judge one image, and say what is wanted; nothing is remembered."""
         distance = self.distance(now.parts)
         error = distance[~np.isnan(distance)]
+        worst = float(np.max(error, initial=0.0))
         count = int(np.sum(error <= self.task.tolerance_m))
         return None, Assessment(
             request=self.request(now.parts, now.period),
@@ -48,7 +49,8 @@ class Assembler(TaskRules):
             distance=np.nan_to_num(distance),
             to_go_m=float(np.sum(error)),
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
-            max_error_m=float(np.max(error, initial=0.0)),
+            max_error_m=worst,
+            outcome=f"every place has a part, the furthest {1e3 * worst:.1f} mm off",
         )
 
     def distance(self, parts: Parts) -> np.ndarray:

@@ -20,8 +20,9 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import Parts, Rig
-from plate_core.tasks import FollowTask
+from plate_core.tasks import AssembleTask, FollowTask
 
+from .assemble import Assembler
 from .path import PolygonPath
 from .targets import UNMATCHED, match_targets, matched_rows, rematch_targets, stay_within
 from .task import Assessment, DriftRequest, Situation, TaskRules
@@ -51,8 +52,19 @@ BIAS_MAX, SPEED_RATIO_MAX = 1.0, 3.0
 SLOW_FROM, SLOW_TO = 0.15, 0.5
 """Errors at which the references begin to slow down, and stand still [max_error_m]."""
 
-SETTLE_S = 3.0
-"""A part may be further off than the scenario allows for this long after the start [s]."""
+LEAD_TO_M = 1e-3
+"""Parts are led to the starts of their paths as near as this [m], or as `SLOW_FROM` if that is
+more: from there the references can begin at full speed."""
+
+KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.005)
+"""Speeds that one, two, ... six parts or more kept on circles [m/s]: docs/results.md, (f)."""
+
+REACHED, PERIOD_S = 0.3, 0.1
+"""Share of the bound a T/16 that two parts kept at shaking ratios of 3 and 5 [-], and the length of
+a cycle for few parts, T [s]."""
+
+SLOWED = 0.95
+"""An average pace below this is reported at the end [-]."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +130,10 @@ class FollowMemory:
         A stamp [s], and how far on their paths the references are then [s at full speed].
     scaling : (float, float)
         Seconds on the path per second, before the anchor and after it: 1 is full speed.
+    leading : bool
+        Whether parts are still led to the starts of their paths; the references wait.
+    lead_s : float
+        How long that took [s].
     square_sum, samples : float, int
         Sum of squared distances from the references [m2], and their number.
     max_error_m : float
@@ -129,6 +145,8 @@ class FollowMemory:
     anchor: float = 0.0
     progress: float = 0.0
     scaling: tuple[float, float] = (1.0, 1.0)
+    leading: bool = False
+    lead_s: float = 0.0
     square_sum: float = 0.0
     samples: int = 0
     max_error_m: float = 0.0
@@ -142,6 +160,10 @@ class FollowMemory:
         """How far the references are on their paths at a stamp t [s], in seconds at full speed."""
         since = t - self.anchor
         return self.progress + since * self.scaling[0 if since < 0 else 1]
+
+    def pace(self, t: float) -> float:
+        """Speed of the references over that of their paths, on average until a stamp t [s]."""
+        return self.path_time(t) / (t - self.began) if t > self.began else 1.0
 
 
 @dataclass(frozen=True)
@@ -176,13 +198,13 @@ class Follower(TaskRules):
         self, memory: FollowMemory | None, now: Situation
     ) -> tuple[FollowMemory | None, Assessment]:
         """Judge one image, and say what is wanted; see `TaskRules.assess`."""
-        if now.active:
-            parts = now.parts
-            if memory is None or (now.motion_known and now.stamp < memory.began - now.period / 2):
-                # How long the solver's cycles are is known from the first that runs: wait for it.
-                start = now.start if now.motion_known else now.start + now.period
-                memory = self.begin(parts, start)
-            memory = self.measure(memory, now)
+        if not now.active:
+            found = Assessment()
+        else:
+            memory = self._begun(memory, now)
+            if memory.leading:
+                return memory, self._lead(memory, now)
+            memory, parts = self.measure(memory, now), now.parts
             error = self.errors(memory, parts, now.stamp)
             found = Assessment(
                 request=self._request(memory, now),
@@ -190,10 +212,9 @@ class Follower(TaskRules):
                 distance=error,
                 to_go_m=self.to_go(memory, now.stamp),
                 problem=self.problem(memory, parts, now.stamp),
-                missing=tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED),
+                missing=_not_seen(memory, parts),
+                outcome=self.outcome(memory, now.stamp),
             )
-        else:
-            found = Assessment()
         if memory is None:
             return None, found
         return memory, replace(
@@ -201,7 +222,60 @@ class Follower(TaskRules):
             rms_error_m=memory.rms_error_m,
             max_error_m=memory.max_error_m,
             speed_scaling=memory.scaling[1],
+            pace=memory.pace(now.stamp),
         )
+
+    def _begun(self, memory: FollowMemory | None, now: Situation) -> FollowMemory:
+        """Begin, or begin again as long as parts are led to their paths or a cycle's length is not
+        known."""
+        early = memory is None or now.stamp < memory.began - now.period / 2
+        if memory is not None and not memory.leading and not (early and now.motion_known):
+            return memory
+        # How long the solver's cycles are is known from the first that runs: wait for it.
+        start = now.start if now.motion_known else now.start + now.period
+        again = self.begin(now.parts, start)
+        led = 0.0 if memory is None else memory.lead_s + (now.period if memory.leading else 0.0)
+        far = np.nan_to_num(self._leader.distance(now.parts)) > self._leader.task.tolerance_m
+        leading = (memory is None or memory.leading) and bool(np.any(far))
+        return replace(again, leading=leading, lead_s=led)
+
+    def _lead(self, memory: FollowMemory, now: Situation) -> Assessment:
+        """Bring parts to the starts of their paths, round each other, as in assembling."""
+        found = self._leader.assess(None, now)[1]
+        return replace(
+            found,
+            goal_met=False,
+            to_go_m=found.to_go_m + self.to_go(memory, memory.began),
+            missing=_not_seen(memory, now.parts),
+            rms_error_m=0.0,
+            max_error_m=0.0,
+        )
+
+    @cached_property
+    def _leader(self) -> Assembler:
+        """The rules by which parts are led to the starts of their paths."""
+        starts = tuple(path.waypoint[0] for path in self.task.paths)
+        near = max(SLOW_FROM * self.task.max_error_m, LEAD_TO_M)
+        return Assembler(AssembleTask(tuple(self._labels), starts, near, 0.0), self.rig)
+
+    def doubts(self) -> tuple[str, ...]:
+        """Say that paths are faster than was ever kept, or than any motion of the plate allows."""
+        count, fastest = len(self.paths), float(np.max(self._speeds))
+        kept = min(KEPT_MPS[min(count, len(KEPT_MPS)) - 1], REACHED * self._bound)
+        if fastest <= kept:
+            return ()
+        why = f"{count} parts on this rig keep about {kept:.2g} m/s: they will be slowed down"
+        if fastest > self._bound:
+            why = (
+                f"no motion of this plate carries a part faster than {self._bound:.2g} m/s "
+                f"(a T/16); {count} parts keep about {kept:.2g}"
+            )
+        return (f"speed_mps is {fastest:g}; {why}",)
+
+    @property
+    def _bound(self) -> float:
+        """Greatest mean speed that any motion of the plate gives a part [m/s], a T/16."""
+        return self.rig.gamma * self.rig.friction.accel * PERIOD_S / 16
 
     def begin(self, parts: Parts, start: float) -> FollowMemory:
         """Match parts to paths; the references leave at `start` [s]."""
@@ -260,16 +334,30 @@ class Follower(TaskRules):
         return memory.path_time(t) >= max(path.duration for path in self.paths) - 1e-6
 
     def problem(self, memory: FollowMemory, parts: Parts, t: float) -> str:
-        """Say which part is too far off its path; empty if none is, or it is too early to say."""
-        if t - memory.began < SETTLE_S:
-            return ""
+        """Say which part is too far off its path, and what would help; empty if none is."""
         error = self.errors(memory, parts, t)
         if not len(error) or np.max(error) <= self.task.max_error_m:
             return ""
         worst = int(np.argmax(error))
+        x, y = parts.position[worst]
         return (
-            f"{parts.ids[worst]} is {error[worst] * 1e3:.1f} mm off its path, "
-            f"allowed: {self.task.max_error_m * 1e3:g} mm"
+            f"{parts.ids[worst]} at ({x:.3f}, {y:.3f}) m is {error[worst] * 1e3:.1f} mm off its "
+            f"path, allowed: {self.task.max_error_m * 1e3:g} mm (max_error_m); a lower speed_mps "
+            "or fewer parts would do"
+        )
+
+    def outcome(self, memory: FollowMemory, t: float) -> str:
+        """Sum up how the paths were followed until a stamp t [s]."""
+        text = f"error {1e3 * memory.rms_error_m:.2f} mm RMS, {1e3 * memory.max_error_m:.2f} most"
+        if memory.lead_s > 0:
+            text += f"; {memory.lead_s:.1f} s of it to the starts of the paths"
+        pace = memory.pace(t)
+        if pace >= SLOWED:
+            return text
+        fastest = 1e3 * float(np.max(self._speeds))
+        return (
+            f"{text}; slowed down to {100 * pace:.0f} % of the speed asked for: a speed_mps of "
+            f"{1e-3 * fastest * pace:.2g} in place of {1e-3 * fastest:g} would be kept"
         )
 
     def bias_axes(self, memory: FollowMemory | None, parts: Parts, t: float) -> np.ndarray:
@@ -318,3 +406,8 @@ class Follower(TaskRules):
     def _speeds(self) -> np.ndarray:
         """Greatest speed of each path (P,) [m/s]."""
         return np.array([path.speed for path in self.paths])
+
+
+def _not_seen(memory: FollowMemory, parts: Parts) -> tuple[str, ...]:
+    """Name the parts of the paths that are not seen."""
+    return tuple(i for i in memory.match if i not in parts.ids and i != UNMATCHED)

@@ -84,6 +84,7 @@ class Poser(TaskRules):
         memory = self.begin(parts) if memory is None else memory
         error, angle = self.errors(memory, parts)
         distance = error + self.rig.parts.radius_m * np.abs(angle)  # the way of the rim
+        turn = float(np.max(np.abs(angle), initial=0.0))
         count, problem = self.count(memory, parts), self.problem(memory, parts)
         memory, request = self.request(memory, parts, now.predicted, now.period)
         return memory, Assessment(
@@ -96,6 +97,9 @@ class Poser(TaskRules):
             problem=problem,
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
+            turn_error=turn,
+            outcome=f"{1e3 * np.max(error, initial=0.0):.1f} mm and {np.degrees(turn):.1f} degrees "
+            "off at most",
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
@@ -141,7 +145,8 @@ class Poser(TaskRules):
             return ""
         return (
             f"{parts.ids[worst]} is {1e3 * far:.1f} mm from where it was to turn, "
-            f"allowed: {1e3 * self.task.tolerance_m:g} mm"
+            f"allowed: {1e3 * self.task.tolerance_m:g} mm (tolerance_m); fewer parts, more "
+            "room from the plate's ends, or a greater tolerance would do"
         )
 
     def request(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from .targets import (
     OVER,
     approach_drift,
     assign,
+    edges_first,
     hold_back,
     nearness,
     pass_by,
@@ -83,21 +85,42 @@ class Sorter(TaskRules):
         return self.task.hold_s
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario with a bin that has no room for the parts of its class.
+        """Refuse a scenario with a region that has no room for its parts, or with two bins in one
+        place.
 
         Raises
         ------
         ScenarioError
-            Names the class, how many parts it has and how many there is room for.
+            Names the class, how many parts it has and how many there is room for; or both classes.
         """
         for group in scenario.parts:
             region = self.task.regions[group.label]
-            room = len(slots(region, self.rig)) if isinstance(region, Bin) else group.count
+            if isinstance(region, Bin):
+                room, hint = len(slots(region, self.rig)), f"{SLOT_SPACING:g} part radii apart"
+            else:
+                room, hint = self._room(region), "touching; a lower goal_fraction has more room"
             if group.count > room:
                 raise ScenarioError(
-                    f"scenario {scenario.name}: bin of {group.label} is for {group.count} parts, "
-                    f"allowed: at most {room}, {SLOT_SPACING:g} part radii apart"
+                    f"scenario {scenario.name}: region of {group.label} is for {group.count} "
+                    f"parts, allowed: at most {room}, {hint}"
                 )
+        radius = self.rig.parts.radius_m
+        for (one, (_, a)), (other, (_, b)) in combinations(self._bins.items(), 2):
+            gap = float(np.min(np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))))
+            if gap < 2 * SLOT_CLEAR * radius - 1e-9:
+                raise ScenarioError(
+                    f"scenario {scenario.name}: the bins of {one} and {other} overlap (their parts "
+                    f"would come {1e3 * gap:.0f} mm near each other), allowed: one beside the other"
+                )
+
+    def _room(self, region: Side) -> int:
+        """How many parts find room in a side or corner, in a square pattern."""
+        half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
+        goal = self.task.goal_fraction
+        ends = np.maximum((END, EDGE[1]), goal + 2 * MARGIN)
+        beyond = np.array([region.x, region.y]) != 0
+        span = half * np.where(beyond, ends - goal, 2 * np.array((END, EDGE[1])))
+        return int(np.prod(1 + np.floor(span / wide + 1e-9)))
 
     def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
         """Judge one image, and say what is wanted; nothing is remembered."""
@@ -109,12 +132,16 @@ class Sorter(TaskRules):
             count=count,
             distance=distance,
             to_go_m=float(np.sum(distance)),
+            outcome=f"{count} of {len(to_go)} parts in their regions",
         )
 
-    def to_go(self, parts: Parts) -> np.ndarray:
-        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
+    def to_go(self, parts: Parts, sign: np.ndarray | None = None) -> np.ndarray:
+        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one.
+
+        `sign` (M, 2) are those of the sides, if other than where the parts belong in the end.
+        """
         goal = self.task.goal_fraction * self.rig.plate.half
-        sign = self._signs(parts)
+        sign = self._signs(parts) if sign is None else sign
         short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
         # On the line itself is not beyond it.
         on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
@@ -143,15 +170,15 @@ class Sorter(TaskRules):
         """
         options = self.options
         position = parts.position + period * parts.velocity
-        sign, half, goal = self._signs(parts), self.rig.plate.half, self.task.goal_fraction
+        sign, half, goal = self._in_turn(parts), self.rig.plate.half, self.task.goal_fraction
         ends = (END, EDGE[1])
-        speed = options.drift_max * speed_scaling(self.to_go(parts))
+        speed = options.drift_max * speed_scaling(self.to_go(parts, sign))
         axes = [
             _along(position[:, k], sign[:, k], goal, half[k], ends[k], speed, options)
             for k in range(2)
         ]
-        # Parts dodge across the axis along which they are sorted; to a corner that is x.
-        across = np.where((sign[:, 0] == 0) & (sign[:, 1] != 0), 0, 1)
+        # Parts dodge across the axis along which they are sorted; in a corner that is y by then.
+        across = np.where(sign[:, 1] != 0, 0, 1)
         request = DriftRequest(
             np.column_stack([low for low, _ in axes]), np.column_stack([high for _, high in axes])
         )
@@ -159,7 +186,9 @@ class Sorter(TaskRules):
         for axis, (low, high) in enumerate(dodged):
             request.low[:, axis] = np.where(across == axis, low, request.low[:, axis])
             request.high[:, axis] = np.where(across == axis, high, request.high[:, axis])
-        return self._to_slots(parts, position, speed, request)
+        request, aim = self._to_slots(parts, position, speed, request)
+        wander, fastest = options.wander * options.drift_max, OVER * options.drift_max
+        return edges_first(position, aim, half, request, wander, fastest)
 
     def _to_slots(
         self,
@@ -167,8 +196,9 @@ class Sorter(TaskRules):
         position: np.ndarray,
         speed: np.ndarray,
         request: DriftRequest,
-    ) -> DriftRequest:
-        """Replace what is asked of parts that belong in bins."""
+    ) -> tuple[DriftRequest, np.ndarray]:
+        """Replace what is asked of parts that belong in bins; returns their places (M, 2) [m], too,
+        0 for parts without."""
         options, radius = self.options, self.rig.parts.radius_m
         low, high, aim = request.low.copy(), request.high.copy(), position.copy()
         binned = np.zeros(len(parts), dtype=bool)
@@ -183,13 +213,28 @@ class Sorter(TaskRules):
             )  # fmt: skip
             low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
         if not np.any(binned):
-            return request
+            return request, np.zeros_like(position)
         wanted = pass_by(position, DriftRequest(low, high), radius)
         wanted = hold_back(position, aim, self.rig.plate.half, wanted)
         rows = binned[:, None]
-        return DriftRequest(
+        request = DriftRequest(
             np.where(rows, wanted.low, request.low), np.where(rows, wanted.high, request.high)
         )
+        return request, np.where(rows, aim, 0.0)
+
+    def _in_turn(self, parts: Parts) -> np.ndarray:
+        """Signs (M, 2) of the sides to which parts are to go now; 0 where they may be anywhere.
+
+        Those that belong in corners go along x first, and along y when all have come so far. Both
+        at once is more than a cycle has freedom for: 2 M requests of parts that are mixed. Once all
+        are at their ends, those at one end want the same, which is easy.
+        """
+        sign = self._signs(parts)
+        first = sign * [1, 0]
+        corner = np.all(sign != 0, axis=1)
+        if np.any(self.to_go(parts, first)[corner] > 0):
+            sign[corner] = first[corner]
+        return sign
 
     def _signs(self, parts: Parts) -> np.ndarray:
         """Signs (M, 2) of the sides where parts belong; 0 where they may be anywhere."""

@@ -43,6 +43,15 @@ EDGE = 0.93
 nearer to them."""
 
 
+RESCUE = (0.88, 0.95)
+"""Where a part is so near an edge that it goes before the others, and alone [fraction of the half
+side]."""
+
+SAFE = (0.70, 0.85)
+"""Meanwhile the others may go towards an edge up to the first, and from the second on not at all
+[fraction of the half side]."""
+
+
 def match_targets(
     labels: Sequence[str], target: np.ndarray, parts: Parts, reach_m: float = np.inf
 ) -> tuple[str, ...]:
@@ -194,6 +203,50 @@ def hold_back(
     return DriftRequest(low, high)
 
 
+def edges_first(
+    position: np.ndarray,
+    aim: np.ndarray,
+    half: np.ndarray,
+    request: DriftRequest,
+    wander: float,
+    fastest: float,
+) -> DriftRequest:
+    """Let parts that are nearly off the plate go first: little else is asked until they are safe.
+
+    A cycle that cannot give all that is asked of it misses something of everything, and a part near
+    an edge then creeps over it. The nearer the nearest part is to an edge, the less is asked of the
+    others: in the end only not to go nearer to one. Of itself is asked what was asked before, only
+    faster inwards is welcome.
+
+    Parameters
+    ----------
+    position, aim : (M, 2)
+        Where the parts are, and the places they are to have; 0 where they have none
+        [m, plate_home]. A part is in danger nearer to an edge than its place only.
+    half : (2,)
+        Half sides of the plate [m].
+    request : DriftRequest
+        What is asked of the parts.
+    wander, fastest : float
+        Drift allowed of the others [m/s], and greatest welcome drift inwards [m/s].
+    """
+    begins = np.maximum(RESCUE[0] * half, np.abs(aim))
+    edge = np.clip((np.abs(position) - begins) / ((RESCUE[1] - RESCUE[0]) * half), 0, 1)
+    danger = float(np.max(edge, initial=0.0))
+    if danger == 0:
+        return request
+    outwards = wander * (1 - nearness(position, half, *SAFE))
+    upper = position > 0  # inwards is down
+    others = danger * (1 - np.clip(4 * edge, 0, 1))
+    low_share, high_share = np.where(upper, danger, others), np.where(upper, others, danger)
+    low = np.where(upper, -fastest, -outwards)
+    high = np.where(upper, outwards, fastest)
+    return DriftRequest(
+        (1 - low_share) * request.low + low_share * low,
+        (1 - high_share) * request.high + high_share * high,
+    )
+
+
 def stay_within(
     coordinate: np.ndarray, half: float, inner: float, outer: float, speed: float, wander: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -226,6 +279,8 @@ def stay_within(
     return middle - width, middle + width
 
 
-def nearness(coordinate: np.ndarray, half: float, inner: float, outer: float) -> np.ndarray:
+def nearness(
+    coordinate: np.ndarray, half: float | np.ndarray, inner: float, outer: float
+) -> np.ndarray:
     """How near an edge is: 0 up to `inner`, 1 from `outer` (fractions of half), linear between."""
     return np.clip((np.abs(coordinate) / half - inner) / (outer - inner), 0, 1)

@@ -120,8 +120,12 @@ class Assessment:
         Parts that the task misses; None: those of the scenario that are not seen.
     rms_error_m, max_error_m : float
         Distances from where parts should be, as the task counts them [m].
-    speed_scaling : float
-        Speed of references over that of their paths [-].
+    turn_error : float
+        The greatest angle that is missing [rad].
+    speed_scaling, pace : float
+        Speed of references over that of their paths, now and on average [-].
+    outcome : str
+        What there is to tell if the task is done now.
     """
 
     request: DriftRequest | None = None
@@ -134,7 +138,10 @@ class Assessment:
     missing: tuple[str, ...] | None = None
     rms_error_m: float = 0.0
     max_error_m: float = 0.0
+    turn_error: float = 0.0
     speed_scaling: float = 1.0
+    pace: float = 1.0
+    outcome: str = ""
 
 
 class TaskRules(Protocol):
@@ -173,6 +180,10 @@ class TaskRules(Protocol):
     def check(self, scenario: Scenario) -> None:
         """Refuse a scenario that cannot be done on this rig, with a `ScenarioError`."""
         return
+
+    def doubts(self) -> tuple[str, ...]:
+        """Say what is asked that this rig will probably not do, and what would do."""
+        return ()
 
     @property
     def estimated(self) -> bool:

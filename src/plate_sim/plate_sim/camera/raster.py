@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateError
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel, kernel
 
 Outline = Sequence[np.ndarray]
 """Convex polygons (k, 2) that a part consists of [m, part's frame], corners counter-clockwise."""
@@ -118,7 +118,7 @@ def _edges(part: int, corner: np.ndarray) -> np.ndarray:
     return np.column_stack([normal, offset])
 
 
-@kernel()
+@inner_kernel
 def expose(canvas, bank, noise, image):
     """Add noise to the canvas (n,), with deviates `bank` (n,), and round it to the image (n,)."""
     noise = np.float32(noise)
@@ -127,7 +127,7 @@ def expose(canvas, bank, noise, image):
         image[i] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
 
 
-@kernel()
+@inner_kernel
 def along(fraction, last):
     """Return the piece of a path of `last` pieces, and the fraction of it, at one of the whole."""
     piece = min(int(fraction * last), last - 1)
@@ -184,7 +184,7 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
         canvas[i] = (grey[0] + (grey[1] - grey[0]) * cover) * light[i]
 
 
-@kernel()
+@inner_kernel
 def depths(pose, half, x, y):
     """Distances of a point [m] from the plate's edges across and along it, positive inside;
     pose: x, y, cosine, sine."""
@@ -252,7 +252,7 @@ def positions(path, copies):
     return centre, middle, spread
 
 
-@kernel()
+@inner_kernel
 def polygons_cover(x, y, scale, outlines, begin, end):
     """Fraction of a pixel at (x, y) [m, part's frame] that convex polygons side by side cover."""
     edges, pieces, cover = outlines.edges, outlines.pieces, 0.0

@@ -6,7 +6,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel, kernel
 
 from ..friction.step import X, Y
 
@@ -72,7 +72,7 @@ def near_pairs(state, bodies, here, order, pairs, marks):
     return pairs, found, skin, gap
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def approach(state, here, marks):
     """Bound on how far [m] any two parts moved towards each other since `marks` were set."""
     low_x = low_y = inf

@@ -7,14 +7,15 @@ on the other side). Then each point rubs: an impulse of up to mu_c times the one
 off along the rims, and never turns it around. Impulses act on both parts in one place at one time,
 so momentum and angular momentum are kept: that time is when the parts touched, within the step.
 What overlap a crowd leaves is ended by moving its parts apart, without speed.
+
+For discs alone all this is simpler: `discs`.
 """
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import NamedTuple
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 from ..friction.step import SPIN, VX, VY, X, Y
 from .manifold import COUNT, DEPTHS, NORMAL, POINTS
@@ -53,7 +54,7 @@ class Inertia(NamedTuple):
     second_turn: float
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def closes(state, i, j, contact):
     """Whether two parts close in at any point where they touch."""
     for k in range(int(contact[COUNT])):
@@ -65,7 +66,7 @@ def closes(state, i, j, contact):
     return False
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def collide(state, bodies, i, j, contact, rules, step, arms):
     """Let two parts, or a part and a wall, collide where they touch, in place.
 
@@ -74,10 +75,10 @@ def collide(state, bodies, i, j, contact, rules, step, arms):
     state, bodies : (6, P), (n,) of BODY
         As in `friction.step`; the state of a wall is the plate's pose and twist.
     i, j : int
-        The parts. A disc that touches a polygon is the first; a wall is the second, and the last of
-        all columns and bodies.
+        The parts, of which one at least is no disc, or a part that is none and a wall. A disc is
+        the first; a wall is the second, and the last of all columns and bodies.
     contact : (9,)
-        As in `manifold`; of discs, its normal is turned to when they touched.
+        As in `manifold`.
     rules : Rules
     step : float
         [s].
@@ -85,10 +86,7 @@ def collide(state, bodies, i, j, contact, rules, step, arms):
         Room to work in.
     """
     a, b = bodies[i], bodies[j]
-    if a.radius > 0 and b.radius > 0:
-        ago = _discs_touched(state, i, j, a.radius + b.radius, contact, step)
-    else:
-        ago = _touched(state, i, j, contact, step)
+    ago = _touched(state, i, j, contact, step)
     count, n = int(contact[COUNT]), (contact[NORMAL], contact[NORMAL + 1])
     _set_arms(state, i, j, a.radius, b.mass_inverse == 0, contact, ago, arms)
     inertia = Inertia(
@@ -115,7 +113,7 @@ def collide(state, bodies, i, j, contact, rules, step, arms):
                 contact[DEPTHS + 1] -= give * _compliance(arms[0], arms[1], n, inertia)
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _bounce(state, i, j, arms, n, inertia, count, v0, v1, rules):
     """Give impulses until no point closes in; v0, v1 are the points' speeds [m/s] along n."""
     t, still = (-n[1], n[0]), ROUNDING * max(abs(v0), abs(v1))
@@ -136,27 +134,7 @@ def _bounce(state, i, j, arms, n, inertia, count, v0, v1, rules):
         v1 = _speed(state, i, j, arms[1], n) if count == 2 else 0.0
 
 
-@kernel(nogil=True, error_model="numpy")
-def _discs_touched(state, i, j, radii, contact, step):
-    """How long ago [s] two discs touched that close in; turn the normal to that moment."""
-    nx, ny, depth = contact[NORMAL], contact[NORMAL + 1], contact[DEPTHS]
-    wx, wy = state[VX, i] - state[VX, j], state[VY, i] - state[VY, j]
-    closing = -(wx * nx + wy * ny)
-    if closing <= 0:
-        return 0.0
-    # |d - ago w| = radii
-    distance, w2 = radii - depth, wx * wx + wy * wy
-    ahead, lack = closing * distance, depth * (radii + distance)
-    ago = min(lack / (ahead + sqrt(ahead * ahead + w2 * lack)), step)
-    dx = state[X, i] - state[X, j] - ago * wx
-    dy = state[Y, i] - state[Y, j] - ago * wy
-    far = sqrt(dx * dx + dy * dy)
-    if far > 0:
-        contact[NORMAL], contact[NORMAL + 1] = dx / far, dy / far
-    return ago
-
-
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _touched(state, i, j, contact, step):
     """How long ago [s] two parts touched that close in at their present speeds."""
     ago = 0.0
@@ -170,7 +148,7 @@ def _touched(state, i, j, contact, step):
     return ago
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _set_arms(state, i, j, radius, wall, contact, ago, arms):
     """Set arms [m] from both centres to each point, when they touched."""
     for k in range(int(contact[COUNT])):
@@ -190,13 +168,13 @@ def _set_arms(state, i, j, radius, wall, contact, ago, arms):
         arms[k, 3] = arms[k, 1] + state[Y, i] - state[Y, j] - ago * wy
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _velocity(state, i, x, y):
     """Velocity [m/s] of a part's place (x, y) from its centre."""
     return state[VX, i] - state[SPIN, i] * y, state[VY, i] + state[SPIN, i] * x
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _speed(state, i, j, arm, n):
     """How fast the first moves along n as seen from the second, at one point [m/s]."""
     ax, ay = _velocity(state, i, arm[0], arm[1])
@@ -204,7 +182,7 @@ def _speed(state, i, j, arm, n):
     return n[0] * (ax - bx) + n[1] * (ay - by)
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _compliance(arm, other, n, inertia):
     """Change of that speed at `arm` by an impulse of 1 N s along n at `other` [1/kg]."""
     a, b = arm[0] * n[1] - arm[1] * n[0], arm[2] * n[1] - arm[3] * n[0]
@@ -212,7 +190,7 @@ def _compliance(arm, other, n, inertia):
     return inertia.first + inertia.second + inertia.first_turn * a * c + inertia.second_turn * b * d
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _push(state, i, j, arm, n, impulse, inertia, row):
     """Give both an impulse along n; row VX: of their velocities, row X: of their places."""
     state[row, i] += impulse * inertia.first * n[0]
@@ -223,7 +201,7 @@ def _push(state, i, j, arm, n, impulse, inertia, row):
     state[row + 2, j] -= impulse * inertia.second_turn * (arm[2] * n[1] - arm[3] * n[0])
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _least(arms, n, inertia, v0, v1, count):
     """Least impulses along n, at least 0, after which no point closes in."""
     h00 = _compliance(arms[0], arms[0], n, inertia)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 COUNT, NORMAL, POINTS, DEPTHS, SIZE = 0, 1, 3, 7, 9
 """Columns of a contact manifold."""
@@ -23,29 +23,13 @@ PREFER = 1e-6
 """The second part's side is taken for the flat one only if it separates by so much more [m]."""
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _one_point(contact, nx, ny, px, py, depth):
     contact[COUNT], contact[NORMAL], contact[NORMAL + 1] = 1, nx, ny
     contact[POINTS], contact[POINTS + 1], contact[DEPTHS] = px, py, depth
 
 
-@kernel(nogil=True, error_model="numpy")
-def disc_disc(ax, ay, ra, bx, by, rb, contact):
-    """Set the manifold of two discs with centres a and b [m]."""
-    contact[COUNT] = 0
-    dx, dy, size = ax - bx, ay - by, ra + rb
-    distance2 = dx * dx + dy * dy
-    if distance2 >= size * size:
-        return
-    distance = sqrt(distance2)
-    # Two centres in one point have no line; any direction will do.
-    nx, ny = (dx / distance, dy / distance) if distance > 0 else (1.0, 0.0)
-    depth = size - distance
-    arm = rb - 0.5 * depth
-    _one_point(contact, nx, ny, bx + arm * nx, by + arm * ny, depth)
-
-
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def disc_polygon(cx, cy, radius, corners, contact):
     """Set the manifold of a disc, the first part, and a convex polygon with corners (k, 5)."""
     contact[COUNT] = 0
@@ -77,7 +61,7 @@ def disc_polygon(cx, cy, radius, corners, contact):
     _one_point(contact, nx, ny, cx - arm * nx, cy - arm * ny, depth)
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def polygon_polygon(first, second, contact):
     """Set the manifold of two convex polygons with corners (k, 5)."""
     contact[COUNT] = 0
@@ -94,7 +78,7 @@ def polygon_polygon(first, second, contact):
         _clip(second, side2, first, contact)
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _separation(flat, other):
     """Most that an open side of `flat` separates the two, and that side; 0 if any side does."""
     most, side = -inf, -1
@@ -111,7 +95,7 @@ def _separation(flat, other):
     return most, side
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _clip(flat, side, other, contact):
     """Set the manifold of a side of `flat` with `other`; its normal points to `other`."""
     nx, ny = flat[side, OUT_X], flat[side, OUT_Y]
@@ -157,17 +141,7 @@ def _clip(flat, side, other, contact):
                 )
 
 
-@kernel(nogil=True, error_model="numpy")
-def disc_wall(x, y, radius, room, nx, ny, contact):
-    """Set the manifold of a disc with a wall `room` [m] from its centre; n is its inward normal."""
-    contact[COUNT] = 0
-    depth = radius - room
-    if depth > 0:
-        arm = radius - 0.5 * depth
-        _one_point(contact, nx, ny, x - arm * nx, y - arm * ny, depth)
-
-
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def polygon_wall(rim, wall_x, wall_y, nx, ny, contact):
     """Set the manifold of corners (n, 5) with a wall through a point, whose inward normal is n."""
     contact[COUNT], contact[NORMAL], contact[NORMAL + 1] = 0, nx, ny
@@ -191,7 +165,7 @@ def polygon_wall(rim, wall_x, wall_y, nx, ny, contact):
             contact[DEPTHS + at] = depth
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def place_corners(corners, x, y, cosine, sine, placed):
     """Set corners (n, 5) of a part in plate_home from those in its axes."""
     for i in range(len(corners)):

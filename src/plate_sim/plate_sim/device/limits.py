@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from plate_core import Rig
-from plate_core.motion import motor_levers
-from plate_core.rig import mass_matrix
+from plate_core.rig import motor_levers, plate_mass
 
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
@@ -55,11 +54,8 @@ class DeviceLimits:
         inertia and the centre of mass that it tells, or else that of a uniform plate.
         """
         inverse = np.linalg.pinv(motor_levers(rig).T)
-        plate, suspension = rig.plate, rig.suspension
-        inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-        mass = np.array(suspension.mass if suspension else mass_matrix(plate.mass_kg, inertia))
         # Rounded, so that no rounding error of the inverse decides about a limit.
-        load = np.round(inverse @ mass @ inverse.T, 9)
+        load = np.round(inverse @ plate_mass(rig) @ inverse.T, 9)
         limits = rig.limits
         return cls(
             limits.stroke_m, limits.speed, limits.accel, limits.force, limits.continuous_force,

@@ -65,8 +65,13 @@ class Options:
 
 
 class DeviceNode(Node):
-    """Node `device`: serves a pseudo-terminal, and publishes on `motor_motion` what the motors have
-    done, segment by segment, stamped with its start: what the simulated plate follows."""
+    """Node `device`: a simulated motor controller on a serial port (pseudo-terminal), in real time.
+
+    Publishes motor_motion, diagnostics; speaks the serial protocol on the port `link`.
+
+    motor_motion is what the motors have done, segment by segment, stamped with its start: what the
+    simulated plate follows.
+    """
 
     def __init__(self) -> None:
         super().__init__("device")
@@ -140,4 +145,4 @@ class DeviceNode(Node):
 
 def main() -> None:
     """Run the device."""
-    run_node(DeviceNode)
+    run_node(DeviceNode, Options)

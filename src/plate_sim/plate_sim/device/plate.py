@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import Rig
-from plate_core.motion import motor_levers, quintic_pieces
+from plate_core.motion import quintic_pieces
+from plate_core.rig import motor_levers
 from plate_core.serial_protocol import MOTORS, TICK_S, State
 
 from ..plate import PlateMotion, PlateState, realise

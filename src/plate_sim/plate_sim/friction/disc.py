@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from math import atan2, cos, pi, sin, sqrt
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 SNAP = 1e-3
 """Slips below this share of the velocity step are none: then the part sticks."""
@@ -29,7 +29,7 @@ SERIES = 0.25
 """Greatest k^2 at which the series is summed: what is left out is below 2e-10 mu m g there."""
 
 
-@kernel(nogil=True, inline="always")
+@inner_kernel(inline="always")
 def series(k2):
     """Force [mu m g], and torque [mu m g R] over k, for k^2 up to `SERIES`."""
     force, torque = -0.00020234903786331415, 0.0001563606201671064
@@ -44,7 +44,7 @@ def series(k2):
     return 1.0 + k2 * force, 0.25 + k2 * torque
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def disc_force(s, w):
     """Force [mu m g] and torque [mu m g R] on a disc whose centre slips at s and rim at w [m/s].
 
@@ -73,7 +73,7 @@ def disc_force(s, w):
     return force, 2 / (9 * a) * k * (1 + (2 - 4 * k2) * (rest / k2 if k2 > 0 else 0.0625))
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def disc_slip_after(fx, fy, fc, dv, gyration2, radius):
     """As `patch.slip_after`, for a disc.
 
@@ -87,6 +87,9 @@ def disc_slip_after(fx, fy, fc, dv, gyration2, radius):
     zx, zy = f / dv, arm * abs(fc) / dv
     if zx + 1.5 * zy / rim <= 1:
         return 0.0, 0.0, 0.0
+    if fc == 0:
+        share = 1 - 1 / zx if zx - 1 > SNAP else 0.0
+        return share * fx, share * fy, 0.0
     low, high = 0.0, 0.5 * pi
     s_low, s_high = -zy, zx
     side, p = 0, atan2(zy, zx)

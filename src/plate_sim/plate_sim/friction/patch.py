@@ -20,7 +20,7 @@ from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 SLACK = 1e-6
 """Error of the slip after a step, as a share of dv: as an error of mu of that share."""
@@ -46,7 +46,7 @@ ROUND = 1e-4
 """Share of dv below which a point's friction is rounded off, so that Newton's steps converge."""
 
 
-@kernel(nogil=True)
+@inner_kernel
 def slip_after(fx, fy, fc, dv, gyration2, mesh, first, end):
     """Return the slip (u, v, c) after a step, in the part's axes; zeros if the part sticks.
 
@@ -142,7 +142,7 @@ def slip_after(fx, fy, fc, dv, gyration2, mesh, first, end):
     return fx - wx, fy - wy, fc - wc / gyration2
 
 
-@kernel(nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
+@inner_kernel(fastmath={"contract", "reassoc", "arcp", "nsz"})
 def friction(dx, dy, dc, gyration2, mesh, first, end):
     """Friction that a slip (u, v, c) in the part's axes gives the points `first` to `end` - 1.
 
@@ -165,7 +165,7 @@ def friction(dx, dy, dc, gyration2, mesh, first, end):
     return fx, fy, fc / gyration2, stiff / gyration2
 
 
-@kernel(nogil=True)
+@inner_kernel
 def _directions(dx, dy, dc, dv, mesh, first, end):
     """Point the forces (n, 3) along the slips."""
     for i in range(first, end):
@@ -178,7 +178,7 @@ def _directions(dx, dy, dc, dv, mesh, first, end):
         )
 
 
-@kernel(nogil=True)
+@inner_kernel
 def _solve(a, b, c, d, e, f, x, y, z):
     """Solve [[a, b, c], [b, d, e], [c, e, f]] s = (x, y, z), symmetric and positive."""
     l1, l2 = b / a, c / a

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel, kernel
 
 from ..plate.ground import LEVEL, Ground
 from ..plate.motion import PlateMotion
@@ -254,7 +254,7 @@ def run_points(table, scales, limit, static, tolerance, cycles, path, speed, che
     return steps
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _run_part(table, scales, limit, static, tolerance, cycles, path, speed):
     """As `run_points`, for one part: path and speed (cycles * samples + 1, 2)."""
     period, wraps, static_limit = table[-1, END], table[0, WRAPS] != 0, static * limit
@@ -324,7 +324,7 @@ def _run_part(table, scales, limit, static, tolerance, cycles, path, speed):
     return steps
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _scales(scales, x, y):
     """Greatest acceleration [m/s2] under a part and how fast it changes [1/s], about."""
     arm = sqrt(x * x + y * y)
@@ -333,7 +333,7 @@ def _scales(scales, x, y):
     return accel, jerk / accel if accel > 0 else 0.0
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _calm(r, limit, a, allowed, period):
     """Whether a slip r [m/s] is as good as none where the surface accelerates by a [m/s2]."""
     if r * r <= 2 * SNAP_SHARE * allowed * (limit - a):
@@ -341,20 +341,20 @@ def _calm(r, limit, a, allowed, period):
     return r <= _zero(limit, a, allowed, period)
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _zero(limit, a, allowed, period):
     """Slip [m/s] that is over before friction can change v by what a step may err; no more than
     friction can give in a period, where that is next to nothing."""
     return min(ZERO_SHARE * allowed / period * max(1.0, a / limit), limit * period)
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _holds(table, t, k, qx, qy, limit):
     """Whether the surface can carry a part at q [m, in the plate] along."""
     return _felt(table, t, k, qx, qy) <= limit * limit
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _to_knot(table, t, k, h, room):
     """Shorten a step to end on a knot, unless it would span several pieces."""
     h = min(h, room)
@@ -368,7 +368,7 @@ def _to_knot(table, t, k, h, room):
     return h
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _slide(table, t, k, h, hint, point, force, now, bounds):
     """Make one step of a sliding part, of at most h [s].
 
@@ -407,7 +407,7 @@ def _slide(table, t, k, h, hint, point, force, now, bounds):
     return h, end, after, hint
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _dips(table, t, k, h, end, force, now, bounds):
     """Whether the slip may vanish unseen within a step: from values and rates at its ends."""
     r, limit = now.slip, bounds.limit
@@ -427,7 +427,7 @@ def _dips(table, t, k, h, end, force, now, bounds):
     return least < 0.01 * bounds.accel * h * (bounds.rate * h) ** 3
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _release(table, t, k, qx, qy, limit):
     """Time [s], at most the period, up to which the surface holds a part at q [m, in the plate]."""
     period = table[-1, END]
@@ -454,7 +454,7 @@ def _release(table, t, k, qx, qy, limit):
     return period
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _first_free(table, low, high, k, qx, qy, limit):
     """A time [s] at which the surface cannot hold the part, looked for up to `high`; else -1.
 
@@ -474,14 +474,14 @@ def _first_free(table, low, high, k, qx, qy, limit):
     return high if c > limit * limit else -1.0
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _felt(table, t, k, qx, qy):
     """Square of the acceleration [m2/s4] of a place in the plate."""
     _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)
     return ax * ax + ay * ay
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _emit_held(table, t, until, k, qx, qy, grid, j, path, speed):
     """Write the samples, from the j-th on, of a part stuck at q from t to `until`; return the next
     sample. Times count from the start of the present cycle."""
@@ -495,7 +495,7 @@ def _emit_held(table, t, until, k, qx, qy, grid, j, path, speed):
     return j
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _emit(t, h, start, before, end, after, grid, j, path, speed):
     """Write the samples of a sliding step: the quintic through both ends' p, v and v'."""
     if j >= len(path) - 1 or (j - grid.done * grid.per_cycle) * grid.step > t + h:
@@ -523,7 +523,7 @@ def _emit(t, h, start, before, end, after, grid, j, path, speed):
     return j
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _add_fall(t, gravity_x, gravity_y, place, velocity):
     """Add to a place and velocity (2,) what a freely falling frame has gained after t [s]."""
     place[0] += 0.5 * t * t * gravity_x

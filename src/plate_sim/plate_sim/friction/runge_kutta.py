@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import log, sqrt
 from typing import NamedTuple
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 from ..plate.pieces import in_plate, riding, slip
 
@@ -43,7 +43,7 @@ ROOT = 1e-15
 """A root in time is found to this share of its bracket."""
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _stage(table, t, k, px, py, vx, vy, limit, nx, ny):
     """Friction [m/s2] of one stage, and whether the slip is still along the unit vector n."""
     k, wx, wy, r = slip(table, t, k, Point(px, py, vx, vy))
@@ -51,7 +51,7 @@ def _stage(table, t, k, px, py, vx, vy, limit, nx, ny):
     return k, share * wx, share * wy, wx * nx + wy * ny > 0
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def runge_kutta(table, t, k, h, point, force, limit):
     """Try a step h [s] from friction f [m/s2].
 
@@ -116,7 +116,7 @@ def runge_kutta(table, t, k, h, point, force, limit):
     return 0.0, Point(x, y, ux7, uy7), (fx7, fy7), ep, ev
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def even(point, force, tau):
     """State after tau [s] of constant friction [m/s2]."""
     return Point(
@@ -127,21 +127,21 @@ def even(point, force, tau):
     )
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def straight(table, t, k, tau, point, force, nx, ny):
     """Slip along and across n [m/s] after tau [s] of constant friction f."""
     k, wx, wy, _ = slip(table, t + tau, k, even(point, force, tau))
     return wx * nx + wy * ny, wy * nx - wx * ny
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def line_step(table, t, k, h, point, force):
     """As `runge_kutta`, for a slip that keeps to a line: friction is constant, the step exact."""
     along, _ = straight(table, t, k, h, point, force, force[0], force[1])
     return 0.0 if along > 0 else 1.0, even(point, force, h), force, 0.0, 0.0
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def landing(table, t, k, h, point, force, r, limit, none):
     """Find when the slip, r [m/s] now, vanishes within h [s] if friction keeps its direction.
 
@@ -193,7 +193,7 @@ def landing(table, t, k, h, point, force, r, limit, none):
     return tau, rest, limit * tau * share
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def restart(table, t, k, h, point, limit, allowed):
     """Slide off from a slip of nearly 0, at most h [s] far, where the surface accelerates too much.
 
@@ -231,7 +231,7 @@ def restart(table, t, k, h, point, limit, allowed):
     return 0.0, point, (0.0, 0.0), (0.0, 0.0)
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _heading(table, t, k, qx, qy):
     """Direction of the acceleration of a place in the plate."""
     _, _, _, _, _, ax, ay = riding(table, t, k, qx, qy)

@@ -17,19 +17,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel
 
 from ..plate.pieces import (
     POSE_THETA,
     POSE_X,
     POSE_Y,
+    SAMPLE,
     TWIST_THETA,
     TWIST_X,
     TWIST_Y,
     sample,
 )
-from .disc import SERIES, disc_force, disc_slip_after, series
+from .disc import SERIES, SNAP, disc_force, disc_slip_after, series
 from .patch import friction, slip_after
+from .reversal import reversal
 
 X, Y, ANGLE, VX, VY, SPIN = range(6)
 """Rows of a state (6, P): place [m], angle [rad] and their rates, in plate_home, of P parts."""
@@ -88,7 +90,7 @@ class Slip(NamedTuple):
     turn: float
 
 
-@kernel(nogil=True, fastmath=FAST, error_model="numpy")
+@inner_kernel(fastmath=FAST)
 def glide(plate, step, ground, state, discs, done):
     """Move the discs that slide steadily through a step, as `advance` would; tell which.
 
@@ -154,7 +156,7 @@ def glide(plate, step, ground, state, discs, done):
         spin[i] = uc if steady else c
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def advance(table, start, step, plate, inner, ground, state, i, body, mesh):
     """Advance part i by a step, in place.
 
@@ -174,7 +176,11 @@ def advance(table, start, step, plate, inner, ground, state, i, body, mesh):
         state[X, i], state[Y, i], state[ANGLE, i], state[VX, i], state[VY, i], state[SPIN, i]
     )
     none = STUCK * body.mu_g * step
-    fine, after, ahead = _try(plate, step, False, none, ground, motion, body, mesh)
+    fine, after, ahead = False, motion, 0.0
+    if body.radius > 0 and motion.spin == 0 and body.first_point == body.end_point:
+        fine, after = _reverse(plate, step, ground, motion, body)
+    if not fine:
+        fine, after, ahead = _try(plate, step, False, none, ground, motion, body, mesh)
     if not fine:
         after = _advance_in_parts(
             table, start, step, none, plate[0], ahead, inner, ground, motion, body, mesh
@@ -183,7 +189,21 @@ def advance(table, start, step, plate, inner, ground, state, i, body, mesh):
     state[VX, i], state[VY, i], state[SPIN, i] = after.vx, after.vy, after.spin
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
+def _reverse(plate, h, ground, motion, body):
+    """Return whether a disc at no spin is at rest or turns its slip round so quickly that
+    `reversal` serves, and its motion after a step of h [s]."""
+    m = motion
+    if plate[0, TWIST_THETA] != 0 or plate[1, TWIST_THETA] != 0 or plate[2, TWIST_THETA] != 0:
+        return False, m
+    dv = body.mu_g * h
+    fits, mean_x, mean_y, vx, vy = reversal(
+        plate, h * ground.gravity_x, h * ground.gravity_y, ground.static_ratio * dv, dv, m.vx, m.vy
+    )
+    return fits, Motion(m.x + h * mean_x, m.y + h * mean_y, m.angle, vx, vy, 0.0)
+
+
+@inner_kernel
 def _advance_in_parts(table, start, step, none, plate, ahead, inner, ground, motion, body, mesh):
     """Return the motion after a step that is cut until each part of it is fine enough.
 
@@ -191,7 +211,8 @@ def _advance_in_parts(table, start, step, none, plate, ahead, inner, ground, mot
     """
     finest = 1 << HALVINGS
     done, size, to_end = 0, _shorter(finest, ahead), ahead > 0
-    inner[0] = plate
+    for k in range(SAMPLE):
+        inner[0, k] = plate[k]
     while True:
         t, h = start + done * step / finest, step * size / finest
         sample(table, t + 0.5 * h, inner[1])
@@ -207,16 +228,17 @@ def _advance_in_parts(table, start, step, none, plate, ahead, inner, ground, mot
         # Where the slip was to vanish just ahead the finest part passes that, then all the rest.
         size = 1 if to_end and size > 1 else finest - done if to_end else 2 * size
         size, to_end = min(size, finest - done), to_end and size == 1
-        inner[0] = inner[2]
+        for k in range(SAMPLE):
+            inner[0, k] = inner[2, k]
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _shorter(size, ahead):
     """A shorter part of a step than `size`: up to where the slip vanishes, or half of it."""
     return max(1, min(size - 1, int(size * ahead))) if ahead > 0 else size >> 1
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _try(plate, h, last, none, ground, motion, body, mesh):
     """Make one step of h [s].
 
@@ -228,26 +250,34 @@ def _try(plate, h, last, none, ground, motion, body, mesh):
     fall_x, fall_y, static = h * ground.gravity_x, h * ground.gravity_y, ground.static_ratio * dv
     if dv <= 0:
         return True, _moved(m, h, m.vx + fall_x, m.vy + fall_y, m.spin), 0.0
-    after, ahead = m, 0.0
+    ahead = 0.0
     slip = _slip(plate[0], m.x, m.y, m.vx, m.vy, m.spin)
-    if slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2 <= none * none:
+    stuck = slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2 <= none * none
+    if stuck:
         rides, after = _ride(plate, fall_x, fall_y, static, m, body, mesh)
         if rides:
             return True, after, 0.0
-    else:
-        middle = _slip(
-            plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy, m.vx + 0.5 * fall_x,
-            m.vy + 0.5 * fall_y, m.spin,
+    middle = _slip(
+        plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy, m.vx + 0.5 * fall_x,
+        m.vy + 0.5 * fall_y, m.spin,
+    )  # fmt: skip
+    half, push = _midpoint(slip, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh)
+    after = _moved(m, h, m.vx + fall_x + push.x, m.vy + fall_y + push.y, m.spin + push.turn)
+    end = _slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin)
+    loose = True
+    if stuck:  # it comes loose: from 0 the slip grows about as a parabola, at first along this
+        slip = Slip(4 * half.x - end.x, 4 * half.y - end.y, 4 * half.turn - end.turn)
+        rate = Slip(
+            4 * middle.x - end.x - push.x, 4 * middle.y - end.y - push.y,
+            4 * middle.turn - end.turn - push.turn,
         )  # fmt: skip
-        half, push = _midpoint(slip, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh)
-        after = _moved(m, h, m.vx + fall_x + push.x, m.vy + fall_y + push.y, m.spin + push.turn)
-        end = _slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin)
-        if _alike(slip, half, body.gyration2) and _alike(slip, end, body.gyration2):
-            return True, after, 0.0
-        product = slip.x * end.x + slip.y * end.y + body.gyration2 * slip.turn * end.turn
-        if product < 0:
-            size2 = slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2
-            ahead = size2 / (size2 - product)
+        loose = static <= dv or not _holds(rate, m.angle, static, body, mesh)
+    if loose and _alike(slip, half, body.gyration2) and _alike(slip, end, body.gyration2):
+        return True, after, 0.0
+    product = slip.x * end.x + slip.y * end.y + body.gyration2 * slip.turn * end.turn
+    if product < 0 and not stuck:
+        size2 = slip.x**2 + slip.y**2 + body.gyration2 * slip.turn**2
+        ahead = size2 / (size2 - product)
     if last:
         free = _slip(plate[2], m.x + h * m.vx, m.y + h * m.vy, m.vx + fall_x, m.vy + fall_y, m.spin)
         turned = m.angle + h * m.spin
@@ -261,7 +291,7 @@ def _try(plate, h, last, none, ground, motion, body, mesh):
     return last, after, ahead
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _midpoint(slip, free, angle, turn, dv, body, mesh):
     """Return the slip in the middle of a step, and what friction there adds to the twist.
 
@@ -282,7 +312,7 @@ def _midpoint(slip, free, angle, turn, dv, body, mesh):
     return half, push
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _ride(plate, fall_x, fall_y, static, motion, body, mesh):
     """Return whether friction can hold a stuck part through a step, and its motion then.
 
@@ -298,8 +328,7 @@ def _ride(plate, fall_x, fall_y, static, motion, body, mesh):
         end[TWIST_THETA],
     )  # fmt: skip
     ux, uy, uc = after.vx - m.vx, after.vy - m.vy, after.spin - m.spin
-    slip = _slip_after(Slip(ux - fall_x, uy - fall_y, uc), m.angle, static, body, mesh)
-    if slip.x != 0 or slip.y != 0 or slip.turn != 0:
+    if not _holds(Slip(ux - fall_x, uy - fall_y, uc), m.angle, static, body, mesh):
         return False, after
     # Also at the end of the step, where it may come loose: the velocity is about a parabola.
     turn = middle[POSE_THETA] - start[POSE_THETA]
@@ -307,11 +336,19 @@ def _ride(plate, fall_x, fall_y, static, motion, body, mesh):
         middle, middle[POSE_X] + rx - turn * ry, middle[POSE_Y] + ry + turn * rx, m.vx, m.vy, m.spin
     )
     rate = Slip(3 * ux - 4 * half.x - fall_x, 3 * uy - 4 * half.y - fall_y, 3 * uc - 4 * half.turn)
-    slip = _slip_after(rate, m.angle, static, body, mesh)
-    return slip.x == 0 and slip.y == 0 and slip.turn == 0, after
+    return _holds(rate, m.angle, static, body, mesh), after
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
+def _holds(slip, angle, dv, body, mesh):
+    """Whether friction that can give dv [m/s] takes all of a slip."""
+    if slip.x * slip.x + slip.y * slip.y > (1 + SNAP) ** 2 * dv * dv:
+        return False
+    left = _slip_after(slip, angle, dv, body, mesh)
+    return left.x == 0 and left.y == 0 and left.turn == 0
+
+
+@inner_kernel
 def _alike(a, b, gyration2):
     """Whether two slips have nearly the same direction."""
     product = a.x * b.x + a.y * b.y + gyration2 * a.turn * b.turn
@@ -320,7 +357,7 @@ def _alike(a, b, gyration2):
     return product > 0 and product * product > STEADY * STEADY * a2 * b2
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _friction(slip, angle, body, mesh):
     """As `patch.friction`, in plate_home, for a part at `angle` [rad]; also for discs."""
     if body.first_point == body.end_point:
@@ -342,7 +379,7 @@ def _friction(slip, angle, body, mesh):
     return Slip(c * ax - s * ay, s * ax + c * ay, ac), stiff
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _slip_after(free, angle, dv, body, mesh):
     """As `patch.slip_after`, in plate_home, for a part at `angle` [rad]; also for discs."""
     if body.first_point == body.end_point:
@@ -356,7 +393,7 @@ def _slip_after(free, angle, dv, body, mesh):
     return Slip(c * ex - s * ey, s * ex + c * ey, ec)
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _moved(m, h, vx, vy, spin):
     """Return the motion h [s] later if the velocity changes evenly to (vx, vy, spin)."""
     return Motion(
@@ -365,7 +402,7 @@ def _moved(m, h, vx, vy, spin):
     )  # fmt: skip
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _slip(plate, x, y, vx, vy, spin):
     """Twist of the plate (6,) at (x, y) less that of a part: equation (2)."""
     return Slip(

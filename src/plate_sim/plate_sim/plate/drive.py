@@ -19,7 +19,7 @@ from math import factorial, pi
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.rig import Suspension
+from plate_core.rig import Suspension, motor_levers
 
 from .motion import PlateMotion
 
@@ -92,11 +92,7 @@ class Plant:
         PlateError
             If nothing holds the plate in place, or the servo makes it unstable.
         """
-        (x, y), (dx, dy) = (
-            np.array([getattr(motor, name) for motor in rig.motors]).T
-            for name in ("point", "direction")
-        )
-        plant = cls(suspension, np.stack([dx, dy, x * dy - y * dx]))
+        plant = cls(suspension, motor_levers(rig).T)
         rates = np.linalg.eigvals(plant.system)
         fastest = np.max(np.abs(rates))
         if np.min(np.abs(rates)) < HELD * fastest:

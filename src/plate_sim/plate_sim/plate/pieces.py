@@ -21,7 +21,7 @@ from math import cos, sin, sqrt
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel, kernel
 
 from .motion import PlateMotion
 
@@ -71,7 +71,7 @@ def _tabulate(times, pieces, gravity_x, gravity_y, closed):
     return table, scales
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _on_line(table, nx, ny, accel):
     """Whether the plate accelerates, by `accel` [m/s2] at most, along the unit vector n only."""
     for k in range(len(table)):
@@ -84,7 +84,7 @@ def _on_line(table, nx, ny, accel):
     return True
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def locate(table, t, k):
     """Wrap t [s] into a closed cycle, and return it with its piece: k, or sought from its share."""
     last = len(table) - 1
@@ -102,7 +102,7 @@ def locate(table, t, k):
     return t, k
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def place(table, k, c, u):
     """Value of the polynomial of piece k that starts in column c, u [s] after its knot."""
     return table[k, c] + u * (
@@ -112,7 +112,7 @@ def place(table, k, c, u):
     )
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def slope(table, k, c, u):
     """First derivative of `place`."""
     return table[k, c + 1] + u * (
@@ -121,7 +121,7 @@ def slope(table, k, c, u):
     )
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def bend(table, k, c, u):
     """Second derivative of `place`."""
     return 2 * table[k, c + 2] + u * (
@@ -129,7 +129,7 @@ def bend(table, k, c, u):
     )
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def sample(table, t, row):
     """Set a row (6,) to pose and twist at time t [s]; before and after the cycle it goes on."""
     last = len(table) - 1
@@ -153,7 +153,7 @@ def samples(table, steps):
     return rows
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def slip(table, t, k, point):
     """Slip w = v_s - v [m/s] of a part at a point x, y [m], vx, vy [m/s].
 
@@ -170,7 +170,7 @@ def slip(table, t, k, point):
     return k, wx, wy, sqrt(wx * wx + wy * wy)
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def surface_rate(table, t, k, point):
     """Rate [m/s2] of the surface's velocity under a part at a point as `slip` takes it; x and y."""
     px, py, vx, vy = point
@@ -184,7 +184,7 @@ def surface_rate(table, t, k, point):
     return ax, ay
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def riding(table, t, k, qx, qy):
     """State of a part stuck at q [m, in the plate]: piece, position, velocity, acceleration."""
     t, k = locate(table, t, k)
@@ -205,7 +205,7 @@ def riding(table, t, k, qx, qy):
     )
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def in_plate(table, t, k, px, py):
     """Return where in the plate [m] a part at p is at time t."""
     t, k = locate(table, t, k)
@@ -217,13 +217,13 @@ def in_plate(table, t, k, px, py):
     return cos(theta) * rx + sin(theta) * ry, cos(theta) * ry - sin(theta) * rx
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def ride_bound(table, k, radius):
     """Return what a part riding at `radius` [m] feels at most [m/s2] during piece k."""
     return table[k, RIDE] + radius * table[k, RIDE + 1]
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _bound(table, k, scales):
     """Write what bounds riding parts in piece k, and update the scales, by Bezier points.
 
@@ -249,7 +249,7 @@ def _bound(table, k, scales):
     table[k, RIDE], table[k, RIDE + 1] = line, push + spin * spin
 
 
-@kernel(error_model="numpy")
+@inner_kernel
 def _bezier(table, k, c, h, i):
     """Bezier point i of the second derivative of `place`, u from 0 to h."""
     point = 2 * table[k, c + 2] + 2 * h * i * table[k, c + 3]

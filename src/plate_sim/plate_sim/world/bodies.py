@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
-from plate_core.kernels import kernel
+from plate_core.kernels import inner_kernel, kernel
 
 from ..contacts import Contacts
 from ..contacts.broad_phase import approach, near_pairs
 from ..contacts.impulses import Rules
-from ..contacts.resolve import Outlines, deepest_overlap, resolve_contacts
+from ..contacts.resolve import Outlines, deepest_overlap, resolve_contacts, room_for
 from ..friction.checks import check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
 from ..friction.patch import POINT
@@ -325,6 +325,7 @@ def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, r
     pairs, marks = np.empty((4 * count, 2), np.int64), np.empty((2, state.shape[1]))
     order = np.arange(count)
     found, skin, gap = 0, np.inf, np.inf
+    room = room_for(pairs, count)
     first, second, depth, share = -1, -1, 0.0, 0.0
     if rules.meets:
         pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
@@ -349,9 +350,11 @@ def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, r
                 drift = 0.0
             close = found if drift >= gap else 0
             if close or rules.walls:
+                if len(room.close) < close:
+                    room = room_for(pairs, count)
                 resolve_contacts(
-                    state, bodies, here, outlines, pairs, close, rules, step, now[2], half
-                )
+                    state, bodies, here, outlines, pairs, close, rules, step, now[2], half, room
+                )  # fmt: skip
         if not rules.walls and _drop(state, here, discs, now[2], half) and rules.meets:
             pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
     if len(record):
@@ -359,7 +362,7 @@ def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, r
     return first, second, depth, share
 
 
-@kernel(nogil=True, error_model="numpy")
+@inner_kernel
 def _drop(state, here, discs, plate, half):
     """Take parts whose centre is beyond the plate's edge away; return whether there were any."""
     c, s = cos(plate[ANGLE]), sin(plate[ANGLE])

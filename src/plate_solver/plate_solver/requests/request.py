@@ -150,20 +150,22 @@ class Request:
         PlateError
             If a shape is not (M, 2), or (M,) for curl, or a value is not finite or absurd.
         """
-        position = np.array(position, dtype=float)
+        position = np.array(position, dtype=float, order="C")  # as kernels are compiled for
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
             raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
         count = len(position)
-        force = np.array(force, dtype=float)
-        velocity = np.zeros((count, 2)) if velocity is None else np.array(velocity, dtype=float)
+        force = np.array(force, dtype=float, order="C")
+        velocity, tolerance = (
+            np.zeros((count, 2)) if array is None else np.array(array, dtype=float, order="C")
+            for array in (velocity, tolerance)
+        )
         curl = np.full(count, np.nan) if curl is None else np.array(curl, dtype=float)
-        slack = np.zeros((count, 2)) if tolerance is None else np.array(tolerance, dtype=float)
-        for name, array in (("force", force), ("velocity", velocity), ("tolerance", slack)):
+        for name, array in (("force", force), ("velocity", velocity), ("tolerance", tolerance)):
             if array.shape != (count, 2):
                 raise PlateError(f"{name} has shape {array.shape}, allowed: ({count}, 2)")
         if curl.shape != (count,):
             raise PlateError(f"curl has shape {curl.shape}, allowed: ({count},)")
-        request = cls(position, force, velocity, curl, slack)
+        request = cls(position, force, velocity, curl, tolerance)
         if not request.flags.sound:
             request._refuse()
         return request

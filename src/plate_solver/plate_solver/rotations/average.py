@@ -144,7 +144,7 @@ def force_slopes(
         _to_knots(k, parts, period, gap, total, way, turning, by_time, by_knot, by_corner)
     corners_back(times, knots, by_corner, by_time, by_knot)
     holds, twists = split(theta, family)
-    ramp, slope = ramps(twists, family.limits.half, family.accel, family.blend)
+    ramp, slope = ramps(twists, family.limits.half, family.loads, family.accel, family.blend)
     by_hold, by_twist = timeline_back(
         holds, ramp, slope, family.period, by_time[asked], by_knot[asked]
     )

@@ -43,6 +43,8 @@ class Sequences(NamedTuple):
         Length of a rotation from its parameter.
     period, accel, blend : float
         [s], peak acceleration of ramps [m/s2], least ramp [s].
+    loads : (m, 3)
+        As in `ramps`: the motors' forces, where they matter.
     steps : (int, int)
         Of a ramp and of a hold.
     limits : Limits
@@ -54,6 +56,7 @@ class Sequences(NamedTuple):
     period: float
     accel: float
     blend: float
+    loads: np.ndarray
     steps: tuple[int, int]
     limits: Limits
 
@@ -79,7 +82,7 @@ def split(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, np.ndarray]
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
     """Return knot times and twists there, as `timeline`."""
     holds, twists = split(theta, family)
-    ramp, _ = ramps(twists, family.limits.half, family.accel, family.blend)
+    ramp, _ = ramps(twists, family.limits.half, family.loads, family.accel, family.blend)
     return timeline(holds, twists, ramp, family.period)
 
 
@@ -95,13 +98,15 @@ def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Mo
         size = sqrt(np.sum(speeds[j * own : (j + 1) * own] ** 2))
         speeds[j * own : (j + 1) * own] /= max(size / FASTEST, 1.0)
     for _ in range(8):
-        ramp, _ = ramps(split(theta, family)[1], family.limits.half, family.accel, family.blend)
+        ramp, _ = ramps(
+            split(theta, family)[1], family.limits.half, family.loads, family.accel, family.blend
+        )
         filled = ramp.sum() / (MOST_RAMPS * family.period)
         if filled > 1:
             speeds /= 1.001 * filled
         line = line_of(theta, family)
         moved = motion(line[0], line[1], family.steps)
-        used = limit_use(moved[0], moved[1], moved[2], family.limits, True)
+        used = limit_use(moved[0], moved[1], moved[2], moved[3], family.limits, True)
         if used <= 1:
             return theta, line, moved
         speeds /= 1.01 * used
@@ -144,6 +149,7 @@ class RotationFamily:
             period,
             RAMP_PART * limits.accel,
             blend,
+            limits.accel * limits.loads[2] if limits.forceful else np.empty((0, 3)),
             steps or (RAMP_STEPS, hold_steps),
             limits._replace(stroke_m=stroke),
         )
@@ -249,7 +255,7 @@ class RotationFamily:
     def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:
         plain = self.plain
         holds, twists = split(parameters, plain)
-        ramp, slope = ramps(twists, plain.limits.half, plain.accel, plain.blend)
+        ramp, slope = ramps(twists, plain.limits.half, plain.loads, plain.accel, plain.blend)
         by_hold, by_twist = timeline_back(holds, ramp, slope, self.period, by_time, by_knot)
         by_speed = by_twist[:, :, None] @ plain.basis.transpose(0, 2, 1)
         return np.hstack([by_hold * plain.hold_scale, by_speed.reshape(len(by_time), -1)])

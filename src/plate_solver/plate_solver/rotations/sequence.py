@@ -23,7 +23,7 @@ RAMP_PEAK = 1.5
 
 @kernel(fastmath=True)
 def ramps(
-    twists: np.ndarray, half: np.ndarray, accel: float, least: float
+    twists: np.ndarray, half: np.ndarray, loads: np.ndarray, accel: float, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the lengths (J + 1,) [s] of the ramps and their derivatives (J + 1, 3).
 
@@ -33,6 +33,9 @@ def ramps(
         Twist of each rotation; rest comes before the first and after the last.
     half : (2,)
         Half sides [m].
+    loads : (m, 3)
+        Of what else has a limit, such as motors' forces: rows whose product with the plate's
+        acceleration is kept below `accel` too.
     accel : float
         Peak acceleration of the fastest corner [m/s2].
     least : float
@@ -59,10 +62,19 @@ def ramps(
                 square = (d[0] - d[2] * y) ** 2 + (d[1] + d[2] * x) ** 2
                 if square > most:
                     most, at_x, at_y = square, x, y
-        change = sqrt(most)
+        change, which = sqrt(most), -1
+        for i in range(len(loads)):
+            load = abs(loads[i, 0] * d[0] + loads[i, 1] * d[1] + loads[i, 2] * d[2])
+            if load > change:
+                change, which = load, i
         length[j] = RAMP_PEAK * change / accel
         if length[j] < least:
             length[j] = least
+        elif which >= 0:
+            row = loads[which]
+            way = 1.0 if row[0] * d[0] + row[1] * d[1] + row[2] * d[2] > 0 else -1.0
+            for c in range(3):
+                slope[j, c] = RAMP_PEAK / accel * way * row[c]
         elif change > 0:
             gx, gy = (d[0] - d[2] * at_y) / change, (d[1] + d[2] * at_x) / change
             slope[j, 0] = RAMP_PEAK / accel * gx

@@ -21,7 +21,7 @@ from numba import njit
 from plate_core.kernels import kernel
 
 from ..fit import Damping, Fit, basin_hopping, condition_of, levenberg_marquardt
-from ..limits import CERTAIN, MARGIN, Limits, limit_use
+from ..limits import CERTAIN, EQUAL_WEIGHT, HULL_WEIGHT, MARGIN, Limits, limit_use
 from ..maps.mean_force import spline_force
 from ..maps.sinusoid_force import (
     ADAPTIVE,
@@ -259,8 +259,9 @@ def _finished(asked: Averages, fit: Fit, iterations: int, tries: int) -> Found:
         hull = _product(_block(motions, HULL), own)
         third = len(hull) // 3
         used = MARGIN * limit_use(
-            hull[:third], hull[third : 2 * third], hull[2 * third :], motions.limits, False
-        )
+            hull[:third], hull[third : 2 * third], hull[2 * third :], HULL_WEIGHT, motions.limits,
+            False,
+        )  # fmt: skip
         if used <= CERTAIN:
             break
         own *= 0.9999 * CERTAIN / used
@@ -400,7 +401,7 @@ def _full_amplitude(theta: np.ndarray, motions: Motions) -> np.ndarray:
     own = _coefficients(theta, motions.limits.arm_m)
     used = limit_use(
         _product(_block(motions, POSE), own), _product(_block(motions, TWIST), own),
-        _product(_block(motions, ACCEL), own), motions.limits, True,
+        _product(_block(motions, ACCEL), own), EQUAL_WEIGHT, motions.limits, True,
     )  # fmt: skip
     return theta / used if used > 0 else theta
 

@@ -18,7 +18,7 @@ import numpy as np
 from plate_core import PlateCycle
 from plate_core.motion import PIECES
 
-from ..limits import Limits, limit_use
+from ..limits import EQUAL_WEIGHT, Limits, limit_use
 
 STEPS_PER_HARMONIC = 26
 """Steps of the sampled motion per period of the highest harmonic, at least."""
@@ -174,7 +174,7 @@ class SinusoidFamily:
         """Return the greatest fraction of a limit that the samples use."""
         own, basis = self.coefficients(parameters), self.basis
         pose, twist, accel = basis.pose @ own, basis.twist @ own, basis.accel @ own
-        return float(limit_use(pose, twist, accel, self._limits, True))
+        return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, True))
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Scale to the full amplitude."""

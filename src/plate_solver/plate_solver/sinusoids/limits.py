@@ -61,10 +61,12 @@ class LimitedSinusoids(SinusoidFamily):
 
     def _excess(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pose, twist, accel = self._looks
-        found: tuple[np.ndarray, np.ndarray] = excess(
-            self.coefficients(parameters), pose, twist, accel, self._motor_rows, self._limits
-        )
-        return found
+        own, limits = self.coefficients(parameters), self._limits
+        value, slope = excess(own, pose, twist, accel, self._motor_rows, limits)
+        if limits.forceful:
+            more = force_excess(own, pose, twist, accel, limits)
+            value, slope = np.concatenate([value, more[0]]), np.concatenate([slope, more[1]])
+        return value, slope
 
 
 @kernel()
@@ -125,4 +127,42 @@ def excess(
                     slope[found, h, 2] = turn * accel[k, h] + rate * twist[k, h]
                 value[found] = size_a / limits.accel - AIM
                 found += 1
+    return value[:found].copy(), slope[:found].copy()
+
+
+@kernel()
+def force_excess(
+    coefficients: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray,
+    limits: Limits,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the same as `excess` of motors' peak forces, and of their root mean squares."""
+    size, looks = pose.shape[1], len(pose)
+    motors = limits.loads.shape[1]
+    value, slope = np.empty((looks + 1) * motors), np.empty(((looks + 1) * motors, size, 3))
+    found = 0
+    x, v, a = pose @ coefficients, twist @ coefficients, accel @ coefficients
+    for i in range(motors):
+        on_pose, on_twist, on_accel = limits.loads[0, i], limits.loads[1, i], limits.loads[2, i]
+        square, by_own = 0.0, np.zeros((size, 3))
+        for k in range(looks):
+            force = 0.0
+            for d in range(3):
+                force += on_pose[d] * x[k, d] + on_twist[d] * v[k, d] + on_accel[d] * a[k, d]
+            square += force * force / looks
+            over = abs(force) > AIM
+            for h in range(size):
+                for d in range(3):
+                    each = on_pose[d] * pose[k, h] + on_twist[d] * twist[k, h]
+                    each += on_accel[d] * accel[k, h]
+                    by_own[h, d] += force * each / looks
+                    if over:
+                        slope[found, h, d] = each if force > 0 else -each
+            if over:
+                value[found] = abs(force) - AIM
+                found += 1
+        heat = limits.heat * sqrt(square)
+        if heat > AIM:
+            slope[found] = limits.heat * limits.heat / heat * by_own
+            value[found] = heat - AIM
+            found += 1
     return value[:found].copy(), slope[:found].copy()

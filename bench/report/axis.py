@@ -1,0 +1,182 @@
+"""Axes: their ends, and where there is a number; and the room for words between marks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import ceil, floor, log10
+from typing import Any
+
+import numpy as np
+
+GRID = "#e4e4e4"
+
+PAD = 0.08
+"""Room beyond the outermost marks [length of the axis]."""
+
+LEAST_TICKS, MOST_TICKS = 3, 8
+"""Of a log axis: one number alone tells no scale."""
+
+STEPS = ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7))
+"""Numbers within a decade, from few to many."""
+
+LETTER = 0.6
+"""Width of a letter [its size]."""
+
+MARK_PX = 6
+"""Half width of a mark [px]."""
+
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top [px]."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis: its label with the unit, and how it is divided.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Kinds instead of numbers: the axis of a bar chart, from below.
+    ticks : tuple of float
+        Where there is a number; anywhere if empty.
+    limits : (low, high), optional
+    """
+
+    label: str
+    log: bool = False
+    names: tuple[str, ...] = ()
+    ticks: tuple[float, ...] = ()
+    limits: tuple[float, float] | None = None
+
+    def place(self, value: float) -> float:
+        """Return where plotly puts words and ends of ranges: at the exponent, on a log axis."""
+        return log10(value) if self.log else value
+
+    def ends(self, values: Sequence[float]) -> tuple[float, float]:
+        """Return the places where the axis begins and ends with these numbers on it."""
+        if self.limits:
+            return self.place(self.limits[0]), self.place(self.limits[1])
+        at = [self.place(value) for value in values if not self.log or value > 0] or [0.0]
+        low, high = min(at), max(at)
+        pad = max(PAD * (high - low), 0.04 if self.log else 0.02 * abs(high)) or 1.0
+        return low - pad, high + pad
+
+    def settings(self, values: Sequence[float]) -> dict[str, Any]:
+        """Return plotly's settings of the axis with these numbers on it."""
+        found: dict[str, Any] = {
+            "title": {"text": self.label, "standoff": 6, "font": {"size": 14}},
+            "gridcolor": GRID, "zeroline": False, "tickangle": 0,
+            "ticks": "outside", "tickcolor": GRID, "linecolor": "#888888", "showline": True,
+            "automargin": True,
+        }  # fmt: skip
+        if self.names:
+            return found | {
+                "type": "category", "categoryorder": "array", "categoryarray": list(self.names),
+                "showgrid": False,
+            }  # fmt: skip
+        ends = self.ends(values)
+        found["range"] = list(ends)
+        ticks: Sequence[float] = self.ticks
+        if self.log:
+            found["type"] = "log"
+            ticks = ticks or log_ticks(*ends)
+        if ticks:
+            found |= {"tickmode": "array", "tickvals": list(ticks), "ticktext": numbers(ticks)}
+        return found
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return where a log axis from 10^low to 10^high has numbers: few, but not fewer than three."""
+    decades = range(floor(low), ceil(high) + 1)
+    every = ceil((high - low) / MOST_TICKS)
+    for steps in STEPS:
+        found = [
+            step * 10.0**k for k in decades if k % every == 0 for step in steps
+            if low <= log10(step) + k <= high
+        ]  # fmt: skip
+        if len(found) > LEAST_TICKS:
+            return found
+    first, last = 10**low, 10**high  # where the axis is short it is nearly linear
+    power = 10.0 ** floor(log10((last - first) / LEAST_TICKS))
+    step = max(k * power for k in (1, 2, 5) if k * power <= (last - first) / LEAST_TICKS)
+    return [step * k for k in range(ceil(first / step), floor(last / step) + 1)]
+
+
+def numbers(ticks: Iterable[float]) -> list[str]:
+    """Return the words for numbers on an axis: as powers of ten where zeros would be counted."""
+    ticks = list(ticks)
+    if all(tick == 0 or 9e-5 < abs(tick) < 2e5 for tick in ticks):
+        return [f"{tick:g}" for tick in ticks]
+    powers = [floor(log10(tick) + 1e-9) for tick in ticks]
+    steps = [round(tick / 10.0**power, 3) for tick, power in zip(ticks, powers, strict=True)]
+    return [
+        f"{'' if step == 1 else f'{step:g}·'}10<sup>{power}</sup>"
+        for step, power in zip(steps, powers, strict=True)
+    ]
+
+
+def edges(middles: Sequence[float], log: bool) -> list[float]:
+    """Return the edges between cells of a field whose middles are given, two at least."""
+    at = np.log10(middles) if log else np.asarray(middles, float)
+    inner = [(a + b) / 2 for a, b in pairwise(at)]
+    found = np.array([2 * at[0] - inner[0], *inner, 2 * at[-1] - inner[-1]])
+    return (10**found if log else found).tolist()
+
+
+@dataclass
+class Room:
+    """A panel's pixels: where marks and lines are, and where words still fit.
+
+    Attributes
+    ----------
+    size : (width, height) [px]
+    x, y : Axis
+    ends : pair of (low, high)
+        Places where the axes begin and end.
+    taken : list of (Box, weight)
+        Where something is, and how bad it were to lie on it.
+    """
+
+    size: tuple[float, float]
+    x: Axis
+    y: Axis
+    ends: tuple[tuple[float, float], tuple[float, float]]
+    taken: list[tuple[Box, float]] = field(default_factory=list)
+
+    def across(self, x: float) -> float:
+        """Return how far right a value is [px]."""
+        low, high = self.ends[0]
+        return (self.x.place(x) - low) / (high - low) * self.size[0]
+
+    def up(self, y: float) -> float:
+        """Return how far up a value is [px]."""
+        low, high = self.ends[1]
+        return (self.y.place(y) - low) / (high - low) * self.size[1]
+
+    def mark(self, x: float, y: float) -> None:
+        """Take the place of a mark [px]."""
+        self.taken.append(((x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX), 3.0))
+
+    def line(self, points: Sequence[tuple[float, float]]) -> None:
+        """Take the places along a line through points [px]."""
+        for start, end in pairwise(points):
+            for a, b in np.linspace(start, end, 2 + int(np.hypot(*np.subtract(end, start)) / 8)):
+                self.taken.append(((a - 1, b - 1, a + 1, b + 1), 1.0))
+
+    def best(self, boxes: Sequence[Box]) -> int:
+        """Take the first box that lies on the least of what is there, and within the panel."""
+        others = np.array([box for box, _ in self.taken] or [(-1, -1, -1, -1)]).T
+        weight = np.array([weight for _, weight in self.taken] or [0.0])
+
+        def lost(box: Box) -> float:
+            left, low, right, high = box
+            over = (left < others[2]) & (right > others[0]) & (low < others[3]) & (high > others[1])
+            out = max(0.0, -left) + max(0.0, right - self.size[0])
+            out += max(0.0, -low) + max(0.0, high - self.size[1])
+            return float(np.sum(weight[over])) + out
+
+        best = min(range(len(boxes)), key=lambda k: lost(boxes[k]))
+        self.taken.append((boxes[best], 30.0))
+        return best

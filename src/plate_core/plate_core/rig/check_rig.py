@@ -1,0 +1,125 @@
+"""Tell what a rig can do, what limits it and what is inconsistent: `ros2 run plate_core check_rig`.
+
+Needs no ROS: `python -m plate_core.rig.check_rig FILE` does the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import PlateError
+from .consistency import Doubt, doubts
+from .motors import motor_levers, motor_loads
+from .rig import Rig, read_rig, rig_names, rig_path
+
+FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
+"""Frequencies of the table: the range of the solvers' cycles, `consistency.CYCLE_HZ`."""
+
+
+class Shake(NamedTuple):
+    """A sinusoid of the plate as large as it may be: travel of the fastest point to either side
+    [m], its speed [m/s] and acceleration [m/s2], and what limits it."""
+
+    travel: float
+    speed: float
+    accel: float
+    limit: str
+
+
+def main() -> None:
+    """Run the command line; exit code 0: consistent, 1: not, or no rig file."""
+    parser = argparse.ArgumentParser(
+        prog="check_rig", description="Tell what a rig can do, and what is wrong with its file."
+    )
+    parser.add_argument(
+        "rig", nargs="?", default="",
+        help=f"rig file, or one of {', '.join(rig_names())} (the default rig)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--drawing", type=Path, metavar="FILE",
+        help="where the drawing goes, .svg or .png (in this folder: NAME_rig.svg, default_rig.svg)",
+    )  # fmt: skip
+    args = parser.parse_args()
+    try:
+        path = rig_path(args.rig)
+        rig = read_rig(path)
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+    found = doubts(rig)
+    print(report(rig, path.name, found))
+    drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
+    try:
+        from .drawing import draw  # what it draws with may be missing
+
+        drawing.parent.mkdir(parents=True, exist_ok=True)
+        draw(rig, path.name, drawing)
+        print(f"drawing: {drawing}")
+    except ImportError as error:
+        print(f"no drawing: {error}", file=sys.stderr)
+    except (OSError, ValueError) as error:
+        print(f"error: the drawing cannot be written: {error}", file=sys.stderr)
+        sys.exit(1)
+    sys.exit(1 if any(doubt.impossible for doubt in found) else 0)
+
+
+def report(rig: Rig, name: str, found: list[Doubt]) -> str:
+    """Return all there is to tell, as lines for a terminal."""
+    plate, parts, limits = rig.plate, rig.parts, rig.limits
+    lines = [
+        f"{name}: plate of {plate.length_m:g} x {plate.width_m:g} m and {plate.mass_kg:g} kg, "
+        f"parts of {1e3 * parts.radius_m:g} mm radius and {1e3 * parts.mass_kg:g} g",
+        f"Gamma = {rig.gamma:.1f}: {rig.reach.accel:.3g} m/s2 in every direction for ever, limited "
+        f"by {rig.reach.limit}; parts slide from mu g = {rig.friction.accel:.3g} m/s2 on",
+        f"motors: {limits.force:g} N at the peak, {limits.continuous_force:g} N for ever, "
+        f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
+        "",
+        "shaken as a sinusoid, for ever     travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
+    ]
+    for way, words in (("x", "along x"), ("y", "along y"), ("theta", "turning, at a corner")):
+        for hz in FREQUENCIES_HZ:
+            one = shake(rig, way, hz)
+            lines.append(
+                f"  {words:20} {hz:4g} Hz  {1e3 * one.travel:12.3g} {one.speed:12.3g} "
+                f"{one.accel:14.3g}  {one.limit}"
+            )
+    lines.append("")
+    for doubt in found:
+        lines.append(f"{'WRONG' if doubt.impossible else 'doubtful'}: {doubt.text}")
+    if not found:
+        lines.append("nothing is inconsistent")
+    return "\n".join(lines)
+
+
+def shake(rig: Rig, way: str, hz: float) -> Shake:
+    """Return the largest sinusoid in one coordinate that keeps all limits, heat among them."""
+    omega, limits = 2 * np.pi * hz, rig.limits
+    pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
+    radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # of the fastest point
+    travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
+    if travel < 1e-9:
+        return Shake(0.0, 0.0, 0.0, "no motor pushes this way")
+    stiffness, damping, mass = motor_loads(rig)
+    force = (stiffness - omega**2 * mass + 1j * omega * damping) @ pose
+    worst = int(np.argmax(np.abs(force)))
+    push, name = float(np.abs(force[worst])), rig.motors[worst].name
+    push = max(push, 1e-12)
+    sizes = {
+        "stroke_m": limits.stroke_m / travel,
+        "speed_mps": limits.speed / (omega * travel),
+        "accel_mps2": limits.accel / (omega**2 * radius),
+        f"force_n of {name}": limits.force / push,
+        f"continuous_force_n of {name}": np.sqrt(2) * limits.continuous_force / push,
+    }
+    limit = min(sizes, key=lambda key: sizes[key])
+    size = float(sizes[limit]) * radius
+    return Shake(size, omega * size, omega**2 * size, limit)
+
+
+if __name__ == "__main__":
+    main()

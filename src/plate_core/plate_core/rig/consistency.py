@@ -1,0 +1,316 @@
+"""Whether a rig's facts fit each other: the impossible is refused, the doubtful is reported.
+
+A wrong decimal point or a file copied from another rig shows as a motor beside the plate, as image
+corners of another plate, as parts that are a pixel wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..errors import RigError
+from .frames import fit_homography, part_radius_px
+from .motors import motor_levers
+
+if TYPE_CHECKING:
+    from .rig import Rig
+
+PART_PX = (3.0, 200.0)
+"""Radius of a part in the image that the detector can see [px]."""
+
+FINE_PX = 4.0
+"""Radius from which parts are seen well [px]."""
+
+CYCLE_HZ = (5.0, 40.0)
+"""Lowest and highest frequency in the solvers' cycles: one wave in 0.2 s, four in 0.1 s."""
+
+OUTSIDE, BESIDE = 0.5, 0.1
+"""How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
+from where on that is doubtful."""
+
+WORST_FIT, GOOD_FIT = 0.15, 0.03
+"""Relative error of lengths, or error of the right angle, that image corners may show; and from
+where on it is doubtful."""
+
+FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
+"""Focal lengths that are tried where none is known, over the width of the image."""
+
+STEEP_DEG = 45.0
+"""A camera that is tilted more than this sees far parts badly."""
+
+PART_SHARE = (0.5, 0.15)
+"""Radius of a part over half the plate's shorter side: more cannot move; more is doubtful."""
+
+
+class Doubt(NamedTuple):
+    """Something about a rig that cannot be (`impossible`) or is hardly meant: what it concerns
+    (motors, camera, parts, limits), and the words for the user: thing, value, what is allowed."""
+
+    about: str
+    text: str
+    impossible: bool = False
+
+
+def check(rig: Rig) -> None:
+    """Refuse a rig whose facts contradict each other.
+
+    Raises
+    ------
+    RigError
+        Names the key, its value and what is allowed.
+    """
+    for doubt in doubts(rig):
+        if doubt.impossible:
+            raise RigError(doubt.text)
+
+
+def doubts(rig: Rig, *about: str) -> list[Doubt]:
+    """Return what is wrong or doubtful, or this about some subjects; what is impossible first."""
+    found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
+    asked = [doubt for doubt in found if not about or doubt.about in about]
+    return sorted(asked, key=lambda doubt: not doubt.impossible)
+
+
+def _motors(rig: Rig) -> Iterator[Doubt]:
+    size = 2 * float(np.max(rig.plate.half))
+    for motor in rig.motors:
+        away = float(np.hypot(*np.maximum(np.abs(motor.point) - rig.plate.half, 0)))
+        if away > BESIDE * size:
+            x, y = motor.point
+            yield Doubt(
+                "motors",
+                f"motors: {motor.name}: point_m is [{x:g}, {y:g}], {away:.3g} m outside the plate, "
+                f"allowed: |x| up to {rig.plate.half[0]:g}, |y| up to {rig.plate.half[1]:g}, or on "
+                f"a bracket up to {OUTSIDE * size:.3g} m outside",
+                away > OUTSIDE * size,
+            )
+    scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
+    sizes = np.linalg.svd(motor_levers(rig) / scale, compute_uv=False)
+    if sizes[-1] < 0.05 * sizes[0]:
+        yield Doubt(
+            "motors",
+            "motors: their directions and points cannot move the plate in x, y and theta: one of "
+            "these takes more than 20 times the force of another, allowed: lines of motors that "
+            "neither are all parallel nor all meet in one point",
+            bool(sizes[-1] < 1e-3 * sizes[0]),
+        )
+
+
+def _limits(rig: Rig) -> Iterator[Doubt]:
+    limits, floor = rig.limits, rig.friction.accel
+    if limits.accel <= floor:
+        yield Doubt(
+            "limits",
+            f"limits: accel_mps2 is {limits.accel:g}, allowed: more than mu g = {floor:g} m/s2 "
+            "(below that parts never slide)",
+            True,
+        )
+    elif rig.gamma <= 1:
+        key = rig.reach.limit.split()[0]
+        value = limits.force if key == "force_n" else limits.continuous_force
+        yield Doubt(
+            "limits",
+            f"limits: {key} is {value:g}, which moves a plate of {rig.plate.mass_kg:g} kg by "
+            f"{rig.reach.accel:.3g} m/s2 in every direction, allowed: {value / rig.gamma:.3g} or "
+            f"more, for mu g = {floor:g} m/s2 (below that parts never slide)",
+            True,
+        )
+    elif rig.gamma < 3:
+        yield Doubt(
+            "limits",
+            f"limits: Gamma is {rig.gamma:.3g} (by {rig.reach.limit}), advised: 5 or more: the "
+            "plate shakes hardly harder than friction holds, tasks take long and parts are lost",
+        )
+    if limits.continuous_force > limits.force:
+        yield Doubt(
+            "limits",
+            f"limits: continuous_force_n is {limits.continuous_force:g}, more than the peak "
+            f"force_n of {limits.force:g}; is it that of other motors?",
+        )
+    yield from _speeds(rig)
+
+
+def _speeds(rig: Rig) -> Iterator[Doubt]:
+    """Stroke, speed and acceleration of sinusoids within the cycles' frequencies."""
+    limits, floor = rig.limits, rig.friction.accel
+    low, high = 2 * np.pi * np.array(CYCLE_HZ)
+    for key, value, unit, most in (
+        ("stroke_m", limits.stroke_m, "m", limits.stroke_m * high**2),
+        ("speed_mps", limits.speed, "m/s", limits.speed * high),
+    ):
+        if most < min(3 * floor, 0.5 * rig.reach.accel):
+            yield Doubt(
+                "limits",
+                f"limits: {key} is {value:g} {unit}: at {CYCLE_HZ[1]:g} Hz, the fastest wave in a "
+                f"cycle, that is {most:.3g} m/s2, and parts slide from mu g = {floor:g} m/s2 on; "
+                f"advised: {3 * floor * value / most:.2g} {unit} or more",
+                bool(most <= floor),
+            )
+    needed = rig.reach.accel / low**2
+    if limits.stroke_m > 3 * needed:
+        yield Doubt(
+            "limits",
+            f"limits: stroke_m is {limits.stroke_m:g}, but at {CYCLE_HZ[0]:g} Hz, the slowest wave "
+            f"in a cycle, {rig.reach.accel:.3g} m/s2 ({rig.reach.limit}) use {needed:.2g} m of it",
+        )
+
+
+def _parts(rig: Rig) -> Iterator[Doubt]:
+    radius, half = rig.parts.radius_m, float(np.min(rig.plate.half))
+    if radius > PART_SHARE[1] * half:
+        most = PART_SHARE[0] * half
+        yield Doubt(
+            "parts",
+            f"parts: radius_m is {radius:g} on a plate whose shorter side is {2 * half:g} m, "
+            f"allowed: up to {most:.3g}, advised: up to {PART_SHARE[1] * half:.2g}, so that "
+            "several parts have room to pass each other",
+            radius > most,
+        )
+    if rig.parts.mass_kg > 0.1 * rig.plate.mass_kg:
+        yield Doubt(
+            "parts",
+            f"parts: mass_kg is {rig.parts.mass_kg:g} on a plate of {rig.plate.mass_kg:g} kg: the "
+            "plate is taken not to feel the parts, advised: a tenth of it or less",
+        )
+
+
+def _fiducials(rig: Rig) -> Iterator[Doubt]:
+    if rig.fiducials is None:
+        return
+    outside = np.abs(rig.fiducials.corners) > rig.plate.half + 1e-6
+    for row in np.flatnonzero(np.any(outside, axis=(1, 2))):
+        x, y = rig.fiducials.centres[row]
+        room = rig.plate.half - rig.fiducials.side_m / 2
+        yield Doubt(
+            "camera",
+            f"fiducials: centre_m: marker_{rig.fiducials.numbers[row]} is [{x:g}, {y:g}], so it is "
+            f"not wholly on the plate, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} for "
+            f"markers of {rig.fiducials.side_m:g} m",
+            True,
+        )
+
+
+def _camera(rig: Rig) -> Iterator[Doubt]:
+    corners = np.array(rig.camera.corners_px)
+    if rig.camera.lens is not None and rig.camera.lens.bends:
+        corners = rig.camera.lens.straighten(corners)
+        if not np.all(np.isfinite(corners)):
+            return  # far outside what the lens shows: nothing more can be told
+    wrong = _order(corners) or _shape(rig, corners)
+    if wrong is not None:
+        yield wrong
+        if wrong.impossible:
+            return
+    yield from _image(rig)
+    yield from _size(rig)
+
+
+def _order(corners: np.ndarray) -> Doubt | None:
+    """Whether corners (4, 2) [px] go round the plate as a camera above it sees them."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    after = np.roll(sides, -1, axis=0)
+    turn = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
+    if np.all(turn < 0):
+        return None
+    what = "go round the other way, as in a mirror" if np.all(turn > 0) else "are no convex figure"
+    return Doubt(
+        "camera",
+        f"camera: corners_px {what}, allowed: the images of (-x,-y), (+x,-y), (+x,+y), (-x,+y) in "
+        "this order, as seen from above (pixel rows count downwards)",
+        True,
+    )
+
+
+def _shape(rig: Rig, corners: np.ndarray) -> Doubt | None:
+    """Whether a camera with square pixels can see this plate so."""
+    misfit, tilt = _misfit(rig, corners, rig.plate.corners)
+    if misfit > GOOD_FIT:
+        length, width = rig.plate.length_m, rig.plate.width_m
+        sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
+        ratio = (sides[0] + sides[2]) / (sides[1] + sides[3])
+        turned = np.roll(corners, 1, axis=0)
+        other = _misfit(rig, turned, rig.plate.corners)[0] < min(GOOD_FIT, misfit / 3)
+        hint = "; they would fit with the last pair first" if other else ""
+        return Doubt(
+            "camera",
+            f"camera: corners_px show a plate whose sides are as {ratio:.3g} to 1, no view "
+            f"of one of {length:g} x {width:g} m ({100 * misfit:.0f} % off), allowed: up to "
+            f"{100 * WORST_FIT:g} %; are they of another plate, or in another order?{hint}",
+            misfit > WORST_FIT,
+        )
+    if np.degrees(tilt) > STEEP_DEG:
+        return Doubt(
+            "camera",
+            f"camera: it looks at corners_px {np.degrees(tilt):.0f} degrees from straight "
+            f"above, advised: up to {STEEP_DEG:g}",
+        )
+    return None
+
+
+def _misfit(rig: Rig, corners: np.ndarray, plate: np.ndarray) -> tuple[float, float]:
+    """Return how far the view is from that of a rectangle [-], and its tilt [rad].
+
+    With the camera matrix K and the homography H the columns of K^-1 H are the plate's axes, times
+    one scale: they must be as long as each other, and at right angles. Where K is not known the
+    focal length that fits best is taken, and the middle of the image for its centre.
+    """
+    camera = rig.camera
+    view = fit_homography(plate, corners)
+    if camera.lens is not None:
+        matrices = [camera.lens.matrix]
+    else:
+        middle = (camera.width_px - 1) / 2, (camera.height_px - 1) / 2
+        matrices = [
+            np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1.0]])
+            for f in FOCAL_LENGTHS * camera.width_px
+        ]
+    best = (np.inf, 0.0)
+    for matrix in matrices:
+        x, y = np.linalg.solve(matrix, view)[:, :2].T
+        long, wide = np.linalg.norm(x), np.linalg.norm(y)
+        misfit = max(abs(np.log(long / wide)), abs(x @ y) / (long * wide))
+        normal = np.cross(x, y)
+        tilt = np.arccos(min(1.0, abs(normal[2]) / np.linalg.norm(normal)))
+        best = min(best, (float(misfit), float(tilt)))
+    return best
+
+
+def _image(rig: Rig) -> Iterator[Doubt]:
+    size = np.array([rig.camera.width_px, rig.camera.height_px])
+    corners = np.array(rig.camera.corners_px)
+    out = np.any((corners < -0.5) | (corners > size - 0.5), axis=1)
+    if np.any(out):
+        row = int(np.flatnonzero(out)[0])
+        middle = corners.mean(axis=0)
+        yield Doubt(
+            "camera",
+            f"camera: corners_px[{row}] is [{corners[row, 0]:g}, {corners[row, 1]:g}], outside the "
+            f"image of {size[0]} x {size[1]} px: parts there are not seen, advised: all four "
+            "corners in the image",
+            bool(np.any((middle < 0) | (middle > size - 1)) or np.sum(out) > 2),
+        )
+
+
+def _size(rig: Rig) -> Iterator[Doubt]:
+    low, high = PART_PX
+    radius_px = part_radius_px(rig)
+    if radius_px < FINE_PX:
+        need = rig.parts.radius_m * low / radius_px
+        yield Doubt(
+            "camera",
+            f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.3g} px, "
+            f"allowed: {low:g} to {high:g} px, well seen from {FINE_PX:g} on: take the camera "
+            f"nearer, or one of {rig.camera.width_px * FINE_PX / radius_px:.0f} px width, or parts "
+            f"of {need:.2g} m or more",
+            radius_px < low,
+        )
+    elif radius_px > high:
+        yield Doubt(
+            "camera",
+            f"parts: radius_m is {rig.parts.radius_m:g}, in the image {radius_px:.4g} px, allowed: "
+            f"{low:g} to {high:g} px: take a smaller image, or smaller parts",
+            True,
+        )

@@ -1,0 +1,108 @@
+"""The keys of a rig file that are not plain numbers of `rig.py`: what may stand there, and what it
+means (docs/reference.md)."""
+
+from __future__ import annotations
+
+from ..yaml_fields import Key, Number, Numbers, Section, Table, Text, Whole
+
+FAR_M = 10.0
+"""No coordinate is greater [m]."""
+
+STIFFEST = 1e9
+"""Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
+
+MOTOR = Section(
+    "motors, motor_1 to motor_4",
+    "A linear motor: where its shaft meets the plate, and the way it pushes.",
+    (
+        Key(
+            "point_m", Numbers((2,), -FAR_M, FAR_M), "Where the shaft meets the plate at rest "
+            "[x, y].",
+        ),
+        Key(
+            "direction", Numbers((2,), -1, 1), "The way it pushes when its setpoint is positive "
+            "[x, y]; of any length but 0.",
+        ),
+    ),
+)  # fmt: skip
+
+CAMERA = Section(
+    "camera",
+    "The camera: its images, where the plate is in them, and its lens.",
+    (
+        Key("width_px", Whole(16, 16384), "Width of an image."),
+        Key("height_px", Whole(16, 16384), "Height of an image."),
+        Key("exposure_s", Number(0, 0.1), "Exposure time of an image."),
+        Key(
+            "corners_px", Numbers((4, 2), -16384, 32768), "Images of the plate's corners at rest, "
+            "as seen: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
+        ),
+        Key(
+            "focal_px", Numbers((2,), 1, 1e6), "Focal lengths fx, fy of the lens: of K in "
+            "camera_info.", None, "a lens that does not bend lines",
+        ),
+        Key(
+            "centre_px", Numbers((2,), -1e6, 1e6), "Principal point cx, cy: of K in camera_info.",
+            None, "needed with `focal_px`",
+        ),
+        Key(
+            "distortion", Numbers((5,), -100, 100), "k1, k2, p1, p2, k3: D in camera_info (plumb "
+            "bob).", None, "0, 0, 0, 0, 0",
+        ),
+    ),
+)  # fmt: skip
+
+FIDUCIALS = Section(
+    "fiducials (may be left out)",
+    "Markers on the plate: the camera finds plate_home by them, in place of `corners_px`.",
+    (
+        Key("dictionary", Text(), "Set of ArUco markers, by OpenCV's name without DICT_: 4X4_50."),
+        Key("side_m", Number(0.001, 1), "Side of a marker's black square."),
+        Key(
+            "centre_m", Table("for each of 4 to 16 markers [x, y], as marker_0: [0.1, 0.1]"),
+            "Centres of the markers on the plate, their upper sides towards +y.",
+        ),
+    ),
+)  # fmt: skip
+
+SUSPENSION = Section(
+    "suspension (may be left out: the plate is rigid and does as commanded)",
+    "How the plate hangs, and how its motors push.",
+    (
+        Key(
+            "frequency_hz", Numbers((3,), 0, 1e3), "Natural frequencies of x, y and theta, each "
+            "with the others held.", None, "or `stiffness`",
+        ),
+        Key("damping_ratio", Numbers((3,), 0, 2), "And their damping.", None, "or `damping`"),
+        Key(
+            "stiffness", Numbers((3, 3), -STIFFEST, STIFFEST), "In place of `frequency_hz`: the "
+            "stiffness matrix of x, y and theta [N/m, N, N m/rad].", None, "or `frequency_hz`",
+        ),
+        Key(
+            "damping", Numbers((3, 3), -STIFFEST, STIFFEST), "In place of `damping_ratio`: the "
+            "damping matrix [N s/m, N s, N m s/rad].", None, "or `damping_ratio`",
+        ),
+        Key(
+            "inertia_kgm2", Number(1e-9, 1e6), "Of the plate about its centre of mass.",
+            None, "that of a uniform plate",
+        ),
+        Key(
+            "centre_of_mass_m", Numbers((2,), -FAR_M, FAR_M), "At rest [x, y].", (0.0, 0.0),
+        ),
+        Key("feedforward", Table("mass, damping and stiffness, each from 0 to 2"), "Shares of the "
+            "forces of mass, damping and stiffness that the drive supplies in advance."),
+        Key(
+            "motor_gain", Numbers((4,), 0.1, 3), "Force of each motor over the force asked of it.",
+            (1.0, 1.0, 1.0, 1.0),
+        ),
+        Key(
+            "motor_bandwidth_hz", Number(1, 1e4), "Corner of the motors' first-order lag.",
+            float("inf"), "no lag",
+        ),
+        Key(
+            "servo", Table("stiffness_npm from 0 to 1e7, damping_nspm from 0 to 1e5"), "Stiffness "
+            "[N/m] and damping [N s/m] with which each motor holds its own setpoint.",
+            None, "none",
+        ),
+    ),
+)  # fmt: skip

@@ -1,0 +1,76 @@
+"""What `--help` of a node prints: what it does, what it is connected to, its parameters."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from rclpy.utilities import remove_ros_args
+
+from ..errors import PlateError
+
+WIDTH = 100
+"""Columns of the text."""
+
+
+def answered(node: Any, options: type | None, args: Sequence[str] | None) -> bool:
+    """Print the help if it was asked for; returns whether it was.
+
+    Raises
+    ------
+    PlateError
+        If a node with options is given words that are neither ROS arguments nor a wish for help.
+    """
+    try:
+        words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
+    except RuntimeError:  # a wrong command line or parameter file: starting ROS tells what is wrong
+        return False
+    if {"-h", "--help"} & set(words):
+        print(usage(command(sys.argv[0]), node, options))
+        return True
+    if words and options is not None:
+        raise PlateError(
+            f"argument {words[0]!r}, allowed: --help, or --ros-args -p NAME:=VALUE ..."
+        )
+    return False
+
+
+def command(path: str) -> str:
+    """Return the command that starts a program: of the workspace by its package."""
+    program = Path(path)
+    if program.parent.parent.name == "lib":
+        return f"ros2 run {program.parent.name} {program.name}"
+    return f"python {program}"
+
+
+def usage(start: str, node: Any, options: type | None) -> str:
+    """Return the text.
+
+    Parameters
+    ----------
+    start : str
+        What starts it.
+    node : class
+        Its docstring says what it does, and names topics and services.
+    options : class, optional
+        The dataclass of its parameters, see `declare`.
+    """
+    lines = [f"usage: {start} [--ros-args -p NAME:=VALUE ...]", ""]
+    lines += (inspect.getdoc(node) or "").splitlines()
+    if options is not None:
+        lines += ["", "Parameters, with their defaults (* may be changed while it runs):"]
+        for item in fields(options):
+            assert item.default is not MISSING
+            spec = item.metadata["spec"]
+            name = f"{item.name}{'*' if spec.live else ''}"
+            default = str(item.default).lower() if isinstance(item.default, bool) else item.default
+            allowed = f" ({spec.allowed})" if spec.allowed else ""
+            head = f"  {name:18} {str(default) or repr(''):12} "
+            text = wrap(f"{spec.description}{allowed}", WIDTH - len(head))
+            lines += [head + text[0], *(" " * len(head) + more for more in text[1:])]
+    return "\n".join(lines)

@@ -1,0 +1,207 @@
+"""The keys of a scenario file: what may stand there, and what it means (docs/reference.md)."""
+
+from __future__ import annotations
+
+from ..yaml_fields import Choice, Flag, Key, List, Number, Numbers, Section, Table, Text, Whole
+from .tasks import Side
+
+SIDES = {
+    "left": Side(-1, 0), "right": Side(1, 0), "bottom": Side(0, -1), "top": Side(0, 1),
+    "bottom_left": Side(-1, -1), "bottom_right": Side(1, -1),
+    "top_left": Side(-1, 1), "top_right": Side(1, 1),
+}  # fmt: skip
+"""Sides and corners of the plate."""
+
+KINDS = ("sort", "follow", "assemble", "pose")
+"""Kinds of task."""
+
+CURVES = ("waypoints_m", "circle", "spline_m")
+"""What a path may be given by: one of these."""
+
+SLOWEST_MPS, FASTEST_MPS = 1e-5, 10.0
+"""Speeds along a path [m/s]."""
+
+FAR_M = 10.0
+"""No coordinate is greater [m]; whether a point is on the plate is checked with the rig."""
+
+ALL_DIFFERENT = "each class once"
+PLACE = Numbers((2,), -FAR_M, FAR_M)
+PLACES = Numbers((None, 2), -FAR_M, FAR_M)
+TOLERANCE = Key(
+    "tolerance_m", Number(1e-4, 1), "A part is there when its centre is this near its place."
+)
+HOLD = Key(
+    "hold_s", Number(0, 60), "The task is done when its goal has been met for so long, unbroken."
+)
+
+
+def class_key(*labels: str) -> Key:
+    """Return the key `class` of a path or a pose, one of the classes of the scenario."""
+    kind = Choice(labels) if labels else Text("a class of `parts`")
+    return Key("class", kind, "Class of the part that is meant.")
+
+
+FILE = Section(
+    "scenario file",
+    "One task: parts on the plate, and what is to be done with them.",
+    (
+        Key("description", Text(), "What the task is, in a sentence."),
+        Key(
+            "marked", Flag(), "Whether each part has a spot that shows its angle. A task of `pose` "
+            "needs it.", False,
+        ),
+        Key("parts", List(), "The parts on the plate: one entry for each class."),
+        Key("task", Table(), "What is to be done: `kind`, and the keys of that kind."),
+        Key(
+            "time_limit_s", Number(0.1, 1e5), "Longest time from the task's beginning, in which "
+            "all parts were seen, to its end; a task that takes longer has failed.",
+        ),
+    ),
+)  # fmt: skip
+
+GROUP = Section(
+    "parts[]",
+    "The parts of one class: placed, or scattered at random.",
+    (
+        Key(
+            "class", Text("a plain word such as black, without a number"), "Class of these parts. "
+            "The camera tells `black` and `grey` apart by their brightness.",
+        ),
+        Key(
+            "count", Whole(1, 100), "How many, scattered at random (by `seed`): five radii from "
+            "centre to centre, or less where so many do not fit, and clear of the edges.",
+            None, "or `positions_m`",
+        ),
+        Key(
+            "positions_m", PLACES, "Where each one starts: its centre on the plate.",
+            None, "or `count`",
+        ),
+    ),
+)  # fmt: skip
+
+TASK = Section(
+    "task",
+    "What is to be done.",
+    (Key("kind", Choice(KINDS), "Kind of task; each has keys of its own, below."),),
+)
+
+SORT = Section(
+    "task, kind: sort",
+    "Every class to its region. Done when all parts have been in their regions for `hold_s`.",
+    (
+        Key(
+            "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Where each "
+            f"class belongs: {', '.join(SIDES)}, or a polygon. `sides` is another word for it.",
+        ),
+        Key(
+            "goal_fraction", Number(0, 0.8), "Where sides and corners begin, from the plate's "
+            "middle: as a fraction of the half length for left and right, of the half width for "
+            "bottom and top; a corner lies beyond both. Of a plate of 0.6 x 0.3 m 0.6 leaves "
+            "0.12 x 0.3 m for a side, 0.12 x 0.06 m for a corner.",
+            None, "none; for bins alone it is not needed",
+        ),
+        HOLD,
+    ),
+)  # fmt: skip
+
+BIN = Section(
+    "task, kind: sort, a polygon in regions",
+    "A region with corners of its own.",
+    (
+        Key(
+            "bin_m", PLACES, "Corners [x, y] in order, three or more, on the plate. There must be "
+            "room for the parts of its class 3.5 radii apart, and for no other bin.",
+        ),
+    ),
+)  # fmt: skip
+
+FOLLOW = Section(
+    "task, kind: follow",
+    "Every part along its own path. Parts that start elsewhere are led to the first points of "
+    "their paths before the paths begin. Done when all paths are run.",
+    (
+        Key("paths", List(), "One path for each part."),
+        Key(
+            "max_error_m",
+            Number(1e-4, 10),
+            "A part further from where it should be ends the "
+            "task; from 0.15 of it on all parts are slowed down.",
+        ),
+    ),
+)
+
+PATH = Section(
+    "task, kind: follow, paths[]",
+    f"The path of one part, given by one of {', '.join(CURVES)}.",
+    (
+        class_key(),
+        Key("waypoints_m", PLACES, "Corners [x, y] of a polygon, two or more.", None, "see above"),
+        Key("circle", Table(), "A circle; its keys are below.", None, "see above"),
+        Key(
+            "spline_m", PLACES, "Points [x, y] of a cubic spline, three or more.", None, "see above"
+        ),
+        Key(
+            "speed_mps", Number(SLOWEST_MPS, FASTEST_MPS), "Speed along the path; or pairs "
+            "[fraction of a lap, m/s] from 0 to 1, linear between them.",
+        ),
+        Key(
+            "closed", Flag(), "Whether the last corner leads back to the first.", None,
+            "none; a circle is closed",
+        ),
+        Key("laps", Number(0.01, 1000), "How many times round.", None, "none; open paths: 1"),
+    ),
+)  # fmt: skip
+
+CIRCLE = Section(
+    "task, kind: follow, paths[], circle",
+    "A path round a circle.",
+    (
+        Key("centre_m", PLACE, "Its centre [x, y]."),
+        Key("radius_m", Number(1e-4, FAR_M), "Its radius."),
+        Key(
+            "start_deg", Number(-360, 360), "Where on the circle the path begins, "
+            "counter-clockwise from x.", 0.0,
+        ),
+        Key("turn", Choice(("left", "right")), "left: counter-clockwise; right: clockwise."),
+    ),
+)  # fmt: skip
+
+ASSEMBLE = Section(
+    "task, kind: assemble",
+    "A pattern of places is filled. Done when every place has had a part of its class for "
+    "`hold_s`.",
+    (
+        Key(
+            "places_m", Table("for each class a list of [x, y]"), "As many places as there are "
+            "parts of the class, 2.5 radii or more from each other; which part goes where is left "
+            "to the planner.",
+        ),
+        TOLERANCE,
+        HOLD,
+    ),
+)  # fmt: skip
+
+POSE = Section(
+    "task, kind: pose",
+    "Every part to a place and an angle. Done when all have been there for `hold_s`. Needs "
+    "`marked: true`.",
+    (
+        Key("poses", List(), "One pose for each part."),
+        TOLERANCE,
+        Key("tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near."),
+        HOLD,
+    ),
+)
+
+POSES = Section(
+    "task, kind: pose, poses[]",
+    "Where one part is to be, and which way its mark is to point.",
+    (
+        class_key(),
+        Key("angle_deg", Number(-360, 360), "Counter-clockwise from x."),
+        Key("place_m", PLACE, "Its place [x, y].", None, "it stays where it is"),
+    ),
+)
+
+SECTIONS = (FILE, GROUP, TASK, SORT, BIN, FOLLOW, PATH, CIRCLE, ASSEMBLE, POSE, POSES)
+"""All of a scenario file, in the order of the reference."""

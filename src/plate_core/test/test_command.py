@@ -1,0 +1,138 @@
+"""The program `plate`, which talks to running nodes where there is no `ros2`."""
+
+import argparse
+import os
+import sys
+import threading
+from dataclasses import dataclass
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+
+from plate_core import PlateError  # noqa: E402
+from plate_core.ros import LATCHED, declare, follow, parameter  # noqa: E402
+from plate_core.ros.command import Graph, domains_in_use, main  # noqa: E402
+
+NAMESPACE = f"/command_test_{os.getpid()}"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Of the node that is talked to."""
+
+    gain: float = parameter(0.5, "How much [-]", 0.0, 1.0, live=True)
+    seed: int = parameter(3, "Of the noise", 0, 9)
+
+
+@pytest.fixture(scope="module")
+def graph():
+    """A node `talker` in a thread, and the command's view of it."""
+    context, orders = rclpy.Context(), []
+    rclpy.init(context=context)
+    node = rclpy.create_node("talker", context=context, namespace=NAMESPACE)
+    follow(node, declare(node, Options), lambda _: None)
+
+    def answer(request, response):
+        orders.append(getattr(request, "data", "start"))
+        response.success, response.message = orders[-1] is not False, "so it is"
+        return response
+
+    node.create_service(Trigger, "start", answer)
+    node.create_service(SetBool, "enable", answer)
+    node.create_publisher(String, "task_state", LATCHED).publish(String(data="idle"))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    rclpy.init()
+    command = Graph(NAMESPACE)
+    assert command._until(lambda: bool(command._seen()), 20)
+    yield command
+    command.node.destroy_node()
+    rclpy.shutdown()
+    executor.shutdown()
+    thread.join(10)
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def asked(graph, command, *words):
+    names = dict(zip(("node", "name", "value"), (*words, None), strict=False))
+    return graph.run(argparse.Namespace(command=command, **names))
+
+
+def test_services_and_state(graph):
+    assert asked(graph, "start") == "so it is"
+    assert asked(graph, "enable") == "so it is"
+    with pytest.raises(PlateError, match="so it is"):  # refused, with the reason
+        asked(graph, "disable")
+    with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
+        asked(graph, "stop")
+    assert asked(graph, "state").splitlines() == ["driver_state: nothing heard", "task_state: idle"]
+
+
+def test_parameters(graph):
+    assert asked(graph, "get", "talker", "seed") == "3"
+    assert asked(graph, "set", "talker", "gain", "1") == "talker gain: 0.5 -> 1.0"
+    lines = asked(graph, "params").splitlines()
+    assert lines[0] == "talker"
+    assert "  gain                 1.0            How much [-] (0.0 to 1.0)" in lines
+    assert "  seed                 3              Of the noise (0 to 9) [fixed]" in lines
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("talker", "gain", "2"), r"talker refuses: parameter gain is 2.0, allowed: 0.0 to 1.0"),
+        (("talker", "gain", ""), r"talker gain is '', allowed: a float"),
+        (("talker", "gain", "{a: 1}"), r"talker gain is '{a: 1}', allowed: a float"),
+        (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),
+        (("talker", "seed", "4"), r"talker refuses: .*read-only"),
+        (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
+        (("talk", "gain", "1"), r"node is 'talk' \(did you mean talker\?\), here: talker"),
+    ],
+)
+def test_what_is_refused(graph, words, message):
+    with pytest.raises(PlateError, match=message):
+        asked(graph, "set", *words)
+
+
+@pytest.mark.parametrize("command", ["disable", "emergency_stop"])
+def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch, command):
+    alone, seen = Graph("/nowhere"), []
+
+    def until(true, timeout_s):
+        seen.append(true())
+        return seen[-1]
+
+    monkeypatch.setattr(alone, "_until", until)
+    with pytest.raises(PlateError, match="no graph runs"):
+        asked(alone, command)
+    alone.node.destroy_node()
+    assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
+
+
+def test_nobody_is_there(graph):
+    alone = Graph("/nowhere")
+    try:
+        for command in ("start", "state", "params"):
+            with pytest.raises(PlateError, match="no graph runs in ROS domain"):
+                asked(alone, command)
+    finally:
+        alone.node.destroy_node()
+    assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
+
+
+def test_a_mistyped_command_is_told_the_nearest(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["plate", "strt"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    assert (
+        "command is 'strt' (did you mean start?), allowed: start, stop" in capsys.readouterr().err
+    )

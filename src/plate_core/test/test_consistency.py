@@ -1,0 +1,180 @@
+"""Rigs whose facts do not fit each other: refused where impossible, told where doubtful."""
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from plate_core import RigError, config_path, load_rig
+from plate_core.rig import Lens, doubts, part_radius_px, rig_names, to_image
+from plate_core.rig.check_rig import shake
+
+RIG = load_rig()
+MARKERS = {
+    "dictionary": "4X4_50", "side_m": 0.03,
+    "centre_m": {"marker_0": [-0.28, -0.13], "marker_1": [0.28, -0.13], "marker_2": [0.28, 0.145],
+                 "marker_3": [-0.28, 0.13]},
+}  # fmt: skip
+OTHER_PLATE = [[170, 390], [470, 390], [470, 90], [170, 90]]
+MIRRORED = [[617.82, 389.50], [21.01, 387.25], [26.86, 91.35], [614.33, 93.94]]
+
+IMPOSSIBLE = [
+    (("motors", "motor_1", "point_m"), [-3.0, 0.1], r"motor_1: point_m is \[-3, 0.1\], 2.7 m outs"),
+    (("camera", "corners_px"), OTHER_PLATE, r"sides are as 1 to 1, no view of one of 0.6 x 0.3 m"),
+    (("camera", "corners_px"), MIRRORED, "go round the other way, as in a mirror, allowed: the im"),
+    (("camera", "corners_px"), [[20, 387], [617, 389], [200, 300], [27, 91]], "no convex figure"),
+    (("camera", "corners_px"), [[-579, 387], [18, 389], [14, 94], [-573, 91]], "outside the image"),
+    (("fiducials",), MARKERS, r"marker_2 is \[0.28, 0.145\], so it is not wholly on the plate, al"),
+    (("parts", "radius_m"), 0.0025, r"2.47 px, allowed: 3 to 200 px, .*take the camera nearer, or"),
+    (("parts", "radius_m"), 0.08, r"radius_m is 0.08 on a plate whose shorter side is 0.3 m, allo"),
+    (("limits", "force_n"), 2.0, r"force_n is 2, which moves a plate of 2 kg by 2 m/s2 .* 2.45 or"),
+    (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m: at 40 Hz, .* that is 1.89 m/s2, and par"),
+    (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s: at 40 Hz, .* that is 1.26 m/s2, an"),
+]
+DOUBTFUL = [
+    (("motors", "motor_1", "point_m"), [-0.4, 0.1], "motor_1: point_m is .* 0.1 m outside"),
+    (("camera", "corners_px"), [[1, 387], [638, 390], [634, 94], [7, 91]], r"\(6 % off\), allowed"),
+    (("camera", "corners_px"), [[-4, 387], [592, 389], [589, 94], [1, 91]], r"corners_px\[0\] is "),
+    (("parts", "radius_m"), 0.0035, r"3.45 px, allowed: 3 to 200 px, well seen from 4 on"),
+    (("parts", "radius_m"), 0.03, r"radius_m is 0.03 on a plate .* advised: up to 0.022"),
+    (("parts", "mass_kg"), 0.3, "mass_kg is 0.3 on a plate of 2 kg"),
+    (("limits", "continuous_force_n"), 300, "continuous_force_n is 300, more than the peak force"),
+    (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(by accel_mps2\), advised: 5 or more"),
+    (("limits", "stroke_m"), 0.6, "stroke_m is 0.6, but at 5 Hz, .* use 0.1 m of it"),
+]
+
+
+@pytest.fixture(name="spoilt")
+def _spoilt(tmp_path):
+    def write(keys, value):
+        data = place = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+        path = tmp_path / "my_rig.yaml"
+        path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(("keys", "value", "words"), IMPOSSIBLE)
+def test_what_cannot_be_is_refused(spoilt, keys, value, words):
+    with pytest.raises(RigError, match=rf"^my_rig\.yaml: .*({words})"):
+        load_rig(spoilt(keys, value))
+
+
+@pytest.mark.parametrize(("keys", "value", "words"), DOUBTFUL)
+def test_what_is_doubtful_is_told_alone(spoilt, keys, value, words):
+    (doubt,) = doubts(load_rig(spoilt(keys, value)))
+    assert not doubt.impossible
+    with pytest.raises(AssertionError, match=words):
+        raise AssertionError(doubt.text)
+
+
+def test_corners_in_another_order_are_recognised(spoilt):
+    corners = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))["camera"]
+    turned = corners["corners_px"][1:] + corners["corners_px"][:1]
+    with pytest.raises(RigError, match=r"another order.; they would fit with the last pair first"):
+        load_rig(spoilt(("camera", "corners_px"), turned))
+
+
+@pytest.mark.parametrize("name", rig_names())
+def test_rigs_that_are_shipped_are_consistent(name):
+    rig = load_rig(name)
+    assert doubts(rig) == []
+    assert rig.gamma > 5
+
+
+def test_default_rig_is_consistent():
+    assert doubts(RIG) == []
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_views_of_the_plate_are_believed_and_those_of_others_are_not(seed):
+    """A pinhole camera anywhere above plates of any size, with its K known or not."""
+    rng = np.random.default_rng(seed)
+    plate = replace(RIG.plate, length_m=rng.uniform(0.1, 1), width_m=rng.uniform(0.1, 1))
+    focal = rng.uniform(500, 2000)
+    matrix = np.array([[focal, 0, 319.5], [0, focal, 239.5], [0, 0, 1]])
+    tilt, about, roll = rng.uniform(0, 0.6), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+
+    def turn(angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    lean = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    above = np.diag([1.0, -1.0, -1.0])  # the camera looks down
+    rotation = turn(about) @ lean @ turn(-about) @ above @ turn(roll)
+    points = np.column_stack([plate.corners, np.zeros(4)]) @ rotation.T
+    points[:, 2] += focal * 1.3 * np.hypot(*plate.half) / 240
+    seen = points @ matrix.T
+    corners = seen[:, :2] / seen[:, 2:]
+    lens = Lens((focal, focal), (319.5, 239.5)) if seed % 2 else None
+    camera = replace(RIG.camera, corners_px=tuple(map(tuple, corners)), lens=lens)
+    rig = replace(RIG, plate=plate, camera=camera)
+    assert [d.text for d in doubts(rig, "camera") if "no view" in d.text or "order" in d.text] == []
+    longer = replace(plate, length_m=1.3 * plate.length_m)
+    if seed % 2:
+        texts = [d for d in doubts(replace(rig, plate=longer), "camera") if "no view" in d.text]
+        assert texts[0].impossible
+
+
+def test_radius_in_the_image_is_that_of_the_disc():
+    """Against the area of its outline in the image."""
+    angle = np.linspace(0, 2 * np.pi, 2000)
+    ring = RIG.parts.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+    x, y = to_image(RIG, ring).T
+    area = 0.5 * abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+    assert part_radius_px(RIG) == pytest.approx(np.sqrt(area / np.pi), rel=1e-3)
+
+
+def test_sinusoids_by_hand():
+    """2 kg: along x two motors push; 10 mm to 16 Hz, 100 m/s2 from there on."""
+    slow, fast = shake(RIG, "x", 5.0), shake(RIG, "x", 40.0)
+    assert slow.limit == "stroke_m"
+    assert slow.travel == pytest.approx(0.01)
+    assert slow.accel == pytest.approx(0.01 * (10 * np.pi) ** 2)
+    assert fast.limit == "accel_mps2"
+    assert fast.travel == pytest.approx(100 / (80 * np.pi) ** 2)
+    hot = replace(RIG, limits=replace(RIG.limits, force=60.0, continuous_force=10.0))
+    assert shake(hot, "y", 40.0).accel == pytest.approx(10.0 * np.sqrt(2))
+    assert shake(hot, "y", 40.0).limit.startswith("continuous_force_n of motor_")
+    turned = shake(hot, "theta", 40.0)  # 0.075 kg m2, levers 0.1, 0.1, 0.2, 0.2 m
+    most = np.sqrt(2) * 10.0 * 0.1 / 0.2 / 0.075
+    assert turned.accel == pytest.approx(most * np.hypot(0.3, 0.15))
+
+
+def check_rig(*arguments):
+    command = [sys.executable, "-m", "plate_core.rig.check_rig", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_command_tells_and_draws(tmp_path):
+    drawing = tmp_path / "new" / "desk.svg"
+    code, out, err = check_rig("desk", "--drawing", drawing)
+    assert (code, err) == (0, "")
+    assert f"Gamma = {load_rig('desk').gamma:.1f}" in out
+    assert "nothing is inconsistent" in out
+    assert ET.parse(drawing).getroot().tag.endswith("svg")
+    text = drawing.read_text(encoding="utf-8")
+    for words in ("motor_1", "motor_2", "motor_3", "motor_4", "+x, -y"):
+        assert words in text
+
+
+def test_command_tells_all_that_is_wrong(spoilt, tmp_path):
+    path = spoilt(("motors", "motor_1", "point_m"), [-3.0, 0.1])
+    text = path.read_text(encoding="utf-8").replace("radius_m: 0.008", "radius_m: 0.0025")
+    path.write_text(text, encoding="utf-8")
+    code, out, _ = check_rig(path, "--drawing", tmp_path / "a.png")
+    assert code == 1
+    assert out.count("WRONG: ") == 2
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    code, _, err = check_rig("desc")
+    assert code == 1
+    assert "rig is 'desc' (did you mean desk?), allowed: desk, voice_coils, or the path" in err

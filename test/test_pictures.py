@@ -1,0 +1,133 @@
+"""Films and strips show what happened where it happened: pixels against the places in metres."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from PIL import Image
+from record.film import Film
+from record.pictures import (
+    FILM,
+    STRIP,
+    Arrows,
+    Scene,
+    draw_film,
+    draw_parts,
+    draw_strip,
+    draw_task,
+    round_number,
+    samples,
+)
+
+from plate_core import PlateCycle, load_rig
+from plate_core.colours import class_colour, part_colour
+from plate_core.tasks import Bin, load_scenario
+
+TIME, ARROWS = np.arange(4) * 0.1, Arrows(0.1, 0.03)
+LEFT = np.array([-0.29, 0.14])
+"""Where the second part was before it fell off [m]."""
+
+
+def scene(name, ids, position, angle=0.0, **changes):
+    """A run of four cycles on a plate that swings along x."""
+    rig = load_rig()
+    t = np.arange(64) / 640
+    twist = np.zeros((64, 3))
+    twist[:, 0] = 0.1 * np.sin(20 * np.pi * t) + 0.1 * np.cos(40 * np.pi * t)
+    cycle = PlateCycle.from_samples(0.1, np.cumsum(twist, axis=0) / 640, twist)
+    image = np.full((rig.camera.height_px, rig.camera.width_px), 200, np.uint8)
+    position = np.array(position, float)
+    angles = np.full(position.shape[:2], angle)
+    film = Film(ids, TIME, position, angles, 0.3, TIME - 0.05, (cycle,) * 4, TIME, (image,) * 4)
+    return Scene(rig, replace(load_scenario(name), **changes), film)
+
+
+@pytest.fixture
+def dropped():
+    place = np.tile([[0.0, 0.0], LEFT], (4, 1, 1))
+    place[2:, 1] = np.nan
+    return scene("sort_10", ("black_1", "grey_2"), place)
+
+
+def at(canvas, point):
+    """Return the pixel at a place [m]."""
+    x, y = np.round(np.multiply(point, [canvas.scale, -canvas.scale]) + canvas.origin).astype(int)
+    return tuple(canvas.pixels[y, x].tolist())
+
+
+def near(colour, wanted):
+    return max(abs(a - b) for a, b in zip(colour, wanted, strict=True)) < 25
+
+
+def test_a_part_that_fell_off_leaves_a_cross_where_it_was(dropped):
+    before, after = STRIP.canvas(dropped), STRIP.canvas(dropped)
+    draw_parts(dropped, before, 0.1, faces=True)
+    draw_parts(dropped, after, 0.3, faces=True)
+    assert near(at(before, LEFT), part_colour("grey"))
+    assert near(at(after, LEFT), class_colour("grey"))
+    for canvas in (before, after):
+        assert near(at(canvas, (0.0, 0.0)), part_colour("black"))
+    told = [one.words for one in samples(dropped, ARROWS, after)]
+    assert "fell off here" in told
+    assert "100 mm" in told
+
+
+def test_targets_have_the_colour_of_their_class_and_the_plate_has_none(dropped):
+    canvas = STRIP.canvas(dropped)
+    draw_task(dropped, canvas)
+    red, _, blue = at(canvas, (-0.25, 0.0))  # black to the left, grey to the right
+    assert red > blue + 10
+    red, _, blue = at(canvas, (0.25, 0.0))
+    assert blue > red + 10
+    assert at(canvas, (0.0, 0.0)) == (255, 255, 255)
+
+
+def test_a_bin_is_drawn_where_it_is():
+    run = scene("sort_10", ("black_1",), np.zeros((4, 1, 2)))
+    corner = ((0.1, 0.05), (0.2, 0.05), (0.2, 0.1), (0.1, 0.1))
+    task = replace(run.scenario.task, regions={"black": Bin(corner)})
+    run = replace(run, scenario=replace(run.scenario, task=task))
+    canvas = FILM.canvas(run)
+    draw_task(run, canvas)
+    assert at(canvas, (0.15, 0.08)) != (255, 255, 255)
+    assert at(canvas, (0.15, 0.03)) == (255, 255, 255)
+    assert near(at(canvas, (0.1, 0.08)), class_colour("black"))
+
+
+def test_angles_are_drawn_as_they_are_and_as_wanted():
+    run = scene("spin_1", ("black_1",), np.zeros((4, 1, 2)), angle=np.radians(180))
+    canvas = FILM.canvas(run)
+    draw_parts(run, canvas, 0.2, faces=True)
+    radius = run.rig.parts.radius_m
+    assert near(at(canvas, (-2 * radius, 0.0)), (34, 34, 34))  # it points to the left
+    assert near(at(canvas, (0.0, 1.4 * radius)), class_colour("black"))  # and is to point up
+    assert at(canvas, (0.0, -2 * radius)) == (255, 255, 255)
+    assert [pose[2] for pose in run.poses] == [np.radians(90)]
+
+
+def test_arrows_are_as_long_as_the_key_says(dropped):
+    forces = dropped.forces(0.2, np.zeros((1, 2)))
+    assert abs(forces[0, 1]) < 0.02 < abs(forces[0, 0])  # the plate swings along x
+    canvas = STRIP.canvas(dropped)
+    ARROWS.draw(canvas, np.array([[0.0, 0.0]]), np.array([[0.05, 0.0]]), 1, 0.0)
+    dark = np.flatnonzero(np.any(canvas.pixels < 200, axis=(0, 2)))
+    assert np.ptp(dark) == pytest.approx(0.5 * 0.03 * canvas.scale, abs=3)  # half of the force
+
+
+def test_strip_and_film_of_a_short_run(dropped, tmp_path):
+    draw_strip(dropped, tmp_path / "strip.png", "title")
+    assert draw_film(dropped, tmp_path / "film.gif", "title") == 1.0
+    with Image.open(tmp_path / "strip.png") as strip, Image.open(tmp_path / "film.gif") as film:
+        assert min(strip.size) > 1000
+        assert 1 <= film.n_frames <= 4
+        assert film.width < 800
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"), [(0.1, 0.1), (0.199, 0.1), (0.2, 0.2), (7.0, 5.0), (0.0099, 0.005)]
+)
+def test_round_numbers(value, rounded):
+    assert round_number(value) == pytest.approx(rounded)

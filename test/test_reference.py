@@ -1,0 +1,147 @@
+"""The reference of keys: the page is what the code says, and the code does what it says."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from reference import PAGE, page
+
+from plate_core import PlateError, load_rig, rig, tasks
+from plate_core.tasks import load_scenario
+from plate_core.yaml_fields import Number, Numbers, Whole
+
+ROOT = Path(__file__).resolve().parents[1]
+
+RIG = yaml.safe_load((ROOT / "config/rig.yaml").read_text("utf-8")) | {
+    "fiducials": {
+        "dictionary": "4X4_50",
+        "side_m": 0.03,
+        "centre_m": {
+            f"marker_{k}": [x, y] for k, (x, y) in enumerate([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        },
+    },
+    "suspension": {
+        "frequency_hz": [35, 35, 35],
+        "damping_ratio": [0.03, 0.03, 0.03],
+        "inertia_kgm2": 0.075,
+        "centre_of_mass_m": [0, 0],
+        "feedforward": {"mass": 0, "damping": 0, "stiffness": 1},
+        "motor_gain": [1.15, 0.85, 1.15, 0.85],
+        "motor_bandwidth_hz": 200,
+    },
+}
+CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
+TASKS = {
+    "sort": {
+        "regions": {"black": "left", "grey": {"bin_m": [[0.1, 0], [0.2, 0], [0.2, 0.1]]}},
+        "goal_fraction": 0.6,
+        "hold_s": 0.5,
+    },
+    "follow": {
+        "max_error_m": 0.01,
+        "paths": [
+            {"class": "black", "circle": CIRCLE, "speed_mps": 0.01, "laps": 1},
+            {"class": "grey", "waypoints_m": [[0, 0], [1, 0]], "speed_mps": 0.01, "closed": False},
+        ],
+    },
+    "assemble": {
+        "places_m": {"black": [[0, 0]], "grey": [[0.1, 0]]},
+        "tolerance_m": 0.003,
+        "hold_s": 1,
+    },
+    "pose": {
+        "poses": [
+            {"class": "black", "angle_deg": 90, "place_m": [0.1, 0]},
+            {"class": "grey", "angle_deg": 90},
+        ],
+        "tolerance_m": 0.003,
+        "tolerance_deg": 3,
+        "hold_s": 1,
+    },
+}
+
+
+def scenario(kind):
+    parts = [{"class": "black", "count": 1}, {"class": "grey", "positions_m": [[0.1, 0]]}]
+    return {
+        "description": "d",
+        "marked": True,
+        "parts": parts,
+        "task": {"kind": kind, **TASKS[kind]},
+        "time_limit_s": 60,
+    }
+
+
+FILES = [(load_rig, RIG)] + [(load_scenario, scenario(kind)) for kind in TASKS]
+
+
+def places(data):
+    """All mappings of a file, at any depth."""
+    if isinstance(data, dict):
+        yield data
+        for value in data.values():
+            yield from places(value)
+    if isinstance(data, list):
+        for value in data:
+            yield from places(value)
+
+
+def refused(read, path, data):
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(PlateError) as caught:
+        read(path)
+    return str(caught.value)
+
+
+def cases():
+    """Every number, with a value out of its range, in every file that has it."""
+    for section in (*rig.SECTIONS, *tasks.SECTIONS):
+        for key in section.keys:
+            if isinstance(key.kind, Number | Whole | Numbers):
+                yield pytest.param(section, key, id=f"{section.where}: {key.name}")
+
+
+@pytest.mark.parametrize(("section", "key"), cases())
+def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, key):
+    tried = 0
+    for read, data in FILES:
+        for place in places(data):
+            known = {each.name for each in section.keys}
+            if key.name not in place or not set(place) <= known | {"kind", "sides"}:
+                continue
+            before = place[key.name]
+            for value in (1.0001 * key.kind.high + 1, key.kind.low - 1e-5):
+                wrong = value
+                if isinstance(key.kind, Whole):
+                    wrong = key.kind.high + 1 if value > key.kind.high else key.kind.low - 1
+                if isinstance(key.kind, Numbers):
+                    wrong = [value] * len(before)
+                    if isinstance(before[0], list):
+                        wrong = [[value] * len(row) for row in before]
+                place[key.name] = wrong
+                try:
+                    message = refused(read, tmp_path / "file.yaml", data)
+                finally:
+                    place[key.name] = before
+                assert f"{key.name} is " in message
+                assert f"{key.kind.low:g} to {key.kind.high:g}" in message
+                tried += 1
+    if key.name not in ("stiffness", "damping", "spline_m"):  # in place of others, none here
+        assert tried >= 2
+
+
+@pytest.mark.parametrize(("read", "data"), FILES)
+def test_no_key_is_missing_in_the_reference(tmp_path, read, data):
+    path = tmp_path / "file.yaml"
+    path.write_text(yaml.safe_dump(data))
+    if read is load_scenario:
+        read(path)  # the file is right as it is
+    known = {key.name for section in (*rig.SECTIONS, *tasks.SECTIONS) for key in section.keys}
+    known |= {"plate", "friction", "parts", "limits", "motors", "camera", "suspension", "fiducials"}
+    known |= {"kind", "black", "grey", "mass"} | {f"motor_{k}" for k in range(1, 5)}
+    used = {name for place in places(data) for name in place if not name.startswith("marker_")}
+    assert used <= known
+
+
+def test_the_page_is_what_the_code_says():
+    assert PAGE.read_text("utf-8") == page(), "run: python tools/reference.py"

@@ -1,0 +1,53 @@
+"""The closed loop on a plate whose motors are weak: nothing lost, force and heat kept, judged by
+Newton's law on the motions that were sent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from harness.loop import Setup, run
+from plate_core import Rig, load_rig
+from plate_core.rig import CYCLE_HZ
+from plate_solver import RotationSolver, SinusoidSolver
+
+SAMPLES = 400
+
+
+def forces(rig: Rig, cycle) -> np.ndarray:
+    """Forces (n, 4) [N] of least squares that accelerate a uniform plate as the cycle does."""
+    point = np.array([motor.point for motor in rig.motors])
+    way = np.array([motor.direction for motor in rig.motors])
+    turn = point[:, 0] * way[:, 1] - point[:, 1] * way[:, 0]
+    plate = rig.plate
+    inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
+    accel = cycle.accel((np.arange(SAMPLES) + 0.5) / SAMPLES * cycle.period)
+    wrench = accel * [plate.mass_kg, plate.mass_kg, inertia]
+    return np.linalg.lstsq(np.column_stack([way, turn]).T, wrench.T, rcond=None)[0].T
+
+
+@pytest.mark.parametrize("method", ["sinusoids", "rotations"])
+@pytest.mark.parametrize(("peak", "continuous"), [(20.0, 10.0), (10.0, 5.0)])
+def test_parts_are_sorted_within_force_and_heat(method, peak, continuous):
+    rig = load_rig()
+    limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
+    rig, warm, most, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
+    for moment in run(Setup("sort_4", 3, method), rig):
+        moments.append(moment)
+        force = forces(rig, moment.answer.cycle)
+        most = max(most, float(np.max(np.abs(force))))
+        load = np.mean(force**2, axis=0) / continuous**2
+        warm = load + (warm - load) * np.exp(-moment.answer.cycle.period / limits.thermal_time_s)
+        assert np.max(warm) <= 1
+        assert not moment.scaled, "the solver knew better than the driver"
+    assert 0.8 * peak < most <= peak
+    assert moments[-1].progress.phase == "done"
+    assert moments[-1].world.dropped == 0
+
+
+@pytest.mark.parametrize("solver", [RotationSolver, SinusoidSolver])
+def test_frequencies_that_are_told_are_those_of_the_cycles(solver):
+    """What check_rig says of stroke and speed is said for waves that the solvers make."""
+    periods = [solver(load_rig()).steering_period(count) for count in range(1, 8)]
+    assert min(1 / period for period in periods) == pytest.approx(CYCLE_HZ[0])
+    assert max(4 / period for period in periods) >= CYCLE_HZ[1]

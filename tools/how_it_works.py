@@ -1,0 +1,57 @@
+"""Run the notebook docs/how_it_works.ipynb and write its pictures: docs/how_it_works/NAME.png.
+
+python tools/how_it_works.py [--out FOLDER]
+
+No Jupyter is needed: the cells are plain Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+NOTEBOOK = DOCS / "how_it_works.ipynb"
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=DOCS / "how_it_works")
+    folder = parser.parse_args().out
+    folder.mkdir(parents=True, exist_ok=True)
+    printed, figures = run(code_cells(NOTEBOOK))
+    print(printed, end="")
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=100)
+        print(folder / f"{name}.png")
+
+
+def code_cells(notebook: Path) -> list[str]:
+    """Return the source of each code cell of a notebook."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+
+
+def run(cells: list[str]) -> tuple[str, dict[str, Figure]]:
+    """Run cells one after the other; returns what they print, and their figures by name."""
+    names: dict[str, object] = {"__name__": "__main__"}
+    printed = io.StringIO()
+    with mpl.rc_context(), redirect_stdout(printed):
+        for number, source in enumerate(cells, 1):
+            exec(compile(source, f"<code cell {number}>", "exec"), names)
+    return printed.getvalue(), {name: plt.figure(name) for name in plt.get_figlabels()}
+
+
+if __name__ == "__main__":
+    main()

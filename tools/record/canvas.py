@@ -1,0 +1,167 @@
+"""A picture that is drawn into in metres, and sheets of such pictures with words around them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from plate_core.colours import INK, Colour
+
+WHITE: Colour = (255, 255, 255)
+
+SHIFT = 4
+"""Lines are drawn in 1/16 px, so that they do not jitter."""
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """Pixels and where they are; all lines are drawn into the pixels.
+
+    Attributes
+    ----------
+    pixels : (H, W, 3) uint8
+        Red, green, blue.
+    scale : float
+        [px/m].
+    origin : (x, y)
+        Where (0, 0) m is [px]; y is up in metres and down in pixels.
+    unit : float
+        Width of a thin line [px].
+    words : int
+        Size of words [px].
+    """
+
+    pixels: np.ndarray
+    scale: float
+    origin: tuple[float, float]
+    unit: float
+    words: int
+
+    def _at(self, point: Sequence | np.ndarray) -> np.ndarray:
+        place = np.reshape(point, (-1, 2)) * [self.scale, -self.scale] + self.origin
+        return np.round(place * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)
+
+    def _wide(self, width: float) -> int:
+        return max(1, round(width * self.unit))
+
+    def line(
+        self, point: Sequence | np.ndarray, colour: Colour, width: float = 1, dashed: bool = False
+    ) -> None:
+        """Draw a line through points (n, 2) [m]; dashes are five widths long."""
+        pieces = dashes(point, 5 * width * self.unit / self.scale) if dashed else [point]
+        lines = [self._at(piece) for piece in pieces]
+        cv2.polylines(self.pixels, lines, False, colour, self._wide(width), cv2.LINE_AA, SHIFT)
+
+    def area(self, corner: Sequence | np.ndarray, colour: Colour, share: float) -> None:
+        """Tint a polygon (n, 2) [m], as much as `share`, and draw its outline."""
+        tinted = self.pixels.copy()
+        cv2.fillPoly(tinted, [self._at(corner)], colour, cv2.LINE_AA, SHIFT)
+        cv2.addWeighted(tinted, share, self.pixels, 1 - share, 0, dst=self.pixels)
+        self.line(np.vstack([corner, corner[:1]]), colour, 1.5)
+
+    def disc(
+        self, centre: Sequence | np.ndarray, radius: float, face: Colour | None, edge: Colour,
+        width: float = 1.5,
+    ) -> None:  # fmt: skip
+        """Draw a disc with an edge; without a face only the edge, just outside of it."""
+        at = self._at(centre)[0, 0].tolist()
+        size = round(radius * self.scale * 2**SHIFT)
+        if face is not None:
+            cv2.circle(self.pixels, at, size, face, -1, cv2.LINE_AA, SHIFT)
+        cv2.circle(self.pixels, at, size, edge, self._wide(width), cv2.LINE_AA, SHIFT)
+
+    def arrow(self, start: np.ndarray, end: np.ndarray, colour: Colour, width: float = 1) -> None:
+        """Draw an arrow with a filled head."""
+        along = (np.asarray(end) - start) * self.scale
+        length = float(np.hypot(*along))
+        if length < self.unit:
+            return
+        head = min(5.0 * self.unit * width, 0.6 * length) / self.scale
+        along = along / length
+        neck = np.asarray(end) - head * along
+        side = 0.45 * head * np.array([-along[1], along[0]])
+        self.line([start, neck], colour, width)
+        corners = self._at([end, neck + side, neck - side])
+        cv2.fillPoly(self.pixels, [corners], colour, cv2.LINE_AA, SHIFT)
+
+    def cross(self, centre: np.ndarray, size: float, colour: Colour) -> None:
+        """Draw a cross as wide as 2 `size` [m]."""
+        for sign in (1, -1):
+            arm = np.array([size, sign * size])
+            self.line([centre - arm, centre + arm], WHITE, 4)
+        for sign in (1, -1):
+            arm = np.array([size, sign * size])
+            self.line([centre - arm, centre + arm], colour, 2.2)
+
+    def write(self, point: Sequence | np.ndarray, text: str) -> None:
+        """Write about a point [m], with a white edge."""
+        image = Image.fromarray(self.pixels)
+        at = tuple(self._at(point)[0, 0] / 2**SHIFT)
+        ImageDraw.Draw(image).text(
+            at, text, INK, font(self.words), "mm", stroke_width=2, stroke_fill=WHITE
+        )
+        self.pixels[:] = np.asarray(image)
+
+
+def dashes(point: Sequence | np.ndarray, length: float) -> list[np.ndarray]:
+    """Cut a line through points (n, 2) into pieces of a length with gaps two thirds as long."""
+    point = np.asarray(point, float)
+    way = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(point, axis=0).T))])
+    starts = np.arange(0, way[-1], 5 / 3 * length)
+    pieces = []
+    for start in starts:
+        end = min(start + length, way[-1])
+        inner = way[(way > start) & (way < end)]
+        at = np.array([start, *inner, end])
+        pieces.append(np.column_stack([np.interp(at, way, axis) for axis in point.T]))
+    return pieces
+
+
+@cache
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Return Pillow's own font in a size [px]."""
+    return ImageFont.load_default(size)
+
+
+def heading(width: int, size: int, left: str, right: str = "") -> np.ndarray:
+    """Return a white line (H, W, 3) with words at its ends."""
+    image = Image.new("RGB", (width, round(1.6 * size)), "white")
+    pen, middle = ImageDraw.Draw(image), image.height / 2
+    pen.text((size / 4, middle), left, INK, font(size), "lm")
+    pen.text((width - size / 4, middle), right, INK, font(size), "rm")
+    return np.array(image)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One entry of a key: how wide its sample is [m], how it is drawn from its left end, words."""
+
+    width: float
+    draw: Callable[[Canvas], None]
+    words: str
+
+
+def key(samples: Sequence[Sample], width: int, frame: Canvas) -> np.ndarray:
+    """Return a key (H, W, 3) for such frames: samples to scale and their words, in some lines."""
+    size = frame.words
+    high, x, row = round(1.7 * size), size / 4, 0
+    places: list[tuple[float, float, float]] = []
+    for one in samples:
+        words = one.width * frame.scale + 0.5 * size
+        end = x + words + font(size).getlength(one.words)
+        if places and end > width:
+            row, end, x = row + 1, end - x + size / 4, size / 4
+        places.append((x, (row + 0.5) * high, x + words))
+        x = end + 1.3 * size
+    image = Image.new("RGB", (width, (row + 1) * high), "white")
+    for one, (_, y, words) in zip(samples, places, strict=True):
+        ImageDraw.Draw(image).text((words, y), one.words, INK, font(size), "lm")
+    pixels = np.array(image)
+    for one, (x, y, _) in zip(samples, places, strict=True):
+        one.draw(Canvas(pixels, frame.scale, (x, y), frame.unit, size))
+    return pixels

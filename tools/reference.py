@@ -1,0 +1,76 @@
+"""Write docs/reference.md: all keys of scenario and rig files, from the code that reads them.
+
+python tools/reference.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from plate_core import rig, tasks
+from plate_core.yaml_fields import Key, Number, Numbers, Section, Whole
+
+PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
+
+HEAD = """# All keys of scenario and rig files
+
+Made from the code that reads them, by `python tools/reference.py`; a test compares. What is wrong
+in a file is refused with file, key, value and what is allowed; a key that is unknown, with the
+nearest known one; a key that stands twice, with both lines.
+
+Coordinates are in the frame `plate_home`: origin at the centre of the plate at rest, x along its
+long side, y to the left, angles counter-clockwise from x. How the files are used:
+[your own task](guide/tasks.md), [your own rig](guide/rig.md).
+"""
+
+
+def page() -> str:
+    """Return the page."""
+    parts = [HEAD, "\n## Scenario files: config/scenarios\n", *map(_section, tasks.SECTIONS)]
+    parts += ["\n## Rig files: config/rig.yaml\n", *map(_section, rig.SECTIONS)]
+    return "".join(parts)
+
+
+def _section(section: Section) -> str:
+    head = f"\n### `{section.where}`\n\n{section.about}\n"
+    return f"{head}\n{_table(section.keys)}\n"
+
+
+def _table(keys: Iterable[Key]) -> str:
+    rows = ["| key | what | unit | if left out | meaning |", "|---|---|---|---|---|"]
+    rows += [f"| `{k.name}` | {_what(k)} | {k.unit} | {_default(k)} | {k.meaning} |" for k in keys]
+    return "\n".join(rows)
+
+
+def _what(key: Key) -> str:
+    """Return type and range; what is plain from the unit is left out."""
+    match key.kind:
+        case Number(low, high):
+            return f"number, {low:g} to {high:g}"
+        case Whole(low, high):
+            return f"whole number, {low} to {high}"
+        case Numbers(_, low, high):
+            size = key.kind.words.split(" numbers")[0]
+            return f"{size} numbers, {low:g} to {high:g}"
+    return key.kind.words
+
+
+def _default(key: Key) -> str:
+    if key.otherwise:
+        return key.otherwise
+    if key.required:
+        return "must be there"
+    if isinstance(key.default, bool):
+        return str(key.default).lower()
+    if isinstance(key.default, tuple):
+        return ", ".join(f"{number:g}" for number in key.default)
+    return f"{key.default:g}"
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
+    PAGE.write_text(page(), encoding="utf-8")
+    sys.exit(0)
