@@ -17,6 +17,7 @@ from plate_core.motion import corner_accel, motor_state
 from plate_core.rig import motor_loads
 from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
+from plate_planner.tasks import SLOWED
 
 from .film import develop
 
@@ -25,9 +26,6 @@ SAMPLES = 1000
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
 """The sentence about a machine that was too slow."""
-
-SLOWED = 0.95
-"""An average pace below this is reported."""
 
 ROUNDING = 1e-6
 """Share of a limit that rounding may add."""

@@ -21,8 +21,8 @@ from .supervision import (
     TaskLimits,
     TaskState,
     begin,
-    gone,
     judge,
+    loss_text,
     missing_parts,
     remedy,
     shakes_little,
@@ -209,14 +209,15 @@ class Planner:
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state.memory, parts, task.active)
         memory, found = self.rules.assess(state.memory, now)
+        began = t if task.began is None else task.began
         findings = Findings(
             missing if found.missing is None else found.missing,
             found.goal_met,
             found.to_go_m,
             found.problem,
-            shortfall_text(estimator.request, self.rig, parts, found.distance, count),
+            lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
             found.outcome,
-            gone(missing, state.last, t if task.began is None else task.began, self.rig, count),
+            lambda name: loss_text(name, state.last.get(name), began, self.rig, count),
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids

@@ -82,19 +82,26 @@ def test_the_end_says_how_it_went_and_what_became_of_a_part():
     limits = replace(LIMITS, hold_s=0.0)
     done = judge(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
     assert done.text == "done after 1.0 s: 4 of 4 parts"
-    found = Findings(("black_1", "grey_2"), False, 0.0, gone={"black_1": "black_1 left the plate"})
+    found = Findings(("black_1", "grey_2"), False, 0.0, loss=lambda name: f"{name} fell")
     state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.1, found, LIMITS)
-    assert state.text == "lost part after 2.1 s: black_1 left the plate; grey_2"
+    assert state.text == "lost part after 2.1 s: black_1 fell; grey_2 fell"
 
 
 def test_a_time_limit_says_whether_it_was_still_getting_nearer():
     near = judge(RUNNING, 100.0, Findings((), False, 0.2), LIMITS)
     near = judge(near, 109.0, Findings((), False, 0.1), LIMITS)
-    state = judge(near, 110.1, Findings((), False, 0.1, detail="grey_2 has 8 mm to go"), LIMITS)
+    state = judge(near, 110.1, Findings((), False, 0.1, detail=lambda: "8 mm to go"), LIMITS)
     assert state.text == (
         "stuck after 10.1 s: time limit of 10 s (still getting nearer: a longer time_limit_s would "
-        "do); grey_2 has 8 mm to go"
+        "do); 8 mm to go"
     )
+
+
+def test_what_explains_a_failure_is_worked_out_at_the_end_alone():
+    called = []
+    found = Findings(GONE, False, 0.1, detail=lambda: called.append(1) or "", loss=called.append)
+    state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.0, found, LIMITS)
+    assert (state.phase, called) == (Phase.RUNNING, [])
 
 
 def test_a_part_may_hide_for_a_while():
@@ -126,7 +133,7 @@ def at_distances(*to_go, missing=(), met=False, stuck_timeout_s=3.0):
     """Return the last state after images a second apart with these distances to the goal [m]."""
     state, limits = RUNNING, replace(LIMITS, stuck_timeout_s=stuck_timeout_s, unseen_timeout_s=50.0)
     for k, distance in enumerate(to_go):
-        found = Findings(missing, met, distance, detail="grey_2 is 8.0 mm short")
+        found = Findings(missing, met, distance, detail=lambda: "grey_2 is 8.0 mm short")
         state = judge(state, 100.0 + k, found, limits)
     return state
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -32,11 +31,14 @@ class LastSeen(NamedTuple):
     stamp: float
 
 
-def loss_text(name: str, last: LastSeen, began: float, rig: Rig, count: int) -> str:
-    """Say what became of a part that is no longer seen, and what would help.
+def loss_text(name: str, last: LastSeen | None, began: float, rig: Rig, count: int) -> str:
+    """Say what became of a part that is no longer seen, and what would help; only its name where
+    it never was (`last` is None).
 
     `began` is when the task did [s], `count` the number of parts.
     """
+    if last is None:
+        return name
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
@@ -93,10 +95,3 @@ def remedy(rig: Rig, count: int) -> str:
         "friction.mu or the motors may not be as the rig file says, or something is in its way "
         "(calibrate the rig)"
     )
-
-
-def gone(
-    missing: tuple[str, ...], last: Mapping[str, LastSeen], began: float, rig: Rig, count: int
-) -> dict[str, str]:
-    """Say of each part that is missing and known what became of it."""
-    return {n: loss_text(n, last[n], began, rig, count) for n in missing if n in last}

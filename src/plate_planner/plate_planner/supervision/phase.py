@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from plate_core import Parts, part_class
@@ -198,21 +198,21 @@ class Findings:
         Distance to the goal, summed over parts [m].
     problem : str
         Why the task cannot go on; empty if it can.
-    detail : str
-        Which part is furthest from its goal, what was asked of it, and what would help.
+    detail : callable
+        Says which part is furthest from its goal, what was asked of it, and what would help.
     outcome : str
         What there is to tell if the task is done now.
-    gone : mapping of str to str
-        Of parts that are missing: what became of them.
+    loss : callable
+        Says of a missing part, by its name, what became of it.
     """
 
     missing: tuple[str, ...]
     goal_met: bool
     to_go_m: float
     problem: str = ""
-    detail: str = ""
+    detail: Callable[[], str] = lambda: ""
     outcome: str = ""
-    gone: Mapping[str, str] = field(default_factory=dict)
+    loss: Callable[[str], str] = lambda name: name
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -231,7 +231,7 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
-        return _end(state, t, Phase.LOST, "; ".join(found.gone.get(name, name) for name in lost))
+        return _end(state, t, Phase.LOST, "; ".join(map(found.loss, lost)))
     if found.problem:
         return _end(state, t, Phase.STUCK, found.problem)
     held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
@@ -246,7 +246,7 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
         reason = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
     if not reason:
         return state
-    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.detail))))
+    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.detail()))))
 
 
 def _end(state: TaskState, t: float | None, phase: Phase, reason: str) -> TaskState:

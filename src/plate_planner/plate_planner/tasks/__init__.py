@@ -12,12 +12,13 @@ from plate_core import Rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
 
 from .assemble import AssembleOptions, Assembler
-from .follow import Follower, FollowMemory, FollowOptions, pd_drift
+from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .pose import PoseMemory, Poser
 from .sort import Sorter, SortOptions
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 __all__ = [
+    "SLOWED",
     "AssembleOptions",
     "Assembler",
     "Assessment",
