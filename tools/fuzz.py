@@ -28,7 +28,7 @@ from graph.domains import own_domain
 from graph.processes import ros_environment
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.serialization import deserialize_message, serialize_message
-from record.judge import limit_shares
+from record.limits import limit_shares
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig

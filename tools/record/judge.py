@@ -12,17 +12,13 @@ from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import RunOptions
-from plate_core import PlateCycle, PlateError, Rig
-from plate_core.motion import corner_accel, motor_state
-from plate_core.rig import motor_loads
+from plate_core import PlateError, Rig
 from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
 from plate_planner.tasks import SLOWED
 
 from .film import develop
-
-SAMPLES = 1000
-"""Instants of every motor table at which the limits are checked."""
+from .limits import limit_shares, thermal_load
 
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
 """The sentence about a machine that was too slow."""
@@ -57,7 +53,7 @@ class LimitCheck:
 
 
 def check_limits(record: Record, rig: Rig) -> LimitCheck:
-    """Evaluate every motor table at `SAMPLES` instants, independently of who made it."""
+    """Judge every motor table, independently of who made it."""
     faults: list[str] = []
     most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
     for number, data in enumerate(record.tables):
@@ -81,35 +77,6 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
             faults.append(f"motor table {number}: does not begin at rest at home")
     stroke, speed, accel, force = map(float, most)
     return LimitCheck(len(record.tables), tuple(faults), stroke, speed, accel, force, hottest)
-
-
-def limit_shares(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return the greatest shares (4,) of stroke, speed, acceleration and force in one cycle."""
-    t = np.linspace(0, cycle.period, SAMPLES)
-    state = cycle.pose(t), cycle.twist(t), cycle.accel(t)
-    q, qd, _ = motor_state(rig, *state)
-    return np.array(
-        [
-            np.max(np.abs(q)) / rig.limits.stroke_m,
-            np.max(np.abs(qd)) / rig.limits.speed,
-            np.max(corner_accel(rig, *state)) / rig.limits.accel,
-            np.max(np.abs(motor_forces(rig, cycle))) / rig.limits.force,
-        ]
-    )
-
-
-def thermal_load(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return each motor's mean square force (4,) over that of its continuous force."""
-    force = motor_forces(rig, cycle)[:-1]
-    return np.asarray(np.mean(force**2, axis=0) / rig.limits.continuous_force**2)
-
-
-def motor_forces(rig: Rig, cycle: PlateCycle) -> np.ndarray:
-    """Return the motors' forces (n, 4) [N] at equal steps."""
-    t = np.linspace(0, cycle.period, SAMPLES)
-    on_pose, on_twist, on_accel = motor_loads(rig)
-    moved = cycle.pose(t) @ on_pose.T + cycle.twist(t) @ on_twist.T
-    return np.asarray(moved + cycle.accel(t) @ on_accel.T)
 
 
 def judge(

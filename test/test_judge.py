@@ -1,0 +1,64 @@
+"""The judge of recorded motions: against sums by hand, and against the guard that it judges."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from record.limits import limit_shares, thermal_load
+
+from plate_core import PlateCycle, load_rig
+from plate_core.motion import usage
+from plate_core.rig import Suspension, mass_matrix
+
+RIG = load_rig()
+PERIOD = 0.1
+PHASE = 2 * np.pi * np.arange(256) / 256
+W = 2 * np.pi / PERIOD
+
+
+def wave(x=0.0, y=0.0, theta=0.0):
+    return PlateCycle.from_samples(PERIOD, np.outer(np.sin(PHASE), [x, y, theta]))
+
+
+def test_a_wave_along_x_by_hand():
+    """2 kg, two motors along x share: 200 N, 10 mm, 1 m/s and 100 m/s2 are allowed."""
+    accel = 0.004 * W**2
+    hand = [0.4, 0.004 * W, accel / 100, accel / 200]
+    np.testing.assert_allclose(limit_shares(RIG, wave(x=0.004)), hand, rtol=1e-4)
+    load = (accel / 100) ** 2 / 2
+    np.testing.assert_allclose(thermal_load(RIG, wave(x=0.004)), [load, load, 0, 0], atol=1e-4)
+
+
+def test_a_turn_by_hand():
+    """The corners, 0.335 m from the middle, have w^2 r beside theta'' r; 0.075 kg m2 are turned by
+    four motors, of levers 0.1, 0.1, 0.2 and 0.2 m, each by its lever over the sum of squares."""
+    angle = 0.02
+    t = np.linspace(0, PERIOD, 100_001)
+    out, round_ = (angle * W * np.cos(W * t)) ** 2, angle * W**2 * np.sin(W * t)
+    corners = np.max(np.hypot(out, round_)) * np.hypot(0.3, 0.15)
+    force = 0.2 / (2 * 0.1**2 + 2 * 0.2**2) * 0.075 * angle * W**2
+    _, _, accel, most = limit_shares(RIG, wave(theta=angle))
+    assert accel == pytest.approx(corners / 100, rel=1e-4)
+    assert most == pytest.approx(force / 200, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_judge_and_guard_agree(seed):
+    """Both are written separately; the guard's bounds may be a little higher than samples show."""
+    rng = np.random.default_rng(seed)
+    rig = RIG
+    if seed % 2:  # all matrices full, so that no term may be left out
+        push = rng.normal(size=(2, 3, 3)) * [[[1], [1], [0.1]]]
+        damping, stiffness = ((s * a @ a.T).tolist() for s, a in zip((20, 2000), push, strict=True))
+        mass = mass_matrix(2.0, 0.05, (0.01, -0.02))
+        rig = replace(RIG, suspension=Suspension(mass, damping, stiffness, (1, 1, 1)))
+    harmonics = np.array([f(k * PHASE) for k in (1, 2, 3) for f in (np.sin, np.cos)])
+    pose = 1e-3 * harmonics.T @ (rng.normal(size=(6, 3)) * [1, 1, 5])
+    cycle = PlateCycle.from_samples(PERIOD, pose)
+    told, limits = usage(rig, cycle), rig.limits
+    guard = [
+        told.stroke_m / limits.stroke_m, told.speed / limits.speed, told.accel / limits.accel,
+        told.force / limits.force,
+    ]  # fmt: skip
+    np.testing.assert_allclose(limit_shares(rig, cycle), guard, rtol=1e-3)
+    np.testing.assert_allclose(thermal_load(rig, cycle), told.thermal_load, rtol=1e-3)
