@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
+import re
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,6 +52,11 @@ UNITS = {
 """Units by the ends of keys."""
 
 
+SHOWN = reprlib.Repr()
+"""Shows a value in a message: a line of it, however much there is."""
+SHOWN.maxlevel, SHOWN.maxlist, SHOWN.maxstring, SHOWN.maxother = 3, 8, 80, 80
+
+
 class Kind(Protocol):
     """What may stand at a key."""
 
@@ -80,7 +86,7 @@ class Number:
         """Return it as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError
-        if not math.isfinite(value) or not self.low <= value <= self.high:
+        if not self.low <= value <= self.high:  # NaN is nowhere
             raise ValueError
         return float(value)
 
@@ -188,12 +194,15 @@ class Numbers:
         """Return it as an array."""
         try:
             array = np.array(value, dtype=float)
-        except TypeError:
+        except (TypeError, OverflowError, RecursionError):
             raise ValueError from None
         fits = array.ndim == len(self.shape) and all(
             n is None or n == m for n, m in zip(self.shape, array.shape, strict=True)
         )
         if not fits or not np.all((array >= self.low) & (array <= self.high)):
+            raise ValueError
+        # NumPy takes yes for 1 and '2' for 2
+        if any(isinstance(entry, bool | str) for entry in np.array(value, dtype=object).ravel()):
             raise ValueError
         return array
 
@@ -274,7 +283,7 @@ class Fields:
 
     def __init__(self, data: Any, where: str, error: type[PlateError]) -> None:
         if not isinstance(data, Mapping):
-            raise error(f"{where}: got {data!r}, expected a mapping of keys to values")
+            raise error(f"{where}: got {SHOWN.repr(data)}, expected a mapping of keys to values")
         self._data = data
         self._where = where
         self._error = error
@@ -287,7 +296,8 @@ class Fields:
 
     def fail(self, key: str, allowed: str) -> PlateError:
         """Return the error for the value at `key`: the caller raises it."""
-        return self._error(f"{self._where}: {key} is {self._data.get(key)!r}, allowed: {allowed}")
+        value = SHOWN.repr(self._data.get(key))
+        return self._error(f"{self._where}: {key} is {value}, allowed: {allowed}")
 
     def _get(self, key: str, allowed: str) -> Any:
         self._used.add(key)
@@ -391,26 +401,56 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-        again = _twice(yaml.compose(text, yaml.SafeLoader))
-        data = yaml.safe_load(text)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as problem:
+    except (OSError, ValueError) as problem:  # the latter: no UTF-8, or no path
         raise error(f"{path}: cannot be read ({problem})") from None
+    try:
+        again = _twice(yaml.compose(text, _Loader), set())
+        data = yaml.load(text, _Loader)
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark is not None else ""
         reason = getattr(problem, "problem", None) or "no valid YAML"
         raise error(f"{path}: broken YAML{line}: {reason}") from None
+    except RecursionError:
+        raise error(f"{path}: broken YAML: nested too deeply") from None
     if again:
         raise error(f"{path.name}: {again}")
     return Fields(data, path.name, error)
 
 
-def _twice(node: yaml.Node | None) -> str:
-    """Name the first key that stands twice in one mapping, at any depth; empty if none does."""
+class _Loader(yaml.SafeLoader):
+    """YAML as people write it: 1e-3 is a number too (to YAML 1.1 it is a text), and a value that is
+    none of its kind, such as the date 2026-13-45, is a mistake at a line."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, KeyError, AttributeError):
+            kind = node.tag.rsplit(":", 1)[-1]
+            raise yaml.MarkedYAMLError(
+                problem=f"{SHOWN.repr(node.value)} is no {kind}", problem_mark=node.start_mark
+            ) from None
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?[0-9][0-9.]*[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+def _twice(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
+    """Name the first key that stands twice in one mapping, at any depth; empty if none does.
+
+    A node that aliases lead to again, from within it too, is looked at once.
+    """
+    if node is None or node in seen:
+        return ""
+    seen.add(node)
     if isinstance(node, yaml.SequenceNode):
-        return next(filter(None, map(_twice, node.value)), "")
+        return next(filter(None, (_twice(item, seen) for item in node.value)), "")
     if not isinstance(node, yaml.MappingNode):
         return ""
     lines: dict[str, int] = {}
@@ -419,7 +459,7 @@ def _twice(node: yaml.Node | None) -> str:
         if name in lines:
             return f"key {name} stands twice, at line {lines[name]} and at line {line}; remove one"
         lines[name] = line
-        again = _twice(value)
+        again = _twice(value, seen)
         if again:
             return again
     return ""

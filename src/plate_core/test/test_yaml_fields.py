@@ -137,3 +137,51 @@ def test_files(tmp_path):
         read_yaml(tmp_path, FileError)
     with pytest.raises(FileError, match="no such file"):
         read_yaml(tmp_path / "none.yaml", FileError)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 2026-13-45", "line 1: '2026-13-45' is no timestamp"),
+        ("b: 1\na: !!int abc", "line 2: 'abc' is no int"),
+        ("a: !!bool abc", "'abc' is no bool"),
+        ("a: " + 5000 * "9", "is no int"),
+        (3000 * "[" + 3000 * "]", "nested too deeply"),
+        ("a: &a [*a]", "a is .*, allowed: 2 numbers"),
+        ("a: &a {b: *a}", "a is .*, allowed: 2 numbers"),
+        (f"a: [1, 1{400 * '0'}]", "a is .*, allowed: 2 numbers"),
+        ("a: [yes, no]", r"a is \[True, False\], allowed: 2 numbers"),
+        ("a: ['1', '2']", "a is .*, allowed: 2 numbers"),
+    ],
+)
+def test_odd_values_are_refused_in_a_line(tmp_path, text, message):
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError, match=message) as error:
+        read_yaml(path, FileError).array("a", (2,), 0, 1e9)
+    assert len(str(error.value)) < 600
+    assert "\n" not in str(error.value)
+
+
+def test_aliases_of_aliases_are_read_and_shown_in_short(tmp_path):
+    path = tmp_path / "file.yaml"
+    lines = ["x0: &x0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    for i in range(1, 12):  # 9^12 entries, if each were looked at
+        lines.append(f"x{i}: &x{i} [{', '.join(9 * [f'*x{i - 1}'])}]")
+    path.write_text("\n".join(lines))
+    with pytest.raises(FileError, match=r"x11 is .*, allowed: a text") as error:
+        read_yaml(path, FileError).text("x11")
+    assert len(str(error.value)) < 5000
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "+1.e-3", "10e-4", "0.1e-2", "1.0e-3", ".1e-2"])
+def test_numbers_with_an_exponent_are_numbers(tmp_path, text):
+    path = tmp_path / "file.yaml"
+    path.write_text(f"a: {text}")
+    assert read_yaml(path, FileError).number("a", 0, 1) == 0.001
+
+
+def test_a_path_that_is_none_is_refused():
+    for path in ("a\0b.yaml", 5000 * "a" + ".yaml"):
+        with pytest.raises(FileError, match="cannot be read"):
+            read_yaml(path, FileError)

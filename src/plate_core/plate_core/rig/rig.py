@@ -200,7 +200,7 @@ def rig_path(name_or_path: str | Path | None = None) -> Path:
     text = str(name_or_path or "")
     if not text:
         return default_rig_path()
-    if Path(text).is_file() or text.endswith((".yaml", ".yml")):
+    if os.path.isfile(text) or text.endswith((".yaml", ".yml")):
         return Path(text)
     names = rig_names()
     if text not in names:
