@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,8 @@ from launch.actions import (
 from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
 
-from plate_core import config_path
+from plate_core import config_path, did_you_mean
+from plate_core.tasks import load_scenario
 
 from .graph import GraphError, RunOptions, load_graph
 
@@ -58,6 +59,10 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
 }  # fmt: skip
 """Arguments that are options of a run, and how they are read."""
 
+MISTYPED = 0.8
+"""Likeness from which on a name counts as one of ours, mistyped: a launch file that includes ours
+may well have a `config_file`, as like `rig_file` as 0.74."""
+
 POLL_S = 0.2
 """Between two looks whether the simulated device is there, for which the driver waits [s]."""
 
@@ -73,9 +78,35 @@ def describe(hardware: bool) -> LaunchDescription:
             description=text,
             choices=["", *choices[name]] if name in choices else None,
         )
-        for name, text in (COMMON | (HARDWARE if hardware else SIMULATED)).items()
+        for name, text in arguments_of(hardware).items()
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=partial(start, hardware))])
+
+
+def arguments_of(hardware: bool) -> dict[str, str]:
+    """Return the arguments of a launch file, name to meaning."""
+    return COMMON | (HARDWARE if hardware else SIMULATED)
+
+
+def check_names(hardware: bool, names: Iterable[str]) -> None:
+    """Refuse mistyped arguments, and those of the other launch file.
+
+    Other names are left alone: a launch file that includes ours hands on its own arguments too.
+
+    Raises
+    ------
+    GraphError
+        Naming the argument, and those that there are.
+    """
+    known, other = arguments_of(hardware), arguments_of(not hardware)
+    for name in names:
+        if name in known:
+            continue
+        hint = did_you_mean(name, known, MISTYPED)
+        if name in other:
+            hint = f", of {'closed_loop' if hardware else 'hardware'}.launch.py"
+        if hint:
+            raise GraphError(f"launch argument is {name!r}{hint}, allowed: {', '.join(known)}")
 
 
 def start(hardware: bool, context: Any) -> list[Any]:
@@ -84,10 +115,15 @@ def start(hardware: bool, context: Any) -> list[Any]:
     Raises
     ------
     GraphError
-        If there is no such file of parameters: ROS would go on without it.
+        If an argument is mistyped, or there is no such file of parameters: ROS would go on without
+        it.
     """
-    given = {name: text for name, text in context.launch_configurations.items() if text}
+    check_names(hardware, context.launch_configurations)
+    known = arguments_of(hardware)
+    given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
+    if not hardware and "scenario" in given and not {"rig_file", "params_file"} & given.keys():
+        values["rig_file"] = load_scenario(given["scenario"]).rig
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )

@@ -56,7 +56,6 @@ def started(file, **given):
     """Actions of a launch file by the name of their node; `given` are its arguments."""
     *arguments, start = described(file)
     values = {a.args[0]: a.default_value for a in arguments}
-    assert set(given) <= set(values)
     actions = start.function(types.SimpleNamespace(launch_configurations=values | given))
     nodes = [action for action in actions if action.kind == "Node"]
     # One that waits for another is given as a function of what there is.
@@ -96,6 +95,42 @@ def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
     assert recorder.cmd[:3] == ["ros2", "bag", "record"]
     with pytest.raises(GraphError, match=r"params_file is 'none\.yaml': no such file"):
         started("hardware", params_file="none.yaml")
+
+
+def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
+    def rigs(file, **given):
+        nodes, _ = started(file, scenario="follow_2_desk", **given)
+        return {node.parameters[-1].get("rig_file") for node in nodes.values()}
+
+    mine = tmp_path / "mine.yaml"
+    mine.touch()
+    assert rigs("closed_loop") == {"desk"}
+    assert rigs("closed_loop", rig_file="my_rig.yaml") == {"my_rig.yaml"}
+    assert rigs("closed_loop", params_file=str(mine)) == {None}  # it may name one
+    assert rigs("hardware") == {None}
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "words"),
+    [
+        (
+            "closed_loop",
+            "scenaro",
+            r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario, met",
+        ),
+        ("hardware", "image_topc", r"is 'image_topc' \(did you mean image_topic\?\), allowed: "),
+        ("closed_loop", "port", r"is 'port', of hardware\.launch\.py, allowed: scenario, "),
+        ("hardware", "lockstep", r"is 'lockstep', of closed_loop\.launch\.py, allowed: "),
+    ],
+)
+def test_mistyped_arguments_are_refused(stand_in, file, name, words):
+    with pytest.raises(GraphError, match=f"^launch argument {words}"):
+        started(file, **{name: "x"})
+
+
+def test_arguments_of_a_launch_file_that_includes_ours_do_no_harm(stand_in):
+    nodes, _ = started("closed_loop", use_rviz="true", config_file="x", scenario="sort_6")
+    assert list(nodes) == NAMES
 
 
 def test_few_values_are_choices(stand_in):
@@ -151,9 +186,10 @@ sys.exit(service.run())
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("scenario:=sort_3", "ended with exit code 2: error: scenario is 'sort_3' (did you mean "),
+        ("scenario:=sort_3", "scenario is 'sort_3' (did you mean "),
         ("method:=C", "method"),
         ("params_file:=none.yaml", "params_file is 'none.yaml': no such file"),
+        ("scenaro:=sort_4", "launch argument is 'scenaro' (did you mean scenario?)"),
     ],
 )
 def test_launch_itself_ends_with_the_reason(argument, message):
