@@ -377,6 +377,7 @@ class DriverNode(SafeLifecycleNode):
         if not self.active:
             return
         state, now = self.state_text(), self._now()
+        self._ready_since = min(self._ready_since, now)  # a simulated clock may be put back
         if state not in (READY, CALIBRATING):
             self._ready_since = now
             if self._experiment is not None:

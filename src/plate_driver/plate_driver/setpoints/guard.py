@@ -1,6 +1,7 @@
 """What the driver passes on to the motors and what it refuses, without ROS, and counts of both.
 
-Pure: time is an argument, on a clock that never runs back, and what happens returns a new guard.
+Pure: time is an argument, and what happens returns a new guard. A clock that is put back, as a
+simulated one is when the simulator starts again, has begun anew: what was sent before is over.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 
 from .limits import Fit
-from .motor_table import Correction, MotorTable, check_order, plays, prepare
+from .motor_table import RESTART_NS, Correction, MotorTable, check_order, plays, prepare
 from .thermal import ThermalState
 
 EXPERIMENT_CYCLES = 9
@@ -188,15 +189,20 @@ class Guard:
         return replace(self, table=None, thermal=thermal)
 
     def over(self, now: float) -> bool:
-        """Tell whether the last table has been played to its end: cycles have ceased to come."""
-        return self.table is not None and now - self.sent_at > self.lasts_s
+        """Tell whether the last table has been played to its end, or the clock was put back: cycles
+        have ceased to come. At 0 a simulated clock has not been heard yet."""
+        if self.table is None:
+            return False
+        put_back = now > 0 and 1e9 * (self.sent_at - now) > RESTART_NS
+        return put_back or now - self.sent_at > self.lasts_s
 
     def watched(self, now: float) -> tuple[Guard, bool]:
         """Return the guard at `now` [s], and whether it rests since cycles ceased to come."""
         if not self.over(now):
             return self, False
         more = replace(self.statistics, rests=self.statistics.rests + 1)
-        return replace(self.resting(now), statistics=more.noted("cycles ceased to come")), True
+        rests = replace(self.resting(now), statistics=more.noted("cycles ceased to come"))
+        return replace(rests, sent_at=min(self.sent_at, now)), True
 
     def values(self, period_s: float, now: float) -> dict[str, str]:
         """Return what is to be reported of the last `period_s` at `now` [s], name to value."""
