@@ -38,7 +38,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, GraphNode, RunOptions, load_graph
 from plate_core import load_rig
-from plate_core.ros import LATCHED, nanoseconds
+from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
 
 START_S, MOVE_S = 180.0, 30.0
@@ -136,9 +136,8 @@ class Talk:
         self.said.setdefault(who, []).append(Said(time.monotonic(), text, level))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        for status in msg.status:
-            name = status.name.rsplit("/", 1)[-1]
-            self._note(name, status.message, int.from_bytes(status.level, "little"))
+        for report in msg_to_reports(msg):
+            self._note(report.node, report.message, report.level)
 
     def after(self, who: str, when: float) -> list[Said]:
         """Return what was said after a time."""

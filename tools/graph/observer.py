@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError
-from plate_core.ros import CAMERA, LATCHED, nanoseconds
+from plate_core.ros import CAMERA, LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import COMPILING, Level
 
 MOST_IMAGES = 240
@@ -203,14 +203,11 @@ class Observer:
         self.record.driver_state = msg.data
 
     def _on_report(self, msg: DiagnosticArray) -> None:
-        for status in msg.status:
-            node = status.name.split(":")[0].rsplit("/", 1)[-1]
-            values = {item.key: item.value for item in status.values}
-            stamp = nanoseconds(msg.header.stamp)
+        stamp = nanoseconds(msg.header.stamp)
+        for node, level, message, values in msg_to_reports(msg):
             if values:  # a node that compiles has none yet
-                self.record.reports[node].append((stamp, {"message": status.message, **values}))
-            level = Level(int.from_bytes(status.level, "little"))
-            self.record.health[node] = Health(level, status.message, time.monotonic())
+                self.record.reports[node].append((stamp, {"message": message, **values}))
+            self.record.health[node] = Health(level, message, time.monotonic())
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""

@@ -8,10 +8,16 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
-from plate_core.ros import DATA, DIAGNOSTICS_PERIOD_S, Diagnostics, compiling  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    DATA,
+    DIAGNOSTICS_PERIOD_S,
+    Diagnostics,
+    compiling,
+    msg_to_reports,
+)
 from plate_core.status import COMPILING, Finding, Level  # noqa: E402
 
 LONGEST_S = 20.0
@@ -55,6 +61,19 @@ def test_reports_come_though_simulated_time_stands_still(talker):
     assert (status.name, status.hardware_id) == ("/diagnostics_test/talker", "plate")
     assert (status.level, status.message) == (b"\x00", "all well")
     assert {item.key: item.value for item in status.values} == {"count": "1", "share": "0.5"}
+
+
+def test_diagnostics_are_read_also_those_of_others():
+    ours = DiagnosticStatus(name="/left/driver", level=DiagnosticStatus.STALE, message="?")
+    ours.values = [KeyValue(key="cycles", value="3")]
+    theirs = DiagnosticStatus(
+        name="camera: frame rate", level=DiagnosticStatus.WARN, message="slow"
+    )
+    strange = DiagnosticStatus(name="lidar", level=b"\x09", message="?")
+    assert list(msg_to_reports(DiagnosticArray(status=[ours, strange, theirs]))) == [
+        ("driver", Level.STALE, "?", {"cycles": "3"}),
+        ("camera", Level.WARN, "slow", {}),
+    ]
 
 
 def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):

@@ -32,6 +32,7 @@ from plate_core.ros import (
     forces_to_msg,
     msg_to_cycle,
     msg_to_parts,
+    msg_to_reports,
     nanoseconds,
     parameter,
     run_node,
@@ -275,11 +276,8 @@ class PlannerNode(Node):
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = self._wake()
-        for status in msg.status:
-            level = int.from_bytes(status.level, "little")
-            if level <= Level.STALE:
-                name = status.name.rsplit("/", 1)[-1]
-                self._inputs = self._inputs.heard_node(now, name, Level(level), status.message)
+        for node, level, message, _ in msg_to_reports(msg):
+            self._inputs = self._inputs.heard_node(now, node, level, message)
 
     # Whether the task can go on
 

@@ -23,7 +23,7 @@ from .convert import (
     trajectory_to_msg,
     wanted_to_msg,
 )
-from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics
+from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
 from .lifecycle import SafeLifecycleNode, logged
 from .main import run_node
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
@@ -39,6 +39,7 @@ __all__ = [
     "LATCHED",
     "NEWEST",
     "Diagnostics",
+    "Report",
     "SafeLifecycleNode",
     "UnlockedSubscription",
     "array_to_image",
@@ -56,6 +57,7 @@ __all__ = [
     "msg_to_knots",
     "msg_to_motors",
     "msg_to_parts",
+    "msg_to_reports",
     "msg_to_wanted",
     "nanoseconds",
     "parameter",

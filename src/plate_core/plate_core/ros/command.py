@@ -20,8 +20,9 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ..errors import PlateError, did_you_mean
-from ..status import COMPILING, Level
+from ..status import COMPILING
 from ..yaml_fields import config_path
+from .diagnostics import msg_to_reports
 from .qos import DATA, LATCHED
 
 SERVICES = {
@@ -193,9 +194,8 @@ class Graph:
         return on_message
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        for status in msg.status:
-            level = Level(int.from_bytes(status.level, "little")).name
-            self._health[status.name.rsplit("/", 1)[-1]] = f"{level}, {status.message}"
+        for report in msg_to_reports(msg):
+            self._health[report.node] = f"{report.level.name}, {report.message}"
 
     # Parameters
 

@@ -1,10 +1,10 @@
-"""How every node publishes its `diagnostics`: once a second, whatever comes in."""
+"""How every node publishes `diagnostics`, once a second, whatever comes in; how they are read."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -19,6 +19,28 @@ DIAGNOSTICS_PERIOD_S = 1.0
 
 LOOK_PERIOD_S = 0.1
 """Time between looks at the level [s]: a level that has become worse is published at once."""
+
+
+class Report(NamedTuple):
+    """What a node said of itself: its name without namespace, and all values as text."""
+
+    node: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:
+    """Read diagnostics, also of nodes of others, who name a status `node: part of it`.
+
+    One whose level is none of diagnostic_msgs/DiagnosticStatus is left out.
+    """
+    for status in msg.status:
+        level = int.from_bytes(status.level, "little")
+        if level in set(Level):
+            node = status.name.split(":")[0].rsplit("/", 1)[-1]
+            values = {item.key: item.value for item in status.values}
+            yield Report(node, Level(level), status.message, values)
 
 
 class Diagnostics:
