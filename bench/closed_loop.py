@@ -24,8 +24,9 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     args = _arguments()
     try:
-        rig = load_rig(args.rig)
-        planner = Planner(rig, load_scenario(args.scenario))
+        scenario = load_scenario(args.scenario)
+        rig = load_rig(args.rig or scenario.rig)
+        planner = Planner(rig, scenario)
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)
@@ -132,7 +133,7 @@ def _arguments() -> argparse.Namespace:
         help="method, latency, kp, ...",
     )
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--rig", default="", help="rig file (config/rig.yaml)")
+    parser.add_argument("--rig", default="", help="name or file of a rig (the scenario's)")
     parser.add_argument("--planner", default="", help="Python file with a class OwnPlanner (ours)")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--workers", type=int, default=1, help="processes (1)")

@@ -35,7 +35,7 @@ def arguments() -> argparse.Namespace:
     )
     add = parser.add_argument
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
-    add("--rig", default="", help="name in config/rigs or .yaml file (config/rig.yaml)")
+    add("--rig", default="", help="name in config/rigs or .yaml file (the scenario's)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
     add("--transport", default="sim", help="what moves the plate: sim (default) or serial")
     add(

@@ -18,7 +18,6 @@ from typing import Any
 from PIL import Image, ImageSequence
 from record.judge import summary
 
-from plate_core.rig import rig_names
 from plate_core.tasks import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,9 +55,8 @@ def main() -> int:
 
 def run(name: str) -> dict[str, Any]:
     """Run one demo, keep its pictures, and say what became of it."""
-    out, rig = ROOT / "out/demos" / name, rig_of(name)
+    out = ROOT / "out/demos" / name
     command = ["tools/demo.py", "--scenario", name, "--lockstep", "--out", str(out)]
-    command += ["--rig", rig] if rig else []
     done = subprocess.run(
         [sys.executable, *command],
         capture_output=True,
@@ -69,7 +67,7 @@ def run(name: str) -> dict[str, Any]:
     )
     facts = {
         "description": load_scenario(name).description,
-        "command": f"make demo SCENARIO={name}{rig and f' RIG={rig}'} ARGS=--lockstep",
+        "command": f"make demo SCENARIO={name} ARGS=--lockstep",
     }
     result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
@@ -81,11 +79,6 @@ def run(name: str) -> dict[str, Any]:
     shrink_film(out / "demo.gif", pictures[1])
     found = json.loads(result.read_text(encoding="utf-8"))
     return facts | {"well": done.returncode == 0, "outcome": summary(found)}
-
-
-def rig_of(scenario: str) -> str:
-    """Return the rig that a scenario is for: the one that its name ends in; empty: the default."""
-    return next((rig for rig in rig_names() if scenario.endswith(f"_{rig}")), "")
 
 
 def shrink_strip(source: Path, target: Path) -> None:

@@ -100,6 +100,7 @@ JOBS = {
     "turning": [*LOOP, "spin_1", "--set", "method=rotations"],
     "many parts": [*LOOP, "assemble_8"],
     "rotations": [*LOOP, "sort_6", "--set", "method=rotations"],
+    "weak motors": [*LOOP, "follow_2_desk"],
 }
 """What is done, in this order."""
 

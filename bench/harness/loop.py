@@ -295,9 +295,9 @@ def run(
     setup: Setup, rig: Rig | None = None, transport: Transport | None = None
 ) -> Iterator[Moment]:
     """Run the loop until the task has ended; yields every cycle with an image."""
-    rig = rig or load_rig()
     line = transport or Direct()
     scenario = load_scenario(setup.scenario)
+    rig = rig or load_rig(scenario.rig)
     simulation = Simulation(
         rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
     )

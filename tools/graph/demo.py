@@ -110,7 +110,9 @@ def checked(args: argparse.Namespace) -> Plan:
     PlateError
         Names the argument, its value and what is allowed.
     """
-    rig, scenario = load_rig(args.rig), load_scenario(args.scenario)
+    scenario = load_scenario(args.scenario)
+    rig_file = args.rig or scenario.rig
+    rig = load_rig(rig_file)
     if args.method not in METHODS:
         raise PlateError(
             f"method is {args.method!r}{did_you_mean(args.method, METHODS)}, "
@@ -139,7 +141,7 @@ def checked(args: argparse.Namespace) -> Plan:
         port=args.port,
         link=str((out / "device").absolute()),
         lockstep=args.lockstep,
-        rig_file=absolute(args.rig),
+        rig_file=absolute(rig_file),
         autostart=False,
     )
     domain = args.domain

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plate_core import ScenarioError, load_rig
+from plate_core import ScenarioError, config_path, load_rig
 from plate_core.tasks import (
     Bin,
     FollowTask,
@@ -243,6 +243,17 @@ def test_a_missing_or_broken_file_is_one_line(tmp_path):
         load_scenario(tmp_path / "nowhere.yaml")
     with pytest.raises(ScenarioError, match="broken YAML at line"):
         load_scenario(write(tmp_path, "parts: [1, 2"))
+
+
+def test_a_scenario_names_its_rig(tmp_path):
+    assert load_scenario("sort_4").rig == ""
+    assert load_scenario("follow_2_desk").rig == "desk"
+    mine = tmp_path / "mine.yaml"
+    mine.write_text((config_path("rigs") / "desk.yaml").read_text("utf-8"), encoding="utf-8")
+    found = load_scenario(write(tmp_path, SORT + "rig: mine.yaml\n")).rig  # beside the scenario
+    assert load_rig(found) == load_rig("desk")
+    with pytest.raises(ScenarioError, match=r"rig is 'desc', allowed: desk, .*did you mean desk\?"):
+        load_scenario(write(tmp_path, SORT + "rig: desc\n"))
 
 
 def test_laps_count_for_closed_paths_only(tmp_path):

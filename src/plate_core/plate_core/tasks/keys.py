@@ -50,6 +50,11 @@ FILE = Section(
             "marked", Flag(), "Whether each part has a spot that shows its angle. A task of `pose` "
             "needs it.", False,
         ),
+        Key(
+            "rig", Text("a name in config/rigs, or the path of a .yaml file"), "The rig that the "
+            "task is made for: taken where none is chosen. A path begins at the scenario's folder.",
+            "", "any rig will do",
+        ),
         Key("parts", List(), "The parts on the plate: one entry for each class."),
         Key("task", Table(), "What is to be done: `kind`, and the keys of that kind."),
         Key(

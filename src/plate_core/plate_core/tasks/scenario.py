@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..errors import PlateError, ScenarioError, did_you_mean
-from ..rig import Rig
+from ..rig import Rig, rig_names
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
 from .curves import circle_points, spline_points
@@ -98,6 +98,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         task=_task(fields.child("task"), parts),
         time_limit_s=fields.value(keys.FILE["time_limit_s"]),
         marked=fields.value(keys.FILE["marked"]),
+        rig=_rig(fields, path.parent),
     )
     if isinstance(scenario.task, PoseTask) and not scenario.marked:
         raise ScenarioError(
@@ -106,6 +107,17 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         )
     fields.finish()
     return scenario
+
+
+def _rig(fields: Fields, folder: Path) -> str:
+    """Return the rig as `load_rig` takes it, or nothing."""
+    text = fields.value(keys.FILE["rig"])
+    if text.endswith((".yaml", ".yml")):
+        return str(folder / text)
+    if text and text not in rig_names():
+        hint = did_you_mean(text, rig_names())
+        raise fields.fail("rig", f"{', '.join(rig_names())}, or the path of a .yaml file{hint}")
+    return str(text)
 
 
 def _group(fields: Fields) -> PartGroup:

@@ -176,7 +176,8 @@ Task = SortTask | FollowTask | AssembleTask | PoseTask
 class Scenario:
     """One task: its parts, what is to be done, and the time it may take [s].
 
-    Parts that are `marked` show their angle by a spot, and start at any angle.
+    Parts that are `marked` show their angle by a spot, and start at any angle. `rig` is the one
+    that it is made for, as `load_rig` takes it; empty: any.
     """
 
     name: str
@@ -185,6 +186,7 @@ class Scenario:
     task: Task
     time_limit_s: float
     marked: bool = False
+    rig: str = ""
 
     @property
     def count(self) -> int:
