@@ -19,6 +19,9 @@ from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
 
+MOST_RUNS = 100_000
+"""At one call: weeks."""
+
 
 def main() -> int:
     """Run the command line; returns its exit code."""
@@ -30,11 +33,14 @@ def main() -> int:
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)
+        if args.json:
+            args.json.parent.mkdir(parents=True, exist_ok=True)
+            args.json.open("a").close()  # if that cannot be, better before the first run
         setups = [
             with_settings(Setup(args.scenario, seed, own_planner=args.planner), settings)
             for seed in args.seeds
         ]
-    except PlateError as error:
+    except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     rows = []
@@ -46,9 +52,8 @@ def main() -> int:
             rows.append(row)
             print(_line(row), flush=True)
             if args.json:
-                args.json.parent.mkdir(parents=True, exist_ok=True)
                 args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    except PlateError as error:
+    except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     print(_conclusion(rows))
@@ -116,8 +121,10 @@ def _seeds(text: str) -> range:
         seeds = range(int(first), int(end) if colon else int(first) + 1)
     except ValueError:
         seeds = range(0)
-    if not len(seeds) or seeds[0] < 0:
-        raise argparse.ArgumentTypeError(f"seeds are {text!r}, allowed: A:B with 0 <= A < B, or A")
+    if not seeds or seeds[0] < 0 or seeds[-1] - seeds[0] >= MOST_RUNS:
+        raise argparse.ArgumentTypeError(
+            f"seeds are {text!r}, allowed: A:B with 0 <= A < B, at most {MOST_RUNS} of them, or A"
+        )
     return seeds
 
 

@@ -154,6 +154,8 @@ def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
         (closed_loop, ["--planner", "mine.py"], ("'mine.py'", "allowed", "OwnPlanner")),
         (closed_loop, ["--planner", closed_loop.__file__], ("no class OwnPlanner",)),
         (closed_loop, ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
+        (closed_loop, ["--seeds", "0:99999999999"], ("0:99999999999", "at most 100000")),
+        (closed_loop, ["--json", "/dev/null/rows.json"], ("/dev/null",)),
         (closed_loop, ["--workers", "2", "--scheduler", "x"], ("--scheduler", "not allowed")),
         (run, ["simulator"], ("'simulator'", "allowed", "closed_loop")),
     ],

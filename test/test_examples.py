@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from harness.loop import load_planner
+from harness.loop import Setup, load_planner, run
 from plate_core import PlateError, load_rig
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -82,3 +82,30 @@ def test_the_control_law_of_ones_own_needs_no_ros(monkeypatch, tmp_path):
     broken.write_text("class OwnPlanner\n")
     with pytest.raises(PlateError, match=r"planner .*broken.py cannot be loaded: .*line 1"):
         load_planner(str(broken), load_rig())
+    broken.write_text("OwnPlanner = 5\n")
+    with pytest.raises(
+        PlateError, match=r"planner .*broken.py has no class OwnPlanner with a method"
+    ):
+        load_planner(str(broken), load_rig())
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ("None", "plan returned NoneType, allowed: a plate_core.Wanted"),
+        ("Wanted.make(parts, np.full((n, 2), np.nan))", "force of .* nan.*allowed: finite"),
+        ("Wanted.make(parts, torque=np.full(n, np.inf))", "torque of .* inf.*allowed: finite"),
+        ("Wanted.make(parts, tolerance=-np.ones((n, 2)))", "tolerance of .*allowed: .*at least 0"),
+        ("Wanted.make(parts, np.zeros((2, n)))", r"force has shape \(2, 4\), allowed: \(4, 2\)"),
+    ],
+)
+def test_a_planner_of_ones_own_that_asks_for_nonsense_is_refused(tmp_path, answer, message):
+    own = tmp_path / "own.py"
+    own.write_text(
+        "import numpy as np\nfrom plate_core import Wanted\n\n\nclass OwnPlanner:\n"
+        "    def __init__(self, rig):\n        pass\n\n"
+        f"    def plan(self, parts, t):\n        n = len(parts)\n        return {answer}\n"
+    )
+    with pytest.raises(PlateError, match=message):
+        for _ in run(Setup("sort_4", own_planner=str(own))):
+            pass

@@ -259,10 +259,27 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
         spec.loader.exec_module(module)
     except (SyntaxError, ImportError) as error:
         raise PlateError(f"planner {path} cannot be loaded: {error}") from error
-    if not hasattr(module, "OwnPlanner"):
-        raise PlateError(f"planner {path} has no class OwnPlanner")
+    if not callable(getattr(getattr(module, "OwnPlanner", None), "plan", None)):
+        raise PlateError(f"planner {path} has no class OwnPlanner with a method plan")
     law: ControlLaw = module.OwnPlanner(rig)
     return law
+
+
+def _checked(wanted: object, path: str) -> Wanted:
+    """Return what an own planner wants, if it can be meant."""
+    if not isinstance(wanted, Wanted):
+        raise PlateError(
+            f"planner {path}: plan returned {type(wanted).__name__}, allowed: a plate_core.Wanted"
+        )
+    for name in ("force", "tolerance", "torque"):
+        values = getattr(wanted, name)
+        if not np.all(np.isfinite(values)) or (name == "tolerance" and np.any(values < 0)):
+            allowed = "finite, at least 0" if name == "tolerance" else "finite"
+            raise PlateError(
+                f"planner {path}: {name} of {', '.join(wanted.parts.ids)} is {values.tolist()}, "
+                f"allowed: {allowed}"
+            )
+    return wanted
 
 
 class Direct:
@@ -316,7 +333,7 @@ def run(
             tracker = observe(vision, tracker, image, t)
             state, wanted, progress = planner.plan(state, tracker.parts, t)
             if own is not None:
-                wanted = own.plan(tracker.parts, t)
+                wanted = _checked(own.plan(tracker.parts, t), setup.own_planner)
             began = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - began

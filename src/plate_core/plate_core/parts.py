@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .errors import PlateError
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -44,15 +46,21 @@ class Parts:
         spin: np.ndarray | None = None,
         friction_limit: np.ndarray | None = None,
     ) -> Parts:
-        """Build it; what is missing is zero."""
+        """Build it; what is missing is zero.
+
+        Raises
+        ------
+        PlateError
+            If an array has another shape.
+        """
         pair, single = (len(ids), 2), (len(ids),)
         return cls(
             tuple(ids),
-            _filled(position, pair),
-            _filled(velocity, pair),
-            _filled(angle, single),
-            _filled(spin, single),
-            _filled(friction_limit, single),
+            _filled("position", position, pair),
+            _filled("velocity", velocity, pair),
+            _filled("angle", angle, single),
+            _filled("spin", spin, single),
+            _filled("friction_limit", friction_limit, single),
         )
 
     def __len__(self) -> int:
@@ -94,9 +102,20 @@ class Wanted:
         tolerance: np.ndarray | None = None,
         torque: np.ndarray | None = None,
     ) -> Wanted:
-        """Build it; what is missing is zero."""
+        """Build it; what is missing is zero.
+
+        Raises
+        ------
+        PlateError
+            If an array has another shape.
+        """
         pair, single = (len(parts), 2), (len(parts),)
-        return cls(parts, _filled(force, pair), _filled(tolerance, pair), _filled(torque, single))
+        return cls(
+            parts,
+            _filled("force", force, pair),
+            _filled("tolerance", tolerance, pair),
+            _filled("torque", torque, single),
+        )
 
 
 def part_class(part_id: str) -> str:
@@ -104,5 +123,10 @@ def part_class(part_id: str) -> str:
     return part_id.rsplit("_", 1)[0]
 
 
-def _filled(array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
-    return np.zeros(shape) if array is None else np.array(array, float).reshape(shape)
+def _filled(name: str, array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    if array is None:
+        return np.zeros(shape)
+    values = np.array(array, float)
+    if values.shape[:1] != shape[:1] or values.size != np.prod(shape):
+        raise PlateError(f"{name} has shape {values.shape}, allowed: {shape}, a row for each part")
+    return values.reshape(shape)
