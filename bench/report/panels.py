@@ -54,9 +54,8 @@ class Panels:
 
     Attributes
     ----------
-    titles : list of str
-    figure : go.Figure
-        Made by `draw`.
+    list : list of Panel
+        In the order in which they stand, row by row.
     """
 
     def __init__(self) -> None:

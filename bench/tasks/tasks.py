@@ -112,9 +112,7 @@ def weak(rig: Rig) -> Rig:
 
     The plate hangs softly (5 Hz, well damped), and its drive knows it by heart but for the motors.
     """
-    plate = rig.plate
-    inertia = plate.mass_kg * (plate.length_m**2 + plate.width_m**2) / 12
-    mass = mass_matrix(plate.mass_kg, inertia)
+    mass = mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2)
     damping, stiffness = modal_matrices(mass, np.full(3, 5.0), np.full(3, 0.5))
     hung = Suspension(mass, damping, stiffness, (1.0, 1.0, 1.0), motor_gain=MOTOR_GAIN)
     return replace(rig, suspension=hung)

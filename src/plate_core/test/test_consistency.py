@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from plate_core import RigError, config_path, load_rig
-from plate_core.rig import Lens, doubts, part_radius_px, rig_names, to_image
+from plate_core.rig import LEAST_GAMMA, Lens, doubts, part_radius_px, rig_names, to_image
 from plate_core.rig.check_rig import shake
 
 RIG = load_rig()
@@ -43,7 +43,7 @@ DOUBTFUL = [
     (("parts", "radius_m"), 0.03, r"radius_m is 0.03 on a plate .* advised: up to 0.022"),
     (("parts", "mass_kg"), 0.3, "mass_kg is 0.3 on a plate of 2 kg"),
     (("limits", "continuous_force_n"), 300, "continuous_force_n is 300, more than the peak force"),
-    (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(by accel_mps2\), advised: 5 or more"),
+    (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(by accel_mps2\), advised: 7 or more"),
     (("limits", "stroke_m"), 0.6, "stroke_m is 0.6, but at 5 Hz, .* use 0.1 m of it"),
 ]
 
@@ -87,7 +87,7 @@ def test_corners_in_another_order_are_recognised(spoilt):
 def test_rigs_that_are_shipped_are_consistent(name):
     rig = load_rig(name)
     assert doubts(rig) == []
-    assert rig.gamma > 5
+    assert rig.gamma > LEAST_GAMMA
 
 
 def test_default_rig_is_consistent():

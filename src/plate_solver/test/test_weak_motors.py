@@ -9,7 +9,7 @@ from plate_core import Rig, load_rig
 from plate_core.motion import usage
 from plate_core.rig import PEAK_OVER_RMS, Suspension, mass_matrix, modal_matrices
 from plate_solver import Goal, Limits, RotationSolver, SinusoidSolver
-from plate_solver.limits import limit_use
+from plate_solver.limits import HEADROOM, limit_use
 from plate_solver.rotations.sequence import ramps
 from plate_solver.sinusoids import sinusoid_basis
 from plate_solver.sinusoids.limits import EXCESS_M, LimitedSinusoids
@@ -91,6 +91,19 @@ def test_limits_are_used_as_the_rig_says(name):
         used = limit_use(*points, weight, limits, False)
         assert used == pytest.approx(usage(rig, cycle).overall, rel=1e-2)
         assert used >= usage(rig, cycle).overall * (1 - 1e-5)
+
+
+@SOLVERS
+def test_motors_just_strong_enough_need_no_look(solver):
+    """At `HEADROOM`, by heat and by peak force: 1 m/s2 of the corners takes 1 N at most."""
+    most = HEADROOM * load_rig().limits.accel
+    for force, continuous in ((2 * most, most / PEAK_OVER_RMS), (most, most)):
+        rig = with_motors(1.001 * force, 1.001 * continuous)
+        assert not Limits.of(rig).forceful
+        assert Limits.of(with_motors(0.999 * force, 0.999 * continuous)).forceful
+        for seed in range(4):
+            cycle = solver(rig, seed=seed, restarts=1).steer(goal(rig, seed), 2e-5, 1e-4).cycle
+            assert usage(rig, cycle).overall <= 1
 
 
 def test_strong_motors_change_nothing():

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..rig import Rig, motor_loads
+from ..rig import Rig
 from .cycle import PlateCycle, quintic_pieces
 from .kinematics import motor_state
 
@@ -88,13 +88,13 @@ def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:
     """Powers (k, 6, 4) of the time since the knot of the motors' forces [N].
 
     They carry the plate's mass and, where the rig file tells of flexures, stretch those:
-    see `plate_core.rig.motor_loads`.
+    see `Rig.motor_loads`.
     """
     pose = cycle.coefficients
     return np.asarray(
         sum(
             _padded(derivative(pose, order)) @ load.T
-            for order, load in enumerate(motor_loads(rig))
+            for order, load in enumerate(rig.motor_loads)
             if np.any(load)
         )
     )

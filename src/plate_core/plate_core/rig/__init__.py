@@ -4,7 +4,7 @@ Also its frames: room (`plate_home`), moving plate, image. A rig file is read by
 `SECTIONS` are its keys.
 """
 
-from .consistency import CYCLE_HZ, PART_PX, Doubt, doubts
+from .consistency import CYCLE_HZ, LEAST_GAMMA, PART_PX, Doubt, doubts
 from .fiducials import Fiducials
 from .frames import (
     camera_pose,
@@ -18,7 +18,7 @@ from .frames import (
     to_plate,
 )
 from .lens import Lens
-from .motors import PEAK_OVER_RMS, Reach, force_per_accel, motor_levers, motor_loads, plate_mass
+from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .rig import (
     SECTIONS,
     Camera,
@@ -37,6 +37,7 @@ from .suspension import Suspension, mass_matrix, modal_matrices
 
 __all__ = [
     "CYCLE_HZ",
+    "LEAST_GAMMA",
     "PART_PX",
     "PEAK_OVER_RMS",
     "SECTIONS",
@@ -56,13 +57,12 @@ __all__ = [
     "default_rig_path",
     "doubts",
     "fit_homography",
-    "force_per_accel",
     "homography",
     "load_rig",
     "mass_matrix",
     "modal_matrices",
     "motor_levers",
-    "motor_loads",
+    "motor_reach",
     "part_radius_px",
     "plate_mass",
     "project",

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import PlateError
 from .consistency import Doubt, doubts
-from .motors import motor_levers, motor_loads
+from .motors import motor_levers
 from .rig import Rig, read_rig, rig_names, rig_path
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
@@ -104,7 +104,7 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
     travel = float(np.max(np.abs(motor_levers(rig) @ pose)))
     if travel < 1e-9:
         return Shake(0.0, 0.0, 0.0, "no motor pushes this way")
-    stiffness, damping, mass = motor_loads(rig)
+    stiffness, damping, mass = rig.motor_loads
     force = (stiffness - omega**2 * mass + 1j * omega * damping) @ pose
     worst = int(np.argmax(np.abs(force)))
     push, name = float(np.abs(force[worst])), rig.motors[worst].name

@@ -44,13 +44,11 @@ def plate_mass(rig: Rig) -> np.ndarray:
     """Return M (3, 3): the suspension's, where the rig has one, or that of a uniform plate."""
     if rig.suspension is not None:
         return np.array(rig.suspension.mass)
-    plate = rig.plate
-    sides = plate.length_m**2 + plate.width_m**2
-    return np.array(mass_matrix(plate.mass_kg, plate.mass_kg * sides / 12))
+    return np.array(mass_matrix(rig.plate.mass_kg, rig.plate.inertia_kgm2))
 
 
 def motor_loads(rig: Rig) -> np.ndarray:
-    """Return the motors' forces for pose, twist and acceleration of the plate (3, 4, 3) [N/...]."""
+    """Compute `Rig.motor_loads`, which keeps it."""
     inverse = np.linalg.pinv(motor_levers(rig).T)
     suspension, none = rig.suspension, np.zeros((3, 3))
     stiffness = none if suspension is None else np.array(suspension.stiffness)
@@ -64,7 +62,7 @@ def force_per_accel(rig: Rig) -> np.ndarray:
     Shift and turn together, in the direction that is worst for this motor. The flexures' share is
     left out: it goes with the travel.
     """
-    load = motor_loads(rig)[2]
+    load = rig.motor_loads[2]
     half = rig.plate.half
     turn = np.linspace(0, 1, TURN_STEPS + 1) / float(np.hypot(*half))  # r theta'' up to 1 m/s2
     return np.array([np.max(_support(np.abs(row), half, turn)) for row in load])
@@ -83,18 +81,23 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(shift, 0) + row[2] * turn)
 
 
-def reach(rig: Rig) -> Reach:
-    """Return what any point of the plate can have in any direction, for ever.
+def motor_reach(rig: Rig) -> Reach:
+    """Return what the motors can give any point of the plate in any direction, for ever.
 
-    The least of what the rig file allows; of what the motors' peak force gives; and of what heat
-    allows them, in motions whose peak is `PEAK_OVER_RMS` times the root mean square.
+    The lesser of what their peak force gives; and of what heat allows them, in motions whose peak
+    is `PEAK_OVER_RMS` times the root mean square.
     """
     most, limits = force_per_accel(rig), rig.limits
     motor = rig.motors[int(np.argmax(most))].name
     peak, lasting = limits.force / most.max(), limits.continuous_force / most.max()
     return min(
-        Reach(limits.accel, "accel_mps2"),
         Reach(float(peak), f"force_n of {motor}"),
         Reach(float(PEAK_OVER_RMS * lasting), f"continuous_force_n of {motor}"),
         key=lambda each: each.accel,
     )
+
+
+def reach(rig: Rig) -> Reach:
+    """Compute `Rig.reach`, which keeps it."""
+    allowed = Reach(rig.limits.accel, "accel_mps2")
+    return min(allowed, motor_reach(rig), key=lambda each: each.accel)

@@ -15,7 +15,7 @@ from . import keys
 from .consistency import check
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
-from .motors import Reach, reach
+from .motors import Reach, motor_loads, reach
 from .suspension import Suspension, read_suspension
 
 
@@ -33,6 +33,11 @@ class Plate:
     def half(self) -> np.ndarray:
         """Half sides (2,) [m]."""
         return np.array([self.length_m / 2, self.width_m / 2])
+
+    @property
+    def inertia_kgm2(self) -> float:
+        """Moment of inertia about its centre, if it is uniform [kg m2]."""
+        return self.mass_kg * (self.length_m**2 + self.width_m**2) / 12
 
     @property
     def corners(self) -> np.ndarray:
@@ -160,8 +165,14 @@ class Rig:
 
     @cached_property
     def reach(self) -> Reach:
-        """What acceleration any point of the plate can have for ever, and what limits it."""
+        """What acceleration any point of the plate can have in any direction for ever, and what
+        limits it: the rig file, or the motors."""
         return reach(self)
+
+    @cached_property
+    def motor_loads(self) -> np.ndarray:
+        """The motors' forces for pose, twist and acceleration of the plate (3, 4, 3) [N/...]."""
+        return motor_loads(self)
 
     @property
     def gamma(self) -> float:
@@ -267,8 +278,7 @@ def _limits(fields: Fields) -> Limits:
 def _suspension(fields: Fields, plate: Plate) -> Suspension | None:
     if not fields.has("suspension"):
         return None
-    sides = (plate.length_m, plate.width_m)
-    return read_suspension(fields.child("suspension"), plate.mass_kg, sides)
+    return read_suspension(fields.child("suspension"), plate.mass_kg, plate.inertia_kgm2)
 
 
 def _motors(fields: Fields) -> tuple[Motor, ...]:

@@ -122,23 +122,21 @@ def modal_matrices(
     return _checked("damping", damping), _checked("stiffness", stiffness)
 
 
-def read_suspension(fields: Fields, mass_kg: float, sides_m: tuple[float, float]) -> Suspension:
+def read_suspension(fields: Fields, mass_kg: float, inertia_kgm2: float) -> Suspension:
     """Return the suspension that a rig file describes.
 
     Parameters
     ----------
-    mass_kg, sides_m : float, (2,)
-        The plate: its mass [kg] and sides [m], for the inertia of a uniform plate where none is
-        given.
+    mass_kg, inertia_kgm2 : float
+        Of the plate; the inertia is used where the file gives none.
 
     Raises
     ------
     RigError
         If a key is missing, unknown, or its value is out of range.
     """
-    uniform = mass_kg * (sides_m[0] ** 2 + sides_m[1] ** 2) / 12
     given = fields.value(SUSPENSION["inertia_kgm2"])
-    inertia = uniform if given is None else given
+    inertia = inertia_kgm2 if given is None else given
     centre = tuple(map(float, fields.value(SUSPENSION["centre_of_mass_m"])))
     mass = mass_matrix(mass_kg, inertia, (centre[0], centre[1]))
     if fields.has("stiffness") or fields.has("damping"):

@@ -7,15 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import Parts, Rig
+from plate_core.rig import LEAST_GAMMA
 
 from ..estimation import LastRequest
 from .phase import LOOK
 
 NEAR_EDGE = 3.0
 """A part that was last seen this near an edge has left the plate [part radii]."""
-
-LEAST_GAMMA = 6.0
-"""Shaking ratio below which tasks take long or fail for this reason alone [-]: docs/results.md."""
 
 FEW = 5
 """So many parts can be moved at will; more leave a cycle little freedom."""

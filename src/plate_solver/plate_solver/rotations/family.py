@@ -134,7 +134,7 @@ class RotationFamily:
         steps: tuple[int, int] | None = None,
         within_stroke: bool = False,
     ) -> None:
-        self._limits, self._motor_rows = limits, limits.motor_rows
+        self._limits = limits
         self.period = period
         self._known: tuple[np.ndarray, Line, Moved] | None = None  # of the last samples
         self._lengths = np.array([1.0, 1.0, limits.arm_m])  # turns theta into metres
@@ -199,7 +199,7 @@ class RotationFamily:
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return the gap that the sequence leaves (3,), and travel beyond the stroke (4,) [m]."""
         pose, _, _, _, gap = self._motion(parameters)
-        travel = pose @ self._motor_rows.T
+        travel = pose @ self._limits.levers.T
         stroke = self._limits.stroke_m
         over = np.maximum(travel.max(axis=0) - stroke, 0) + np.minimum(
             travel.min(axis=0) + stroke, 0
@@ -208,7 +208,7 @@ class RotationFamily:
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
         """Return the derivative (7, P) of minus the penalty."""
-        line, rows = self._timeline(parameters), self._motor_rows
+        line, rows = self._timeline(parameters), self._limits.levers
         gap = self._back(parameters, *gap_back(*line)) * self._lengths[:, None]
         pose = self._motion(parameters)[0]
         travel = pose @ rows.T

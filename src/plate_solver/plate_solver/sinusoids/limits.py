@@ -39,7 +39,7 @@ class LimitedSinusoids(SinusoidFamily):
 
     def __init__(self, basis: SinusoidBasis, limits: Limits, most: float) -> None:
         super().__init__(basis, limits)
-        self._most, self._motor_rows = most, limits.motor_rows
+        self._most = most
         every = max(1, basis.steps // (LOOKS_PER_HARMONIC * (basis.size // 2 + 1)))
         self._looks = tuple(
             np.ascontiguousarray(matrix[::every])
@@ -62,7 +62,7 @@ class LimitedSinusoids(SinusoidFamily):
     def _excess(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pose, twist, accel = self._looks
         own, limits = self.coefficients(parameters), self._limits
-        value, slope = excess(own, pose, twist, accel, self._motor_rows, limits)
+        value, slope = excess(own, pose, twist, accel, limits)
         if limits.forceful:
             more = force_excess(own, pose, twist, accel, limits)
             value, slope = np.concatenate([value, more[0]]), np.concatenate([slope, more[1]])
@@ -72,7 +72,7 @@ class LimitedSinusoids(SinusoidFamily):
 @kernel()
 def excess(
     coefficients: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray,
-    rows: np.ndarray, limits: Limits,
+    limits: Limits,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return by how much motors and corners exceed `AIM` of their limits, and the slopes.
 
@@ -81,8 +81,6 @@ def excess(
     coefficients : (h, 3)
     pose, twist, accel : (n, h)
         Basis of one degree of freedom at the instants looked at.
-    rows : (4, 3)
-        Motor travel per pose.
     limits : Limits
 
     Returns
@@ -92,7 +90,7 @@ def excess(
     slope : (K, h, 3)
         Its derivative by the coefficients.
     """
-    size = pose.shape[1]
+    size, rows = pose.shape[1], limits.levers
     value, slope = np.empty(len(pose) * 12), np.empty((len(pose) * 12, size, 3))
     found = 0
     x, v, a = pose @ coefficients, twist @ coefficients, accel @ coefficients
