@@ -89,6 +89,10 @@ def measure_forces() -> None:
     triangular_forces(motions, place, *intervals(2))
     close = np.array([[0.05, 0.03], [0.056, 0.03]])
     is_out_of_reach(close, np.array([[0.15, 0.1], [-0.15, 0.1]]), 2, float(rig.plate.half[0]))
+    sys.path.append(str(ROOT / "bench"))
+    from stages import force_map
+
+    force_map.measure(quick=True)  # its peer is compiled too
 
 
 JOBS = {
