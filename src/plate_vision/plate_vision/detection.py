@@ -155,6 +155,15 @@ def detect(
     return _detect_any(grey, region) if options is None else _discs(grey, region, options, size)
 
 
+def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
+    """Return the discs (n,) `OUTLINE` of any size on the plate, all darker or all brighter than it.
+
+    Those that touch others are left out. It takes a hundred times as long as `detect`.
+    """
+    outlines = _outlines(grey_levels(image), region)
+    return outlines[outlines["round"]]
+
+
 def _discs(
     grey: np.ndarray,
     region: Region,
@@ -199,11 +208,7 @@ def _discs(
 
 def _detect_any(grey: np.ndarray, region: Region) -> np.ndarray:
     """Return the parts of an image (H, W) of which nothing is known."""
-    x0, y0, x1, y1 = region.box
-    outlines = find_outlines(np.ascontiguousarray(grey[y0:y1, x0:x1]))
-    outlines["x_px"] += x0
-    outlines["y_px"] += y0
-    outlines = outlines[region.depth(outlines["x_px"], outlines["y_px"]) > outlines["radius_px"]]
+    outlines = _outlines(grey, region)
     bright = bool(np.any(outlines["contrast"] > 0))  # all are brighter, or all darker
     options = _if_alike(outlines)
     if options is not None:
@@ -220,6 +225,15 @@ def _detect_any(grey: np.ndarray, region: Region) -> np.ndarray:
     parts["label"][outlines["contrast"] > 0] = BRIGHT
     parts["method"] = METHODS[2]
     return parts
+
+
+def _outlines(grey: np.ndarray, region: Region) -> np.ndarray:
+    """Return the patches (n,) `OUTLINE` of an image (H, W) that are wholly in the region."""
+    x0, y0, x1, y1 = region.box
+    outlines = find_outlines(np.ascontiguousarray(grey[y0:y1, x0:x1]))
+    outlines["x_px"] += x0
+    outlines["y_px"] += y0
+    return outlines[region.depth(outlines["x_px"], outlines["y_px"]) > outlines["radius_px"]]
 
 
 def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:

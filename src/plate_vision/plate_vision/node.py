@@ -42,8 +42,8 @@ from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections
 from .errors import CalibrationError, ImageError
 from .plate import PlateLocation, light_problem
-from .tracking import Tracker, TrackerOptions
-from .vision import HOME, follow_plate, make_vision, observe, warm_up
+from .tracking import Tracker, TrackerOptions, found_text
+from .vision import HOME, follow_plate, make_vision, observe, size_problem, warm_up
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
@@ -155,13 +155,15 @@ class DetectorNode(Node):
         super().__init__("detector")
         values = declare(self, DetectorParameters)
         self._rig = load_rig(values.rig_file)
-        for doubt in doubts(self._rig, "camera", "parts"):
-            self.get_logger().warning(doubt.text)
         self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
         if values.source == "file":
             self._open(values)
+        for doubt in doubts(self._rig, "camera", "parts"):
+            if doubt.impossible:  # of a picture: a rig file's would have been refused
+                raise ImageError(doubt.text)
+            self.get_logger().warning(doubt.text)
         if values.camera_file:
             size = self._rig.camera
             self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
@@ -221,29 +223,35 @@ class DetectorNode(Node):
         if self._picture is None:
             raise ImageError(f"{values.path}: no pictures in it")
         height, width = self._picture[1].shape[:2]
-        rig = rig_of_picture(self._rig, (width, height))
-        if rig is not self._rig:
-            self.get_logger().info(
-                f"{self._picture[0]} is {width} x {height} px, not as the rig's camera: taken for "
-                f"the whole plate, {rig.plate.length_m:g} m long, from above"
-            )
-        self._rig = rig
+        self._rig, text = rig_of_picture(self._rig, (width, height))
+        if text:
+            self.get_logger().warning(f"{self._picture[0]}: {text}")
 
     def _on_timer(self) -> None:
         if self._picture is None:
-            self.get_logger().info("that was the last picture")
+            refused = f", {self._refused} ignored" if self._refused else ""
+            self.get_logger().info(f"that was the last picture of {self._images}{refused}")
             self._timer.cancel()
             return
         name, image = self._picture
-        self._answer(name, self.get_clock().now().to_msg(), lambda: image)
+        if self._answer(name, self.get_clock().now().to_msg(), lambda: image):
+            self._tell(name, image)
         try:
             self._picture = next(self._pictures, None)
         except PlateError as error:
             self._warn(f"no more pictures: {error}")
             self._picture = None
 
-    def _answer(self, source: str, stamp: Time, unpack: Callable[[], np.ndarray]) -> None:
-        """Find the parts of one image, and publish them."""
+    def _tell(self, name: str, image: np.ndarray) -> None:
+        """Say what a picture held; of the first, and where nothing is found, also why."""
+        self.get_logger().info(f"{name}: {found_text(self._tracker)}")
+        if self._images == 1 or not self._tracker.found:
+            problem = size_problem(self._vision, image)
+            if problem:
+                self._warn(f"{name}: {problem}")
+
+    def _answer(self, source: str, stamp: Time, unpack: Callable[[], np.ndarray]) -> bool:
+        """Find the parts of one image, and publish them; False if it cannot be used."""
         self._input = self._input.heard(time.monotonic())
         self._tally.images += 1
         self._images += 1
@@ -258,7 +266,7 @@ class DetectorNode(Node):
             self._tally.refused += 1
             self._tally.why = str(error)
             self._refused += 1
-            return
+            return False
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
@@ -269,6 +277,7 @@ class DetectorNode(Node):
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
             self._markers.publish(self._scene(stamp))
+        return True
 
     def _draw(self, image: np.ndarray) -> np.ndarray:
         parts, calibration = self._tracker.parts, self._vision.calibration
@@ -348,7 +357,10 @@ class DetectorNode(Node):
         self._tally, self._reported_at = Tally(), time.monotonic()
 
     def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+        if self._from_topic:
+            self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+        else:
+            self.get_logger().warning(text)  # of every picture
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         content = (msg.width, msg.height, msg.distortion_model, tuple(msg.k), tuple(msg.d))

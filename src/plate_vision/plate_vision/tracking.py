@@ -152,9 +152,14 @@ class Tracker:
     last_number: Mapping[str, int] = field(default_factory=dict)
 
     @property
+    def found(self) -> tuple[Track, ...]:
+        """All that was seen in the last image."""
+        return tuple(track for track in self.tracks if track.missed == 0)
+
+    @property
     def parts(self) -> Parts:
         """The parts seen in the last image that are confirmed."""
-        seen = [track for track in self.tracks if track.missed == 0 and track.number]
+        seen = [track for track in self.found if track.number]
         return Parts.make(
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
@@ -162,6 +167,15 @@ class Tracker:
             angle=np.array([track.angle for track in seen]),
             spin=np.array([track.spin for track in seen]),
         )
+
+
+def found_text(tracker: Tracker) -> str:
+    """Say how many parts were found in the last image, such as `24 parts: 14 black, 10 grey`."""
+    labels = [track.label for track in tracker.found]
+    if not labels:
+        return "no parts"
+    counts = ", ".join(f"{labels.count(label)} {label}" for label in sorted(set(labels)))
+    return f"{len(labels)} part{'s' if len(labels) > 1 else ''}: {counts}"
 
 
 def update(

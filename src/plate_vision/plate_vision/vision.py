@@ -11,7 +11,7 @@ from plate_core import Rig
 from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
-from .detection import DetectorOptions, detect
+from .detection import DetectorOptions, detect, round_patches
 from .errors import ImageError
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
@@ -129,6 +129,32 @@ def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -
     return update(tracker, stamp, centre, found["label"], _angles(vision, found, centre_px))
 
 
+def size_problem(vision: Vision, image: np.ndarray) -> str | None:
+    """Return how the round patches of an image (H, W) or (H, W, 3) differ from parts, or None.
+
+    For photographs: most of them have another size than the rig's parts, or are brighter than the
+    plate. What is found takes too long to be asked for every image of a camera.
+    """
+    discs = round_patches(image, vision.region)
+    if not len(discs):
+        return None
+    seen = f"{len(discs)} round patch{'es' if len(discs) > 1 else ''}"
+    if np.any(discs["contrast"] > 0):  # then all are
+        return f"{seen} brighter than what is behind, allowed: parts darker than the plate"
+    centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
+    scale = float(np.median(vision.size(centre))) * vision.options.radius_px / vision.radius
+    radius_px = float(np.median(discs["radius_px"]))
+    radius, tolerance = radius_px / scale, vision.options.radius_tolerance
+    if abs(radius / vision.radius - 1) <= tolerance:
+        return None
+    return (
+        f"{seen} of {radius_px:.1f} px radius, which are {1e3 * radius:.3g} mm on the plate; the "
+        f"rig's parts have {1e3 * vision.radius:.3g} mm, {scale * vision.radius:.1f} px, allowed: "
+        f"{100 * tolerance:.0f} % more or less: write parts: radius_m: {radius:.2g} into the rig "
+        "file, or what is wrong of plate and camera there, if the parts are as it says"
+    )
+
+
 def follow_plate(
     location: PlateLocation, vision: Vision, image: np.ndarray
 ) -> tuple[PlateLocation, Vision, np.ndarray]:
@@ -183,6 +209,6 @@ def check_image(image: np.ndarray, vision: Vision) -> None:
     if image.shape[:2] != (height, width):
         size = " x ".join(str(n) for n in reversed(image.shape[:2]))
         raise ImageError(
-            f"image: size is {size} px, allowed: {width} x {height} px, the size in the rig file "
-            "for which its corners_px hold"
+            f"image: size is {size} px, allowed: {width} x {height} px, that of the rig's camera, "
+            "for which corners_px hold, or of the first picture"
         )

@@ -124,8 +124,11 @@ def test_what_cannot_be_read_is_told(tmp_path, name):
 
 def test_a_picture_of_another_size_is_the_whole_plate():
     rig = load_rig()
-    assert rig_of_picture(rig, (640, 480)) is rig
-    vision = make_vision(rig_of_picture(rig, (1200, 900)))
+    assert rig_of_picture(rig, (640, 480)) == (rig, "")
+    taken, text = rig_of_picture(rig, (1200, 900))
+    assert text.startswith("1200 x 900 px, not 640 x 480 px as the rig's camera: taken for a view")
+    assert "plate of 0.6 x 0.45 m that fills it; the rig's is 0.6 x 0.3 m. If this is" in text
+    vision = make_vision(taken)
     assert vision.region.size_px == (1200, 900)
     corners = np.array([[-0.5, 899.5], [1199.5, -0.5], [599.5, 449.5]])
     assert np.allclose(vision.calibration.to_home(corners), [[-0.3, -0.225], [0.3, 0.225], [0, 0]])

@@ -1,5 +1,6 @@
 """The node over real topics, in one process."""
 
+import re
 import time
 
 import cv2
@@ -34,8 +35,17 @@ class Graph:
         for name, value in parameters.items():
             args += ["-p", f"{name}:={value}"]
         rclpy.init(args=args)
+        self.warnings, self.notes = warnings, notes = [], []
+
+        class Heard(DetectorNode):
+            def get_logger(self):
+                logger = super().get_logger()
+                logger.warning = lambda text, **_: warnings.append(text)
+                logger.info = lambda text, **_: notes.append(text)
+                return logger
+
         try:
-            self.detector = DetectorNode()
+            self.detector = Heard()
         except BaseException:
             rclpy.try_shutdown()
             raise
@@ -54,8 +64,6 @@ class Graph:
             self.until(lambda: self.images.get_subscription_count())
             self.until(lambda: self.infos.get_subscription_count())
         self.until(lambda: self.detector.count_subscribers("parts"))
-        self.warnings = []
-        self.detector.get_logger().warning = lambda text, **_: self.warnings.append(text)
 
     def until(self, true):
         for _ in range(2000):
@@ -409,6 +417,10 @@ def test_pictures_of_a_folder_for_a_camera(draw, rng, tmp_path):
             assert np.abs(seen - CENTRE_PX - [k, 0]).max() < 0.1
         graph.until(graph.detector._timer.is_canceled)
         assert graph.warnings == []
+        assert [text for text in graph.notes if "part" in text] == [
+            f"{k:03d}.png: 2 parts: 1 black, 1 grey" for k in range(3)
+        ]
+        assert graph.notes[-1] == "that was the last picture of 3"
     finally:
         graph.close()
 
@@ -425,8 +437,39 @@ def test_photographs_of_another_size_show_the_whole_plate(draw, rng, tmp_path):
         assert parts.ids == ("black_1", "black_2")
         expected = (CENTRE_PX - 50 - [239.5, 149.5]) * [1, -1] * 0.6 / 480
         assert np.abs(parts.position - expected).max() < 2e-4
+        (warning,) = graph.warnings
+        assert warning.startswith("000.png: 480 x 300 px, not 640 x 480 px as the rig's camera: ")
+        assert "a plate of 0.6 x 0.375 m that fills it; the rig's is 0.6 x 0.3 m. " in warning
     finally:
         graph.close()
+
+
+def test_parts_of_another_size_than_the_rig_says(draw, rng, tmp_path):
+    place = np.array([[200.0, 200], [300, 220], [400, 240], [450, 300]])
+    large = draw(place, ["black"] * 3 + ["grey"], rng, radius=12.0)
+    empty = draw(np.zeros((0, 2)), [], rng)
+    other = np.full((100, 200), 220, np.uint8)
+    graph = Graph(source="file", path=files(tmp_path, [large, empty, other]), rate=20.0)
+    try:
+        graph.until(graph.detector._timer.is_canceled)
+        assert graph.notes[-3:] == [
+            "000.png: no parts",
+            "001.png: no parts",
+            "that was the last picture of 3, 1 ignored",
+        ]
+        size, refused = graph.warnings
+        found = re.match(r"000.png: 4 round patches of ([0-9.]+) px radius, which are 12 mm", size)
+        assert float(found[1]) == pytest.approx(12.0, rel=0.03)
+        assert "have 8 mm, 7.9 px, allowed: 20 % more or less: write parts: radius_m: 0.012" in size
+        assert refused.startswith("002.png ignored: image: size is 200 x 100 px, allowed: 640 x")
+    finally:
+        graph.close()
+
+
+def test_a_picture_that_shows_parts_too_small_is_refused(tmp_path):
+    picture = np.full((90, 180), 220, np.uint8)
+    with pytest.raises(PlateError, match=r"radius_m is 0.008, in the image 2.4 px, allowed: 3 to"):
+        Graph(source="file", path=files(tmp_path, [picture]), rate=20.0)
 
 
 @pytest.mark.parametrize(("path", "words"), [("/nowhere", "no such file"), ("", "no pictures in")])

@@ -111,20 +111,29 @@ def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
         yield from _film(path)
 
 
-def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> Rig:
-    """Return the rig whose camera takes pictures of a size (width, height).
+def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
+    """Return the rig whose camera takes pictures of a size (width, height), and what a user should
+    know of that; nothing if it is the rig's own camera.
 
     If that is not the size of the rig's camera, nothing is known of where the picture was taken:
     then it is a view of a plate that fills it, from straight above, as long as the rig's.
     """
     camera = rig.camera
     if size_px == (camera.width_px, camera.height_px):
-        return rig
+        return rig, ""
     width, height = size_px
     corners = ((-0.5, height - 0.5), (width - 0.5, height - 0.5), (width - 0.5, -0.5), (-0.5, -0.5))
     plate = replace(rig.plate, width_m=rig.plate.length_m * height / width)
+    text = (
+        f"{width} x {height} px, not {camera.width_px} x {camera.height_px} px as the rig's "
+        f"camera: taken for a view from above of a plate of {plate.length_m:g} x "
+        f"{plate.width_m:.3g} m that fills it; the rig's is {rig.plate.length_m:g} x "
+        f"{rig.plate.width_m:g} m. If this is wrong: cut the picture at the plate's edges, and "
+        "write length_m of what it shows into the rig file; or, of the camera that took it, "
+        "width_px, height_px and corners_px"
+    )
     camera = replace(camera, width_px=width, height_px=height, corners_px=corners, lens=None)
-    return replace(rig, plate=plate, camera=camera)
+    return replace(rig, plate=plate, camera=camera), text
 
 
 def _read(file: Path) -> np.ndarray:
