@@ -19,13 +19,12 @@ from plate_core.colours import FORCE, INK, Colour, class_colour, part_colour
 from plate_core.rig import homography
 from plate_core.tasks import (
     AssembleTask,
-    Bin,
     FollowTask,
     PoseTask,
     Scenario,
-    Side,
     SortTask,
     circle_points,
+    region_outline,
 )  # fmt: skip
 from plate_solver import average_force
 
@@ -84,10 +83,8 @@ class Scene:
         """Class and polygon (n, 2) [m] of every place where parts belong."""
         task, radius = self.scenario.task, self.rig.parts.radius_m
         if isinstance(task, SortTask):
-            return [
-                (label, np.array(r.corner) if isinstance(r, Bin) else self._side(r, task))
-                for label, r in task.regions.items()
-            ]
+            half = self.rig.plate.half
+            return [(label, region_outline(task, label, half)) for label in task.regions]
         places = [(label, centre) for label, centre, _ in self.poses]
         if isinstance(task, AssembleTask):
             places = [(c, np.array(at)) for c, at in zip(task.labels, task.place, strict=True)]
@@ -143,15 +140,6 @@ class Scene:
         """Mean friction forces (n, 2) [mu m g] of the cycle that runs at t, on parts at points."""
         cycle = self.motion(t)
         return np.zeros_like(point) if cycle is None else average_force(cycle, point)
-
-    def _side(self, side: Side, task: SortTask) -> np.ndarray:
-        """Corners (4, 2) [m] of the part of the plate beyond the goal line, or lines."""
-        ranges = [
-            (-h, h) if sign == 0 else tuple(sorted((sign * task.goal_fraction * h, sign * h)))
-            for sign, h in zip((side.x, side.y), self.rig.plate.half, strict=True)
-        ]
-        (left, right), (bottom, top) = ranges
-        return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
 
 
 @dataclass(frozen=True)
@@ -347,7 +335,7 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
         Sample(
             arrows.length,
             lambda c: arrows.draw(c, np.zeros((1, 2)), force, 1.2, 0.0),
-            f"mean force on a part: {arrows.force:g} mu mg or more (mu mg: its friction)",
+            f"mean force; longest arrows: {arrows.force:g} mu mg (a part's friction) or more",
         )
     )
     if scene.scenario.marked:

@@ -308,6 +308,26 @@ class Fields:
             raise self._error(f"{self._where}: {key} is missing, expected {allowed}{instead}")
         return self._data[key]
 
+    def one_of(self, *keys: str) -> str:
+        """Return which one of some keys is there, and count all of them as known.
+
+        Raises
+        ------
+        PlateError
+            If none is, or more than one: the message names a key that is spelt nearly so.
+        """
+        given = [key for key in keys if self.has(key)]
+        if len(given) == 1:
+            return given[0]
+        if given:
+            wrong = f"{' and '.join(given)} are given"
+        else:
+            spare = [str(name) for name in self._data if name not in self._used]
+            near = next((name for name in spare if did_you_mean(name, keys)), "")
+            hint = f"; there is {near}{did_you_mean(near, keys)}" if near else ""
+            wrong = f"{' or '.join(keys)} is missing{hint}"
+        raise self._error(f"{self._where}: {wrong}, allowed: one of {', '.join(keys)}")
+
     def has(self, key: str) -> bool:
         """Tell whether the optional key is present, and count it as known."""
         self._used.add(key)
@@ -406,7 +426,7 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
     except (OSError, ValueError) as problem:  # the latter: no UTF-8, or no path
         raise error(f"{path}: cannot be read ({problem})") from None
     try:
-        again = _twice(yaml.compose(text, _Loader), set())
+        mistake = _mistake(yaml.compose(text, _Loader), set())
         data = yaml.load(text, _Loader)
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
@@ -415,8 +435,8 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
-    if again:
-        raise error(f"{path.name}: {again}")
+    if mistake:
+        raise error(f"{path.name}: {mistake}")
     return Fields(data, path.name, error)
 
 
@@ -441,8 +461,14 @@ _Loader.add_implicit_resolver(
 )
 
 
-def _twice(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
-    """Name the first key that stands twice in one mapping, at any depth; empty if none does.
+WITH_COMMA = re.compile(r"[-+]?\d+,\d+")
+"""A number with a decimal comma, which YAML takes for a text; or between braces, `{mu: 0,3}`, for a
+number and a key without a value."""
+
+
+def _mistake(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
+    """Name the first decimal comma, or key that stands twice in one mapping, at any depth; empty if
+    there is none. YAML itself would say nothing.
 
     A node that aliases lead to again, from within it too, is looked at once.
     """
@@ -450,18 +476,25 @@ def _twice(node: yaml.Node | None, seen: set[yaml.Node]) -> str:
         return ""
     seen.add(node)
     if isinstance(node, yaml.SequenceNode):
-        return next(filter(None, (_twice(item, seen) for item in node.value)), "")
+        return next(filter(None, (_mistake(item, seen) for item in node.value)), "")
     if not isinstance(node, yaml.MappingNode):
         return ""
     lines: dict[str, int] = {}
+    before = "", ""
     for key, value in node.value:
         line, name = key.start_mark.line + 1, str(key.value)
+        text = value.value if isinstance(value, yaml.ScalarNode) else "-"
+        of, number = (name, text) if text else (before[0], f"{before[1]},{name}")
+        if WITH_COMMA.fullmatch(number):
+            point = number.replace(",", ".")
+            return f"{of} is {number} at line {line}, allowed: a decimal point, {point}"
+        before = name, text
         if name in lines:
             return f"key {name} stands twice, at line {lines[name]} and at line {line}; remove one"
         lines[name] = line
-        again = _twice(value, seen)
-        if again:
-            return again
+        mistake = _mistake(value, seen)
+        if mistake:
+            return mistake
     return ""
 
 

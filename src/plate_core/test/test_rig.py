@@ -68,6 +68,7 @@ SPOILT = [
     (("motors", "motor_1", "direction"), [1], "allowed: 2 numbers from -1 to 1"),
     (("motors", "motor_1", "point_m"), [1, "a"], "allowed: 2 numbers from -10 to 10"),
     (("motors", "motor_5"), {}, "motors: got .*motor_5, allowed: motor_1, motor_2, motor_3"),
+    (("motors",), {"motor_1": {}, "motor_2": {}}, r"^rig\.yaml: motors: got motor_1, motor_2, al"),
     (("camera", "width_px"), 640.5, "width_px is 640.5, allowed: a whole number from 16 to 16384"),
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),

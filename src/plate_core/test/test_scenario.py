@@ -74,13 +74,11 @@ description: test
 parts:
   - {class: black, count: 2}
   - {class: grey, count: 1}
-  - {class: white, count: 1}
 task:
   kind: sort
   regions:
     black: top_left
-    grey: bottom
-    white: {bin_m: [[0.1, 0], [0.2, 0], [0.15, 0.1]]}
+    grey: {bin_m: [[0.1, 0], [0.2, 0], [0.15, 0.1]]}
   goal_fraction: 0.5
   hold_s: 0
 time_limit_s: 10
@@ -138,7 +136,14 @@ def test_an_unknown_name_lists_the_available_ones():
     [
         (SORT, "count: 2", "count: 0", r"count is 0, allowed: a whole number from 1"),
         (SORT, "count: 2", "count: two", r"count is 'two'"),
-        (SORT, "class: black", "class: black_1", r"class is 'black_1', allowed: a plain word"),
+        (SORT, "class: black", "class: black_1", r"0\]: class is 'black_1', allowed: one of bl"),
+        (SORT, "class: grey", "class: purple", r"parts\[1\]: class is 'purple', allowed: one of"),
+        (SORT, "count: 2", "cuont: 2", r"0\]: .*there is cuont \(did you mean count\?\), al"),
+        (SORT, "positions_m", "position_m", r"position_m \(did you mean positions_m\?\)"),
+        (SORT, ", count: 2", "", r"\[0\]: count or positions_m is missing, allowed: one"),
+        (SORT, "hold_s: 0.5", "hold_s: 10", r"task: hold_s is 10, allowed: less than time_limit_s"),
+        (SORT, "hold_s: 0.5", "hold_s: 0,5", r"hold_s is 0,5 at line \d, .* point, 0.5$"),
+        (SORT, "limit_s: 10", "limit_s: 1,50", r"time_limit_s is 1,50 at line \d, .*, 1.50$"),
         (SORT, "class: grey", "class: black", r"parts is .*allowed: each class once"),
         (
             SORT,
@@ -161,7 +166,7 @@ def test_an_unknown_name_lists_the_available_ones():
         (SORT, "time_limit_s: 10", "time_limit_s: .nan", r"time_limit_s is nan, allowed"),
         (SORT, "time_limit_s: 10", "", r"time_limit_s is missing"),
         (SORT, "time_limit_s", "time_limits", r"time_limit_s is missing, .*there is time_lim"),
-        (SORT, "[[0.1, 0.0]]", "[[0.1, 0.0]], count: 1", r"positions_m is .*not both"),
+        (SORT, "[[0.1, 0.0]]", "[[0.1, 0.0]], count: 1", r"count and positions_m are given"),
         (SORT, "[[0.1, 0.0]]", "[0.1, 0.0]", r"positions_m is \[0.1, 0.0\], allowed: n x 2"),
         (FOLLOW, "closed: true", "closed: 1", r"closed is 1, allowed: true or false"),
         (FOLLOW, "speed_mps: 0.02", "speed_mps: 0", r"speed_mps is 0, allowed"),
@@ -170,16 +175,16 @@ def test_an_unknown_name_lists_the_available_ones():
         (FOLLOW, "- {class: black, w", "- {class: grey, w", r"class is 'grey', allowed: one of bl"),
         (CIRCLE, "turn: right", "turn: up", r"turn is 'up', allowed: one of left, right"),
         (CIRCLE, "radius_m: 0.05", "radius_m: 0", r"circle: radius_m is 0, allowed"),
-        (CIRCLE, "circle:", "circel:", r"no curve given, allowed: one of waypoints_m, circle, spl"),
-        (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m given, allowed: one"),
+        (CIRCLE, "circle:", "circel:", r"there is circel \(did you mean circle\?\), allowed"),
+        (CIRCLE, "laps: 2", "laps: 2, spline_m: []", r"circle and spline_m are given, allowed"),
         (SPLINE, "[1, 0.03]", "[0.9, 0.03]", r"speed_mps is .*fractions growing from 0 to 1"),
         (SPLINE, "[0, 0.01]", "[0, 0]", r"speed_mps is .*speeds from 1e-05 to 10"),
         (SPLINE, ", [0.1, 0.1]]", "]", r"spline_m is .*at least three points"),
         (BINS, "top_left", "middle", r"regions: black is 'middle', allowed: one of left, .*"),
         (BINS, "black: top_left", "black: 3", r"regions: black is 3, allowed: one of left"),
-        (BINS, ", [0.15, 0.1]]", "]", r"white: bin_m is .*at least three corners"),
-        (BINS, "[0.15, 0.1]", "[0.3, 0]", r"white: bin_m is .*with an area"),
-        (BINS, "[0.15, 0.1]", "[0.1, 0.1], [0.2, 0.1]", r"white: bin_m is .*in order"),
+        (BINS, ", [0.15, 0.1]]", "]", r"grey: bin_m is .*at least three corners"),
+        (BINS, "[0.15, 0.1]", "[0.3, 0]", r"grey: bin_m is .*with an area"),
+        (BINS, "[0.15, 0.1]", "[0.1, 0.1], [0.2, 0.1]", r"grey: bin_m is .*in order"),
         (BINS, "goal_fraction: 0.5", "", r"goal_fraction is missing"),
         (ASSEMBLE, ", [0.1, 0.1]]", "]", r"places_m has 1 places for class black, allowed: 2, one"),
         (ASSEMBLE, ", grey: [[0, 0]]", "", r"places_m: grey is missing"),
@@ -206,8 +211,7 @@ def test_regions_are_sides_corners_and_bins(tmp_path):
     task = load_scenario(write(tmp_path, BINS)).task
     assert dict(task.regions) == {
         "black": Side(-1, 1),
-        "grey": Side(0, -1),
-        "white": Bin(((0.1, 0.0), (0.2, 0.0), (0.15, 0.1))),
+        "grey": Bin(((0.1, 0.0), (0.2, 0.0), (0.15, 0.1))),
     }
 
 
@@ -231,11 +235,58 @@ def test_places_go_by_class(tmp_path):
 
 def test_places_too_near_each_other_and_bins_off_the_plate_are_refused(tmp_path, rig):
     near = load_scenario(write(tmp_path, ASSEMBLE.replace("[0.1, 0.1]", "[0.1, 0.019]")))
-    with pytest.raises(ScenarioError, match=r"places 0 and 1 are 0.019 m apart, allowed: 0.02 m"):
+    with pytest.raises(ScenarioError, match=r"places_m of black .* 19 mm apart, allowed: 20 mm"):
         check_scenario(near, rig)
     off = load_scenario(write(tmp_path, BINS.replace("[0.2, 0]", "[0.301, 0]")))
-    with pytest.raises(ScenarioError, match=r"bin of white is \(0.301, 0\) m, allowed: .* to 0.3,"):
+    with pytest.raises(ScenarioError, match=r"bin_m of grey is \(0.301, 0\) m, .* to 0.3,"):
         check_scenario(off, rig)
+
+
+def test_placed_parts_that_overlap_are_refused(tmp_path, rig):
+    text = SORT.replace("count: 2", "positions_m: [[0.1, 0.012], [0, 0]]")
+    words = (
+        r"^trial.yaml: parts: positions_m of black \(0.1, 0.012\) m and of grey \(0.1, 0\) m are "
+        r"12 mm apart, allowed: 16 mm or more"
+    )
+    with pytest.raises(ScenarioError, match=words):
+        check_scenario(load_scenario(write(tmp_path, text)), rig)
+    check_scenario(load_scenario(write(tmp_path, text.replace("0.012", "0.016"))), rig)
+
+
+@pytest.mark.parametrize(
+    ("black", "grey", "shared_cm2"),
+    [
+        ("left", "right", 0),
+        ("left", "left", 450),
+        ("left", "top_left", 112.5),
+        ("bottom_left", "top_left", 0),
+        ("top_left", "bottom_right", 0),
+        ("left", "{bin_m: [[-0.15, 0], [0, 0], [0, 0.1], [-0.15, 0.1]]}", 0),
+        ("left", "{bin_m: [[-0.16, 0], [0, 0], [0, 0.1], [-0.16, 0.1]]}", 10),
+        ("{bin_m: [[-0.16, 0], [0, 0], [0, 0.1], [-0.16, 0.1]]}", "left", 10),
+        ("left", "{bin_m: [[-0.29, 0], [-0.2, 0], [-0.2, 0.1]]}", 45),
+        ("top_left", "{bin_m: [[-0.2, 0], [-0.2, 0.1], [-0.25, 0]]}", 2.5**2 / 4),
+        # a U about the corner's lower edge: two arms of 1 x 2.5 cm reach into it
+        (
+            "top_left",
+            "{bin_m: [[-0.25, 0], [-0.18, 0], [-0.18, 0.1], [-0.19, 0.1], [-0.19, 0.05],"
+            " [-0.24, 0.05], [-0.24, 0.1], [-0.25, 0.1]]}",
+            5.0,
+        ),
+    ],
+)
+def test_regions_of_two_classes_have_no_area_in_common(tmp_path, rig, black, grey, shared_cm2):
+    """On 0.6 x 0.3 m, goal lines at half of the half sides: areas by hand."""
+    regions = f"regions: {{black: {black}, grey: {grey}}}, goal_fraction: 0.5"
+    text = SORT.replace("sides: {black: left, grey: right}, goal_fraction: 0.6", regions)
+    scenario = load_scenario(write(tmp_path, text))
+    if not shared_cm2:
+        check_scenario(scenario, rig)
+        return
+    with pytest.raises(ScenarioError, match="allowed: regions with no area in common") as info:
+        check_scenario(scenario, rig)
+    assert str(info.value).startswith("trial.yaml: task: regions: ")
+    assert f"share {shared_cm2:.3g} cm2" in str(info.value)
 
 
 def test_a_missing_or_broken_file_is_one_line(tmp_path):
@@ -291,7 +342,7 @@ def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
 def test_too_many_parts_are_refused(tmp_path, rig):
     scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 100")))
     large = replace(rig, parts=replace(rig.parts, radius_m=0.025))
-    with pytest.raises(ScenarioError, match=r"100 parts to scatter, allowed: \d\d; .* 25 mm rad"):
+    with pytest.raises(ScenarioError, match=r"count: 100 to scatter, allowed: \d\d; .* 25 mm rad"):
         start_positions(scenario, large, np.random.default_rng(0))
 
 

@@ -28,6 +28,12 @@ def test_good_values():
     f.finish()
 
 
+def test_texts_with_commas_are_texts(tmp_path):
+    path = tmp_path / "some.yaml"
+    path.write_text("a: parts 1,2\nb: {c: 1, 3: {}, d: }\n")
+    assert read_yaml(path, FileError).keys() == ("a", "b")
+
+
 def test_defaults_are_for_missing_keys_only():
     f = fields(a="no")
     assert f.number("b", 0, 1, default=0.5) == 0.5
@@ -102,9 +108,12 @@ def test_the_nearest_known_key_is_asked_for():
         ("a: 1\nb: 2\na: 3\n", "key a stands twice, at line 1 and at line 3; remove one"),
         ("a: {mu: 1, mu: 2}\n", "key mu stands twice, at line 1 and at line 1"),
         ("a:\n- b: 1\n- c: 1\n  c: 2\n", "key c stands twice, at line 3 and at line 4"),
+        ("a:\n  mu: 0,3\n", "mu is 0,3 at line 2, allowed: a decimal point, 0.3"),
+        ("a: {mu: 0,3}\n", "mu is 0,3 at line 1, allowed: a decimal point, 0.3"),
+        ("a: {mu: -1,05, g: 9.81}\n", "mu is -1,05 at line 1, allowed: a decimal point, -1.05"),
     ],
 )
-def test_a_key_that_stands_twice_is_refused(tmp_path, text, message):
+def test_what_yaml_takes_for_something_else_is_refused(tmp_path, text, message):
     path = tmp_path / "some.yaml"
     path.write_text(text)
     with pytest.raises(FileError, match=rf"some\.yaml: {message}"):

@@ -273,7 +273,7 @@ def test_a_bin_too_small_for_its_parts_is_refused():
     room = len(slots(small, RIG))
     assert room == 4  # two by two, 28 mm apart in 50 mm less 10 mm at each side
     scenario = replace(scenario, parts=(PartGroup("black", room + 1), PartGroup("grey", 2)))
-    with pytest.raises(ScenarioError, match=rf"region of black is for {room + 1} parts, .*{room},"):
+    with pytest.raises(ScenarioError, match=rf"that of black is for {room + 1} parts, .*{room},"):
         Sorter(scenario.task, RIG).check(scenario)
 
 
@@ -282,7 +282,7 @@ def test_two_bins_in_one_place_are_refused(shift):
     other = Bin(tuple((x + shift, y) for x, y in BIN.corner))
     beside = Bin(tuple((-x, y) for x, y in BIN.corner))
     scenario = load_scenario("sort_4")
-    with pytest.raises(ScenarioError, match=r"bins of black and grey overlap .*one beside"):
+    with pytest.raises(ScenarioError, match=r"bin_m of black and of grey overlap .*one beside"):
         Sorter(SortTask({"black": BIN, "grey": other}, 0, 0), RIG).check(scenario)
     Sorter(SortTask({"black": BIN, "grey": beside}, 0, 0), RIG).check(scenario)
 

@@ -77,7 +77,7 @@ class Limits:
     force : float
         Peak force of a motor [N].
     continuous_force : float
-        Root mean square [N] that a motor bears for ever.
+        Root mean square [N] that a motor bears continuously.
     thermal_time_s : float
         Time constant of a winding's heat [s].
     heat_rise_k : float
@@ -104,8 +104,8 @@ class Limits:
         "continuous_force_n",
         1e-3,
         1e6,
-        "Root mean square force that each motor bears for ever; half of `force_n` where only that "
-        "is given.",
+        "Root mean square force that each motor bears continuously; half of `force_n` where only "
+        "that is given.",
         100.0,
     )
     thermal_time_s: float = measured(
@@ -165,8 +165,8 @@ class Rig:
 
     @cached_property
     def reach(self) -> Reach:
-        """What acceleration any point of the plate can have in any direction for ever, and what
-        limits it: the rig file, or the motors."""
+        """What acceleration any point of the plate can have in any direction continuously, and
+        what limits it: the rig file, or the motors."""
         return reach(self)
 
     @cached_property
@@ -285,7 +285,9 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
     names = fields.keys()
     expected = ("motor_1", "motor_2", "motor_3", "motor_4")
     if names != expected:
-        raise RigError(f"motors: got {', '.join(names)}, allowed: {', '.join(expected)}")
+        raise RigError(
+            f"{fields.where}: got {', '.join(names)}, allowed: {', '.join(expected)}, in this order"
+        )
     motors = []
     for name in names:
         child = fields.child(name)

@@ -5,8 +5,14 @@
 """
 
 from .curves import circle_points
-from .keys import SECTIONS
-from .scenario import check_scenario, load_scenario, scenario_names, start_positions
+from .keys import CLASSES, SECTIONS
+from .scenario import (
+    check_scenario,
+    load_scenario,
+    region_outline,
+    scenario_names,
+    start_positions,
+)
 from .tasks import (
     AssembleTask,
     Bin,
@@ -24,6 +30,7 @@ from .tasks import (
 )
 
 __all__ = [
+    "CLASSES",
     "SECTIONS",
     "AssembleTask",
     "Bin",
@@ -41,6 +48,7 @@ __all__ = [
     "check_scenario",
     "circle_points",
     "load_scenario",
+    "region_outline",
     "scenario_names",
     "start_positions",
 ]

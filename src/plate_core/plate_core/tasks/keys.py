@@ -15,6 +15,9 @@ SIDES = {
 KINDS = ("sort", "follow", "assemble", "pose")
 """Kinds of task."""
 
+CLASSES = ("black", "grey")
+"""Classes of parts: those that detector and simulator tell apart."""
+
 CURVES = ("waypoints_m", "circle", "spline_m")
 """What a path may be given by: one of these."""
 
@@ -31,7 +34,10 @@ TOLERANCE = Key(
     "tolerance_m", Number(1e-4, 1), "A part is there when its centre is this near its place."
 )
 HOLD = Key(
-    "hold_s", Number(0, 60), "The task is done when its goal has been met for so long, unbroken."
+    "hold_s",
+    Number(0, 60),
+    "The task is done when its goal has been met for so long, unbroken; "
+    "shorter than `time_limit_s`.",
 )
 
 
@@ -69,8 +75,8 @@ GROUP = Section(
     "The parts of one class: placed, or scattered at random.",
     (
         Key(
-            "class", Text("a plain word such as black, without a number"), "Class of these parts. "
-            "The camera tells `black` and `grey` apart by their brightness.",
+            "class", Choice(CLASSES), "Class of these parts, which the camera tells apart by their "
+            "brightness.",
         ),
         Key(
             "count", Whole(1, 100), "How many, scattered at random (by `seed`): five radii from "
@@ -78,7 +84,8 @@ GROUP = Section(
             None, "or `positions_m`",
         ),
         Key(
-            "positions_m", PLACES, "Where each one starts: its centre on the plate.",
+            "positions_m", PLACES, "Where each one starts: its centre on the plate, two radii or "
+            "more from that of any other.",
             None, "or `count`",
         ),
     ),
@@ -96,7 +103,8 @@ SORT = Section(
     (
         Key(
             "regions", Table("for each class a side, a corner, or {bin_m: ...}"), "Where each "
-            f"class belongs: {', '.join(SIDES)}, or a polygon. `sides` is another word for it.",
+            f"class belongs: {', '.join(SIDES)}, or a polygon. Regions of two classes have no area "
+            "in common. `sides` is another word for it.",
         ),
         Key(
             "goal_fraction", Number(0, 0.8), "Where sides and corners begin, from the plate's "
@@ -115,7 +123,7 @@ BIN = Section(
     (
         Key(
             "bin_m", PLACES, "Corners [x, y] in order, three or more, on the plate. There must be "
-            "room for the parts of its class 3.5 radii apart, and for no other bin.",
+            "room for the parts of its class 3.5 radii apart.",
         ),
     ),
 )  # fmt: skip

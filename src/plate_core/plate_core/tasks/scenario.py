@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 
@@ -99,7 +100,15 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         time_limit_s=fields.value(keys.FILE["time_limit_s"]),
         marked=fields.value(keys.FILE["marked"]),
         rig=_rig(fields, path.parent),
+        file=path.name,
     )
+    if not isinstance(scenario.task, FollowTask) and (
+        scenario.task.hold_s >= scenario.time_limit_s
+    ):
+        raise ScenarioError(
+            f"{fields.where}: task: hold_s is {scenario.task.hold_s:g}, allowed: less than "
+            f"time_limit_s, which is {scenario.time_limit_s:g}"
+        )
     if isinstance(scenario.task, PoseTask) and not scenario.marked:
         raise ScenarioError(
             f"{fields.where}: marked is false, allowed with a task of poses: true (a round part "
@@ -122,11 +131,7 @@ def _rig(fields: Fields, folder: Path) -> str:
 
 def _group(fields: Fields) -> PartGroup:
     label = fields.value(keys.GROUP["class"])
-    if not label.isidentifier() or label.rsplit("_", 1)[-1].isdigit():
-        raise fields.fail("class", keys.GROUP["class"].kind.words)
-    if fields.has("positions_m") == fields.has("count"):
-        raise fields.fail("positions_m", "a list of [x, y] in m, or count in its place, not both")
-    if fields.has("count"):
+    if fields.one_of("count", "positions_m") == "count":
         group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
         position = fields.value(keys.GROUP["positions_m"])
@@ -184,8 +189,12 @@ def _is_simple(corner: np.ndarray) -> bool:
     for i in range(len(corner)):
         for j in range(i + 2, len(corner) - (i == 0)):
             a, b, c, d = corner[i], after[i], corner[j], after[j]
+            near = np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(
+                np.maximum(a, b), np.maximum(c, d)
+            )
             if (
-                _cross(b - a, c - a) * _cross(b - a, d - a) <= 0
+                np.all(near)  # edges in one line need not touch
+                and _cross(b - a, c - a) * _cross(b - a, d - a) <= 0
                 and _cross(d - c, a - c) * _cross(d - c, b - c) <= 0
             ):
                 return False
@@ -204,16 +213,11 @@ def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
 
 
 def _path(fields: Fields, labels: tuple[str, ...]) -> PathTask:
-    given = [key for key in keys.CURVES if fields.has(key)]
-    if len(given) != 1:
-        raise ScenarioError(
-            f"{fields.where}: {' and '.join(given) or 'no curve'} given, "
-            f"allowed: one of {', '.join(keys.CURVES)}"
-        )
-    if given[0] == "circle":
+    curve = fields.one_of(*keys.CURVES)
+    if curve == "circle":
         closed, waypoint = True, _circle(fields.child("circle"))
     else:
-        closed, waypoint = _points(fields, given[0])
+        closed, waypoint = _points(fields, curve)
     profile = _profile(fields)
     path = PathTask(
         label=fields.value(keys.class_key(*labels)),
@@ -325,65 +329,126 @@ def _one_each(
 
 
 def check_scenario(scenario: Scenario, rig: Rig) -> None:
-    """Refuse a scenario whose positions, paths, bins or places are not on this rig's plate.
+    """Refuse a scenario whose positions, paths, regions or places do not fit on this rig's plate.
 
     Raises
     ------
     ScenarioError
-        Names the class, the point and the greatest `|x|` and `|y|` allowed for a part's centre; or
-        the two places that are too near each other.
+        Names the file, the key, the class, and the point and the greatest `|x|` and `|y|` allowed
+        for a part's centre; or two points too near each other, or two regions that overlap.
     """
-    room = rig.plate.half - rig.parts.radius_m
-    points = [(g.label, "position", p) for g in scenario.parts for p in g.position or ()]
-    points += _task_points(scenario.task)
-    _check_points(scenario, points, room)
-    if isinstance(scenario.task, SortTask):
-        _check_points(scenario, _bin_points(scenario.task), rig.plate.half)
-    if isinstance(scenario.task, AssembleTask):
-        _check_apart(scenario, np.array(scenario.task.place), 2.5 * rig.parts.radius_m)
-
-
-def _task_points(task: Task) -> list[tuple[str, str, Point]]:
-    """Class, kind and place of the points where the task wants centres of parts."""
+    task, radius = scenario.task, rig.parts.radius_m
+    room = rig.plate.half - radius
+    placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
+    goals = _goals(task)
+    _check_on_plate(scenario, placed + goals, room)
+    _check_apart(scenario, placed, 2 * radius)
     if isinstance(task, FollowTask):
-        return [(path.label, "waypoint", point) for path in task.paths for point in path.waypoint]
+        return
+    if isinstance(task, SortTask):
+        corners = [
+            ("task: regions: bin_m", label, point)
+            for label, region in task.regions.items()
+            if isinstance(region, Bin)
+            for point in region.corner
+        ]
+        _check_on_plate(scenario, corners, rig.plate.half)  # these may be on the edge
+        _check_regions(scenario, task, rig.plate.half)
+    _check_apart(scenario, goals, (2.5 if isinstance(task, AssembleTask) else 2) * radius)
+
+
+Place = tuple[str, str, Point]
+"""Key, class and point of something in a scenario file."""
+
+
+def _goals(task: Task) -> list[Place]:
+    """Return the points where the task wants centres of parts."""
+    if isinstance(task, FollowTask):
+        key = "task: paths"
+        return [(key, path.label, point) for path in task.paths for point in path.waypoint]
     if isinstance(task, AssembleTask):
-        return [(c, "place", point) for c, point in zip(task.labels, task.place, strict=True)]
+        places = zip(task.labels, task.place, strict=True)
+        return [("task: places_m", label, point) for label, point in places]
     if isinstance(task, PoseTask):
-        return [(pose.label, "place", pose.place) for pose in task.poses if pose.place is not None]
+        key = "task: poses: place_m"
+        return [(key, pose.label, pose.place) for pose in task.poses if pose.place is not None]
     return []
 
 
-def _bin_points(task: SortTask) -> list[tuple[str, str, Point]]:
-    """Class, kind and place of the corners of bins; these may be on the plate's edges."""
-    return [
-        (label, "corner of the bin", point)
-        for label, region in task.regions.items()
-        if isinstance(region, Bin)
-        for point in region.corner
-    ]
-
-
-def _check_points(
-    scenario: Scenario, points: list[tuple[str, str, Point]], room: np.ndarray
-) -> None:
-    for label, kind, point in points:
-        if np.any(np.abs(point) > room):
+def _check_on_plate(scenario: Scenario, places: list[Place], room: np.ndarray) -> None:
+    for key, label, (x, y) in places:
+        if np.any(np.abs((x, y)) > room):
             raise ScenarioError(
-                f"scenario {scenario.name}: {kind} of {label} is ({point[0]:g}, {point[1]:g}) m, "
+                f"{scenario.where}: {key} of {label} is ({x:g}, {y:g}) m, "
                 f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
             )
 
 
-def _check_apart(scenario: Scenario, place: np.ndarray, least: float) -> None:
-    gap = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
-    gap[np.diag_indices(len(place))] = np.inf
-    if np.min(gap) < least - 1e-9:
-        i, j = divmod(int(np.argmin(gap)), len(place))
-        raise ScenarioError(
-            f"scenario {scenario.name}: places {i} and {j} are "
-            f"{np.min(gap):g} m apart, allowed: {least:g} m or more for these parts"
-        )
+def _check_apart(scenario: Scenario, places: list[Place], least: float) -> None:
+    for (key, one, a), (_, other, b) in combinations(places, 2):
+        gap = float(np.hypot(a[0] - b[0], a[1] - b[1]))
+        if gap < least - 1e-9:
+            raise ScenarioError(
+                f"{scenario.where}: {key} of {one} ({a[0]:g}, {a[1]:g}) m and of {other} "
+                f"({b[0]:g}, {b[1]:g}) m are {1e3 * gap:.3g} mm apart, allowed: "
+                f"{1e3 * least:.3g} mm or more for these parts"
+            )
+
+
+def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None:
+    """Refuse a side or corner that has an area in common with the region of another class.
+
+    Two bins in one place are refused by the planner, by the places of their parts.
+    """
+    for pair in combinations(task.regions, 2):
+        # a side first: the other one is cut at its goal lines
+        one, other = sorted(pair, key=lambda label: isinstance(task.regions[label], Bin))
+        if isinstance(task.regions[one], Bin):
+            continue
+        outline, inside = (region_outline(task, label, half) for label in (one, other))
+        for axis in (0, 1):
+            low, high = float(np.min(outline[:, axis])), float(np.max(outline[:, axis]))
+            inside = _cut(_cut(inside, axis, 1, low), axis, -1, -high)
+        shared = 0.5 * abs(float(np.sum(_cross(inside, np.roll(inside, -1, axis=0)))))
+        if shared > APART_M:
+            words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in (one, other))
+            raise ScenarioError(
+                f"{scenario.where}: task: regions: {words}: they share {1e4 * shared:.3g} cm2, "
+                "allowed: regions with no area in common"
+            )
+
+
+def region_outline(task: SortTask, label: str, half: np.ndarray) -> np.ndarray:
+    """Return the corners (n, 2) [m, plate_home] of a class's region, on a plate of half sides
+    (2,) [m]."""
+    region, goal = task.regions[label], task.goal_fraction
+    if isinstance(region, Bin):
+        return np.array(region.corner)
+    signs = (region.x, region.y)
+    low = [-h if sign <= 0 else goal * h for sign, h in zip(signs, half, strict=True)]
+    high = [h if sign >= 0 else -goal * h for sign, h in zip(signs, half, strict=True)]
+    (left, bottom), (right, top) = low, high
+    return np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+
+
+def _region_text(task: SortTask, label: str, half: np.ndarray) -> str:
+    """Return a region in words: `left, x from -0.3 to -0.18, y from ...`."""
+    names = (name for name, side in keys.SIDES.items() if side == task.regions[label])
+    outline = region_outline(task, label, half)
+    (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+    return f"{next(names, 'a bin')} (x from {x0:g} to {x1:g}, y from {y0:g} to {y1:g} m)"
+
+
+def _cut(polygon: np.ndarray, axis: int, sign: int, least: float) -> np.ndarray:
+    """Return what of a polygon (n, 2) has sign * x[axis] >= least (Sutherland and Hodgman 1974)."""
+    corners: list[np.ndarray] = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        beyond_a, beyond_b = sign * a[axis] - least, sign * b[axis] - least
+        if beyond_a >= 0:
+            corners.append(a)
+        if (beyond_a >= 0) != (beyond_b >= 0):
+            corners.append(a + beyond_a / (beyond_a - beyond_b) * (b - a))
+    return np.array(corners).reshape(-1, 2)
 
 
 def start_positions(
@@ -426,7 +491,7 @@ def start_positions(
             break
     else:
         raise ScenarioError(
-            f"scenario {scenario.name}: {count} parts to scatter, allowed: {most}; no more parts "
+            f"{scenario.where}: parts: count: {count} to scatter, allowed: {most}; no more parts "
             f"of {1e3 * radius:g} mm radius find room {1e3 * gap:g} mm from centre to centre on "
             f"{2 * half[0]:g} x {2 * half[1]:g} m; fewer parts, or positions_m"
         )

@@ -177,7 +177,8 @@ class Scenario:
     """One task: its parts, what is to be done, and the time it may take [s].
 
     Parts that are `marked` show their angle by a spot, and start at any angle. `rig` is the one
-    that it is made for, as `load_rig` takes it; empty: any.
+    that it is made for, as `load_rig` takes it; empty: any. `file` is the name of the file that it
+    was read from; empty if it comes from none.
     """
 
     name: str
@@ -187,6 +188,12 @@ class Scenario:
     time_limit_s: float
     marked: bool = False
     rig: str = ""
+    file: str = ""
+
+    @property
+    def where(self) -> str:
+        """Beginning of every message about it."""
+        return self.file or f"scenario {self.name}"
 
     @property
     def count(self) -> int:

@@ -101,7 +101,7 @@ class Sorter(TaskRules):
                 room, hint = self._room(region), "touching; a lower goal_fraction has more room"
             if group.count > room:
                 raise ScenarioError(
-                    f"scenario {scenario.name}: region of {group.label} is for {group.count} "
+                    f"{scenario.where}: task: regions: that of {group.label} is for {group.count} "
                     f"parts, allowed: at most {room}, {hint}"
                 )
         radius = self.rig.parts.radius_m
@@ -109,8 +109,9 @@ class Sorter(TaskRules):
             gap = float(np.min(np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))))
             if gap < 2 * SLOT_CLEAR * radius - 1e-9:
                 raise ScenarioError(
-                    f"scenario {scenario.name}: the bins of {one} and {other} overlap (their parts "
-                    f"would come {1e3 * gap:.0f} mm near each other), allowed: one beside the other"
+                    f"{scenario.where}: task: regions: bin_m of {one} and of {other} overlap "
+                    f"(parts would come {1e3 * gap:.0f} mm near each other), allowed: one beside "
+                    "the other"
                 )
 
     def _room(self, region: Side) -> int:
