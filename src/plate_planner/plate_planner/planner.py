@@ -24,8 +24,7 @@ from .supervision import (
     judge,
     loss_text,
     missing_parts,
-    remedy,
-    shakes_little,
+    outlook,
     shortfall_text,
     started,
     stopped,
@@ -110,9 +109,8 @@ class Planner:
 
     def doubts(self) -> tuple[str, ...]:
         """Say, before the start, what this rig will probably not do, and what would do."""
-        if not shakes_little(self.rig):
-            return self.rules.doubts()
-        return (*self.rules.doubts(), f"{remedy(self.rig, 1)}; expect it to take long")
+        slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
+        return (*self.rules.doubts(), slow) if slow else self.rules.doubts()
 
     @property
     def limits(self) -> TaskLimits:

@@ -257,6 +257,22 @@ def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, sai
     assert ("shakes too little" in "".join(planner.doubts())) == (accel == 10.0)
 
 
+@pytest.mark.parametrize(
+    ("name", "gamma", "said"),
+    [
+        ("sort_4", 7.1, ""),
+        ("sort_4", 6.9, "expect it to take longer"),
+        ("sort_10", 7.1, ""),
+        ("sort_10", 6.9, "several times as long, and some runs not to end within time_limit_s, 120"),
+    ],
+)
+def test_a_plate_that_shakes_too_little_is_said_with_what_to_expect(name, gamma, said):
+    rig = replace(RIG, limits=replace(RIG.limits, accel=gamma * RIG.friction.accel))
+    doubts = Planner(rig, load_scenario(name)).doubts()
+    assert bool(doubts) == bool(said)
+    assert said in "".join(doubts)
+
+
 def test_a_part_that_starts_near_its_path_is_not_led():
     scenario = load_scenario("follow_2")
     plant = Plant(scenario)

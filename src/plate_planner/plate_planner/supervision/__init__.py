@@ -3,7 +3,7 @@
 `begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
 """
 
-from .failure import LastSeen, loss_text, remedy, shakes_little, shortfall_text
+from .failure import LastSeen, loss_text, outlook, shortfall_text
 from .inputs import Inputs
 from .phase import (
     Findings,
@@ -30,8 +30,7 @@ __all__ = [
     "judge",
     "loss_text",
     "missing_parts",
-    "remedy",
-    "shakes_little",
+    "outlook",
     "shortfall_text",
     "started",
     "stopped",

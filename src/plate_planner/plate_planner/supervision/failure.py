@@ -75,14 +75,21 @@ def shortfall_text(
     return f"{text}; {remedy(rig, count)}"
 
 
-def shakes_little(rig: Rig) -> bool:
-    """Whether the plate shakes so little that tasks take long for this reason alone."""
-    return rig.gamma < LEAST_GAMMA
+def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
+    """Say before the start what to expect of a plate that shakes too little; nothing if it shakes
+    enough."""
+    if rig.gamma >= LEAST_GAMMA:
+        return ""
+    expect = "longer"
+    if count > FEW:
+        expect = "several times as long, and some runs not to end within time_limit_s, "
+        expect += f"{time_limit_s:g} s"
+    return f"{remedy(rig, count)}; expect it to take {expect}"
 
 
 def remedy(rig: Rig, count: int) -> str:
     """Say what helps parts that do not move as they are asked."""
-    if shakes_little(rig):
+    if rig.gamma < LEAST_GAMMA:
         return (
             f"the plate shakes too little: shaking ratio {rig.gamma:.1f}, limited by "
             f"{rig.reach.limit}; {LEAST_GAMMA:g} or more would do (check_rig tells more)"
