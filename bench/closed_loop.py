@@ -46,7 +46,7 @@ def main() -> int:
     rows = []
     print(f"{args.scenario}, Gamma = {rig.gamma:.1f}, {len(setups)} runs", flush=True)
     for doubt in planner.doubts():
-        print(f"note: {doubt}", flush=True)
+        print(f"warning: {doubt}", flush=True)
     try:
         for row in _rows(setups, rig, args):
             rows.append(row)

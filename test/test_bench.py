@@ -12,9 +12,11 @@ import closed_loop
 import pytest
 import run
 import yaml
+from numba import njit
 from short_task import short_task
 
-from harness import MEASUREMENTS
+from harness import MEASUREMENTS, loop
+from plate_core import PlateError, load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {
@@ -85,6 +87,17 @@ def scheduler():
 
 def without_timings(rows):
     return [{key: row[key] for key in row if key not in TIMINGS} for row in rows]
+
+
+def test_a_run_that_waits_for_kernels_says_so(monkeypatch, capsys):
+    def compiles(*_):
+        njit(lambda x: x + 1)(1)
+        raise PlateError("that was all")
+
+    monkeypatch.setattr(loop, "run", compiles)
+    with pytest.raises(PlateError, match="that was all"):
+        loop.summary(loop.Setup("sort_4"), load_rig())
+    assert capsys.readouterr().err.startswith("compiling kernels (at the first start")
 
 
 def test_closed_loop_writes_a_row_for_each_run(runs):

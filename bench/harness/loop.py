@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -26,6 +27,8 @@ from plate_core import (
     did_you_mean,
     load_rig,
 )
+from plate_core.kernels import when_compiling
+from plate_core.status import COMPILING
 from plate_core.tasks import (
     AssembleTask,
     FollowTask,
@@ -184,7 +187,7 @@ class Moment:
         And from the image to the motors' table [s].
     limit_share, force_share, heat_share : float
         Greatest share of any limit that the motors' table uses; of a motor's peak force; and of its
-        continuous force, were the table played for ever.
+        continuous force, were the table played continuously.
     scaled : bool
         Whether the driver had to scale the answer down to these limits.
     error_m : (P,)
@@ -425,6 +428,11 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
     return there
 
 
+def _say_compiling() -> None:
+    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
+
+
+@when_compiling(_say_compiling)
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []

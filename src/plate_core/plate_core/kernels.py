@@ -5,14 +5,16 @@ kernels and constants. A kernel uses nothing of other packages.
 """
 
 import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import caching
+from numba.core import caching, event
 
-__all__ = ["inner_kernel", "kernel"]
+__all__ = ["inner_kernel", "kernel", "when_compiling"]
 
 
 def _kept() -> bool:
@@ -33,6 +35,25 @@ inner_kernel: Any = partial(kernel, nogil=True, error_model="numpy", _nrt=False)
 numba then counts no references to its arrays: an atomic operation of 5 ns for each array at every
 call, where a short kernel takes 20 ns in all.
 """
+
+
+@contextmanager
+def when_compiling(tell: Callable[[], None]) -> Iterator[None]:
+    """Call `tell` when numba begins to compile, once; not when it loads what it has kept."""
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not self.told:
+                self.told = True
+                tell()
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
 
 
 def _stamp(locator: Any) -> Any:

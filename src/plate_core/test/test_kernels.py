@@ -14,7 +14,16 @@ ROOM = {
     "outer.py": "from plate_core.kernels import kernel\nfrom .inner import one\n\n"
     "@kernel\ndef two(x):\n    return 2 * one(x)\n",
 }
-ASK = "from plate_rooms.outer import two; print(two(3), dict(two.stats.cache_hits))"
+ASK = """
+from plate_core.kernels import when_compiling
+from plate_rooms.outer import two
+
+told = []
+with when_compiling(lambda: told.append("compiling")):
+    print(two(3), dict(two.stats.cache_hits))
+    two(3.5)  # another kernel: it is told once
+assert told == ["compiling"] * (not two.stats.cache_hits)
+"""
 
 
 @pytest.fixture
