@@ -57,7 +57,7 @@ static void tell_pulse(Controller *c, const uint8_t host_ns[8])
     send(c, PULSE, fields, sizeof fields);
 }
 
-/* Mean square of a motor's force that it bears for ever [N2]. */
+/* Mean square of a motor's force that it bears continuously [N2]. */
 static float continuous_square(const Controller *c)
 {
     return c->limits.continuous_force * c->limits.continuous_force;

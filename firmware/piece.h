@@ -32,7 +32,7 @@ typedef struct {
 typedef struct {
     float stroke_m, speed, accel;  /* [m], [m/s], [m/s2] */
     float force;                   /* peak [N] */
-    float continuous_force;        /* root mean square, for ever [N] */
+    float continuous_force;        /* root mean square, continuous [N] */
     float heat_s;                  /* time constant of its heat [s] */
     float load[MOTORS][MOTORS];    /* forces for the accelerations of all motors [kg] */
     float following_m;             /* following error that is a fault [m]; 0: not watched */

@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from demo import arguments
-from graph.demo import LAST, clear, own_folder
+from graph.demo import LAST, clear, own_folder, rig_title
 from graph.demo import demo as run
 from graph.processes import Interrupted
 from PIL import Image
@@ -182,6 +182,15 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
     monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", str(tmp_path)])
     assert run(arguments()) == 130
     assert concluded == [None]
+
+
+@pytest.mark.parametrize(
+    ("rig", "title"),
+    [("desk", "rig desk"), ("my/rig.yaml", "rig"), ("/a/my_plate.yaml", "rig my_plate"),
+     ("rig_2.yaml", "rig_2")],
+)  # fmt: skip
+def test_the_title_says_rig_once(rig, title):
+    assert rig_title(rig) == title
 
 
 def test_every_run_has_a_folder_of_its_own(tmp_path, monkeypatch):

@@ -59,7 +59,7 @@ def swing(
 
 def answer(device, knots: tuple[Knot, ...]) -> Status:
     orders = ordered(*READY, upload(1, knots, 110), *alive(0.1))
-    done = heard(device(orders, "60", "60"))  # motors that bear 60 N for ever
+    done = heard(device(orders, "60", "60"))  # motors that bear 60 N continuously
     return done.answers()[110 + 1 + -(-len(knots) // 4)]
 
 

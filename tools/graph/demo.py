@@ -128,7 +128,7 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.port and args.transport == "sim":
         raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
-        print(f"demo: {doubt}", flush=True)
+        print(f"demo: warning: {doubt}", flush=True)
     start_positions(scenario, rig, np.random.default_rng(args.seed))  # and do its parts
     if args.port:
         open_port(args.port).close()
@@ -352,7 +352,7 @@ def draw(plan: Plan, record: Record) -> None:
     from record.pictures import Scene, draw_film, draw_strip
 
     scene = Scene(plan.rig, plan.scenario, develop(record, plan.rig))
-    rig = f", rig {Path(plan.options.rig_file).stem}" if plan.options.rig_file else ""
+    rig = f", {rig_title(plan.options.rig_file)}" if plan.options.rig_file else ""
     title = f"{plan.scenario.name}, method {plan.options.method}{rig}"
     strip, animation = plan.out / "strip.png", plan.out / "demo.gif"
     with signals_raise():  # again: after an interrupt the next ones were ignored
@@ -360,6 +360,12 @@ def draw(plan: Plan, record: Record) -> None:
         print(f"  {strip}", flush=True)
         draw_film(scene, animation, title)
         print(f"  {animation}", flush=True)
+
+
+def rig_title(rig: str) -> str:
+    """Return `rig desk` for a name or file of a rig; no `rig rig`, where the file is rig.yaml."""
+    name = Path(rig).stem
+    return name if name.lower().startswith("rig") else f"rig {name}"
 
 
 class StatusLine:

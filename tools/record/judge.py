@@ -40,7 +40,7 @@ class LimitCheck:
     stroke, speed, accel, force : float
         Greatest shares of the limits [-].
     heat : float
-        Greatest share of the heat that a motor bears for ever, by I2t over all tables [-].
+        Greatest share of the heat that a motor bears continuously, by I2t over all tables [-].
     """
 
     tables: int

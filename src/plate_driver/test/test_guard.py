@@ -218,7 +218,7 @@ def test_an_experiment_lasts_less_than_motors_hold_and_leaves_no_trace():
 
 
 def test_hot_motors_get_less():
-    """At full force for minutes: the fraction that may be used falls to what lasts for ever."""
+    """At full force for minutes: the fraction that may be used falls to the continuous one."""
     limits = replace(LIMITS, continuous_force=5.0, thermal_time_s=5.0)
     small = Guard(replace(RIG, limits=limits))
     t = np.arange(64) / 64

@@ -158,7 +158,7 @@ def limit_use(
     ----------
     weight : (m,)
         Time that each sample stands for, over and over again from the first to the last: for the
-        motors' heat, as if the motion were played for ever.
+        motors' heat, as if the motion were played continuously.
     """
     used = motion_use(pose, twist, accel, limits, linear)
     return max(used, force_use(pose, twist, accel, weight, limits)) if limits.forceful else used

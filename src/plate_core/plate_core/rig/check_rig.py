@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import PlateError
 from .consistency import Doubt, doubts
-from .motors import motor_levers
+from .motors import PEAK_OVER_RMS, motor_levers
 from .rig import Rig, read_rig, rig_names, rig_path
 
 FREQUENCIES_HZ = (5.0, 10.0, 20.0, 40.0)
@@ -74,12 +74,13 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
     lines = [
         f"{name}: plate of {plate.length_m:g} x {plate.width_m:g} m and {plate.mass_kg:g} kg, "
         f"parts of {1e3 * parts.radius_m:g} mm radius and {1e3 * parts.mass_kg:g} g",
-        f"Gamma = {rig.gamma:.1f}: {rig.reach.accel:.3g} m/s2 in every direction for ever, limited "
-        f"by {rig.reach.limit}; parts slide from mu g = {rig.friction.accel:.3g} m/s2 on",
-        f"motors: {limits.force:g} N at the peak, {limits.continuous_force:g} N for ever, "
+        f"Gamma = {rig.gamma:.1f}: {rig.reach.accel:.3g} m/s2 in every direction continuously, "
+        f"limited by {rig.reach.limit}; parts slide from mu g = {rig.friction.accel:.3g} m/s2 on",
+        f"motors: {limits.force:g} N at the peak, {limits.continuous_force:g} N continuously (root "
+        f"mean square: peaks of {PEAK_OVER_RMS:g} times that in a task), "
         f"{1e3 * limits.stroke_m:g} mm to either side, {limits.speed:g} m/s",
         "",
-        "shaken as a sinusoid, for ever     travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
+        "shaken as a sinusoid, for a moment travel [mm]  speed [m/s]  accel. [m/s2]  limited by",
     ]
     for way, words in (("x", "along x"), ("y", "along y"), ("theta", "turning, at a corner")):
         for hz in FREQUENCIES_HZ:
@@ -90,14 +91,17 @@ def report(rig: Rig, name: str, found: list[Doubt]) -> str:
             )
     lines.append("")
     for doubt in found:
-        lines.append(f"{'WRONG' if doubt.impossible else 'doubtful'}: {doubt.text}")
+        lines.append(f"{'WRONG' if doubt.impossible else 'warning'}: {doubt.text}")
     if not found:
         lines.append("nothing is inconsistent")
     return "\n".join(lines)
 
 
 def shake(rig: Rig, way: str, hz: float) -> Shake:
-    """Return the largest sinusoid in one coordinate that keeps all limits, heat among them."""
+    """Return the largest sinusoid in one coordinate that keeps all limits for a moment.
+
+    What heat allows depends on the whole of a motion: that is in `Rig.reach`.
+    """
     omega, limits = 2 * np.pi * hz, rig.limits
     pose = np.array([way == "x", way == "y", way == "theta"], dtype=float)
     radius = float(np.hypot(*rig.plate.half)) if way == "theta" else 1.0  # of the fastest point
@@ -114,7 +118,6 @@ def shake(rig: Rig, way: str, hz: float) -> Shake:
         "speed_mps": limits.speed / (omega * travel),
         "accel_mps2": limits.accel / (omega**2 * radius),
         f"force_n of {name}": limits.force / push,
-        f"continuous_force_n of {name}": np.sqrt(2) * limits.continuous_force / push,
     }
     limit = min(sizes, key=lambda key: sizes[key])
     size = float(sizes[limit]) * radius

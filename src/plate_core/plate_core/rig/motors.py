@@ -82,7 +82,7 @@ def _support(row: np.ndarray, half: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def motor_reach(rig: Rig) -> Reach:
-    """Return what the motors can give any point of the plate in any direction, for ever.
+    """Return what the motors can give any point of the plate in any direction, continuously.
 
     The lesser of what their peak force gives; and of what heat allows them, in motions whose peak
     is `PEAK_OVER_RMS` times the root mean square.

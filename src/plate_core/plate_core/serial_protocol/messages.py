@@ -157,7 +157,7 @@ class Capabilities:
     speed: float = field(metadata=_wire("f"))
     accel: float = field(metadata=_wire("f"))
     force: float = field(metadata=_wire("f"))
-    continuous_force: float = field(metadata=_wire("f"))  # root mean square of force, for ever
+    continuous_force: float = field(metadata=_wire("f"))  # root mean square of force, continuous
     following_m: float = field(metadata=_wire("f"))  # following error that is a fault; 0: none is
     hold_ms: int = field(metadata=_wire("H"))  # longest time that a table is played again
 

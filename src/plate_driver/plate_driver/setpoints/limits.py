@@ -176,6 +176,6 @@ def limits_text(rig: Rig) -> str:
     """Return the rig's limits for a message."""
     return (
         f"{rig.limits.stroke_m * 1e3:g} mm of stroke, {rig.limits.speed:g} m/s, "
-        f"{rig.limits.accel:g} m/s2, {rig.limits.force:g} N and for ever "
-        f"{rig.limits.continuous_force:g} N of force"
+        f"{rig.limits.accel:g} m/s2, {rig.limits.force:g} N of force "
+        f"({rig.limits.continuous_force:g} N continuously)"
     )

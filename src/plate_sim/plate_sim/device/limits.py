@@ -27,7 +27,7 @@ class DeviceLimits:
     stroke_m, speed, accel : float
         [m], [m/s], [m/s2].
     force, continuous_force : float
-        Peak, and root mean square for ever [N].
+        Peak, and continuous root mean square [N].
     heat_s : float
         Time constant of the winding's heat [s].
     load : (4, 4)
