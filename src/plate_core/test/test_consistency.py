@@ -168,11 +168,11 @@ def test_command_tells_and_draws(tmp_path):
 
 
 def test_command_says_what_lasts_once(spoilt, tmp_path):
-    path = spoilt(("limits", "continuous_force_n"), 10.0)
+    path = spoilt(("limits", "continuous_force_n"), 12.0)
     code, out, _ = check_rig(path, "--drawing", tmp_path / "a.svg")
     assert code == 0
-    assert "= 6.5: 16 m/s2 in every direction continuously, limited by continuous_force_n" in out
-    assert "10 N continuously (root mean square: peaks of 1.6 times that in a task)" in out
+    assert "= 7.8: 19.2 m/s2 in every direction continuously, limited by continuous_force_n" in out
+    assert "12 N continuously (root mean square: peaks of 1.6 times that in a task)" in out
     assert "continuous" not in out.split("shaken as a sinusoid, for a moment")[1]
 
 
