@@ -294,6 +294,11 @@ def test_in_simulated_time_silence_is_simulated_too(peer):
     assert peer.value("rests") == "0"  # the plate waits: nothing has come for a second and more
     clock.publish(Clock(clock=to_time(LAST_STAMP + 250 * MS)))
     assert peer.until(lambda: peer.value("rests") == "1")
+    # The simulator starts again: its clock is put back, and the cycle sent before counts no more.
+    peer.send(shaking(0.0005), LAST_STAMP + 300 * MS)
+    peer.answer(LAST_STAMP + 300 * MS)
+    clock.publish(Clock(clock=to_time(300 * MS)))
+    assert peer.until(lambda: peer.value("rests") == "2")
 
 
 @pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
