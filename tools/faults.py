@@ -40,6 +40,7 @@ from plate_bringup import GraphError, GraphNode, RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
+from plate_core.tasks import load_scenario
 
 START_S, MOVE_S = 180.0, 30.0
 """Longest waits [s]: until the graph stands, until the plate moves."""
@@ -382,7 +383,7 @@ def run_some(
                 except GraphError as error:  # the graph could not be got to work, or to go on
                     rows.append(Row(kind, name, f"not measured: {error}"))
                 print(json.dumps(asdict(rows[-1])), flush=True)
-        return rows, check_limits(observer.record, load_rig())
+        return rows, check_limits(observer.record, load_rig(options.rig_file))
 
 
 def markdown(result: dict[str, Any]) -> str:
@@ -422,7 +423,10 @@ def main() -> int:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as logs:
         link = str(Path(logs) / "device")
-        options = RunOptions(scenario=args.scenario, transport=args.transport, link=link)
+        rig = load_scenario(args.scenario).rig
+        options = RunOptions(
+            scenario=args.scenario, transport=args.transport, link=link, rig_file=rig
+        )
         names = args.nodes or [node.name for node in options.nodes(load_graph())]
         result = run(args.fault or list(KINDS), names, options, Path(logs))
     print(markdown(result))

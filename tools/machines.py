@@ -29,6 +29,7 @@ from graph.series import rows
 
 from plate_bringup import RunOptions, load_graph
 from plate_core import PlateError
+from plate_core.tasks import load_scenario
 
 EYES, HANDS = "10.77.0.1", "10.77.0.2"
 SEEING = ("simulator", "detector")
@@ -125,7 +126,7 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
 
 def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
     """Run a task; this process is on the machine with the driver."""
-    options = RunOptions(scenario=scenario)
+    options = RunOptions(scenario=scenario, rig_file=load_scenario(scenario).rig)
     graph = options.nodes(load_graph())
     seeing = [node for node in graph if node.name in SEEING]
     others = [node for node in graph if node.name not in SEEING]

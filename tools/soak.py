@@ -23,6 +23,7 @@ from graph.series import Series, Task, work_again
 from scipy import stats
 
 from plate_bringup import RunOptions
+from plate_core.tasks import load_scenario
 
 SETTLED_S = 600.0
 """Until then memory may grow: buffers fill, caches are made [s]; a third of a short run."""
@@ -114,7 +115,8 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     until = time.monotonic() + 60 * args.minutes
-    options = RunOptions(scenario=args.scenario, autostart=False)
+    rig = load_scenario(args.scenario).rig
+    options = RunOptions(scenario=args.scenario, rig_file=rig, autostart=False)
     load = os.getloadavg()[2]
     with tempfile.TemporaryDirectory() as logs:
         for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):

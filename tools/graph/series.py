@@ -151,7 +151,7 @@ def one_task(
     end = time.time()
     observer.until(lambda: False, 1.2)  # the simulator's next report
     counts = [int(record.last("simulator", name, "0")) for name in names]
-    limits = check_limits(record, load_rig())
+    limits = check_limits(record, load_rig(graph.options.rig_file))
     task = Task(
         time.monotonic() - began,
         record.states[-1],
