@@ -7,7 +7,8 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = sorted(path.name for path in (ROOT / "src").iterdir() if path.name.startswith("plate_"))
+PACKAGES = sorted(path.parent.name for path in (ROOT / "src").glob("plate_*/setup.py"))
+"""Those with code; plate_interfaces, the messages and actions, counts as ROS."""
 SHARED = "plate_core"
 """The one package that others may import."""
 

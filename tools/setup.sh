@@ -58,6 +58,25 @@ choose_python() {
         "A Python in another place: make setup PYTHON=/path/to/python3.12"
 }
 
+# --- the compiler, for messages and actions ------------------------------------------------------
+
+header() { "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include") + "/Python.h")'; }
+can_compile() { command -v "${CXX:-g++}" > /dev/null && [ -f "$(header)" ]; }
+
+need_compiler() {
+    local packages=(g++ "python$(version_of "$venv/bin/python")-dev") lacking=""
+    ! can_compile || return 0
+    if [ "$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
+        say "installing ${packages[*]} by apt-get (80 MB), to compile the messages"
+        { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${packages[@]}"; } \
+            > "$log" 2>&1 < /dev/null || tail -n 3 "$log" >&2
+        ! can_compile || return 0
+    fi
+    command -v "${CXX:-g++}" > /dev/null || lacking="the compiler ${CXX:-g++}"
+    [ -f "$(header)" ] || lacking+="${lacking:+, }$(header)"
+    fail "To compile the messages this is missing: $lacking." "On Debian or Ubuntu: sudo apt install ${packages[*]}"
+}
+
 # --- the virtual environment ---------------------------------------------------------------------
 
 # What .venv rests on: when this changes it must be made anew. Empty when its Python does not run.
@@ -85,7 +104,10 @@ install_requirements() {
         [ ${#missing[@]} = 0 ] || "${pip[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
     else
         say "installing ROS 2 and the Python packages (1 GB on disk; about a minute, longer on a slow line)"
-        "${pip[@]}" -r requirements.txt > "$log" 2>&1
+        "${pip[@]}" -r requirements.txt > "$log" 2>&1 || return
+        # The message packages name a folder of the machine they were built on, which cmake would look for here.
+        sed -i -E 's|(INTERFACE_INCLUDE_DIRECTORIES ")/opt/python/[^"]*"|\1"|' \
+            "$venv"/share/*/cmake/export_*__rosidl_generator_pyExport.cmake
     fi
 }
 
@@ -109,6 +131,7 @@ prepare_environment() {
         foundation > "$venv/.foundation"
     fi
     [ -f "$venv/.ready" ] && [ "$(requirements_key)" = "$(cat "$venv/.ready")" ] && return
+    need_compiler
     if ! install_requirements; then
         grep -E '^(ERROR|error)' "$log" >&2 || tail -n 20 "$log" >&2
         fail "pip could not install what requirements*.txt lists (its message is above, all of it in log/setup.log)." \
@@ -117,6 +140,7 @@ prepare_environment() {
             "The same command again goes on where this one stopped."
     fi
     [ "$ros" = jazzy ] || write_underlay
+    rm -f install/.built # what was compiled may not suit what is installed now
     requirements_key > "$venv/.ready"
 }
 
@@ -128,29 +152,34 @@ build_inputs() {
         xargs -0 sha256sum | sort
 }
 
-paths() { cut -c 67- "$@" | sort; }
-
 changed_packages() { # reads the differing "hash  path" lines
     sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|' | sort -u
 }
 
 build_packages() {
-    local inputs packages
+    local inputs changed package packages=() options=(-DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF)
     inputs=$(build_inputs)
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
-    # A file that is gone would live on in the build folders: start afresh then.
-    if [ ! -f install/.built ] || comm -23 <(paths install/.built) <(paths <<< "$inputs") | grep -q .; then
-        rm -rf build install
-        packages=$(ls src)
+    if [ -f install/.built ]; then
+        changed=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
     else
-        packages=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
+        rm -rf build install
+        changed=$(ls src)
     fi
-    say "building" $packages
+    for package in $changed; do
+        # From nothing, as a file that is gone from src would live on there.
+        rm -rf "build/$package" "install/$package"
+        [ ! -f "src/$package/package.xml" ] || packages+=("$package")
+    done
+    case " ${packages[*]} " in *" plate_interfaces "*) need_compiler ;; esac
+    say "building ${packages[*]}"
     set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
+    # What only C++ nodes need takes as long again to compile as what ours need.
+    [ "$ros" = jazzy ] || { options+=(-DWITHOUT_CPP=ON); export CMAKE_GENERATOR=Ninja; }
     # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
     printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg
-    # shellcheck disable=SC2086
-    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build --base-paths src --packages-select $packages > "$log" 2>&1 ||
+    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build --base-paths src \
+        --packages-select "${packages[@]}" --cmake-args "${options[@]}" -DPython3_EXECUTABLE="$venv/bin/python" > "$log" 2>&1 ||
         { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
     # What colcon writes calls its Python without quotes, which ends at a space in the path.
     sed -i -E 's|\$\((\$_colcon_python_executable) |$("\1" |' install/local_setup.*sh
