@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
-from plate_core.ros import cycle_to_msg, to_time  # noqa: E402
+from plate_core.ros import cycle_to_msg, start_nodes, to_time  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.transports import SerialTransport, TransportThread  # noqa: E402
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
@@ -73,6 +73,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     arguments = ["--ros-args", "-r", "__ns:=/calibrate_node"]
     rclpy.init(args=arguments + [w for p in words for w in ("-p", p)])
     driver, cycle = DriverNode(), shaking()
+    start_nodes(driver)
     t = PERIOD * np.arange(1000) / 1000
     _, _, wanted = motor_state(RIG, cycle.pose(t), cycle.twist(t), cycle.accel(t))
 

@@ -21,7 +21,15 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    DATA,
+    LATCHED,
+    cycle_to_msg,
+    msg_to_motors,
+    nanoseconds,
+    start_nodes,
+    to_time,
+)
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_sim.device import node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402
@@ -50,6 +58,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     rclpy.init(args=["--ros-args", "--params-file", str(file), "-r", "__ns:=/device_node"])
     executor, own = SingleThreadedExecutor(), SingleThreadedExecutor()
     device = DeviceNode()
+    start_nodes(device)
     own.add_node(device)
     ended = threading.Event()
 
@@ -60,6 +69,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     thread = threading.Thread(target=serve)  # the device must not wait for the others
     thread.start()
     driver, peer = DriverNode(), rclpy.create_node("peer")
+    start_nodes(driver)
     motions: list[JointTrajectory] = []
     states: list[JointState] = []
     peer.create_subscription(JointTrajectory, "motor_motion", motions.append, 50)
@@ -146,6 +156,7 @@ def test_on_a_computer_that_is_held_up_the_device_takes_nobody_for_silent(tmp_pa
     arguments = ["--ros-args", "-p", f"link:={tmp_path / 'port'}", "-r", "__ns:=/held_up"]
     rclpy.init(args=arguments)
     device = DeviceNode()
+    start_nodes(device)
     try:
 
         def passed(seconds: float) -> float:

@@ -33,10 +33,12 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, load_rig
 from plate_core.ros import (
+    SafeLifecycleNode,
     array_to_image,
     cycle_to_msg,
     motors_to_msg,
     msg_to_motors,
+    start_nodes,
     to_time,
     wanted_to_msg,
 )
@@ -214,6 +216,8 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
     module, kind = NODES[name]
     rng, verdict = np.random.default_rng(seed), Verdict(name)
     node = getattr(importlib.import_module(module), kind)()
+    if isinstance(node, SafeLifecycleNode):
+        start_nodes(node)
     set_logger_level(node.get_logger().name, LoggingSeverity.FATAL)
     try:
         judge = Judge(node, verdict)

@@ -88,7 +88,10 @@ def test_parameters(graph):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("talker", "gain", "2"), r"talker refuses: parameter gain is 2.0, allowed: 0.0 to 1.0"),
+        (
+            ("talker", "gain", "2"),
+            r"talker refuses: Parameter gain out of range Min: 0.0, Max: 1.0, value: 2.0",
+        ),
         (("talker", "gain", ""), r"talker gain is '', allowed: a float"),
         (("talker", "gain", "{a: 1}"), r"talker gain is '{a: 1}', allowed: a float"),
         (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),

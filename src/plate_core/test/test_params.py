@@ -54,6 +54,10 @@ def test_descriptions_are_told(make_node):
     assert node.describe_parameter("gain").description == "Gain [1/s]."
     assert node.describe_parameter("gain").additional_constraints == "0.0 to 10.0"
     assert node.describe_parameter("method").additional_constraints == "one of fast, exact"
+    (limits,) = node.describe_parameter("gain").floating_point_range
+    assert (limits.from_value, limits.to_value, limits.step) == (0.0, 10.0, 0.0)
+    (limits,) = node.describe_parameter("count").integer_range
+    assert (limits.from_value, limits.to_value, limits.step) == (1, 9, 1)
 
 
 @pytest.mark.parametrize(
@@ -106,13 +110,15 @@ def test_changes_while_running(make_node):
     assert change("gain", 4.0).successful
     assert change("count", 5).successful
     assert changes[-1] == Options(gain=4.0, count=5)
+    assert change("gain", 3).successful  # as on the command line
+    assert changes[-1].gain == node.get_parameter("gain").value == 3.0
     for name, value, reason in (
-        ("gain", 11.0, "parameter gain is 11.0, allowed: 0.0 to 10.0"),
-        ("on", "yes", "parameter on is 'yes', allowed: a value of type bool"),
+        ("gain", 11.0, "Parameter gain out of range Min: 0.0, Max: 10.0, value: 11.0"),
+        ("on", "yes", "Wrong parameter type, expected 'Type.BOOL' got 'Type.STRING'"),
         ("method", "exact", "Trying to set a read-only parameter: method."),
     ):
         result = change(name, value)
         assert not result.successful
         assert result.reason == reason
-    assert changes[-1] == Options(gain=4.0, count=5)
+    assert changes[-1] == Options(gain=3.0, count=5)
     assert change("use_sim_time", True).successful  # not ours

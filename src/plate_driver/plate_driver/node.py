@@ -22,11 +22,9 @@ from plate_core.ros import (
     DATA,
     DIAGNOSTICS_PERIOD_S,
     Diagnostics,
+    NodeOptions,
     SafeLifecycleNode,
     UnlockedSubscription,
-    declare,
-    follow,
-    logged,
     msg_to_cycle,
     nanoseconds,
     parameter,
@@ -71,10 +69,9 @@ WORTH_A_WARNING = 0.99
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(NodeOptions):
     """Parameters of the driver."""
 
-    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     transport: str = parameter("sim", "What moves the plate: sim, serial, or one more installed.")
     port: str = parameter("", "Serial port of the motor controller, if transport is serial.")
     baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
@@ -92,10 +89,9 @@ class Options:
     calibration_file: str = parameter(
         "", "What `calibrate` has learned of the plate: written then, read at configure; or empty."
     )
-    autostart: bool = parameter(True, "Configure and activate at start.")
 
 
-class DriverNode(SafeLifecycleNode):
+class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
     Subscribes plate_cycle.
@@ -110,11 +106,8 @@ class DriverNode(SafeLifecycleNode):
     acceleration [m/s2]."""
 
     def __init__(self) -> None:
-        super().__init__("driver")
+        super().__init__("driver", Options)
         self._guard = Guard(load_rig())
-        self._options = declare(self, Options)
-        check_transport(self._options.transport, self._options.port)
-        self._follow = follow(self, self._options, self._set_options)
         self._latch = Latch()
         self._transport: TransportThread | None = None
         self._making = threading.Lock()
@@ -129,43 +122,30 @@ class DriverNode(SafeLifecycleNode):
         self._diagnostics = Diagnostics(self, self._find, self._values, "plate", self._begin_report)
         with urgent():  # for the participant's own threads too
             self._safety = SafetyNode(self)
-        if self._options.autostart:
-            try:
-                self.start()
-            except BaseException:  # a signal too: threads must not outlive the node
-                self.destroy_node()
-                raise
 
     def destroy_node(self) -> None:
         """Stop the motors, whatever state this is in."""
         try:
-            if self.active and self.context.ok():
-                self.trigger_deactivate()
-        finally:  # the line must be released all the same
-            try:
-                self._close()
-            finally:
-                if hasattr(self, "_safety"):
-                    self._safety.close()
-                super().destroy_node()
+            super().destroy_node()
+        finally:
+            self._safety.close()
 
-    def _set_options(self, options: Options) -> None:
-        self._options = options
-        self._guard = replace(self._guard, repeats=options.repeats)
+    def retune(self) -> None:
+        """Play cycles that do not start at rest more often, or less."""
+        self._guard = replace(self._guard, repeats=self.options.repeats)
 
     # Transitions
 
-    @logged
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def configure(self) -> None:
         """Read the rig, open the transport, make publishers, subscription and timers."""
-        self._rig = rig = load_rig(self._options.rig_file)
-        options, learned = self._options, None
+        options, learned = self.options, None
+        check_transport(options.transport, options.port)
+        self._rig = rig = load_rig(options.rig_file)
         if options.calibration_file and Path(options.calibration_file).exists():
             learned = saved_response(options.calibration_file).command
         self._guard = Guard(rig, options.hold_cycles, options.repeats, learned)
-        self._setpoints = self.create_lifecycle_publisher(JointTrajectory, "motor_setpoints", DATA)
-        self._states = self.create_lifecycle_publisher(JointState, "motor_states", DATA)
-        self.keep(self.destroy_lifecycle_publisher, self._setpoints, self._states)
+        self._setpoints = self.managed_publisher(JointTrajectory, "motor_setpoints", DATA)
+        self._states = self.managed_publisher(JointState, "motor_states", DATA)
         with self._making:
             self._transport = self._start_transport()
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
@@ -178,7 +158,6 @@ class DriverNode(SafeLifecycleNode):
             timers.append((1 / options.state_rate, self._publish_state))
         for t, tick in timers:
             self.keep(self.destroy_timer, self.create_timer(t, tick, clock=self._steady))
-        return super().on_configure(state)
 
     def begin(self) -> None:
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
@@ -191,7 +170,6 @@ class DriverNode(SafeLifecycleNode):
             elif transport.enable(self._latch.number).done:
                 self._latch.open(self._latch.number)
 
-    @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass cycles on, and say so before the first one."""
         result = super().on_activate(state)
@@ -231,9 +209,9 @@ class DriverNode(SafeLifecycleNode):
     def _start_transport(self) -> TransportThread:
         """Open the transport, in a thread of its own."""
         context = TransportContext(
-            self._rig, self._publish, time.monotonic, asdict(self._options), time.time_ns() % 2**32
+            self._rig, self._publish, time.monotonic, asdict(self.options), time.time_ns() % 2**32
         )
-        made = make_transport(self._options.transport, context)
+        made = make_transport(self.options.transport, context)
         made.open()
         thread = TransportThread(made, self._latch, self._on_defect)
         thread.start()
@@ -259,7 +237,7 @@ class DriverNode(SafeLifecycleNode):
             own = transport is None
             if transport is None:
                 try:
-                    self._rig = load_rig(self._options.rig_file)
+                    self._rig = load_rig(self.options.rig_file)
                     transport = self._start_transport()
                 except PlateError as error:
                     self._latch.unanswered = True
@@ -401,7 +379,7 @@ class DriverNode(SafeLifecycleNode):
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = False
         transport, state = self._transport, self.state_text()
-        if not self._options.calibration_file:
+        if not self.options.calibration_file:
             response.message = "calibration_file is '', allowed: the name of a file"
         elif transport is None or not transport.calibrates:
             response.message = "transport is sim or streams, allowed: serial with cycles"
@@ -409,7 +387,7 @@ class DriverNode(SafeLifecycleNode):
             response.message = f"the driver is {state}, allowed: ready"
         else:
             try:
-                check_writable(self._options.calibration_file)
+                check_writable(self.options.calibration_file)
                 self._outcome = ""
                 self._begin_experiment(transport, Calibration.start(self._rig), self._now())
                 response.success, response.message = True, "see driver_state and diagnostics"
@@ -443,8 +421,8 @@ class DriverNode(SafeLifecycleNode):
             if calibration.cycle is not None:
                 self._begin_experiment(transport, calibration, now)
                 return
-            save_response(self._options.calibration_file, calibration.response)
-            text = f"done: {self._options.calibration_file}, used from the next configure on"
+            save_response(self.options.calibration_file, calibration.response)
+            text = f"done: {self.options.calibration_file}, used from the next configure on"
         except PlateError as error:
             text = f"failed: {error}"
         self._calibrated(text, now)

@@ -24,7 +24,15 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, LATCHED, cycle_to_msg, msg_to_motors, nanoseconds, to_time  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    DATA,
+    LATCHED,
+    cycle_to_msg,
+    msg_to_motors,
+    nanoseconds,
+    start_nodes,
+    to_time,
+)
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.state import LOOK, OFF  # noqa: E402
 
@@ -357,10 +365,17 @@ def test_wrong_parameter_ends_the_process():
     ],
 )
 def test_wrong_parameters_are_refused_at_start(parameter, message):
+    def start():
+        driver = DriverNode()
+        try:
+            start_nodes(driver)
+        finally:
+            driver.destroy_node()
+
     rclpy.init(args=["--ros-args", "-p", parameter])
     try:
         with pytest.raises(PlateError, match=re.escape(message)):
-            DriverNode()
+            start()
     finally:
         rclpy.shutdown()
 

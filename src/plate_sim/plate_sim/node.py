@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
@@ -20,11 +19,11 @@ from plate_core.motion import CycleUsage
 from plate_core.ros import (
     DATA,
     IMAGE,
-    Diagnostics,
+    NodeOptions,
+    SafeLifecycleNode,
     array_to_image,
     camera_to_info,
     compiling,
-    declare,
     msg_to_knots,
     msg_to_motors,
     nanoseconds,
@@ -64,10 +63,9 @@ def _disturbance(name: str, description: str) -> Any:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(NodeOptions):
     """Parameters of the simulator."""
 
-    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     scenario: str = parameter("sort_10", "Scenario whose parts are put on the plate.")
     seed: int = parameter(0, "Seed of scattered parts and of the image noise.", 0, 2**31 - 1)
     driven_by: str = parameter(
@@ -127,8 +125,8 @@ class Tally:
     late: int = 0
 
 
-class SimulatorNode(Node):
-    """Node `simulator`: plays motor tables, moves the parts, takes the camera's images.
+class SimulatorNode(SafeLifecycleNode[Options]):
+    """Lifecycle node `simulator`: plays motor tables, moves the parts, takes the camera's images.
 
     Subscribes motor_setpoints (or, driven by the device, motor_motion).
     Publishes image_raw, camera_info, diagnostics, ground_truth and, unless in real time, /clock.
@@ -142,33 +140,55 @@ class SimulatorNode(Node):
     each stretch of `motor_motion` when it has been played, and an image is taken at its end.
     In real time the next cycle begins on schedule; in lockstep as soon as a
     table with the stamp of image k has come, or at once if image k is missed: there will be none.
+    While the node is not active plate, parts and simulated time stand still.
     """
 
     def __init__(self) -> None:
-        super().__init__("simulator")
-        self._options = options = declare(self, Options)
+        super().__init__("simulator", Options)
+        self.report(
+            self._find, self._values, "simulation", self._begin_report,
+            lambda: to_time(self._time_ns),
+        )  # fmt: skip
+
+    def configure(self) -> None:
+        """Put the parts on the plate, and compile."""
+        options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
         self._simulation = self._scattered()
-        self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
-        self._newest: PlateCycle | None = None
         self._usage = NO_USE
         self._count = {
             "cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0,
             "missed images": 0,
         }  # fmt: skip
-        self._tally = Tally()
         self._simulated_time = options.lockstep or options.rate != 1
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
             raise PlateError("driven_by is 'device' with lockstep or rate, allowed: in real time")
+        self._next_ns = START_NS  # when the next cycle begins
         self._compile()
         self._connect()
-        self._start()
+
+    def begin(self) -> None:
+        """Go on with the plate at rest, in real time from now."""
+        options = self.options
+        self._playback = Playback(PlateCycle.rest(options.idle_period), resting=True)
+        self._newest: PlateCycle | None = None
+        self._tally = Tally()
+        what, topic, question = "motor table", "motor_setpoints", "is the driver active?"
+        if self._driven:
+            what, topic, question = "motion", "motor_motion", "does the device run?"
+        self._input = Input(what, topic, question, options.input_timeout_s, time.monotonic())
+        if not self._simulated_time:
+            self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
+        self._time_ns = self._next_ns
+        self._due_ns = time.monotonic_ns()  # the same on the wall
+        if not self._driven:
+            self._begin_cycle()
 
     def _scattered(self) -> Simulation:
         """Return the scenario's parts, put on the plate as the seed will have it."""
-        options = self._options
+        options = self.options
         return Simulation(
             self._rig, self._scenario, self._seed, options.disturbances,
             noise=options.noise, mu_scale=options.mu_scale,
@@ -179,52 +199,34 @@ class SimulatorNode(Node):
         state = self._simulation.state
         angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
         with compiling(self):
-            run_cycle(state, self._playback.cycle, self._rig)
+            run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
             Camera(self._rig).render(state.position, angle, rng)
 
     def _connect(self) -> None:
-        self._images = self.create_publisher(Image, "image_raw", IMAGE)
-        self._infos = self.create_publisher(CameraInfo, "camera_info", IMAGE)
-        self._truths = self.create_publisher(MultiDOFJointState, "ground_truth", DATA)
+        self._images = self.managed_publisher(Image, "image_raw", IMAGE)
+        self._infos = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
+        self._truths = self.managed_publisher(MultiDOFJointState, "ground_truth", DATA)
         if self._simulated_time:
-            self._clocks = self.create_publisher(ClockMsg, "/clock", DATA)
-        what, topic, question = "motor table", "motor_setpoints", "is the driver active?"
+            self._clocks = self.managed_publisher(ClockMsg, "/clock", DATA)
         if self._driven:
-            what, topic, question = "motion", "motor_motion", "does the device run?"
-        self._input = Input(what, topic, question, self._options.input_timeout_s, time.monotonic())
-        self._diagnostics = Diagnostics(
-            self, self._find, self._values, "simulation", self._begin_report,
-            lambda: to_time(self._time_ns),
-        )  # fmt: skip
-        if self._driven:
-            self.create_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
+            self.managed_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
         else:
-            self.create_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        # Wall time: our own /clock must not drive the timers that make it.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        if self._options.lockstep:
-            self._repeat = self.create_timer(REPEAT_PERIOD_S, self._publish_image, clock=steady)
+            self.managed_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
+        self.managed_service(Trigger, "~/reset", self._on_reset)
+        if self.options.lockstep:
+            self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._publish_image)
         elif not self._driven:
-            self._alarm = self.create_timer(REPEAT_PERIOD_S, self._on_alarm, clock=steady)
+            self._alarm = self.managed_timer(REPEAT_PERIOD_S, self._on_alarm)
             if self._simulated_time:
-                self.create_timer(CLOCK_PERIOD_S, self._publish_clock, clock=steady)
-
-    def _start(self) -> None:
-        system = Clock(clock_type=ClockType.SYSTEM_TIME)
-        self._time_ns = START_NS if self._simulated_time else system.now().nanoseconds
-        self._next_ns = self._time_ns  # when the next cycle begins
-        self._due_ns = time.monotonic_ns()  # the same on the wall
-        if not self._driven:
-            self._begin_cycle()
+                self.managed_timer(CLOCK_PERIOD_S, self._publish_clock)
 
     # Time
 
     def _begin_cycle(self) -> None:
         """Begin the next cycle; in lockstep also those after it until one has an image."""
-        while not self._run_cycle() and self._options.lockstep:
+        while not self._run_cycle() and self.options.lockstep:
             pass
-        if not self._options.lockstep:
+        if not self.options.lockstep:
             self._set_alarm()
 
     def _run_cycle(self) -> bool:
@@ -233,7 +235,7 @@ class SimulatorNode(Node):
         Returns whether there was an image.
         """
         self._time_ns = self._next_ns
-        options = self._options
+        options = self.options
         self._playback = next_playback(
             self._playback, self._newest, options.hold_cycles, options.idle_period
         )
@@ -254,7 +256,7 @@ class SimulatorNode(Node):
 
     def _on_alarm(self) -> None:
         behind_ns = time.monotonic_ns() - self._due_ns
-        if behind_ns > (self._next_ns - self._time_ns) / self._options.rate:
+        if behind_ns > (self._next_ns - self._time_ns) / self.options.rate:
             # More than a cycle late: the plate has waited at home, so go on from now.
             self._due_ns += behind_ns
             self._next_ns += 0 if self._simulated_time else behind_ns
@@ -263,7 +265,7 @@ class SimulatorNode(Node):
         self._begin_cycle()
 
     def _publish_clock(self) -> None:
-        ahead_ns = (self._due_ns - time.monotonic_ns()) * self._options.rate
+        ahead_ns = (self._due_ns - time.monotonic_ns()) * self.options.rate
         now_ns = self._next_ns - max(0, round(ahead_ns))
         self._clocks.publish(ClockMsg(clock=to_time(max(self._time_ns, now_ns))))
 
@@ -281,7 +283,7 @@ class SimulatorNode(Node):
         self._tally.why = str(error)
 
     def _on_table(self, msg: JointTrajectory) -> None:
-        lockstep = self._options.lockstep
+        lockstep = self.options.lockstep
         self._hear()
         if lockstep and nanoseconds(msg.header.stamp) != self._time_ns:
             return  # a second answer to an earlier image
@@ -349,7 +351,7 @@ class SimulatorNode(Node):
             self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
         self._images.publish(self._image)
         self._infos.publish(camera_to_info(self._rig.camera, self._image.header))
-        if self._options.lockstep:
+        if self.options.lockstep:
             self._repeat.reset()
 
     def _find(self, now: float) -> Finding:

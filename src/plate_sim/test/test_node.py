@@ -27,6 +27,7 @@ from plate_core.ros import (
     motors_to_msg,
     msg_to_parts,
     nanoseconds,
+    start_nodes,
     to_time,
 )
 from plate_sim.node import START_NS, SimulatorNode
@@ -67,6 +68,7 @@ class Loop:
             self.ear.create_subscription(kind, topic, heard, qos)
         self.tables = self.ear.create_publisher(JointTrajectory, "motor_setpoints", DATA)
         self.simulator = SimulatorNode()
+        start_nodes(self.simulator)
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.ear)
         self.executor.add_node(self.simulator)

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from rclpy.node import Node
 from sensor_msgs.msg import MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -18,12 +17,11 @@ from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
     NEWEST,
-    Diagnostics,
+    NodeOptions,
+    SafeLifecycleNode,
     centres_to_msg,
     compiling,
     cycle_to_msg,
-    declare,
-    follow,
     msg_to_wanted,
     nanoseconds,
     parameter,
@@ -46,10 +44,9 @@ HANDOVER_NS = 4_000_000
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(NodeOptions):
     """Parameters of the solver."""
 
-    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     method: str = parameter(
         "sinusoids",
         "Method: rotations (A) or sinusoids (B).",
@@ -87,15 +84,20 @@ class Tally:
     errors: list[tuple[float, float]] = field(default_factory=list)
 
 
-class SolverNode(Node):
-    """Node `solver`: finds the next plate cycle that puts the wanted mean force on each part.
+class SolverNode(SafeLifecycleNode[Options]):
+    """Lifecycle node `solver`: finds the next plate cycle, which puts the wanted mean force on each
+    part.
 
     Subscribes part_forces. Publishes plate_cycle, one for each, and markers, diagnostics.
     """
 
     def __init__(self) -> None:
-        super().__init__("solver")
-        options = declare(self, Options)
+        super().__init__("solver", Options)
+        self.report(self._find, self._values, reported=self._begin_report)
+
+    def configure(self) -> None:
+        """Read the rig, and compile."""
+        options = self.options
         self._rig = rig = load_rig(options.rig_file)
         limit = rig.reach.limit
         self.get_logger().info(f"Gamma = {rig.gamma:.1f}, limited by {limit} of the rig file")
@@ -105,23 +107,26 @@ class SolverNode(Node):
         self._controller = Controller(rig, options.method, options.seed)
         with compiling(self):
             warm_up(self._controller, rig.plate.half)
+        self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
+        self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
+        self.managed_subscription(MultiDOFJointState, "part_forces", self._on_forces, NEWEST)
+
+    def begin(self) -> None:
+        """Know nothing of what was before."""
+        self._controller.reset()
         self._sent: deque[Sent] = deque(maxlen=4)
         self._tally = Tally()
         self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0}
         self._last: Answer | None = None
         self._parts: np.ndarray = np.empty((0, 2))
-        follow(self, options, self._set_options)
-        self._cycles = self.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
-        self._timeout_s = options.input_timeout_s
+        self._timeout_s = self.options.input_timeout_s
         self._input = Input(
             "part_forces", "part_forces", "does the planner run?", self._timeout_s, time.monotonic()
         )
-        self._diagnostics = Diagnostics(self, self._find, self._values, reported=self._begin_report)
-        self.create_subscription(MultiDOFJointState, "part_forces", self._on_forces, NEWEST)
 
-    def _set_options(self, options: Options) -> None:
-        self._controller.method = METHODS[options.method]
+    def retune(self) -> None:
+        """Take the other method."""
+        self._controller.method = METHODS[self.options.method]
         self.get_logger().info(f"method is now {self._controller.method}")
 
     def _on_forces(self, msg: MultiDOFJointState) -> None:

@@ -24,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, msg_to_cycle, nanoseconds, to_time, wanted_to_msg  # noqa: E402
+from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
 from plate_solver.node import SolverNode  # noqa: E402
 
 SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
@@ -297,6 +297,6 @@ def test_wrong_parameters_are_refused_at_start(parameter, message):
     rclpy.init(args=["--ros-args", "-p", parameter])
     try:
         with pytest.raises(PlateError, match=re.escape(message)):
-            SolverNode()
+            start_nodes(SolverNode())
     finally:
         rclpy.shutdown()

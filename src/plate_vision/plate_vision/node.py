@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -23,11 +22,10 @@ from plate_core.ros import (
     CAMERA,
     DATA,
     IMAGE,
-    Diagnostics,
+    NodeOptions,
+    SafeLifecycleNode,
     array_to_image,
     compiling,
-    declare,
-    follow,
     parameter,
     parts_to_msg,
     pose_to_msg,
@@ -64,10 +62,9 @@ def _option(kind: type[DetectorOptions] | type[TrackerOptions], name: str, text:
 
 
 @dataclass(frozen=True)
-class DetectorParameters:
+class DetectorParameters(NodeOptions):
     """Parameters of the node."""
 
-    rig_file: str = parameter("", "Rig file; empty: the default rig")
     source: str = parameter("topic", "Images come from a topic or from a file", choices=SOURCES)
     path: str = parameter("", "With source file: a folder of pictures, a picture or a video")
     rate: float = parameter(5.0, "With source file: images a second", 0.1, 1000.0)
@@ -139,8 +136,8 @@ class Tally:
     detection_ms: list[float] = field(default_factory=list)
 
 
-class DetectorNode(Node):
-    """Node `detector`: finds the parts, and the plate if it has markers, in the camera's images.
+class DetectorNode(SafeLifecycleNode[DetectorParameters]):
+    """Lifecycle node `detector`: finds parts, and the plate if it has markers, in camera images.
 
     Subscribes image_raw (or image_raw/compressed), camera_info.
     Publishes parts, plate_pose (with markers), detections_image, markers, diagnostics.
@@ -152,10 +149,13 @@ class DetectorNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__("detector")
-        values = declare(self, DetectorParameters)
+        super().__init__("detector", DetectorParameters)
+        self.report(self._find, self._values, "camera", self._begin_report)
+
+    def configure(self) -> None:
+        """Read rig and lens, and compile."""
+        values = self.options
         self._rig = load_rig(values.rig_file)
-        self._bits = values.bits
         self._lens_message: tuple[object, ...] | None = None
         self._lens: Lens | None = None
         if values.source == "file":
@@ -170,42 +170,42 @@ class DetectorNode(Node):
         self._vision = make_vision(self._rig, values.detector(), self._lens)
         with compiling(self):
             warm_up(self._vision)
+        self._parts = self.managed_publisher(MultiDOFJointState, "parts", DATA)
+        if self._rig.fiducials is not None:
+            self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)
+        self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)
+        self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
+        if values.source == "file":
+            self.managed_timer(1 / values.rate, self._on_timer)
+        elif values.image_transport == "raw":
+            self.managed_subscription(Image, "image_raw", self._on_image, CAMERA)
+        else:
+            topic = "image_raw/compressed"
+            self.managed_subscription(CompressedImage, topic, self._on_file, CAMERA)
+        if values.source == "topic" and not values.camera_file:
+            self.managed_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
+        self.managed_service(Trigger, "~/reset", self._on_reset)
+
+    def begin(self) -> None:
+        """Know nothing of what was seen before."""
+        values = self.options
         self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
-        self._follow = follow(self, values, self._retune)
-        self._parts = self.create_publisher(MultiDOFJointState, "parts", DATA)
-        if self._location is not None:
-            self._poses = self.create_publisher(PoseStamped, "plate_pose", DATA)
-        self._drawings = self.create_publisher(Image, "detections_image", IMAGE)
-        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
         self._trails: dict[str, deque[tuple[float, float]]] = {}
         compressed = values.image_transport == "compressed"
         topic = self.resolve_topic_name("image_raw/compressed" if compressed else "image_raw")
         self._input = Input(
             "image", topic, "does the camera run?", values.input_timeout_s, time.monotonic()
         )
-        self._from_topic = values.source == "topic"
         self._tally, self._reported_at = Tally(), time.monotonic()
         self._images = self._refused = 0
-        self._diagnostics = Diagnostics(
-            self, self._find, self._values, "camera", self._begin_report
-        )
-        if values.source == "file":
-            self._timer = self.create_timer(1 / values.rate, self._on_timer)
-        elif values.image_transport == "raw":
-            self.create_subscription(Image, "image_raw", self._on_image, CAMERA)
-        else:
-            self.create_subscription(CompressedImage, "image_raw/compressed", self._on_file, CAMERA)
-        if values.source == "topic" and not values.camera_file:
-            self.create_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
-        self.create_service(Trigger, "~/reset", self._on_reset)
 
     def _on_image(self, msg: Image) -> None:
         size_px, big = (msg.width, msg.height), bool(msg.is_bigendian)
         self._answer(
             "image_raw",
             msg.header.stamp,
-            lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self._bits),
+            lambda: decode(msg.data, size_px, msg.encoding, msg.step, big, self.options.bits),
         )
 
     def _on_file(self, msg: CompressedImage) -> None:
@@ -213,7 +213,7 @@ class DetectorNode(Node):
         self._answer(
             "image_raw/compressed",
             msg.header.stamp,
-            lambda: decode_file(msg.data, msg.format, self._bits, size_px),
+            lambda: decode_file(msg.data, msg.format, self.options.bits, size_px),
         )
 
     def _open(self, values: DetectorParameters) -> None:
@@ -229,9 +229,6 @@ class DetectorNode(Node):
 
     def _on_timer(self) -> None:
         if self._picture is None:
-            refused = f", {self._refused} ignored" if self._refused else ""
-            self.get_logger().info(f"that was the last picture of {self._images}{refused}")
-            self._timer.cancel()
             return
         name, image = self._picture
         if self._answer(name, self.get_clock().now().to_msg(), lambda: image):
@@ -241,6 +238,9 @@ class DetectorNode(Node):
         except PlateError as error:
             self._warn(f"no more pictures: {error}")
             self._picture = None
+        if self._picture is None:
+            refused = f", {self._refused} ignored" if self._refused else ""
+            self.get_logger().info(f"that was the last picture of {self._images}{refused}")
 
     def _tell(self, name: str, image: np.ndarray) -> None:
         """Say what a picture held; of the first, and where nothing is found, also why."""
@@ -332,7 +332,7 @@ class DetectorNode(Node):
         findings = [used("images", tally.images, tally.refused, tally.why)]
         if tally.problem:
             findings.append(Finding(Level.WARN, tally.problem))
-        if self._from_topic:
+        if self.options.source == "topic":
             findings.append(self._input.gone(now))
             if self._input.came is None:
                 return worst(findings, f"waiting for images on {self._input.topic}")
@@ -357,7 +357,7 @@ class DetectorNode(Node):
         self._tally, self._reported_at = Tally(), time.monotonic()
 
     def _warn(self, text: str) -> None:
-        if self._from_topic:
+        if self.options.source == "topic":
             self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
         else:
             self.get_logger().warning(text)  # of every picture
@@ -375,11 +375,12 @@ class DetectorNode(Node):
         except PlateError as error:
             self.get_logger().warning(f"camera_info ignored: {error}")
 
-    def _retune(self, values: DetectorParameters) -> None:
-        options = replace(values.detector(), radius_px=self._vision.options.radius_px)
+    def retune(self) -> None:
+        """Take the live options."""
+        radius_px = self._vision.options.radius_px
+        options = replace(self.options.detector(), radius_px=radius_px)
         self._vision = replace(self._vision, options=options)
-        self._tracker = replace(self._tracker, options=values.tracker())
-        self._bits = values.bits
+        self._tracker = replace(self._tracker, options=self.options.tracker())
 
 
 def lens_of(msg: CameraInfo, size_px: tuple[int, int]) -> Lens | None:

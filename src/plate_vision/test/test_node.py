@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import PlateError, config_path  # noqa: E402
-from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, to_time  # noqa: E402
+from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, start_nodes, to_time  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
@@ -46,6 +46,7 @@ class Graph:
 
         try:
             self.detector = Heard()
+            start_nodes(self.detector)
         except BaseException:
             rclpy.try_shutdown()
             raise
@@ -277,7 +278,7 @@ def test_live_parameters(graph, draw, rng):
     assert graph.detector._vision.options.radius_px == radius_px
     (result,) = graph.detector.set_parameters([Parameter("max_missed", value=-1)])
     assert not result.successful
-    assert result.reason == "parameter max_missed is -1, allowed: 0 to 1000"
+    assert result.reason == "Parameter max_missed out of range. Min: 0, Max: 1000, value: -1"
     (result,) = graph.detector.set_parameters([Parameter("rig_file", value="other.yaml")])
     assert not result.successful
 
@@ -415,7 +416,7 @@ def test_pictures_of_a_folder_for_a_camera(draw, rng, tmp_path):
             assert parts.ids == ("black_1", "grey_1")
             seen = graph.detector._vision.calibration.to_image(parts.position)
             assert np.abs(seen - CENTRE_PX - [k, 0]).max() < 0.1
-        graph.until(graph.detector._timer.is_canceled)
+        graph.until(lambda: graph.detector._picture is None)
         assert graph.warnings == []
         assert [text for text in graph.notes if "part" in text] == [
             f"{k:03d}.png: 2 parts: 1 black, 1 grey" for k in range(3)
@@ -451,7 +452,7 @@ def test_parts_of_another_size_than_the_rig_says(draw, rng, tmp_path):
     other = np.full((100, 200), 220, np.uint8)
     graph = Graph(source="file", path=files(tmp_path, [large, empty, other]), rate=20.0)
     try:
-        graph.until(graph.detector._timer.is_canceled)
+        graph.until(lambda: graph.detector._picture is None)
         assert graph.notes[-3:] == [
             "000.png: no parts",
             "001.png: no parts",

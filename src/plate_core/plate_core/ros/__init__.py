@@ -24,7 +24,7 @@ from .convert import (
     wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
-from .lifecycle import SafeLifecycleNode, logged
+from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
@@ -39,6 +39,7 @@ __all__ = [
     "LATCHED",
     "NEWEST",
     "Diagnostics",
+    "NodeOptions",
     "Report",
     "SafeLifecycleNode",
     "UnlockedSubscription",
@@ -51,7 +52,6 @@ __all__ = [
     "follow",
     "forces_to_msg",
     "image_to_array",
-    "logged",
     "motors_to_msg",
     "msg_to_cycle",
     "msg_to_knots",
@@ -66,6 +66,7 @@ __all__ = [
     "run_node",
     "scene_to_msg",
     "seconds",
+    "start_nodes",
     "to_time",
     "trajectory_to_msg",
     "wanted_to_msg",

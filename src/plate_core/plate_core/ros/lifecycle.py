@@ -1,17 +1,38 @@
-"""Transitions of lifecycle nodes that say why they fail."""
+"""Lifecycle nodes: they start themselves, rest before they end, and leave nothing behind."""
 
 from __future__ import annotations
 
 import functools
 import traceback
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Generic, TypeVar
 
+from builtin_interfaces.msg import Time
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+from rclpy.timer import Timer
 
 from ..errors import PlateError
+from ..status import Finding, Level
+from .diagnostics import Diagnostics
+from .params import Spec, declare, follow, parameter
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """Parameters that all nodes of the loop have."""
+
+    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    autostart: bool = parameter(
+        True, "Configure and activate at start; false: somebody else does it.", fixed=True
+    )
+
+
+Options = TypeVar("Options", bound=NodeOptions)
 
 
 def logged(transition: Transition) -> Transition:
@@ -21,32 +42,51 @@ def logged(transition: Transition) -> Transition:
     def wrapper(self: Any, state: LifecycleState) -> TransitionCallbackReturn:
         try:
             return transition(self, state)
-        except PlateError as error:
-            self.problem = str(error)
-            if not self.starting:  # `start` raises it: one problem, one line
-                self.get_logger().error(f"{transition.__name__}: {error}")
-            return TransitionCallbackReturn.FAILURE
-        except Exception:  # whatever it is: unlogged, it would be an error state without a reason
-            self.problem = traceback.format_exc()
-            self.get_logger().error(f"{transition.__name__} failed:\n{self.problem}")
+        except Exception as error:  # whatever it is: unlogged, the error state had no reason
+            self.failure = error
+            wrong_input = isinstance(error, PlateError)
+            if not self.starting:  # `start_nodes` raises it: one problem is said once
+                text = str(error) if wrong_input else traceback.format_exc()
+                self.get_logger().error(f"{transition.__name__}: {text}")
+            if wrong_input:
+                return TransitionCallbackReturn.FAILURE
             return TransitionCallbackReturn.ERROR
 
     return wrapper
 
 
-class SafeLifecycleNode(LifecycleNode):
+class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     """A lifecycle node that rests before it stops being active, however it ends.
 
-    A subclass makes things in `on_configure`, hands them to `keep`, and says what `begin`, `rest`
-    and `release` do.
+    A subclass makes things in `configure`, by the methods `managed_...` or handed to `keep`, and
+    says what `begin`, `rest`, `release` and `retune` do. What is managed works only while the node
+    is active, and is gone after clean-up. `start_nodes`, which `run_node` calls unless the
+    parameter `autostart` is false, configures and activates it.
+
+    Parameters
+    ----------
+    name : str
+    kind : type
+        Dataclass of its parameters, of which `options` are those in force: read when it is
+        configured, live ones at any time.
+
+    Attributes
+    ----------
+    options : Options
+    active : bool
+    configuring : bool
+        Whether it is being configured, which may take long: kernels are compiled.
+    failure : Exception, optional
+        Why the last transition failed.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, kind: type[Options]) -> None:
         super().__init__(name)
-        self.problem = ""
-        self.starting = False
-        self.active = False
+        self.failure: Exception | None = None
+        self.starting = self.configuring = self.configured = self.active = False
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
+        self.options = self._given = declare(self, kind)
+        self._follow = follow(self, self._given, self._on_options, self._fixed_now)
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
         """Answer a request for a transition that the state does not have with `success: false`.
@@ -62,23 +102,10 @@ class SafeLifecycleNode(LifecycleNode):
             response.success = False
             return response
 
-    def start(self) -> None:
-        """Configure and activate.
+    # What a subclass says
 
-        Raises
-        ------
-        PlateError
-            If that fails: why.
-        """
-        self.starting = True
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() != TransitionCallbackReturn.SUCCESS:
-                raise PlateError(self.problem)
-        self.starting = False
-
-    def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
-        """Have things destroyed at clean-up."""
-        self._kept += [(destroy, thing) for thing in things]
+    def configure(self) -> None:
+        """Make everything that the node needs, from `options`."""
 
     def begin(self) -> None:
         """Make ready for work: `active` is set next."""
@@ -89,12 +116,137 @@ class SafeLifecycleNode(LifecycleNode):
     def release(self) -> None:
         """Let go of what ROS does not know of."""
 
+    def retune(self) -> None:
+        """Take over `options` of which a live one has changed; called once configured."""
+
+    # What a subclass makes
+
+    def keep(self, destroy: Callable[[Any], Any], *things: Any) -> None:
+        """Have things destroyed at clean-up."""
+        self._kept += [(destroy, thing) for thing in things]
+
+    def managed_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
+        """Return a publisher that is silent unless the node is active."""
+        publisher = self.create_lifecycle_publisher(kind, topic, qos)
+        self.keep(self.destroy_lifecycle_publisher, publisher)
+        return publisher
+
+    def managed_subscription(
+        self, kind: type, topic: str, heard: Callable[[Any], None], qos: QoSProfile
+    ) -> None:
+        """Have `heard` called with what comes while the node is active."""
+
+        def callback(msg: Any) -> None:
+            if self.active:
+                heard(msg)
+
+        self.keep(self.destroy_subscription, self.create_subscription(kind, topic, callback, qos))
+
+    def managed_service(self, kind: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
+        """Answer by `answer` while the node is active, and refuse while it is not."""
+
+        def callback(request: Any, response: Any) -> Any:
+            if self.active:
+                return answer(request, response)
+            response.success = False
+            response.message = f"{self.get_name()} is inactive, allowed: active"
+            return response
+
+        self.keep(self.destroy_service, self.create_service(kind, name, callback))
+
+    def managed_timer(self, period_s: float, tick: Callable[[], None]) -> Timer:
+        """Have `tick` called every so often while the node is active, by the steady clock."""
+
+        def callback() -> None:
+            if self.active:
+                tick()
+
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(period_s, callback, clock=steady)
+        self.keep(self.destroy_timer, timer)
+        return timer
+
+    def report(
+        self,
+        find: Callable[[float], Finding],
+        values: Callable[[], Mapping[str, Any]],
+        hardware_id: str = "",
+        reported: Callable[[], None] = lambda: None,
+        stamp: Callable[[], Time] | None = None,
+    ) -> Diagnostics:
+        """Publish diagnostics, also while the node is not active: that, and why it is not.
+
+        To be called in the constructor. Parameters as of `Diagnostics`.
+        """
+
+        def idle() -> Finding:
+            state = "inactive" if self.configured else "unconfigured"
+            if self.failure is not None:
+                return Finding(Level.ERROR, f"{state}: {self.failure}")
+            return Finding(Level.WARN, state)
+
+        def time() -> Time:
+            return stamp() if stamp and self.active else self.get_clock().now().to_msg()
+
+        return Diagnostics(
+            self,
+            lambda now: find(now) if self.active else idle(),
+            lambda: values() if self.active else {},
+            hardware_id,
+            lambda: reported() if self.active else None,
+            time,
+        )
+
+    # Parameters
+
+    def _fixed_now(self, name: str, spec: Spec) -> str:
+        if spec.live or not self.active:
+            return ""
+        return (
+            f"parameter {name} is read when {self.get_name()} is configured, "
+            "allowed: while it is not active"
+        )
+
+    def _on_options(self, given: Options) -> None:
+        self._given = given
+        if not self.configured:
+            self.options = given
+            return
+        live = [item.name for item in fields(given) if item.metadata["spec"].live]
+        before = self.options
+        self.options = replace(before, **{name: getattr(given, name) for name in live})
+        if self.options != before:
+            self.retune()
+
+    # Transitions
+
+    @logged
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make everything, or nothing if that fails."""
+        self.failure, self.options = None, self._given
+        self.configuring = True
+        try:
+            self.configure()
+            result = super().on_configure(state)
+            self.configured = True
+        finally:
+            self.configuring = False
+            if not self.configured:
+                self._release()
+        return result
+
     @logged
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to listen and to publish."""
+        self.failure = None
         result = super().on_activate(state)
-        self.begin()
-        self.active = True
+        try:
+            self.begin()
+            self.active = True
+        finally:
+            if not self.active:
+                super().on_deactivate(state)
+        self.get_logger().info("ready")
         return result
 
     @logged
@@ -126,10 +278,16 @@ class SafeLifecycleNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Rest, also when the process has to stop."""
-        if self.active and self.context.ok():
-            self.trigger_deactivate()
-        super().destroy_node()
+        """Rest, and release everything, also when the process has to stop."""
+        try:
+            if self.active and self.context.ok():
+                self.trigger_deactivate()
+        finally:  # whatever that has raised
+            self.active = False
+            try:
+                self._release()
+            finally:
+                super().destroy_node()
 
     def _stop(self) -> None:
         if self.active:
@@ -137,7 +295,29 @@ class SafeLifecycleNode(LifecycleNode):
             self.rest()
 
     def _release(self) -> None:
-        for destroy, thing in self._kept:
+        self.configured = False
+        kept, self._kept = self._kept, []
+        for destroy, thing in kept:
             destroy(thing)
-        self._kept = []
         self.release()
+
+
+def start_nodes(*nodes: SafeLifecycleNode[Any]) -> None:
+    """Configure nodes, then activate them, in this order; but not those whose parameter `autostart`
+    is false.
+
+    Raises
+    ------
+    Exception
+        What a transition has raised: a `PlateError` for wrong input.
+    """
+    own = [node for node in nodes if node.options.autostart]
+    for trigger in ("trigger_configure", "trigger_activate"):
+        for node in own:
+            node.starting = True
+            try:
+                done = getattr(node, trigger)() == TransitionCallbackReturn.SUCCESS
+            finally:
+                node.starting = False
+            if not done and node.failure is not None:
+                raise node.failure

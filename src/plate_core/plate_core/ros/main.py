@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
+from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered
 
 POLL_S = 0.1
@@ -23,7 +24,7 @@ POLL_S = 0.1
 def run_node(
     make: Callable[[], Node], options: type | None = None, args: Sequence[str] | None = None
 ) -> None:
-    """Make a node, spin it until it has to stop, and leave nothing behind.
+    """Make a node, start it, spin it until it has to stop, and leave nothing behind.
 
     With `--help` on the command line it only prints what the node's docstring says, and the
     parameters of `options`, the dataclass that the node gives to `declare`.
@@ -31,7 +32,7 @@ def run_node(
     The node's `destroy_node` runs while ROS still works, so a node can say its last words there:
     rclpy's own handlers would have shut the context down at the signal.
 
-    Exit code 0 after SIGINT, SIGTERM or a shutdown; 2, with one line, if `make` refuses its
+    Exit code 0 after SIGINT, SIGTERM or a shutdown; 2, with one line, if the node refuses its
     parameters or files; 1, with a traceback, after a defect.
     """
     try:
@@ -40,14 +41,14 @@ def run_node(
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         sys.exit(2)
-    stopped = False
+    stopped = spinning = False
     node = None
     code = 0
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal stopped
-        stopped = True  # a second signal must not break the teardown
-        if node is None:
+        again, stopped = stopped, True  # a second signal must not break the teardown
+        if not again and (not spinning or getattr(node, "configuring", False)):
             raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -58,6 +59,9 @@ def run_node(
         # EventsExecutor.spin() hangs in some builds; spin_once on it works and is the fastest.
         executor = EventsExecutor()
         executor.add_node(node)
+        if isinstance(node, SafeLifecycleNode):
+            start_nodes(node)
+        spinning = True
         while rclpy.ok() and not stopped:
             executor.spin_once(timeout_sec=POLL_S)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -6,7 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -20,13 +26,15 @@ OF_RCLPY = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 
 @dataclass(frozen=True)
 class Spec:
-    """What is allowed for one parameter, and whether it may change while the node runs."""
+    """What is allowed for one parameter, and when it may change: live at any time, fixed never
+    while the process lives, else while the node is not active (and never if it has no lifecycle)"""
 
     description: str
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] | None = None
     live: bool = False
+    fixed: bool = False
 
     @property
     def allowed(self) -> str:
@@ -54,16 +62,17 @@ def parameter(
     high: float | None = None,
     choices: Sequence[str] | None = None,
     live: bool = False,
+    fixed: bool = False,
 ) -> Any:
     """Return a dataclass field that declares a parameter."""
-    spec = Spec(description, low, high, tuple(choices) if choices else None, live)
+    spec = Spec(description, low, high, tuple(choices) if choices else None, live, fixed)
     return field(default=default, metadata={"spec": spec})
 
 
 def declare(node: Node, kind: type[Options]) -> Options:
     """Declare the fields of `kind` as parameters of `node` and return their values.
 
-    What is not `live` is read-only from here on: ROS refuses changes.
+    What may not change any more is read-only from here on: ROS refuses changes.
 
     Raises
     ------
@@ -71,20 +80,22 @@ def declare(node: Node, kind: type[Options]) -> Options:
         If a value given at start has the wrong type or is out of range, or is of a parameter that
         the node does not have: names the parameter, the value and what is allowed.
     """
-    values = {}
+    values, given = {}, node._parameter_overrides  # rclpy has no public name for what was given
     for item in fields(kind):  # type: ignore[arg-type]  # mypy has no bound for "a dataclass"
         spec: Spec = item.metadata["spec"]
         assert item.default is not MISSING
-        node.declare_parameter(item.name, item.default, _descriptor(item.default, spec))
-        given = node.get_parameter_or(item.name).value
-        values[item.name] = _checked(item.name, given, item.default, spec)
+        value = given[item.name].value if item.name in given else item.default
+        values[item.name] = value = _checked(item.name, value, item.default, spec)
+        descriptor = _descriptor(item.default, spec, isinstance(node, LifecycleNode))
+        node.declare_parameter(item.name, value, descriptor, ignore_override=True)
     _refuse_unknown(node, tuple(values))
+    node.add_pre_set_parameters_callback(lambda new: [_widened(node, item) for item in new])
     return kind(**values)
 
 
 def _refuse_unknown(node: Node, known: Sequence[str]) -> None:
     """Refuse parameters that were given at start and that nobody declares: spelling mistakes."""
-    for name in node._parameter_overrides:  # rclpy has no public name for what was given
+    for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith(OF_RCLPY):
             raise PlateError(
                 f"parameter {name} is not one of {node.get_name()}{did_you_mean(name, known)}, "
@@ -93,9 +104,14 @@ def _refuse_unknown(node: Node, known: Sequence[str]) -> None:
 
 
 def follow(
-    node: Node, options: Options, changed: Callable[[Options], None]
+    node: Node,
+    options: Options,
+    changed: Callable[[Options], None],
+    problem: Callable[[str, Spec], str] = lambda name, spec: "",
 ) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Call `changed` with new options whenever a live parameter is set; refuse wrong values."""
+    """Call `changed` with new options whenever a parameter is set; refuse wrong values, and what
+    `problem` has a reason to refuse now.
+    """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]
 
@@ -105,12 +121,14 @@ def follow(
             known = specs.get(item.name)
             if known is None:
                 continue
+            spec: Spec = known.metadata["spec"]
             try:
-                new[item.name] = _checked(
-                    item.name, item.value, known.default, known.metadata["spec"]
-                )
+                new[item.name] = _checked(item.name, item.value, known.default, spec)
+                why = problem(item.name, spec)
             except PlateError as error:
-                return SetParametersResult(successful=False, reason=str(error))
+                why = str(error)
+            if why:
+                return SetParametersResult(successful=False, reason=why)
         if new:
             current[0] = replace(current[0], **new)  # type: ignore[type-var]
             changed(current[0])
@@ -118,6 +136,14 @@ def follow(
 
     node.add_on_set_parameters_callback(on_set)
     return on_set
+
+
+def _widened(node: Node, item: Parameter) -> Parameter:
+    """Return a whole number for a parameter that is none as the number with a point that it is."""
+    whole = item.type_ is Parameter.Type.INTEGER
+    if whole and node.get_parameter_or(item.name).type_ is Parameter.Type.DOUBLE:
+        return Parameter(item.name, value=float(item.value))
+    return item
 
 
 def _checked(name: str, value: Any, default: Any, spec: Spec) -> Any:
@@ -133,10 +159,15 @@ def _checked(name: str, value: Any, default: Any, spec: Spec) -> Any:
     return value
 
 
-def _descriptor(default: Any, spec: Spec) -> ParameterDescriptor:
-    # Ranges are told to tools, but checked by us: rclpy's own message does not say what is allowed.
-    descriptor = ParameterDescriptor(
-        description=spec.description, dynamic_typing=True, read_only=not spec.live
-    )
+def _descriptor(default: Any, spec: Spec, managed: bool) -> ParameterDescriptor:
+    changes = spec.live or (managed and not spec.fixed)
+    descriptor = ParameterDescriptor(description=spec.description, read_only=not changes)
     descriptor.additional_constraints = spec.allowed
+    if spec.low is not None and spec.high is not None:
+        if isinstance(default, float):
+            limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
+            descriptor.floating_point_range = [limits]
+        else:
+            whole = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
+            descriptor.integer_range = [whole]
     return descriptor

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import load_rig
-from plate_core.ros import DATA, declare, follow, parameter, run_node, to_time, trajectory_to_msg
+from plate_core.ros import (
+    DATA,
+    NodeOptions,
+    SafeLifecycleNode,
+    parameter,
+    run_node,
+    to_time,
+    trajectory_to_msg,
+)
+from plate_core.status import Finding, Level
 
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
@@ -22,8 +29,6 @@ from .pty import PseudoTerminal
 
 SERVE_PERIOD_S = 0.002
 """Time between two reads of the port [s]: two ticks of the device."""
-
-REPORT_PERIOD_S = 1.0
 
 MOST_BEHIND_US = 100_000
 """On a computer that is too busy the device catches up with this much [us]; from there on its clock
@@ -39,10 +44,9 @@ def _every(description: str) -> Any:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(NodeOptions):
     """Parameters of the device."""
 
-    rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
     link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
     seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
     baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
@@ -64,40 +68,50 @@ class Options:
         return FaultSchedule(line, **{name: getattr(self, name) for name in own})
 
 
-class DeviceNode(Node):
-    """Node `device`: a simulated motor controller on a serial port (pseudo-terminal), in real time.
+class DeviceNode(SafeLifecycleNode[Options]):
+    """Lifecycle node `device`: a simulated motor controller on a serial port (pseudo-terminal), in
+    real time.
 
     Publishes motor_motion, diagnostics; speaks the serial protocol on the port `link`.
 
     motor_motion is what the motors have done, segment by segment, stamped with its start: what the
-    simulated plate follows.
+    simulated plate follows. The port is there once the node is configured; while it is not active
+    the device has no power, and afterwards it begins anew.
     """
 
     def __init__(self) -> None:
-        super().__init__("device")
-        options = declare(self, Options)
+        super().__init__("device", Options)
+        self.report(self._find, self._values, "device", self._begin_report)
+
+    def configure(self) -> None:
+        """Read the rig, and make the port."""
+        options = self.options
         self._rig = load_rig(options.rig_file)
         plate = SuspendedPlate(self._rig, TICK_US * 1e-6) if self._rig.suspension else None
         limits = DeviceLimits.of_rig(self._rig)
         self._emulator = Emulator(limits, options.seed, options.schedule, plate=plate)
         self._terminal = PseudoTerminal(options.link)
+        self.keep(PseudoTerminal.unplug, self._terminal)
         self._terminal.plug()
-        self._motions = self.create_publisher(JointTrajectory, "motor_motion", DATA)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        follow(self, options, lambda new: self._emulator.configure(new.schedule))
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._begin_ns = self.get_clock().now().nanoseconds
-        self._steady_ns = time.monotonic_ns()
-        self._late_ms = self._lost_ms = 0.0
-        self.create_timer(SERVE_PERIOD_S, self._serve, clock=steady)
-        self.create_timer(REPORT_PERIOD_S, self._report, clock=steady)
+        self._motions = self.managed_publisher(JointTrajectory, "motor_motion", DATA)
+        self.managed_timer(SERVE_PERIOD_S, self._serve)
         self.get_logger().info(f"serial port: {options.link}")
 
-    def destroy_node(self) -> None:
-        """Take the port away."""
-        if hasattr(self, "_terminal"):
-            self._terminal.unplug()
-        super().destroy_node()
+    def begin(self) -> None:
+        """Switch the device on."""
+        now_us = self._emulator.device.now_us
+        self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
+        self._steady_ns = time.monotonic_ns() - 1_000 * now_us
+        self._late_ms = self._lost_ms = 0.0
+        self._terminal.read()  # what came without power is lost
+
+    def rest(self) -> None:
+        """Switch it off: it forgets everything."""
+        self._emulator.reset()
+
+    def retune(self) -> None:
+        """Let other things go wrong."""
+        self._emulator.configure(self.options.schedule)
 
     def _serve(self) -> None:
         """Let the device catch up with the clock."""
@@ -123,24 +137,24 @@ class DeviceNode(Node):
         q, qd, qdd = segment.motors.transpose(1, 0, 2)
         self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
 
-    def _report(self) -> None:
-        device = self._emulator.device
-        motion, late_ms, self._late_ms = device.motion, self._late_ms, 0.0
-        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="device")
-        status.level = DiagnosticStatus.WARN if motion.faults else DiagnosticStatus.OK
+    def _find(self, _: float) -> Finding:
+        motion = self._emulator.device.motion
         names = [fault.name.lower().replace("_", " ") for fault in motion.faults if fault.name]
-        status.message = ", ".join(names) or motion.state.name.lower()
-        values = {
-            "state": motion.state.name.lower(),
+        level = Level.WARN if motion.faults else Level.OK
+        return Finding(level, ", ".join(names) or motion.state.name.lower())
+
+    def _values(self) -> Mapping[str, object]:
+        device = self._emulator.device
+        return {
+            "state": device.motion.state.name.lower(),
             "damaged frames": device.reader.refused,
             "hottest motor": f"{device.heat.max() / device.limits.continuous_square:.3f}",
-            "latest tick [ms]": f"{late_ms:.1f}",
+            "latest tick [ms]": f"{self._late_ms:.1f}",
             "clock stood still [ms]": f"{self._lost_ms:.0f}",
         }
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        msg = DiagnosticArray(status=[status])
-        msg.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(msg)
+
+    def _begin_report(self) -> None:
+        self._late_ms = 0.0
 
 
 def main() -> None:

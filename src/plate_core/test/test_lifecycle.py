@@ -1,0 +1,301 @@
+"""A managed node works while it is active, and only then; what it made is gone after clean-up."""
+
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from plate_core import PlateError
+
+rclpy = pytest.importorskip("rclpy")
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, start_nodes  # noqa: E402
+from plate_core.status import Finding, Level  # noqa: E402
+
+LONGEST_S = 60
+"""A bound on what takes a moment [s]."""
+
+
+@dataclass(frozen=True)
+class Options(NodeOptions):
+    """Of the node of this test."""
+
+    size: int = parameter(3, "What configure reads", 1, 9)
+    gain: float = parameter(1.0, "May change at any time", 0.0, 2.0, live=True)
+
+
+class EchoNode(SafeLifecycleNode[Options]):
+    """Says again what it hears, and ticks."""
+
+    def __init__(self):
+        super().__init__("echo", Options)
+        self.report(lambda now: Finding(Level.OK, "well"), lambda: {"gain": self.options.gain})
+        self.log, self.ticks, self.refuse = [], 0, None
+
+    def configure(self):
+        self.log.append(f"configure {self.options.size}")
+        self.out = self.managed_publisher(String, "echo", DATA)
+        self.managed_subscription(String, "word", self.out.publish, DATA)
+        self.managed_service(Trigger, "~/order", self.answer)
+        self.timer = self.managed_timer(0.01, self.tick)
+        if self.refuse is not None:
+            raise self.refuse
+
+    def tick(self):
+        self.ticks += 1
+
+    def answer(self, request, response):
+        response.success, response.message = True, "done"
+        return response
+
+    def begin(self):
+        self.log.append("begin")
+
+    def rest(self):
+        self.log.append("rest")
+
+    def release(self):
+        self.log.append("release")
+
+    def retune(self):
+        self.log.append(f"retune {self.options.gain}")
+
+
+class Peer:
+    """The node, and one that talks to it."""
+
+    def __init__(self):
+        rclpy.init(args=["--ros-args", "-r", "__ns:=/lifecycle_test"])
+        self.echo, self.node = EchoNode(), rclpy.create_node("peer")
+        self.executor, self.heard, self.reports = SingleThreadedExecutor(), [], []
+        for node in (self.echo, self.node):
+            self.executor.add_node(node)
+        self.node.create_subscription(String, "echo", lambda m: self.heard.append(m.data), DATA)
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self._on_report, DATA)
+        self.words = self.node.create_publisher(String, "word", DATA)
+        self.orders = self.node.create_client(Trigger, "echo/order")
+        self.changes = self.node.create_client(ChangeState, "echo/change_state")
+        self.asks = self.node.create_client(GetState, "echo/get_state")
+
+    def _on_report(self, msg):
+        (status,) = msg.status
+        self.reports.append((int.from_bytes(status.level), status.message, len(status.values)))
+
+    def until(self, true, longest_s=LONGEST_S):
+        for _ in range(round(longest_s / 0.01)):
+            if true():
+                return True
+            self.executor.spin_once(timeout_sec=0.01)
+        return False
+
+    def call(self, client, request):
+        assert self.until(client.service_is_ready)
+        future = client.call_async(request)
+        assert self.until(future.done)
+        return future.result()
+
+    def change(self, transition):
+        request = ChangeState.Request()
+        request.transition.label = transition
+        return self.call(self.changes, request).success
+
+    def state(self):
+        return self.call(self.asks, GetState.Request()).current_state.label
+
+    def set(self, name, value):
+        return self.echo.set_parameters([Parameter(name, value=value)])[0]
+
+    def echoes(self, word):
+        """Whether a word comes back."""
+        assert self.until(lambda: self.words.get_subscription_count() == 1)
+        self.words.publish(String(data=word))
+        return self.until(lambda: word in self.heard, 0.5)
+
+    def said(self, *report):
+        """Wait for diagnostics with that level, message, and number of values."""
+        assert self.until(lambda: self.reports[-1:] == [report]), self.reports[-1:]
+
+
+@pytest.fixture(name="peer")
+def _peer():
+    peer = Peer()
+    yield peer
+    peer.executor.shutdown()
+    peer.echo.destroy_node()
+    peer.node.destroy_node()
+    rclpy.shutdown()
+
+
+def entities(node):
+    kinds = node.publishers, node.subscriptions, node.services, node.timers
+    return [len(list(each)) for each in kinds]
+
+
+def test_it_works_while_it_is_active_and_only_then(peer):
+    empty = entities(peer.echo)
+    peer.said(Level.WARN, "unconfigured", 0)
+    for life in (1, 2):
+        assert peer.change("configure")
+        assert peer.state() == "inactive"
+        peer.said(Level.WARN, "inactive", 0)
+        for spell in (1, 2):
+            assert not peer.echoes(f"inactive {life} {spell}")
+            ticks = peer.echo.ticks
+            assert not peer.until(lambda n=ticks: peer.echo.ticks > n, 0.1)
+            answer = peer.call(peer.orders, Trigger.Request())
+            assert (answer.success, answer.message) == (False, "echo is inactive, allowed: active")
+            assert peer.change("activate")
+            assert peer.state() == "active"
+            peer.said(Level.OK, "well", 1)
+            assert peer.echoes(f"active {life} {spell}")
+            assert peer.until(lambda n=ticks: peer.echo.ticks > n)
+            assert peer.call(peer.orders, Trigger.Request()).success
+            assert peer.change("deactivate")
+        assert peer.change("cleanup")
+        assert peer.state() == "unconfigured"
+        assert entities(peer.echo) == empty
+    spells = ["begin", "rest"] * 2
+    assert peer.echo.log == ["configure 3", *spells, "release"] * 2
+
+
+@pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])
+def test_it_shuts_down_from_every_state_and_leaves_nothing(peer, before):
+    empty = entities(peer.echo)
+    for transition in before:
+        assert peer.change(transition)
+    assert peer.change("shutdown")
+    assert peer.state() == "finalized"
+    assert entities(peer.echo) == empty
+    assert peer.echo.log[-1] == "release"
+    assert peer.echo.log.count("rest") == (1 if "activate" in before else 0)
+    for transition in ("configure", "activate", "shutdown"):
+        assert not peer.change(transition)
+    assert peer.state() == "finalized"
+
+
+def test_what_does_not_fit_the_state_is_refused(peer):
+    for allowed, state in (
+        ("configure", "unconfigured"), ("activate", "inactive"), ("deactivate", "active"),
+        ("cleanup", "inactive"),
+    ):  # fmt: skip
+        assert peer.state() == state
+        fitting = {
+            "unconfigured": ("configure",), "inactive": ("activate", "cleanup"),
+            "active": ("deactivate",),
+        }[state]  # fmt: skip
+        for other in {"configure", "activate", "deactivate", "cleanup", "nonsense"} - {*fitting}:
+            assert not peer.change(other)
+            assert peer.state() == state
+        assert peer.change(allowed)
+
+
+@pytest.mark.parametrize("refusal", [PlateError("size is 3, allowed: 4"), ValueError("a defect")])
+def test_a_failed_configure_leaves_nothing_says_why_and_can_be_repeated(peer, refusal):
+    empty = entities(peer.echo)
+    for _ in (1, 2):
+        peer.echo.refuse = refusal
+        assert not peer.change("configure")
+        assert peer.state() == "unconfigured"
+        assert entities(peer.echo) == empty
+        peer.said(Level.ERROR, f"unconfigured: {refusal}", 0)
+    peer.echo.refuse = None
+    assert peer.change("configure")
+    peer.said(Level.WARN, "inactive", 0)
+    assert peer.change("activate")
+    assert peer.echoes("well")
+
+
+def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
+    assert peer.set("size", 4).successful
+    assert peer.change("configure")
+    assert peer.set("size", 5).successful
+    assert peer.echo.options.size == 4  # in force is what was configured
+    assert peer.change("activate")
+    result = peer.set("size", 6)
+    assert not result.successful
+    assert result.reason == (
+        "parameter size is read when echo is configured, allowed: while it is not active"
+    )
+    assert peer.set("gain", 0.5).successful
+    assert peer.echo.options == Options(size=4, gain=0.5)
+    for transition in ("deactivate", "cleanup", "configure"):
+        assert peer.change(transition)
+    assert peer.echo.options == Options(size=5, gain=0.5)
+    assert [line for line in peer.echo.log if line[0] in "cr"] == [
+        "configure 4", "retune 0.5", "rest", "release", "configure 5",
+    ]  # fmt: skip
+    read_only = {name: peer.echo.describe_parameter(name).read_only for name in ("size", "gain")}
+    assert read_only == {"size": False, "gain": False}
+    assert not peer.set("autostart", False).successful
+    assert peer.echo.describe_parameter("autostart").read_only
+
+
+def test_nodes_are_started_in_order_and_one_that_refuses_says_why(peer):
+    peer.echo.refuse = PlateError("size is 3, allowed: 4")
+    with pytest.raises(PlateError, match="size is 3, allowed: 4"):
+        start_nodes(peer.echo)
+    assert peer.state() == "unconfigured"
+    peer.echo.refuse = None
+    start_nodes(peer.echo)
+    assert peer.state() == "active"
+
+
+PROGRAM = """
+import sys, time
+from plate_core.ros import NodeOptions, SafeLifecycleNode, run_node
+
+class SlowNode(SafeLifecycleNode[NodeOptions]):
+    def __init__(self):
+        super().__init__("slow", NodeOptions)
+        self.create_timer(0.01, self.tick)
+        self.triggered = False
+
+    def tick(self):
+        if not (self.active or self.triggered):
+            self.triggered = True
+            self.trigger_configure()
+        elif self.active:
+            print("active", flush=True)
+
+    def configure(self):
+        print("configuring", flush=True)
+        if "quick" not in sys.argv:
+            time.sleep(60)
+
+    def release(self):
+        print("released", flush=True)
+
+run_node(SlowNode)
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("--ros-args", "-p", "autostart:=false")])
+def test_a_signal_ends_a_configure_that_takes_long(words):
+    """At the start, and ordered by somebody else."""
+    command = [sys.executable, "-c", PROGRAM, *words]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "configuring\n"
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=30)  # less than it would take
+    assert process.returncode == 0
+    assert "released" in output
+
+
+def test_by_itself_a_program_gets_active():
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "quick"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert [process.stdout.readline() for _ in range(2)] == ["configuring\n", "active\n"]
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=LONGEST_S)
+    assert process.returncode == 0

@@ -1,0 +1,157 @@
+"""Every node of the loop through every transition, twice; what it needs is read in configure."""
+
+import importlib
+import itertools
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+
+from plate_core.rig import default_rig_path  # noqa: E402
+from plate_core.ros import DATA  # noqa: E402
+
+NODES = {
+    "simulator": ("plate_sim.node", "SimulatorNode"),
+    "device": ("plate_sim.device.node", "DeviceNode"),
+    "detector": ("plate_vision.node", "DetectorNode"),
+    "solver": ("plate_solver.node", "SolverNode"),
+    "driver": ("plate_driver.node", "DriverNode"),
+}
+SAFETY = {"emergency_stop", "cut_power", "enable", "home"}
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class Managed:
+    """A node, and its diagnostics."""
+
+    def __init__(self, name, tmp_path, **parameters):
+        module, kind = NODES[name]
+        if name == "device":
+            parameters["link"] = tmp_path / "port"
+        words = ["--ros-args", "-r", f"__ns:=/lifecycle_{name}"]
+        for each in parameters.items():
+            words += ["-p", "{}:={}".format(*each)]
+        rclpy.init(args=words)
+        self.node = getattr(importlib.import_module(module), kind)()
+        self.ear, self.executor = rclpy.create_node("ear"), SingleThreadedExecutor()
+        self.said = []
+        topic = f"/lifecycle_{name}/diagnostics"
+        self.ear.create_subscription(DiagnosticArray, topic, self._on_report, DATA)
+        for each in (self.node, self.ear):
+            self.executor.add_node(each)
+
+    def _on_report(self, msg):
+        self.said += [status.message for status in msg.status]
+
+    def spin(self, true=lambda: False, longest_s=60.0):
+        for _ in range(round(longest_s / 0.02)):
+            if true():
+                return True
+            self.executor.spin_once(timeout_sec=0.02)
+        return False
+
+    def trigger(self, transition):
+        return getattr(self.node, f"trigger_{transition}")()
+
+    @property
+    def entities(self):
+        node = self.node
+        kinds = node.publishers, node.subscriptions, node.services, node.timers
+        return [len(list(each)) for each in kinds]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.ear.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_every_transition_twice(name, tmp_path):
+    with Managed(name, tmp_path) as managed:
+        empty = managed.entities
+        for _ in (1, 2):
+            assert managed.trigger("configure") == SUCCESS
+            for _ in (1, 2):
+                assert managed.trigger("activate") == SUCCESS
+                managed.spin(longest_s=0.3)
+                assert managed.trigger("deactivate") == SUCCESS
+                managed.spin(longest_s=0.2)  # what was on its way does no harm
+            assert managed.trigger("cleanup") == SUCCESS
+            managed.spin(longest_s=0.2)
+            assert managed.entities == empty
+        assert managed.spin(lambda: managed.said[-1].startswith("unconfigured"))
+        assert managed.trigger("configure") == SUCCESS
+        assert managed.trigger("activate") == SUCCESS
+        assert managed.trigger("shutdown") == SUCCESS
+        managed.spin(longest_s=0.2)
+        assert managed.entities == empty
+    assert not list(tmp_path.iterdir())  # the device's port
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_transition_that_does_not_fit_changes_nothing(name, tmp_path):
+    """Through the service, as a manager asks."""
+    from lifecycle_msgs.srv import ChangeState
+
+    with Managed(name, tmp_path) as managed:
+        client = managed.ear.create_client(
+            ChangeState, f"{managed.node.get_fully_qualified_name()}/change_state"
+        )
+        assert managed.spin(client.service_is_ready)
+
+        def change(label):
+            request = ChangeState.Request()
+            request.transition.label = label
+            future = client.call_async(request)
+            assert managed.spin(future.done)
+            return future.result().success
+
+        order = ("configure", "activate", "deactivate", "cleanup")
+        fits = {"configure": {"configure"}, "activate": {"activate", "cleanup"}}
+        fits |= {"deactivate": {"deactivate"}, "cleanup": {"activate", "cleanup"}}
+        for _, right in itertools.product((1, 2), order):
+            for wrong in set(order) - fits[right]:
+                assert not change(wrong), (wrong, right)
+            assert change(right)
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_path):
+    rig = tmp_path / "rig.yaml"
+    good = default_rig_path().read_text(encoding="utf-8")
+    with Managed(name, tmp_path, rig_file=rig) as managed:
+        empty = managed.entities
+        for text in (None, good.replace("length_m", "lenght_m"), good):
+            if text is not None:
+                rig.write_text(text, encoding="utf-8")
+            if text == good:
+                break
+            assert managed.trigger("configure") == FAILURE
+            assert managed.entities == empty
+            why = str(managed.node.failure)
+            assert "rig.yaml: no such file" in why if text is None else "lenght_m" in why
+            if name != "driver":  # whose diagnostics tell of the motors
+                managed.said.clear()
+                assert managed.spin(lambda w=why: f"unconfigured: {w}" in managed.said)
+        assert managed.trigger("configure") == SUCCESS
+        assert managed.trigger("activate") == SUCCESS
+        (result,) = managed.node.set_parameters([Parameter("rig_file", value="")])
+        assert result.reason == (
+            f"parameter rig_file is read when {name} is configured, allowed: while it is not active"
+        )
+        assert managed.trigger("deactivate") == SUCCESS
+        (result,) = managed.node.set_parameters([Parameter("rig_file", value="none.yaml")])
+        assert result.successful
+        assert managed.trigger("activate") == SUCCESS  # still with what was configured
+        assert managed.trigger("deactivate") == SUCCESS
+        assert managed.trigger("cleanup") == SUCCESS
+        assert managed.trigger("configure") == FAILURE
