@@ -486,6 +486,25 @@ def test_a_stop_latches_in_every_state(peer):
     assert peer.until(lambda: len(peer.heard_at) >= count + 3)
 
 
+def test_an_enable_without_a_stop_changes_nothing(peer):
+    """Another text would end a running task: it stands for a stop that was cleared."""
+    peer.connect()
+    texts = []
+    peer.node.create_subscription(String, "driver_state", lambda m: texts.append(m.data), LATCHED)
+    assert peer.until(lambda: texts and texts[-1].startswith("ready: enabled at"))
+    before = texts[-1]
+    enable = peer.node.create_client(SetBool, "enable")
+    answer = peer.call(enable, SetBool.Request(data=True))
+    assert (answer.success, answer.message) == (True, "ready")
+    count = len(texts)
+    assert peer.until(lambda: len(texts) >= count + 2)
+    assert set(texts) == {before}
+    stop = peer.node.create_client(Trigger, "emergency_stop")
+    assert peer.call(stop, Trigger.Request()).success
+    assert peer.call(enable, SetBool.Request(data=True)).success
+    assert peer.until(lambda: texts[-1].startswith("ready") and texts[-1] != before)
+
+
 def test_cycles_that_are_too_long_are_refused_unread(peer):
     peer.connect()
     msg = cycle_to_msg(shaking(0.0005), to_time(MS))

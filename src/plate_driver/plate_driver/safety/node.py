@@ -157,6 +157,10 @@ class SafetyNode:
             response.success = False
             response.message = f"the driver is {self._driver.state_text()}, allowed: active"
             return response
+        transport.poll()
+        if self._driver.state_text() == READY:  # there is no stop to clear, and a task may run
+            response.success, response.message = True, READY
+            return response
         order = transport.enable(number)
         self.publish_state()
         order.wait()
