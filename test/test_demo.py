@@ -186,9 +186,8 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
 @pytest.mark.parametrize(
     ("rig", "title"),
-    [("desk", "rig desk"), ("my/rig.yaml", "rig"), ("/a/my_plate.yaml", "rig my_plate"),
-     ("rig_2.yaml", "rig_2")],
-)  # fmt: skip
+    [("desk", "rig desk"), ("my/rig.yaml", "rig.yaml"), ("/a/my_plate.yml", "my_plate.yml")],
+)
 def test_the_title_says_rig_once(rig, title):
     assert rig_title(rig) == title
 

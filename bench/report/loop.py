@@ -116,7 +116,7 @@ def shaking(rows: list[Row]) -> Chart:
     for colour, (scenario, mine) in zip(COUNT_COLOURS, tasks, strict=False):
         y, unit = ("time_s", "s") if mine[0]["rms_mm"] is None else ("rms_mm", "mm")
         sized(sorts if y == "time_s" else follows, scenario, "gamma", y, mine, colour)
-        told.append(f"{scenario} {slashed(mine, y)} {unit}")
+        told.append(f"{scenario} {medians(mine, y)} {unit}")
     return Chart(
         "shaking", "", "Sizing a rig: how hard it must shake",
         "The plate's acceleration over mu g, that of a sliding part. Medians over the seeds, in a "
@@ -139,7 +139,8 @@ def crowds(rows: list[Row]) -> Chart:
         "crowds", "", "Sizing a rig: how many parts it sorts",
         "Half of them to the left, half to the right, on the default rig. Medians over the seeds, "
         "in a clean world; hollow: not all runs ended well.",
-        f"{slashed(rows, 'parts')} parts are sorted in {slashed(rows, 'time_s')} s, "
+        f"{' / '.join(shown(n) for n in by(rows, 'parts'))} parts are sorted in "
+        f"{medians(rows, 'time_s')} s, "
         f"{dropped or 'none'} dropped.",
         "", panels,
     )  # fmt: skip
@@ -149,11 +150,16 @@ def sized(panel: Panel, name: str, x: str, y: str, rows: list[Row], colour: str)
     """Add a line of one task; hollow where not all runs ended well."""
     panel.points(
         name, column(rows, x), column(rows, y), colour, "o", "-",
-        hollow=[len(set(r["succeeded"].split(" of "))) > 1 for r in rows],
+        hollow=[not all_well(r) for r in rows],
         notes=[f"{r['succeeded']} ended well, {r['dropped']} parts dropped" for r in rows],
     )  # fmt: skip
 
 
-def slashed(rows: list[Row], key: str) -> str:
-    """Return the values of a column in a row."""
-    return " / ".join(shown(r[key]) for r in rows)
+def all_well(row: Row) -> bool:
+    """Whether all runs of a row ended well: it says how many of how many did."""
+    return len(set(row["succeeded"].split(" of "))) == 1
+
+
+def medians(rows: list[Row], key: str) -> str:
+    """Return a column's values in a line, with how many runs they are of where some failed."""
+    return " / ".join(shown(r[key]) + ("" if all_well(r) else f" ({r['succeeded']})") for r in rows)

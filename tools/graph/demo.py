@@ -363,9 +363,8 @@ def draw(plan: Plan, record: Record) -> None:
 
 
 def rig_title(rig: str) -> str:
-    """Return `rig desk` for a name or file of a rig; no `rig rig`, where the file is rig.yaml."""
-    name = Path(rig).stem
-    return name if name.lower().startswith("rig") else f"rig {name}"
+    """Return `rig desk` for a name, `my_rig.yaml` for a file."""
+    return Path(rig).name if Path(rig).suffix else f"rig {rig}"
 
 
 class StatusLine:
