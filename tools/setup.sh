@@ -84,7 +84,7 @@ foundation() {
     "$venv/bin/python" -c "import sys; print('$ros', sys.prefix, sys.base_prefix, sys.version)" 2>/dev/null || true
 }
 
-requirements_key() { cat requirements.txt requirements-jazzy.txt constraints.txt | sha256sum; }
+requirements_key() { cat requirements.txt requirements-jazzy.txt constraints.txt tools/add_messages.sh | sha256sum; }
 
 # requirements-jazzy.txt without the lines whose module (after the #) is there already
 missing_requirements() {
@@ -119,6 +119,17 @@ write_underlay() {
     done
 }
 
+# tf2_msgs has no wheel: one message, built like plate_interfaces. (A ROS that is installed has it.)
+add_tf2_msgs() {
+    local folder="$scratch/tf2_msgs" file
+    mkdir -p "$folder/msg"
+    for file in CMakeLists.txt package.xml; do
+        sed 's/plate_interfaces/tf2_msgs/' "src/plate_interfaces/$file" > "$folder/$file"
+    done
+    echo "geometry_msgs/TransformStamped[] transforms" > "$folder/msg/TFMessage.msg"
+    tools/add_messages.sh "$folder" > "$log" 2>&1 || { cat "$log" >&2; fail "tf2_msgs could not be built (see above)."; }
+}
+
 prepare_environment() {
     local options=()
     if [ ! -f "$venv/.foundation" ] || [ "$(foundation)" != "$(cat "$venv/.foundation")" ]; then
@@ -139,7 +150,7 @@ prepare_environment() {
             "or newer and Python 3.11 or 3.12; elsewhere install ROS 2 Jazzy and source it first." \
             "The same command again goes on where this one stopped."
     fi
-    [ "$ros" = jazzy ] || write_underlay
+    [ "$ros" = jazzy ] || { write_underlay; add_tf2_msgs; }
     rm -f install/.built # what was compiled may not suit what is installed now
     requirements_key > "$venv/.ready"
 }
@@ -157,7 +168,7 @@ changed_packages() { # reads the differing "hash  path" lines
 }
 
 build_packages() {
-    local inputs changed package packages=() options=(-DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF)
+    local inputs changed package packages=() place=. options=(-DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF)
     inputs=$(build_inputs)
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
@@ -178,8 +189,11 @@ build_packages() {
     [ "$ros" = jazzy ] || { options+=(-DWITHOUT_CPP=ON); export CMAKE_GENERATOR=Ninja; }
     # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
     printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg
-    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build --base-paths src \
-        --packages-select "${packages[@]}" --cmake-args "${options[@]}" -DPython3_EXECUTABLE="$venv/bin/python" > "$log" 2>&1 ||
+    # The generators of messages read no path with other letters than ASCII; then all is built elsewhere.
+    case "$root" in *[!\ -~]*) cp -rL src "$scratch"; place=$scratch ;; esac
+    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build \
+        --base-paths "$place/src" --build-base "$place/build" --packages-select "${packages[@]}" \
+        --cmake-args "${options[@]}" -DPython3_EXECUTABLE="$venv/bin/python" > "$log" 2>&1 ||
         { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
     # What colcon writes calls its Python without quotes, which ends at a space in the path.
     sed -i -E 's|\$\((\$_colcon_python_executable) |$("\1" |' install/local_setup.*sh
@@ -190,6 +204,8 @@ exec 9< tools/setup.sh
 flock 9 # two commands started together: the second one waits
 mkdir -p log
 touch log/COLCON_IGNORE
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
 choose_ros
 prepare_environment
 build_packages
