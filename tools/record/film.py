@@ -96,7 +96,12 @@ def develop(record: Record, rig: Rig) -> Film:
         with suppress(PlateError):  # check_limits tells what is wrong with it
             cycles.append(msg_to_motors(rig, msg))
             tables.append(msg)
-    images = [deserialize_message(data, Image) for data in record.images.items]
+    images, pictures = [], []
+    for data in record.images.items:
+        image = deserialize_message(data, Image)
+        with suppress(PlateError):  # a broken one, which the detector has refused too
+            pictures.append(image_to_array(image))
+            images.append(image)
 
     def since(messages: list) -> np.ndarray:
         return np.array([1e-9 * (nanoseconds(msg.header.stamp) - began) for msg in messages])
@@ -110,5 +115,5 @@ def develop(record: Record, rig: Rig) -> Film:
         table_time=since(tables),
         tables=tuple(cycles),
         image_time=since(images),
-        images=tuple(image_to_array(msg) for msg in images),
+        images=tuple(pictures),
     )

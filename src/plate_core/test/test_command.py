@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import subprocess
 import sys
 import threading
 from dataclasses import dataclass
@@ -94,6 +95,7 @@ def test_parameters(graph):
         ),
         (("talker", "gain", ""), r"talker gain is '', allowed: a float"),
         (("talker", "gain", "{a: 1}"), r"talker gain is '{a: 1}', allowed: a float"),
+        (("talker", "gain", "2026-13-45"), r"talker gain is '2026-13-45', allowed: a float"),
         (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),
         (("talker", "seed", "4"), r"talker refuses: .*read-only"),
         (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
@@ -114,7 +116,7 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch
         return seen[-1]
 
     monkeypatch.setattr(alone, "_until", until)
-    with pytest.raises(PlateError, match="no graph runs"):
+    with pytest.raises(PlateError, match=r"no graph runs.*: cut the power by hand$"):
         asked(alone, command)
     alone.node.destroy_node()
     assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
@@ -129,6 +131,29 @@ def test_nobody_is_there(graph):
     finally:
         alone.node.destroy_node()
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
+
+
+@pytest.mark.parametrize(
+    ("domain", "words", "message"),
+    [
+        (
+            "abc",
+            ["state"],
+            "plate: ROS_DOMAIN_ID is 'abc', allowed: a whole number from 0 to 232\n",
+        ),
+        ("-1", ["cut_power"], "plate: ROS_DOMAIN_ID is '-1', allowed"),
+        ("999", ["state"], "plate: ROS_DOMAIN_ID is '999', allowed"),
+        ("", ["state", "--namespace", "a b"], "plate: namespace is 'a b', allowed"),
+    ],
+)
+def test_a_domain_or_namespace_that_is_none_is_refused_in_a_line(domain, words, message):
+    code = "from plate_core.ros.command import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *words], env=os.environ | {"ROS_DOMAIN_ID": domain},
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr[: len(message)]) == (1, message)
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_mistyped_command_is_told_the_nearest(monkeypatch, capsys):

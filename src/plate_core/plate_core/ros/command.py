@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -54,6 +56,9 @@ where some of those that are known have said nothing yet [s]."""
 
 NAME = "plate_command"
 
+LAST_DOMAIN = 232
+"""The ports of the next one would be beyond 65535."""
+
 DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
 """UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains whose ports are nobody else's."""
 
@@ -62,16 +67,26 @@ def main() -> None:
     """Run the command line; exit code 0 if it was done, 1 if not."""
     args = _arguments()
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
-    rclpy.init(args=[])
-    graph = Graph(args.namespace)
     try:
-        print(graph.run(args))
+        domain()
+        if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", args.namespace, re.ASCII):
+            raise PlateError(
+                f"namespace is {args.namespace!r}, allowed: words of letters, digits and _, with / "
+                "between them"
+            )
+        rclpy.init(args=[])
+        graph = Graph(args.namespace)
+        try:
+            print(graph.run(args))
+        finally:
+            graph.node.destroy_node()
     except PlateError as error:
         print(f"plate: {error}", file=sys.stderr)
         sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
     finally:
-        graph.node.destroy_node()
-        rclpy.shutdown()
+        rclpy.try_shutdown()
 
 
 def _arguments() -> argparse.Namespace:
@@ -155,7 +170,8 @@ class Graph:
             return urgent or client.service_is_ready() or bool(self._seen())
 
         if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
-            raise PlateError(self._missing(service))
+            cut = ": cut the power by hand" if urgent else ""
+            raise PlateError(self._missing(service) + cut)
         future = client.call_async(request)
         if not self._until(future.done, ANSWER_S):
             cut = ": cut the power by hand" if urgent else ""
@@ -250,7 +266,7 @@ class Graph:
             if isinstance(before, float) and type(value) is int:
                 value = float(value)
             allowed = type(value) is kind
-        except yaml.YAMLError:
+        except (yaml.YAMLError, ValueError):  # the latter: a date that is none
             allowed = False
         if not allowed:
             raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")
@@ -285,13 +301,28 @@ class Graph:
 
 def nobody() -> str:
     """Say that no graph is there, and in which domains of this machine there may be one."""
-    domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
-    others = sorted(domains_in_use() - {domain})
-    text = f"no graph runs in ROS domain {domain}"
+    others = sorted(domains_in_use() - {domain()})
+    text = f"no graph runs in ROS domain {domain()}"
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID={others[0]}"
     return text
+
+
+def domain() -> int:
+    """Return the ROS domain of this process.
+
+    Raises
+    ------
+    PlateError
+        If the environment names none.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+        raise PlateError(
+            f"ROS_DOMAIN_ID is {text!r}, allowed: a whole number from 0 to {LAST_DOMAIN}"
+        )
+    return int(text)
 
 
 def domains_in_use() -> set[int]:
