@@ -2,10 +2,10 @@
 SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench charts docs clean workspace
+.PHONY: help setup cli demo test lint format bench charts docs clean workspace
 
 # A mistyped name would be ignored without a word.
-NAMES := ARGS METHOD PYTHON RIG SCENARIO TRANSPORT WORKERS
+NAMES := ARGS METHOD PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
 $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(if $(filter $(NAMES) MAKE% -%,$(name)),,\
     $(error $(name) is unknown, allowed: $(NAMES)))))
 
@@ -18,6 +18,9 @@ help: ## List these commands
 
 setup: ## Install everything into .venv and build the packages
 	@tools/setup.sh
+
+cli: workspace ## Install the `ros2` command line, where there is no ROS: [SOURCES=https://github.com]
+	@tools/cli.sh
 
 workspace:
 	@tools/setup.sh --quiet
