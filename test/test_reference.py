@@ -11,6 +11,8 @@ from reference import PAGE, page
 from plate_core import PlateError, load_rig, rig, tasks
 from plate_core.tasks import load_scenario
 from plate_core.yaml_fields import Fields, Number, Numbers, Whole
+from plate_sim.camera import part_greys
+from plate_vision import CLASSES
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -103,6 +105,11 @@ def cases():
         for key in section.keys:
             if isinstance(key.kind, Number | Whole | Numbers):
                 yield pytest.param(section, key, id=f"{section.where}: {key.name}")
+
+
+def test_classes_are_those_that_detector_and_simulator_know():
+    assert tasks.CLASSES == CLASSES
+    assert len(set(part_greys(list(tasks.CLASSES)))) == len(CLASSES)
 
 
 @pytest.mark.parametrize(("section", "key"), cases())

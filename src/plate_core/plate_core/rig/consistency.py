@@ -1,4 +1,4 @@
-"""Whether a rig's facts fit each other: the impossible is refused, the doubtful is reported.
+"""Whether a rig's facts fit each other: the impossible is refused, of the rest there are warnings.
 
 A wrong decimal point or a file copied from another rig shows as a motor beside the plate, as image
 corners of another plate, as parts that are a pixel wide.
@@ -33,11 +33,11 @@ CYCLE_HZ = (5.0, 40.0)
 
 OUTSIDE, BESIDE = 0.5, 0.1
 """How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
-from where on that is doubtful."""
+from where on there is a warning."""
 
 WORST_FIT, GOOD_FIT = 0.15, 0.03
 """Relative error of lengths, or error of the right angle, that image corners may show; and from
-where on it is doubtful."""
+where on there is a warning."""
 
 FOCAL_LENGTHS = np.geomspace(0.4, 20, 80)
 """Focal lengths that are tried where none is known, over the width of the image."""
@@ -46,7 +46,8 @@ STEEP_DEG = 45.0
 """A camera that is tilted more than this sees far parts badly."""
 
 PART_SHARE = (0.5, 0.15)
-"""Radius of a part over half the plate's shorter side: more cannot move; more is doubtful."""
+"""Radius of a part over half the plate's shorter side: more cannot move; and from where on there is a
+warning."""
 
 
 class Doubt(NamedTuple):
@@ -72,7 +73,7 @@ def check(rig: Rig) -> None:
 
 
 def doubts(rig: Rig, *about: str) -> list[Doubt]:
-    """Return what is wrong or doubtful, or this about some subjects; what is impossible first."""
+    """Return what is wrong and all warnings, or those about some subjects; the impossible first."""
     found = [*_motors(rig), *_limits(rig), *_parts(rig), *_fiducials(rig), *_camera(rig)]
     asked = [doubt for doubt in found if not about or doubt.about in about]
     return sorted(asked, key=lambda doubt: not doubt.impossible)

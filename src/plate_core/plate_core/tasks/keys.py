@@ -161,7 +161,10 @@ PATH = Section(
             "closed", Flag(), "Whether the last corner leads back to the first.", None,
             "none; a circle is closed",
         ),
-        Key("laps", Number(0.01, 1000), "How many times round.", None, "none; open paths: 1"),
+        Key(
+            "laps", Number(0.01, 1000), "How many times round, such as 2, or 0.5 for half a round.",
+            None, "none; open paths: 1",
+        ),
     ),
 )  # fmt: skip
 
