@@ -46,8 +46,8 @@ STEEP_DEG = 45.0
 """A camera that is tilted more than this sees far parts badly."""
 
 PART_SHARE = (0.5, 0.15)
-"""Radius of a part over half the plate's shorter side: more cannot move; and from where on there is a
-warning."""
+"""Radius of a part over half the plate's shorter side: more cannot move; and from where on there is
+a warning."""
 
 
 class Doubt(NamedTuple):
