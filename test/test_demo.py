@@ -221,6 +221,16 @@ def test_a_camera_that_is_missing_is_said_at_once(tmp_path):
     assert f"no camera: nobody publishes /image_raw in ROS domain {domain}" in errors
 
 
+def test_a_full_disk_is_said_in_a_line(tmp_path, monkeypatch, capsys):
+    def full(plan):
+        Path("/dev/full").write_text("x", encoding="utf-8")
+
+    monkeypatch.setattr("graph.demo.run", full)
+    monkeypatch.setattr(sys, "argv", ["demo.py", "--out", str(tmp_path)])
+    assert run(arguments()) == 1
+    assert capsys.readouterr().err.endswith("demo: [Errno 28] No space left on device\n")
+
+
 def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatch):
     broken = tmp_path / "lib" / "plate_solver" / "solver"
     broken.parent.mkdir(parents=True)

@@ -97,7 +97,7 @@ def demo(args: argparse.Namespace) -> int:
     except Interrupted as interrupt:
         print(f"\ndemo: {name_of(interrupt)}, all nodes are stopped", flush=True)
         return 128 + interrupt.number
-    except PlateError as error:
+    except (PlateError, OSError) as error:  # the latter: a full disk; the nodes are stopped by now
         print(f"\ndemo: {error}", file=sys.stderr, flush=True)
         return 1
 
