@@ -45,14 +45,15 @@ class OwnPlanner:
         tolerance = np.zeros_like(force)
         in_lane = goal[:, 1] == parts.position[:, 1]
         tolerance[in_lane, 1] = self._rig.force_unit  # there it may go as it likes
-        return Wanted.make(parts, force, tolerance)
+        return Wanted.make(parts, force, tolerance, period=period)
 
 
 if __name__ == "__main__":
     from rclpy.node import Node
-    from sensor_msgs.msg import MultiDOFJointState
 
     from plate_core.ros import DATA, msg_to_parts, run_node, seconds, wanted_to_msg
+    from plate_interfaces.msg import PartForces
+    from plate_interfaces.msg import Parts as PartsMsg
 
     class OwnPlannerNode(Node):
         """The same in the graph: subscribes `parts`, publishes `part_forces`."""
@@ -60,10 +61,10 @@ if __name__ == "__main__":
         def __init__(self) -> None:
             super().__init__("planner")
             self._planner = OwnPlanner(load_rig())
-            self._forces = self.create_publisher(MultiDOFJointState, "part_forces", DATA)
-            self.create_subscription(MultiDOFJointState, "parts", self._on_parts, DATA)
+            self._forces = self.create_publisher(PartForces, "part_forces", DATA)
+            self.create_subscription(PartsMsg, "parts", self._on_parts, DATA)
 
-        def _on_parts(self, msg: MultiDOFJointState) -> None:
+        def _on_parts(self, msg: PartsMsg) -> None:
             wanted = self._planner.plan(msg_to_parts(msg), seconds(msg.header.stamp))
             self._forces.publish(wanted_to_msg(wanted, msg.header.stamp))
 

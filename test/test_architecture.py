@@ -70,6 +70,7 @@ def may_use_ros(path: Path) -> bool:
         path.name == "node.py"
         or inside[:3] == ("plate_core", "plate_core", "ros")
         or inside == ("plate_bringup", "plate_bringup", "actions.py")
+        or inside[0] == "plate_client"
     )
 
 
@@ -124,7 +125,8 @@ def test_only_nodes_import_ros():
         for name in sorted(filter(is_ros, imports(path)))
     ]
     assert not offenders, (
-        "ROS is for node.py, plate_core/ros and what launch files start:\n" + "\n".join(offenders)
+        "ROS is for node.py, plate_core/ros, plate_client and what launch files start:\n"
+        + "\n".join(offenders)
     )
 
 

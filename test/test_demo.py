@@ -140,7 +140,7 @@ def check_bag(folder, result):
         pytest.approx(result["motor_setpoints"], abs=3),
     )
     assert said["/image_raw"][1] > 100
-    assert said["/task_state"][1] >= 2  # latched: what was said before we listened, too
+    assert said["/task_status"][1] >= 2  # latched: what was said before we listened, too
 
 
 def test_an_interrupt_leaves_nothing_running(tmp_path):

@@ -38,11 +38,11 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
     from graph.processes import Processes, ros_environment
     from graph.session import ANSWER_S, START_S
     from rclpy.serialization import deserialize_message
-    from sensor_msgs.msg import MultiDOFJointState
 
     from plate_bringup import RunOptions, load_graph
     from plate_core import part_class
     from plate_core.ros import msg_to_parts
+    from plate_interfaces.msg import Parts
 
     options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
     nodes = [node for node in load_graph() if node.name != "planner"]
@@ -59,9 +59,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
             observer.activate_driver()
 
             def short_of_sides():
-                parts = msg_to_parts(
-                    deserialize_message(observer.record.truth[-1], MultiDOFJointState)
-                )
+                parts = msg_to_parts(deserialize_message(observer.record.truth[-1], Parts))
                 assert len(parts) == 4
                 side = [-1 if part_class(name) == "black" else 1 for name in parts.ids]
                 return np.max(0.6 * load_rig().plate.half[0] - side * parts.position[:, 0])

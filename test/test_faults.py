@@ -21,7 +21,7 @@ EXPECTED = {
     ("freeze", "planner"): ("the planner itself stood still for", "", "solver"),
     ("freeze", "solver"): ("no plate_cycle for", "the solver is silent, does it run?", "planner"),
 }
-"""By fault: what task_state says, and a node whose diagnostics go bad (the planner's always do)."""
+"""By fault: what task_status says, and a node whose diagnostics go bad (but for the planner's)."""
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
@@ -34,7 +34,7 @@ def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain
         names = [node.name for node in graph]
         observer.await_nodes(names, START_S)
         observer.await_answers(START_S)
-        faults = Faults(dict.fromkeys(names, processes), observer, "sim", TIMES)
+        faults = Faults(dict.fromkeys(names, processes), observer, options, TIMES)
         for (kind, node), (reason, question, other) in EXPECTED.items():
             row = faults.put(kind, node)
             assert row.task.startswith("aborted"), row
@@ -45,5 +45,5 @@ def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain
             assert levels[other] in ("STALE", "ERROR"), row
             assert row.rest_s is not None, "the plate goes on"
             assert not row.moved_unasked, row
-            assert row.to_go_on == ["start"]
+            assert row.to_go_on == ["goal"]
             assert row.goes_on, row

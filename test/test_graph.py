@@ -167,7 +167,7 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
 
         def started():
             try:
-                observer.trigger("start")
+                observer.start(load_scenario("sort_4"), 0.0)
             except GraphError:
                 return False
             record.states.clear()

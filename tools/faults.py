@@ -5,7 +5,7 @@ python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--t
 
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
 started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
-its main input through to the node for 4 s. Told is what driver_state, task_state and the
+its main input through to the node for 4 s. Told is what driver_state, task_status and the
 diagnostics said and how long after the fault; when the plate rested; whether it moved again before
 anybody asked; and which services had to be called to go on. With --transport serial a simulated
 motor controller is in between, and the plate's motion is what that has played.
@@ -32,7 +32,6 @@ from graph.domains import own_domain
 from graph.observer import ALL, Observer
 from graph.processes import Processes
 from record.judge import LimitCheck, check_limits
-from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -41,6 +40,7 @@ from plate_core import load_rig
 from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
 from plate_core.tasks import load_scenario
+from plate_interfaces.msg import Parts, TaskStatus
 
 START_S, MOVE_S = 180.0, 30.0
 """Longest waits [s]: until the graph stands, until the plate moves."""
@@ -80,7 +80,7 @@ class Plate:
         if self._serial:
             listen(JointTrajectory, "motor_motion", self._on_motion, ALL)
         else:
-            listen(MultiDOFJointState, "ground_truth", self._on_truth, ALL)
+            listen(Parts, "ground_truth", self._on_truth, ALL)
 
     def _saw(self, moves: bool, until: float) -> None:
         self.told_until = max(self.told_until, until)
@@ -97,9 +97,9 @@ class Plate:
         moves = any(abs(v) > STILL_SPEED for point in msg.points for v in point.velocities)
         self._saw(moves, 1e-9 * end)
 
-    def _on_truth(self, msg: MultiDOFJointState) -> None:
+    def _on_truth(self, msg: Parts) -> None:
         if not self.tables_only:
-            moves = any(twist.linear.x or twist.linear.y for twist in msg.twist)
+            moves = any(part.vx or part.vy for part in msg.parts)
             self._saw(moves, 1e-9 * nanoseconds(msg.header.stamp))
 
     @property
@@ -124,14 +124,16 @@ class Talk:
         self.said: dict[str, list[Said]] = {}
         listen = observer.node.create_subscription
         listen(String, "driver_state", self._on_driver, LATCHED)
-        listen(String, "task_state", self._on_task, LATCHED)
+        listen(TaskStatus, "task_status", self._on_task, LATCHED)
         listen(DiagnosticArray, "diagnostics", self._on_diagnostics, ALL)
 
     def _on_driver(self, msg: String) -> None:
         self._note("driver_state", msg.data)
 
-    def _on_task(self, msg: String) -> None:
-        self._note("task_state", msg.data)
+    def _on_task(self, msg: TaskStatus) -> None:
+        said = self.said.get("task_status")
+        if not said or said[-1].text != msg.text:  # it is said with each image
+            self._note("task_status", msg.text)
 
     def _note(self, who: str, text: str, level: int = 0) -> None:
         self.said.setdefault(who, []).append(Said(time.monotonic(), text, level))
@@ -204,7 +206,8 @@ class Faults:
     processes : mapping of str to Processes
         By node: those that it is one of.
     observer : Observer
-    transport : str
+    options : RunOptions
+        Scenario and transport.
     times : Times
     """
 
@@ -212,11 +215,12 @@ class Faults:
         self,
         processes: Mapping[str, Processes],
         observer: Observer,
-        transport: str,
+        options: RunOptions,
         times: Times | None = None,
     ) -> None:
         self.processes, self.observer, self.times = processes, observer, times or Times()
-        self.plate, self.talk = Plate(observer, transport), Talk(observer)
+        self.scenario = load_scenario(options.scenario)
+        self.plate, self.talk = Plate(observer, options.transport), Talk(observer)
 
     def wait(self, seconds: float) -> None:
         """Listen for a time [s]."""
@@ -229,7 +233,7 @@ class Faults:
         for _ in range(TRIES):
             if not observer.record.driver_state.startswith("ready"):
                 observer.enable()
-            observer.begin_anew()
+            observer.begin_anew(self.scenario)
             self.plate.moved_until = 0.0
             observer.until(lambda: self.plate.moving or observer.record.ended, MOVE_S)
             observer.until(lambda: observer.record.ended, self.times.work)
@@ -286,7 +290,7 @@ class Faults:
     def hear(self, row: Row, since: float, until: float) -> None:
         """Note what was said between two times."""
         talk = self.talk
-        for said in talk.after("task_state", since):
+        for said in talk.after("task_status", since):
             if said.at < until and not said.text.startswith("running"):
                 row.task, row.task_s = said.text, round(said.at - since, 1)
                 break
@@ -301,7 +305,7 @@ class Faults:
             worst: Said | None = None
             for said in talk.after(name, since):
                 more = Level(said.level).rank > (Level(worst.level).rank if worst else 0)
-                if name not in ("driver_state", "task_state") and said.at < until and more:
+                if name not in ("driver_state", "task_status") and said.at < until and more:
                     worst = said
             if worst is not None and worst.level != talk.before(name, since).level:
                 seconds = round(worst.at - since, 1)
@@ -312,14 +316,14 @@ class Faults:
         """Do what a person must do until the plate moves again."""
         observer = self.observer
         try:
-            observer.trigger("start")
+            observer.start(self.scenario, 0.0)
         except GraphError as refusal:
             row.refused = str(refusal)
             if not observer.record.driver_state.startswith("ready"):
                 row.to_go_on.append("enable")
                 observer.enable()
-            observer.start()
-        row.to_go_on.append("start")
+            observer.start(self.scenario)
+        row.to_go_on.append("goal")
         begun = time.time()
         row.goes_on = observer.until(lambda: self.plate.moved_until > begun, MOVE_S)
         observer.trigger("stop")
@@ -371,7 +375,7 @@ def run_some(
     ):
         observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
-        faults = Faults(processes, observer, transport)
+        faults = Faults(processes, observer, options)
         if transport == "serial":
             observer.enable()
         for kind in kinds:
@@ -394,7 +398,7 @@ def markdown(result: dict[str, Any]) -> str:
         return f"{seconds:.1f} s: {text}" if seconds is not None else text
 
     lines = [
-        "| fault | node | task_state | driver_state | diagnostics | plate rests | to go on |",
+        "| fault | node | task_status | driver_state | diagnostics | plate rests | to go on |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:

@@ -145,7 +145,7 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
         observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
         with Hops(images=False) as hops:
-            observer.start()
+            observer.start(load_scenario(scenario))
             begun, start = crossed(), time.time()
             observer.until(lambda: record.ended, TASK_S)
             end = time.time()

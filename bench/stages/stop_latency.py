@@ -21,6 +21,7 @@ import numpy as np
 
 from harness import Result, Table, missing_peer, optional
 from plate_core.serial_protocol import Reader, Stop, parse
+from plate_core.tasks import load_scenario
 from stages.upload import PERIOD_S, device, shaking
 
 LONGEST_MS = 50.0
@@ -107,6 +108,7 @@ class Bench:
         from std_srvs.srv import SetBool, Trigger
         from trajectory_msgs.msg import JointTrajectory
 
+        from plate_client import PlateClient
         from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
 
         self.node = rclpy.create_node("stop_latency")
@@ -116,7 +118,7 @@ class Bench:
         self.node.create_subscription(String, "driver_state", self._on_state, LATCHED)
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
-        self.start = self.node.create_client(Trigger, "start")
+        self.plate = PlateClient(self.node, self.until)
         self.kinds = Trigger, SetBool
         cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
         table, self.number = shaking(64, 5e-4), 0
@@ -146,15 +148,9 @@ class Bench:
         return future.result() if self.until(future.done, seconds) else None
 
     def begin_task(self) -> None:
-        """Start the task, as soon as the planner takes it."""
-        trigger, _ = self.kinds
-        self.start.wait_for_service(START_S)
-        end = time.monotonic() + START_S
-        while time.monotonic() < end:
-            answer = self.call(self.start, trigger.Request())
-            if answer is not None and answer.success:
-                return
-            time.sleep(0.2)
+        """Start a task, as soon as the planner takes it."""
+        self.until(lambda: self.plate.found("sort_parts"), START_S)
+        self.plate.start(load_scenario("sort_10"), START_S)
 
     def close(self) -> None:
         """End."""

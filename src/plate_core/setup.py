@@ -23,7 +23,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            f"plate = {NAME}.ros.command:main",
             f"check_rig = {NAME}.rig.check_rig:main",
         ]
     },

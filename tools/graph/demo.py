@@ -305,8 +305,8 @@ def watch(plan: Plan, observer: Observer) -> None:
             raise GraphError(f"the planner has said nothing for {SILENCE_S:g} s")
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
-    over = record.states[-1].split(":")[0]
-    observer.until(lambda: record.last("planner", "task_state").startswith(over), 2.0)
+    over = record.states[-1]
+    observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress.text(record))
 
 

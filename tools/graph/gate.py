@@ -15,18 +15,19 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image, MultiDOFJointState
+from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros import DATA, IMAGE, run_node
+from plate_interfaces.msg import PartForces, Parts
 
 NAME = "gate"
 
 INPUTS: Mapping[str, tuple[Any, str, QoSProfile]] = {
     "simulator": (JointTrajectory, "motor_setpoints", DATA),
     "detector": (Image, "image_raw", IMAGE),
-    "planner": (MultiDOFJointState, "parts", DATA),
-    "solver": (MultiDOFJointState, "part_forces", DATA),
+    "planner": (Parts, "parts", DATA),
+    "solver": (PartForces, "part_forces", DATA),
     "driver": (JointTrajectory, "plate_cycle", DATA),
 }
 """By node: type, topic and quality of service of its main input."""

@@ -9,15 +9,16 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import Image, MultiDOFJointState
+from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core.ros import CAMERA
+from plate_interfaces.msg import PartForces, Parts
 
 CHAIN: tuple[tuple[str, Any], ...] = (
     ("image_raw", Image),
-    ("parts", MultiDOFJointState),
-    ("part_forces", MultiDOFJointState),
+    ("parts", Parts),
+    ("part_forces", PartForces),
     ("plate_cycle", JointTrajectory),
     ("motor_setpoints", JointTrajectory),
 )

@@ -17,14 +17,18 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import Image, MultiDOFJointState
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError
+from plate_client import PlateClient, Task
+from plate_core import PlateError
 from plate_core.ros import CAMERA, LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import COMPILING, Level
+from plate_core.tasks import Scenario
+from plate_interfaces.msg import Parts, TaskStatus
 
 MOST_IMAGES = 240
 """Images kept for drawing (300 kB each)."""
@@ -108,7 +112,9 @@ class Record:
     health : dict of str to Health
         The newest of them.
     states : list of str
-        Of task_state.
+        What the planner said of the task, each once.
+    status : TaskStatus, optional
+        The newest.
     driver_state : str
         What the driver said last.
     """
@@ -122,6 +128,7 @@ class Record:
     )
     health: dict[str, Health] = field(default_factory=dict)
     states: list[str] = field(default_factory=list)
+    status: TaskStatus | None = None
     driver_state: str = ""
 
     def last(self, node: str, key: str, default: str = "") -> str:
@@ -136,7 +143,8 @@ class Record:
     @property
     def ended(self) -> bool:
         """Whether the task is over."""
-        return bool(self.states) and self.states[-1].split(":")[0] not in ("idle", "running")
+        going = (TaskStatus.IDLE, TaskStatus.RUNNING)
+        return self.status is not None and self.status.state not in going
 
 
 class Observer:
@@ -166,6 +174,7 @@ class Observer:
         self.record, self.domain = Record(), domain
         self.pulses = [pulse]
         self._pulsed_at = 0.0
+        self._client: PlateClient | None = None
         rclpy.init(
             domain_id=domain,
             args=["--ros-args", "--disable-external-lib-logs"],
@@ -179,13 +188,13 @@ class Observer:
         def listen(kind: Any, topic: str, on_message: Any, qos: QoSProfile, raw: bool) -> None:
             self.node.create_subscription(kind, topic, on_message, qos, raw=raw)
 
-        listen(MultiDOFJointState, "ground_truth", record.truth.append, ALL, True)
+        listen(Parts, "ground_truth", record.truth.append, ALL, True)
         listen(JointTrajectory, "motor_setpoints", record.tables.append, ALL, True)
         listen(JointTrajectory, "plate_cycle", self._on_answer, ALL, True)
         if pictures:
             listen(Image, "image_raw", record.images.add, CAMERA, True)
         listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
-        listen(String, "task_state", lambda msg: record.states.append(msg.data), LATCHED, False)
+        listen(TaskStatus, "task_status", self._on_task, LATCHED, False)
         listen(String, "driver_state", self._on_driver, LATCHED, False)
 
     def __enter__(self) -> Observer:
@@ -198,6 +207,11 @@ class Observer:
 
     def _on_answer(self, _: bytes) -> None:
         self.record.answers += 1
+
+    def _on_task(self, msg: TaskStatus) -> None:
+        self.record.status = msg
+        if not self.record.states or self.record.states[-1] != msg.text:
+            self.record.states.append(msg.text)
 
     def _on_driver(self, msg: String) -> None:
         self.record.driver_state = msg.data
@@ -364,24 +378,23 @@ class Observer:
             said = self.record.driver_state or "nothing"
             raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
 
-    def start(self) -> None:
-        """Start the task; for a moment it may still be refused.
+    def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
+        """Send the goal of a scenario; for a moment it may still be refused.
 
         Raises
         ------
         GraphError
             If it is refused for longer: why.
         """
-        self.await_ready()
-        end = time.monotonic() + ACCEPTED_S
-        while True:
-            try:
-                self.trigger("start")
-                return
-            except GraphError:
-                if time.monotonic() > end:
-                    raise
-            self.until(lambda: False, POLL_S)
+        if ready_timeout_s:
+            self.await_ready()
+        if self._client is None:
+            self._client = PlateClient(self.node, self.until)
+        self.record.status = None
+        try:
+            return self._client.start(scenario, ready_timeout_s)
+        except PlateError as refusal:
+            raise GraphError(str(refusal)) from None
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service and return its answer.
@@ -405,7 +418,7 @@ class Observer:
             self.node.destroy_client(client)
 
     def trigger(self, service: str) -> str:
-        """Call `start` or `stop` and return what it says.
+        """Call a service such as `stop` and return what it says.
 
         Raises
         ------
@@ -417,8 +430,8 @@ class Observer:
             raise GraphError(f"{service} refused: {answer.message}")
         return str(answer.message)
 
-    def begin_anew(self) -> None:
-        """Put the parts down anew, forget where they were, and start the task again.
+    def begin_anew(self, scenario: Scenario) -> None:
+        """Put the parts down anew, forget where they were, and start the task.
 
         The driver must be ready.
 
@@ -433,7 +446,7 @@ class Observer:
         self.until(lambda: False, SETTLE_S)  # images of the old parts are on their way
         self.trigger("detector/reset")
         self.record.states.clear()
-        self.start()
+        self.start(scenario)
 
     def set_parameter(self, node: str, name: str, value: Any) -> tuple[bool, str]:
         """Set a parameter of a running node; returns whether it took it, and why not."""

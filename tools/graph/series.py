@@ -145,7 +145,7 @@ def one_task(
     observer, record = graph.observer, graph.observer.record
     names = ("cycles", "held cycles", "late cycles")
     before = [int(record.last("simulator", name, "0")) for name in names]
-    observer.begin_anew()
+    observer.begin_anew(graph.scenario)
     start = time.time()
     observer.until(lambda: record.ended, longest_s)
     end = time.time()

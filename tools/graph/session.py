@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from plate_bringup import RunOptions, load_graph
+from plate_core.tasks import Scenario, load_scenario
 
 from .domains import own_domain
 from .observer import Observer
@@ -41,6 +42,11 @@ class Session:
     observer: Observer
     nodes: list[str]
 
+    @property
+    def scenario(self) -> Scenario:
+        """What is to be done."""
+        return load_scenario(self.options.scenario)
+
     def free(self) -> None:
         """Set the plate free: activate the driver and, where there are motors, enable them.
 
@@ -54,12 +60,10 @@ class Session:
     def begin(self) -> None:
         """Set the plate free and start the task.
 
-        In lockstep the task starts by itself with the driver: the simulator waits at the first
-        image, which has been answered so far, so it begins with the second one.
+        In lockstep the planner waits for the goal at the second image: the task begins with it.
         """
         self.free()
-        if not self.options.lockstep:
-            self.observer.start()
+        self.observer.start(self.scenario)
 
 
 @contextmanager

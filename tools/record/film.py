@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from graph.observer import Record
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Image, MultiDOFJointState
+from sensor_msgs.msg import Image
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import PlateCycle, PlateError, Rig
 from plate_core.ros import image_to_array, msg_to_motors, msg_to_parts, nanoseconds
+from plate_interfaces.msg import Parts
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,8 @@ def develop(record: Record, rig: Rig) -> Film:
     if not reports or not record.truth:
         raise PlateError("the task never began: there is nothing to judge or draw")
     began = reports[0][0] - round(1e9 * float(reports[0][1]["time_s"]))
-    truth = [deserialize_message(data, MultiDOFJointState) for data in record.truth]
-    ids = tuple(truth[0].joint_names)
+    truth = [deserialize_message(data, Parts) for data in record.truth]
+    ids = msg_to_parts(truth[0]).ids
     position = np.full((len(truth), len(ids), 2), np.nan)
     angle = np.zeros((len(truth), len(ids)))
     for row, turned, msg in zip(position, angle, truth, strict=True):

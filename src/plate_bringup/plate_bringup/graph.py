@@ -17,7 +17,7 @@ JUDGING = ("simulator", "detector", "planner", "solver")
 OWN = {
     "simulator": ("scenario", "seed", "lockstep", "rate"),
     "device": ("seed",),
-    "planner": ("scenario", "lockstep"),
+    "planner": ("lockstep",),
     "solver": ("method", "seed"),
     "driver": ("transport", "autostart"),
 }
@@ -93,7 +93,7 @@ class RunOptions:
     Attributes
     ----------
     scenario : str
-        Name or path: to simulator and planner.
+        Name or path: to the simulator.
     method : str
         Of the solver.
     seed : int
@@ -111,8 +111,7 @@ class RunOptions:
     rig_file : str
         To all nodes; empty: the default rig.
     autostart : bool
-        False: the driver waits until it is configured and activated from outside. In lockstep the
-        task then begins with it, so that a seed gives the same run every time.
+        False: the driver waits until it is configured and activated from outside.
     """
 
     scenario: str = "sort_10"
@@ -153,8 +152,6 @@ class RunOptions:
         chosen = {option.name for option in fields(self)} if given is None else {*given}
         names = [name for name in OWN.get(node.name, ()) if name in chosen]
         values: dict[str, Value] = {name: getattr(self, name) for name in names}
-        if node.name == "planner" and self.lockstep and not self.autostart:
-            values["autostart"] = True
         if node.name == "driver" and (self.port or self.over_link):
             values["port"] = self.port or self.link
         if node.name == "device":

@@ -8,6 +8,9 @@ import numpy as np
 
 from .errors import PlateError
 
+CYCLE_S = 0.1
+"""Length of a cycle where none is given [s]."""
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -87,12 +90,15 @@ class Wanted:
         Any force within +-tolerance [N] of `force` is as good.
     torque : (M,)
         Mean torque over a cycle [N m]; zero where any turning will do.
+    period : float
+        Length of that cycle, T [s]: a force F changes the drift of a part by F T/m.
     """
 
     parts: Parts
     force: np.ndarray
     tolerance: np.ndarray
     torque: np.ndarray
+    period: float
 
     @classmethod
     def make(
@@ -101,8 +107,9 @@ class Wanted:
         force: np.ndarray | None = None,
         tolerance: np.ndarray | None = None,
         torque: np.ndarray | None = None,
+        period: float = CYCLE_S,
     ) -> Wanted:
-        """Build it; what is missing is zero.
+        """Build it; what is missing is zero, but for the period.
 
         Raises
         ------
@@ -115,6 +122,7 @@ class Wanted:
             _filled("force", force, pair),
             _filled("tolerance", tolerance, pair),
             _filled("torque", torque, single),
+            period,
         )
 
 

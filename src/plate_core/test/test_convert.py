@@ -15,6 +15,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from plate_core.ros import convert
+from plate_interfaces.msg import Part
 
 RIG = load_rig()
 STAMP = convert.to_time(1_234_567_890_123_456_789)
@@ -37,7 +38,7 @@ def wanted() -> Wanted:
     spin, friction, torque = np.random.default_rng(2).uniform(0, 1, (3, 3))
     ids, angle = ("black_1", "white_1", "white_2"), np.array([-3.0, 0, 3])
     parts = Parts.make(ids, position, velocity, angle, spin, friction)
-    return Wanted.make(parts, force, tolerance, torque)
+    return Wanted.make(parts, force, np.abs(tolerance), torque, 0.2)
 
 
 def test_stamps():
@@ -73,15 +74,28 @@ def test_parts_there_and_back():
         np.testing.assert_allclose(found, right, atol=1e-12)
     for name in ("force", "tolerance", "torque"):
         np.testing.assert_allclose(getattr(back, name), getattr(sent, name), atol=1e-12)
+    assert back.period == sent.period
 
 
-def test_twist_and_wrench_may_be_left_out():
+def test_seen_parts_there_and_back():
+    sent = wanted().parts
+    msg = over_the_wire(convert.parts_to_msg(sent, STAMP, Part.SIMULATED))
+    assert [part.type for part in msg.parts] == ["black", "white", "white"]
+    assert {part.source for part in msg.parts} == {Part.SIMULATED}
+    back = convert.msg_to_parts(msg)
+    for name in ("position", "velocity", "angle", "spin"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(sent, name))
+
+
+def test_an_interval_without_an_end():
     msg = convert.wanted_to_msg(wanted(), STAMP)
-    msg.twist, msg.wrench = [], []
+    msg.forces[0].force_x_min, msg.forces[0].force_x_max = -float("inf"), 0.01
+    msg.forces[1].torque_min = -float("inf")
     back = convert.msg_to_wanted(over_the_wire(msg))
-    np.testing.assert_array_equal(back.parts.position, wanted().parts.position)
-    assert not np.any(back.parts.velocity)
-    assert not np.any(back.force)
+    assert back.force[0, 0] + back.tolerance[0, 0] == pytest.approx(0.01, abs=1e-6)
+    assert back.force[0, 0] - back.tolerance[0, 0] < -1e8
+    assert back.torque[1] == 0
+    assert back.torque[0] == pytest.approx(wanted().torque[0])
 
 
 def test_no_parts():
@@ -149,16 +163,23 @@ def test_wrong_cycles(change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m.transforms.pop(), "2 transforms for 3 names, allowed: as many"),
-        (lambda m: m.twist.pop(), "2 twist for 3 names"),
-        (lambda m: setattr(m, "joint_names", ["a", "b", "a"]), "a name is given twice"),
-        (lambda m: setattr(m.wrench[1].force, "x", float("nan")), "white_1 has a value"),
-        (lambda m: setattr(m.wrench[1].torque, "z", float("nan")), "white_1 has a value of nan"),
+        (lambda m: setattr(m.forces[2], "id", "black_1"), "a name is given twice"),
+        (lambda m: setattr(m.forces[1], "x", float("nan")), "white_1 has a value of nan"),
+        (lambda m: setattr(m.forces[1], "vy", float("inf")), "white_1 has a value of inf"),
         (
-            lambda m: setattr(m.wrench[1].force, "y", -1e200),
+            lambda m: setattr(m.forces[1], "friction_limit", -1e200),
             "value of -1e.200, allowed: up to 1e.09",
         ),
-        (lambda m: setattr(m.transforms[2].rotation, "z", float("nan")), "white_2 has a value"),
+        (
+            lambda m: setattr(m.forces[1], "force_y_min", float("nan")),
+            "white_1 has force_y_min nan and force_y_max .*, allowed: min not above max",
+        ),
+        (
+            lambda m: setattr(m.forces[2], "torque_max", -9.0),
+            "white_2 has torque_min .*-9, al",
+        ),
+        (lambda m: setattr(m, "period_s", 0.0), "period_s is 0, allowed: above 0"),
+        (lambda m: setattr(m, "period_s", float("nan")), "period_s is nan, allowed: above 0"),
     ],
 )
 def test_wrong_parts(change, message):

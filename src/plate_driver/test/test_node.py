@@ -432,7 +432,7 @@ def test_the_command_line_stops_and_tells(peer):
     peer.connect()
 
     def plate(*words: str) -> tuple[int, str]:
-        code = "from plate_core.ros.command import main; main()"
+        code = "from plate_client.command import main; main()"
         done = subprocess.run(
             [sys.executable, "-c", code, *words, "--namespace", NAMESPACE],
             capture_output=True, text=True, timeout=60,
@@ -444,7 +444,7 @@ def test_the_command_line_stops_and_tells(peer):
     assert "\n  driver: " in text
     assert (code, EMERGENCY in text) == (0, True)
     assert plate("enable") == (0, "ready\n")
-    code, text = plate("start")
+    code, text = plate("stop")
     assert (code, "no service start: nodes here: driver, driver_safety" in text) == (1, True)
 
 

@@ -1,4 +1,4 @@
-"""The planner node: `parts` in, `part_forces` out, and a task that is started and stopped.
+"""The planner node: `parts` in, `part_forces` out, and tasks: goals of four actions.
 
 It listens to `plate_cycle` too: what the plate does carries the parts from image to image. And it
 sees to it that a task ends, with the reason, when what it needs is gone: parts, the solver's
@@ -10,26 +10,27 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
-from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import String
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.task import Future
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
 from plate_core.ros import (
+    ACTIONS,
     DATA,
     LATCHED,
     NEWEST,
-    Diagnostics,
+    NodeOptions,
+    SafeLifecycleNode,
     compiling,
-    declare,
-    follow,
     forces_to_msg,
+    goal_to_scenario,
     msg_to_cycle,
     msg_to_parts,
     msg_to_reports,
@@ -40,11 +41,11 @@ from plate_core.ros import (
     wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
-from plate_core.tasks import load_scenario
+from plate_interfaces.msg import PartForces, Parts, TaskProgress, TaskStatus
 
-from .estimation import warm_up
-from .planner import NOTHING, Planner, PlannerOptions
-from .supervision import Inputs, Phase, Progress
+from .estimation import Estimator, warm_up
+from .planner import NOTHING, Planner, PlannerOptions, PlannerState
+from .supervision import STOP, Failure, Inputs, Phase, Progress, Reason
 from .tasks import AssembleOptions, FollowOptions, SortOptions
 
 WATCH_PERIOD_S = 0.1
@@ -56,21 +57,30 @@ WARN_PERIOD_S = 2.0
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
+STATES = {
+    Phase.IDLE: TaskStatus.IDLE,
+    Phase.RUNNING: TaskStatus.RUNNING,
+    Phase.DONE: TaskStatus.DONE,
+    Phase.STUCK: TaskStatus.STUCK,
+    Phase.LOST: TaskStatus.LOST,
+    Phase.ABORTED: TaskStatus.ABORTED,
+}
+
+CANCELED = Failure(Reason.CANCELED, "canceled")
+PREEMPTED = Failure(Reason.PREEMPTED, "preempted by another goal")
+
 
 @dataclass(frozen=True)
-class PlannerParameters:
+class PlannerParameters(NodeOptions):
     """Parameters of the node."""
 
-    rig_file: str = parameter("", "Rig file; empty: the default rig")
-    scenario: str = parameter(
-        "sort_10", "Name of a scenario of config/scenarios, or path of a .yaml file"
-    )
-    autostart: bool = parameter(
-        False, "Start the task once, as soon as the driver is ready, without the service `start`"
-    )
+    preempt: bool = parameter(
+        False, "A goal that comes while a task runs: true ends that task, false is refused.",
+        live=True,
+    )  # fmt: skip
     lockstep: bool = parameter(
         False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
-        "one before, with autostart the second one when the task runs; so a seed repeats a run",
+        "one before, the second one when there is a goal; so a seed repeats a run",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
@@ -82,7 +92,7 @@ class PlannerParameters:
         PlannerOptions.default_period, "Cycle length until two images tell it [s]", 0.005, 1.0
     )
     start_timeout_s: float = parameter(
-        PlannerOptions.start_timeout_s, "Longest wait for all parts after start [s]", 0.0, 3600.0
+        PlannerOptions.start_timeout_s, "Longest wait for all parts after a goal [s]", 0.0, 3600.0
     )
     unseen_timeout_s: float = parameter(
         PlannerOptions.unseen_timeout_s, "A part unseen for longer is lost [s]", 0.0, 60.0
@@ -132,7 +142,7 @@ class PlannerParameters:
         live=True,
     )
 
-    def options(self) -> PlannerOptions:
+    def planner(self) -> PlannerOptions:
         """Return the core's options."""
         return PlannerOptions(
             sort=SortOptions(drift_max=self.drift_max, wander=self.wander, dodge=self.dodge),
@@ -146,85 +156,110 @@ class PlannerParameters:
         )
 
 
-class PlannerNode(Node):
-    """Node `planner`: runs a task; says for each image which mean force it wants on each part.
+@dataclass
+class Run:
+    """The task that runs, or ran last: the goal, how it gets on, and who waits for its end."""
 
+    planner: Planner
+    state: PlannerState
+    began: float  # when the goal came [s, steady clock]
+    goal: Any  # its handle
+    ended: Future
+    progress: Progress | None = None
+
+    @property
+    def name(self) -> str:
+        """Kind of the task."""
+        return self.planner.scenario.name
+
+
+class PlannerNode(SafeLifecycleNode[PlannerParameters]):
+    """Node `planner`: does tasks; says for each image which mean force it wants on each part.
+
+    Actions sort_parts, follow_paths, assemble_parts, pose_parts. Service stop ends the task.
     Subscribes parts, plate_cycle, driver_state, diagnostics.
-    Publishes part_forces, task_state, markers, diagnostics.
-    Services start and stop: begin and end the task.
+    Publishes part_forces, task_status, markers, diagnostics.
     """
 
     def __init__(self) -> None:
-        super().__init__("planner")
-        values = declare(self, PlannerParameters)
-        self._rig = rig = load_rig(values.rig_file)
-        self._planner = Planner(rig, load_scenario(values.scenario), values.options())
-        self._state = self._planner.initial()
-        self._progress: Progress | None = None
-        self._start_timeout_s = max(values.start_timeout_s, values.input_timeout_s)
-        self._autostart, self._lockstep = values.autostart, values.lockstep
+        super().__init__("planner", PlannerParameters)
+        self._run: Run | None = None
+        self._stamp = self.get_clock().now().to_msg()  # of the last image
+        self._diagnostics = self.report(
+            self._find, self._values, reported=self._begin_report, stamp=lambda: self._stamp
+        )
+
+    def configure(self) -> None:
+        """Compile the motion model, and offer the actions."""
+        options = self.options
+        self._rig = load_rig(options.rig_file)
+        with compiling(self):
+            warm_up(self._rig)
+        self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
+        self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
+        self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
+        self.managed_subscription(Parts, "parts", self._on_parts, NEWEST)
+        self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        self.managed_subscription(String, "driver_state", self._on_driver, LATCHED)
+        self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
+        self.managed_service(Trigger, "stop", self._on_stop)
+        self.managed_timer(WATCH_PERIOD_S, self._watch)
+        for name, action in ACTIONS.items():
+            server = ActionServer(
+                self, action, name, self._on_goal, cancel_callback=self._on_cancel
+            )
+            self.keep(ActionServer.destroy, server)
+
+    def begin(self) -> None:
+        """Know nothing of what was before."""
+        options = self.options
+        core = options.planner()
+        self._idle = Estimator.of(self._rig, core.default_period, core.image_age_s)
+        self._run = None
+        self._start_timeout_s = max(options.start_timeout_s, options.input_timeout_s)
         self._asked_ns: int | None = None  # stamp of the last part_forces
         self._open = False  # whether plate_cycle has not answered them yet
-        self._early: MultiDOFJointState | None = None  # parts that came too early, in lockstep
-        self._began = 0.0  # when the task was started, by the steady clock
-        self._stopped = False  # by a person, which is no failure
-        self._refused = ""
-        with compiling(self):
-            warm_up(rig)
-        self._reported = ""
-        follow(self, values, self._retune)
+        self._asked = False  # whether a goal has come
+        self._early: Parts | None = None  # parts that came too early, in lockstep
+        self._refused = self._reported = ""
+        self._inputs = Inputs.none_yet(time.monotonic(), options.input_timeout_s)
+        self._publish_status()
 
-        self._forces = self.create_publisher(MultiDOFJointState, "part_forces", DATA)
-        self._markers = self.create_publisher(MarkerArray, "markers", DATA)
-        self._task_state = self.create_publisher(String, "task_state", LATCHED)
-        self._inputs = Inputs.none_yet(time.monotonic(), values.input_timeout_s)
-        self._stamp = self.get_clock().now().to_msg()  # of the last image
-        self._diagnostics = Diagnostics(
-            self, self._find, self._values, self._planner.scenario.name, self._begin_report,
-            lambda: self._stamp,
-        )  # fmt: skip
-        self.create_subscription(MultiDOFJointState, "parts", self._on_parts, NEWEST)
-        self.create_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
-        self.create_subscription(String, "driver_state", self._on_driver, LATCHED)
-        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
-        self.create_service(Trigger, "start", self._on_start)
-        self.create_service(Trigger, "stop", self._on_stop)
-        # Simulated time may stand still, and images may not come: the steady clock goes on.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(WATCH_PERIOD_S, self._watch, clock=steady)
+    def rest(self) -> None:
+        """End the task: nothing is asked any more."""
+        self._end(Failure(Reason.STOPPED, "the planner was deactivated"))
 
-        self._report()
-        self.get_logger().info(f"scenario {values.scenario}: {self._planner.scenario.description}")
-        for doubt in self._planner.doubts():
-            self.get_logger().warning(doubt)
+    def retune(self) -> None:
+        """Take over gains."""
+        if self._run is not None:
+            self._run.planner = replace(self._run.planner, options=self.options.planner())
 
     # Inputs
 
-    def _on_parts(self, msg: MultiDOFJointState) -> None:
+    def _on_parts(self, msg: Parts) -> None:
         now = self._wake()
         self._stamp = stamp = msg.header.stamp
         self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
-        self._start_by_itself(now)
         self._early = msg
         self._go_on()
 
     def _go_on(self) -> None:
         """Plan what came, unless it is too early.
 
-        In lockstep driver and simulator may have heard a cycle, or the driver that it is ready,
-        and gone on to the next image before we hear it: that is chance, and must not matter.
+        In lockstep driver and simulator may have heard a cycle, and gone on to the next image,
+        before we hear it or a goal: that is chance, and must not matter.
         """
         msg = self._early
         if msg is None:
             return
         next_one = self._asked_ns is not None and nanoseconds(msg.header.stamp) > self._asked_ns
-        if not (self._lockstep and next_one and (self._open or self._autostart)):
+        if not (self.options.lockstep and next_one and (self._open or not self._asked)):
             self._early = None
             self._plan(msg)
 
-    def _plan(self, msg: MultiDOFJointState) -> None:
+    def _plan(self, msg: Parts) -> None:
         """Answer the parts of an image."""
-        stamp = msg.header.stamp
+        stamp, run = msg.header.stamp, self._run
         try:
             parts = msg_to_parts(msg)
         except PlateError as error:
@@ -232,18 +267,22 @@ class PlannerNode(Node):
             self._warn(str(error))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
-        sorted_before = -1 if self._progress is None else self._progress.parts_sorted
-        self._state, wanted, self._progress = self._planner.plan(self._state, parts, seconds(stamp))
+        if run is None:
+            self._idle = self._idle.update(parts, seconds(stamp))
+            self._ask(wanted_to_msg(NOTHING, stamp))
+            return
+        sorted_before = -1 if run.progress is None else run.progress.parts_sorted
+        run.state, wanted, run.progress = run.planner.plan(run.state, parts, seconds(stamp))
         if self._stood_still():
             wanted = NOTHING  # these parts are long gone from where they were
         self._ask(wanted_to_msg(wanted, stamp))
         if self._markers.get_subscription_count():
             self._markers.publish(forces_to_msg(self._rig, wanted, stamp))
-        self._report()
-        if self._progress.parts_sorted != sorted_before:
+        self._follow_up()
+        if run.progress.parts_sorted != sorted_before:
             self._diagnostics.publish()  # in lockstep a task may be over within a report's period
 
-    def _ask(self, msg: MultiDOFJointState) -> None:
+    def _ask(self, msg: PartForces) -> None:
         self._asked_ns, self._open = nanoseconds(msg.header.stamp), True
         self._forces.publish(msg)
         self._inputs = self._inputs.asked(time.monotonic())
@@ -251,13 +290,16 @@ class PlannerNode(Node):
     def _on_cycle(self, msg: JointTrajectory) -> None:
         self._wake()
         self._inputs = self._inputs.heard_cycle()
-        stamp = seconds(msg.header.stamp)
         try:
             cycle = msg_to_cycle(msg)
         except PlateError as error:
             self._warn(str(error))
         else:
-            self._state = self._planner.hear(self._state, cycle, self._arrival(stamp))
+            arrival = self._arrival(seconds(msg.header.stamp))
+            if self._run is None:
+                self._idle = self._idle.hear(cycle, arrival)
+            else:
+                self._run.state = self._run.planner.hear(self._run.state, cycle, arrival)
         if nanoseconds(msg.header.stamp) == self._asked_ns:
             self._open = False
             self._go_on()
@@ -266,12 +308,12 @@ class PlannerNode(Node):
         """Return when the cycle came that answers an image [s, the time of the stamps]."""
         now = 1e-9 * self.get_clock().now().nanoseconds
         # In lockstep it is never late, whatever our clock has already heard.
-        return now if abs(now - stamp) < SAME_CLOCK_S and not self._lockstep else stamp
+        same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
+        return now if same else stamp
 
     def _on_driver(self, msg: String) -> None:
         now = self._wake()
         self._inputs = self._inputs.heard_driver(now, msg.data)
-        self._start_by_itself(now)
         self._judge(now)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
@@ -283,9 +325,8 @@ class PlannerNode(Node):
 
     def _watch(self) -> None:
         now = self._wake()
-        self._start_by_itself(now)
         self._judge(now)
-        if self._early is not None and self._inputs.answer_overdue(now, self._period):
+        if self._early is not None and self._inputs.answer_overdue(now, self._estimator.period):
             self._open = False
             self._go_on()
 
@@ -296,132 +337,189 @@ class PlannerNode(Node):
 
     def _stood_still(self) -> bool:
         now = time.monotonic()
-        why = self._inputs.stood_still(now, self._period)
+        why = self._inputs.stood_still(now, self._estimator.period)
         self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:
-            self._abort(why)
+            self._end(why)
         return bool(why)
 
     def _judge(self, now: float) -> None:
         """End a running task that cannot go on."""
-        task = self._state.task
-        if task.phase is not Phase.RUNNING:
+        run = self._run
+        if run is None or run.state.task.phase is not Phase.RUNNING:
             return
-        why = self._inputs.problem(now, self._began, self._period, self._publisher_count)
-        if (
-            not why
-            and task.began is None
-            and now - self._began > self._start_timeout_s + WATCH_PERIOD_S
-        ):
+        period = self._estimator.period
+        why = self._inputs.problem(now, run.began, period, self._publisher_count)
+        waited = now - run.began > self._start_timeout_s + WATCH_PERIOD_S
+        if why is None and run.state.task.began is None and waited:
             # Where stamps stand still, the planner's own wait for all parts never ends.
-            why = f"not all parts seen within {self._start_timeout_s:g} s of start"
-        if why:
-            self._abort(why)
+            text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
+            why = Failure(Reason.PARTS_MISSING, text)
+        if why is not None:
+            self._end(why)
 
-    def _abort(self, why: str) -> None:
-        if self._state.task.phase is Phase.RUNNING:
-            self._state = self._planner.stop(self._state, why)
-            self._report()
+    def _end(self, why: Failure) -> None:
+        """End the running task, if there is one."""
+        run = self._run
+        if run is not None and run.state.task.phase is Phase.RUNNING:
+            run.state = run.planner.stop(run.state, why)
+            self._follow_up()
 
     @property
-    def _period(self) -> float:
-        return self._state.estimator.period
+    def _estimator(self) -> Estimator:
+        return self._idle if self._run is None else self._run.state.estimator
 
     def _publisher_count(self, topic: str) -> int:
         """How many publish a topic, by the name that it has for us."""
         return self.count_publishers(self.resolve_topic_name(topic))
 
-    # Services
+    # Goals
 
-    def _start_by_itself(self, now: float) -> None:
-        """Start the task, if that was asked for by a parameter; only once."""
-        if self._autostart and not self._not_ready(now):
-            self._start(now)
+    async def _on_goal(self, goal: Any) -> Any:
+        """Do a task; returns its result when it has ended.
 
-    def _not_ready(self, now: float) -> str:
-        """Say why no task can be started; empty if one can."""
-        return (
+        A goal that cannot be done is accepted and aborted at once: a refused one has no room for
+        the reason.
+        """
+        now = self._wake() if self.active else 0.0
+        run = self._begin(goal, now)
+        if isinstance(run, Failure):
+            status = TaskStatus(state=TaskStatus.ABORTED, reason=int(run.reason), text=run.text)
+            status.header = Header(stamp=self._stamp)
+            self.get_logger().warning(f"goal refused: {run.text}")
+            goal.abort()
+        else:
+            await run.ended
+            status = self._status(run)
+            if run.state.task.phase is Phase.DONE:
+                goal.succeed()
+            elif goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.abort()
+        result = ACTIONS[self._action(goal.request)].Result()
+        result.status = status
+        return result
+
+    def _begin(self, goal: Any, now: float) -> Run | Failure:
+        """Begin a task, unless there is a reason not to."""
+        if not self.active:
+            return Failure(Reason.NOT_READY, "the planner is not active")
+        try:
+            scenario = goal_to_scenario(goal.request)
+            planner = Planner(self._rig, scenario, self.options.planner())
+        except PlateError as error:
+            return Failure(Reason.INVALID_GOAL, str(error))
+        running = self._run if self._run and self._run.state.task.phase is Phase.RUNNING else None
+        if running is not None and not self.options.preempt:
+            text = f"{running.name} is running: cancel it first, or set the parameter preempt"
+            return Failure(Reason.BUSY, text)
+        problem = (
             self._inputs.compiling(now)
             or self._inputs.driver_problem(now)
             or self._inputs.parts_problem(now, self._publisher_count)
         )
-
-    def _start(self, now: float) -> None:
-        self._autostart, self._stopped, self._began = False, False, now
-        self._state = self._planner.start(self._state)
-        self._report()
-        self._go_on()
-
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        now, scenario = self._wake(), self._planner.scenario
-        response.success = False
-        if self._state.task.phase is Phase.RUNNING:
-            response.message = f"{scenario.name} is running; call stop first"
-            return response
-        problem = self._not_ready(now)
         if problem:
-            response.message = f"{scenario.name} is not started: {problem}"
-            return response
-        self._start(now)
-        response.success = True
-        response.message = "; ".join(
-            (
-                f"{scenario.name} starts as soon as all {scenario.count} parts are seen",
-                *self._planner.doubts(),
-            )
-        )
-        return response
+            return Failure(Reason.NOT_READY, f"{scenario.name} is not started: {problem}")
+        self._end(PREEMPTED)
+        for doubt in planner.doubts():
+            self.get_logger().warning(doubt)
+        state = planner.start(planner.initial(self._estimator))
+        self._run = run = Run(planner, state, now, goal, Future())
+        self._asked = True
+        self._follow_up()
+        self._go_on()
+        return run
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        """End the task of a goal."""
+        if self._run is None or self._run.goal is not goal:
+            return CancelResponse.REJECT
+        self._wake()
+        self._end(CANCELED)
+        return CancelResponse.ACCEPT
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._wake()
-        was = self._state.task.text
-        self._autostart, self._stopped = False, True
-        self._state = self._planner.stop(self._state)
-        self._report()
+        run = self._run
+        was = "idle" if run is None else run.state.task.text
+        self._end(STOP)
+        if run is not None and run.state.task.text == was:  # it had ended: that is acknowledged
+            self._idle, self._run, self._reported = run.state.estimator, None, ""
+            self._publish_status()
         self._go_on()
         response.success = True
-        response.message = f"{self._planner.scenario.name} stopped, was {was}"
+        response.message = f"stopped, was {was}"
         return response
 
-    def _retune(self, values: PlannerParameters) -> None:
-        self._planner = replace(self._planner, options=values.options())
+    @staticmethod
+    def _action(request: Any) -> str:
+        return next(name for name, kind in ACTIONS.items() if isinstance(request, kind.Goal))
 
     # What it reports
 
-    def _report(self) -> None:
-        """Publish the task's state if it has changed."""
-        text = self._state.task.text
-        if text == self._reported:
+    def _follow_up(self) -> None:
+        """Say how the task gets on, and that it has ended."""
+        run = self._run
+        if run is None:
             return
-        self._reported = text
-        self._task_state.publish(String(data=text))
-        line = f"task {self._planner.scenario.name}: {text}"
-        # Two lines of code: rclpy refuses two severities from one.
-        if self._state.task.phase.is_failure:
-            self.get_logger().error(line)
+        task = run.state.task
+        status = self._publish_status()
+        if task.text != self._reported:
+            self._reported = task.text
+            line = f"task {run.name}: {task.text}"
+            # Two lines of code: rclpy refuses two severities from one.
+            if task.phase.is_failure:
+                self.get_logger().error(line)
+            else:
+                self.get_logger().info(line)
+            self._diagnostics.publish()
+        if task.phase is Phase.RUNNING:
+            feedback = ACTIONS[self._action(run.goal.request)].Feedback()
+            feedback.progress = status.progress
+            run.goal.publish_feedback(feedback)
+        elif not run.ended.done():
+            run.ended.set_result(None)
+
+    def _publish_status(self) -> TaskStatus:
+        status = TaskStatus(text="idle") if self._run is None else self._status(self._run)
+        self._statuses.publish(status)
+        return status
+
+    def _status(self, run: Run) -> TaskStatus:
+        task = run.state.task
+        status = TaskStatus(
+            header=Header(stamp=self._stamp), task=run.name, state=STATES[task.phase],
+            reason=int(task.reason), text=task.text,
+        )  # fmt: skip
+        if run.progress is None:
+            status.progress.parts_total = run.planner.scenario.count
         else:
-            self.get_logger().info(line)
-        self._diagnostics.publish()
+            status.progress = progress_to_msg(run.progress)
+        return status
 
     def _find(self, now: float) -> Finding:
         """Judge the task, and what it needs; see `plate_core.status`."""
-        task = self._state.task
         findings = self._inputs.findings(now, self._publisher_count)
         if self._refused:
             findings.append(Finding(Level.WARN, self._refused))
         found = worst(findings, "")
-        message = f"{task.text}; {found.message}" if found.message else task.text
-        level = found.level
+        if self._run is None:
+            return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))
+        task, level = self._run.state.task, found.level
         if task.phase.is_failure:
-            failure = Level.WARN if self._stopped else Level.ERROR
+            asked = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)  # by a person, no failure
+            failure = Level.WARN if task.reason in asked else Level.ERROR
             level = max(level, failure, key=lambda each: each.rank)
-        return Finding(level, message)
+        return Finding(level, "; ".join(filter(None, (task.text, found.message))))
 
     def _values(self) -> Mapping[str, str]:
-        progress = {} if self._progress is None else self._progress.values()
+        run = self._run
+        progress = {} if run is None or run.progress is None else run.progress.values()
         return {
             **progress,
-            "task_state": self._state.task.text,
+            "task": "" if run is None else run.name,
+            "task_state": "idle" if run is None else run.state.task.text,
             "driver_state": self._inputs.driver_state.text,
             "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
         }
@@ -432,6 +530,21 @@ class PlannerNode(Node):
     def _warn(self, text: str) -> None:
         self._refused = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+
+
+def progress_to_msg(progress: Progress) -> TaskProgress:
+    """Return how a task gets on, as a message."""
+    return TaskProgress(
+        time_s=float(progress.time_s),
+        parts_total=progress.parts_total,
+        parts_seen=progress.parts_seen,
+        parts_sorted=int(progress.parts_sorted),
+        to_go_m=float(progress.to_go_m),
+        rms_error_m=float(progress.rms_error_m),
+        max_error_m=float(progress.max_error_m),
+        turn_error=float(progress.turn_error),
+        pace=float(progress.pace),
+    )
 
 
 def main() -> None:

@@ -14,6 +14,8 @@ from plate_core.tasks import Scenario, check_scenario
 
 from .estimation import DriftBias, Estimator
 from .supervision import (
+    STOP,
+    Failure,
     Findings,
     LastSeen,
     Phase,
@@ -22,7 +24,7 @@ from .supervision import (
     TaskState,
     begin,
     judge,
-    loss_text,
+    loss_of,
     missing_parts,
     outlook,
     shortfall_text,
@@ -124,17 +126,19 @@ class Planner:
             nearer_m=self.rules.nearer_m,
         )
 
-    def initial(self) -> PlannerState:
-        """Return the state of a planner that has seen nothing and does nothing."""
+    def initial(self, estimator: Estimator | None = None) -> PlannerState:
+        """Return the state of a planner that does nothing, and has seen nothing so far but what
+        the estimator has."""
         options = self.options
-        estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
-        return PlannerState(TaskState(), estimator)
+        if estimator is None:
+            estimator = Estimator.of(self.rig, options.default_period, options.image_age_s)
+        return PlannerState(TaskState(), estimator, known=estimator.seen.ids)
 
     def start(self, state: PlannerState) -> PlannerState:
         """Start the task, or start it again; its time begins when all parts are seen twice."""
         return replace(state, task=started(), memory=None, last={})
 
-    def stop(self, state: PlannerState, why: str = "stopped") -> PlannerState:
+    def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
         return replace(state, task=stopped(state.task, state.estimator.clock.stamp, why))
 
@@ -215,7 +219,7 @@ class Planner:
             found.problem,
             lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
             found.outcome,
-            lambda name: loss_text(name, state.last.get(name), began, self.rig, count),
+            lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
@@ -262,7 +266,7 @@ class Planner:
         force, tolerance = request.force(parts.velocity, self.rig, period)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
-        return state, Wanted.make(parts, force, tolerance, torque)
+        return state, Wanted.make(parts, force, tolerance, torque, period)
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

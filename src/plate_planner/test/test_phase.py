@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 
 from plate_planner.supervision import (
+    Failure,
     Findings,
     Phase,
+    Reason,
     TaskLimits,
     TaskState,
     begin,
@@ -78,13 +80,18 @@ def test_without_a_hold_time_the_first_image_counts():
     assert state.phase is Phase.DONE
 
 
+def fell(name):
+    return Failure(Reason.PART_LEFT, f"{name} fell")
+
+
 def test_the_end_says_how_it_went_and_what_became_of_a_part():
     limits = replace(LIMITS, hold_s=0.0)
     done = judge(RUNNING, 101.0, Findings((), True, 0.0, outcome="4 of 4 parts"), limits)
     assert done.text == "done after 1.0 s: 4 of 4 parts"
-    found = Findings(("black_1", "grey_2"), False, 0.0, loss=lambda name: f"{name} fell")
+    found = Findings(("black_1", "grey_2"), False, 0.0, loss=fell)
     state = judge(judge(RUNNING, 101.0, found, LIMITS), 102.1, found, LIMITS)
     assert state.text == "lost part after 2.1 s: black_1 fell; grey_2 fell"
+    assert state.reason is Reason.PART_LEFT
 
 
 def test_a_time_limit_says_whether_it_was_still_getting_nearer():
@@ -156,6 +163,7 @@ def test_unseen_parts_are_no_progress_and_a_goal_that_is_met_is_not_stuck():
 
 def test_to_stop_aborts_a_running_task_only():
     assert stopped(RUNNING, 103.0).text == "aborted after 3.0 s: stopped"
+    assert stopped(RUNNING, 103.0).reason is Reason.STOPPED
     assert stopped(started(), None).text == "aborted: stopped"
     done = replace(RUNNING, phase=Phase.DONE, ended=103.0)
     assert stopped(done, 104.0) == stopped(TaskState(), 104.0) == TaskState()
@@ -174,7 +182,7 @@ def test_the_timeout_is_for_each_part():
     same = [(100.0 + 0.4 * k, ("black_3", f"black_{k % 2 + 1}"), False) for k in range(20)]
     state = run(*same)
     assert state.phase is Phase.LOST
-    assert state.reason == "black_3"
+    assert (state.reason, state.detail) == (Reason.PART_UNSEEN, "black_3")
 
 
 def test_an_incomplete_image_does_not_break_the_hold_nor_end_the_task():

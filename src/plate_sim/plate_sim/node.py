@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMsg
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -34,6 +34,8 @@ from plate_core.ros import (
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_core.tasks import load_scenario
+from plate_interfaces.msg import Part
+from plate_interfaces.msg import Parts as PartsMsg
 
 from .camera import NOISE, Camera
 from .plate import PlateMotion, Playback, check_table, next_playback
@@ -205,7 +207,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _connect(self) -> None:
         self._images = self.managed_publisher(Image, "image_raw", IMAGE)
         self._infos = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
-        self._truths = self.managed_publisher(MultiDOFJointState, "ground_truth", DATA)
+        self._truths = self.managed_publisher(PartsMsg, "ground_truth", DATA)
         if self._simulated_time:
             self._clocks = self.managed_publisher(ClockMsg, "/clock", DATA)
         if self._driven:
@@ -342,7 +344,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         truth = Parts.make(
             ids, state.position[on], state.velocity[on], angle=state.angle[on], spin=state.spin[on]
         )
-        self._truths.publish(parts_to_msg(truth, stamp))
+        self._truths.publish(parts_to_msg(truth, stamp, Part.SIMULATED))
         return pixels is not None
 
     def _publish_image(self) -> None:

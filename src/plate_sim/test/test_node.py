@@ -16,7 +16,7 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -30,6 +30,7 @@ from plate_core.ros import (
     start_nodes,
     to_time,
 )
+from plate_interfaces.msg import Parts as PartsMsg
 from plate_sim.node import START_NS, SimulatorNode
 
 RIG = load_rig()
@@ -61,7 +62,7 @@ class Loop:
         self.ear = Node("ear")
         for kind, topic, heard, qos in (
             (CameraInfo, "camera_info", self.infos.append, CAMERA),
-            (MultiDOFJointState, "ground_truth", self.truths.append, DATA),
+            (PartsMsg, "ground_truth", self.truths.append, DATA),
             (DiagnosticArray, "diagnostics", self.reports.append, DATA),
             (Image, "image_raw", self.on_image, CAMERA),
         ):
@@ -164,7 +165,7 @@ def test_the_truth_has_angles_and_spins():
         assert loop.spin(lambda: len(loop.truths) >= 2)
         truth = loop.truths[-1]
         assert msg_to_parts(truth).angle == pytest.approx(angle)
-        assert [twist.angular.z for twist in truth.twist] == pytest.approx(spin)
+        assert [part.spin for part in truth.parts] == pytest.approx(spin)
 
 
 def test_reset_puts_the_parts_down_as_the_next_seed_would():

@@ -192,7 +192,7 @@ class Controller:
             position, velocity = after(running, parts.position, start, friction)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
-        gain = period / self._rig.parts.mass_kg
+        gain = wanted.period / self._rig.parts.mass_kg
         displacement = (parts.velocity + gain * wanted.force) * period
         tolerance = gain * wanted.tolerance * period
         # What leads off the plate is not asked for, so it does not keep the others waiting.
@@ -215,7 +215,7 @@ class Controller:
             return None
         radius = self._rig.parts.radius_m
         inertia = self._rig.parts.mass_kg * radius**2 / 2
-        turn = (wanted.parts.spin + period / inertia * wanted.torque) * period
+        turn = (wanted.parts.spin + wanted.period / inertia * wanted.torque) * period
         spin = np.array([self._spin.get(name, 0.0) for name in wanted.parts.ids])
         return Turns(spin, np.where(wanted.torque != 0, turn, np.nan), radius)
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from sensor_msgs.msg import MultiDOFJointState
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -28,6 +27,7 @@ from plate_core.ros import (
     run_node,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_interfaces.msg import PartForces
 
 from .analysis import condition_number
 from .controller import IDLE_PERIOD, METHODS, Answer, Controller
@@ -109,7 +109,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             warm_up(self._controller, rig.plate.half)
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
-        self.managed_subscription(MultiDOFJointState, "part_forces", self._on_forces, NEWEST)
+        self.managed_subscription(PartForces, "part_forces", self._on_forces, NEWEST)
 
     def begin(self) -> None:
         """Know nothing of what was before."""
@@ -129,7 +129,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._controller.method = METHODS[self.options.method]
         self.get_logger().info(f"method is now {self._controller.method}")
 
-    def _on_forces(self, msg: MultiDOFJointState) -> None:
+    def _on_forces(self, msg: PartForces) -> None:
         stamp_ns = nanoseconds(msg.header.stamp)
         self._input = self._input.heard(time.monotonic())
         self._tally.messages += 1

@@ -21,10 +21,10 @@ from rcl_interfaces.msg import Parameter as ParameterMsg  # noqa: E402
 from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from sensor_msgs.msg import MultiDOFJointState  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
+from plate_interfaces.msg import PartForces  # noqa: E402
 from plate_solver.node import SolverNode  # noqa: E402
 
 SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
@@ -48,7 +48,7 @@ class Peer:
         self.reports: list[DiagnosticArray] = []
         self.node.create_subscription(JointTrajectory, "plate_cycle", self.cycles.append, DATA)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
-        self.forces = self.node.create_publisher(MultiDOFJointState, "part_forces", DATA)
+        self.forces = self.node.create_publisher(PartForces, "part_forces", DATA)
         self.parameters = self.node.create_client(SetParameters, "solver/set_parameters")
         env = os.environ | {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",

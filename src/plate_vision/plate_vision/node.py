@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
@@ -34,6 +34,7 @@ from plate_core.ros import (
     seconds,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_interfaces.msg import Parts
 
 from .camera import LENS_MODELS, Lens, decode, decode_file, load_lens, read_pictures, rig_of_picture
 from .detection import DetectorOptions
@@ -170,7 +171,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._vision = make_vision(self._rig, values.detector(), self._lens)
         with compiling(self):
             warm_up(self._vision)
-        self._parts = self.managed_publisher(MultiDOFJointState, "parts", DATA)
+        self._parts = self.managed_publisher(Parts, "parts", DATA)
         if self._rig.fiducials is not None:
             self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)
         self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)

@@ -14,12 +14,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import PlateError, config_path  # noqa: E402
 from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, start_nodes, to_time  # noqa: E402
+from plate_interfaces.msg import Parts  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 
 CENTRE_PX = np.array([[150.0, 200.0], [400.0, 300.0]])
@@ -60,7 +61,7 @@ class Graph:
         self.images = self.probe.create_publisher(kind, topic, IMAGE)
         self.resets = self.probe.create_client(Trigger, "detector/reset")
         self.infos = self.probe.create_publisher(CameraInfo, "camera_info", IMAGE)
-        self.probe.create_subscription(MultiDOFJointState, "parts", self.parts.append, DATA)
+        self.probe.create_subscription(Parts, "parts", self.parts.append, DATA)
         if parameters.get("source") != "file":
             self.until(lambda: self.images.get_subscription_count())
             self.until(lambda: self.infos.get_subscription_count())
@@ -98,6 +99,10 @@ def image(frame, stamp_s, encoding="mono8"):
     return array_to_image(frame, to_time(round(stamp_s * 1e9)), encoding)
 
 
+def names(parts):
+    return [part.id for part in parts.parts]
+
+
 def test_every_image_is_answered_with_its_stamp(graph, draw, rng):
     for k in range(3):
         frame = draw(CENTRE_PX + [k, 0], LABEL, rng, radius=7.9)
@@ -112,7 +117,7 @@ def test_every_image_is_answered_with_its_stamp(graph, draw, rng):
         assert k == 0 or np.allclose(parts.velocity[:, 0], 0.0202, atol=2e-3)
     assert graph.answer(msg) == answer  # lockstep publishes an image again until it is answered
     empty = graph.answer(image(draw([], [], rng), 7.2))
-    assert empty.joint_names == []
+    assert names(empty) == []
     assert graph.warnings == []
 
 
@@ -140,7 +145,7 @@ def test_encodings(graph, draw, rng, encoding):
     msg = image(frame, 1.0)
     msg.encoding, msg.step, msg.data = encoding, data.nbytes // 480, data.tobytes()
     answer = graph.answer(msg)
-    assert answer.joint_names == ["black_1", "grey_1"]
+    assert names(answer) == ["black_1", "grey_1"]
     seen = graph.detector._vision.calibration.to_image(msg_to_parts(answer).position)
     assert np.abs(seen - CENTRE_PX).max() < 0.1
     assert graph.warnings == []
@@ -160,11 +165,11 @@ def test_compressed_images(draw, rng):
         msg = compressed(frame, 3.0)
         answer = graph.answer(msg)
         assert answer.header.stamp == msg.header.stamp
-        assert answer.joint_names == ["black_1", "grey_1"]
+        assert names(answer) == ["black_1", "grey_1"]
         seen = graph.detector._vision.calibration.to_image(msg_to_parts(answer).position)
         assert np.abs(seen - CENTRE_PX).max() < 0.1
         colour = compressed(np.dstack([frame] * 3), 4.0, ".png", "bgr8; png compressed bgr8")
-        assert graph.answer(colour).joint_names == ["black_1", "grey_1"]
+        assert names(graph.answer(colour)) == ["black_1", "grey_1"]
         for content in (b"", b"no picture", bytes(msg.data)[:-100], bytes(msg.data)[:2000]):
             assert graph.answer(CompressedImage(format="jpeg", data=content)) is None
             assert "image_raw/compressed ignored: image: " in graph.warnings[-1]
@@ -179,7 +184,7 @@ def test_compressed_images(draw, rng):
 def test_without_light_or_with_too_much_nothing_is_found(graph, grey, words):
     graph.images.publish(image(np.full((480, 640), grey, np.uint8), 1.0))
     graph.until(lambda: graph.parts)
-    assert graph.parts[-1].joint_names == []
+    assert names(graph.parts[-1]) == []
     assert words in graph.warnings[-1]
     assert "allowed: " in graph.warnings[-1]
 
@@ -225,19 +230,19 @@ def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
 def test_noise_alone_is_no_part(graph, rng):
     for k, low in enumerate((0, 100, 200)):
         frame = rng.integers(low, 256, (480, 640), dtype=np.uint8)
-        assert graph.answer(image(frame, 1.0 + k)).joint_names == []
+        assert names(graph.answer(image(frame, 1.0 + k))) == []
 
 
 def test_reset_forgets_all_parts(graph, draw, rng):
     two = image(draw(CENTRE_PX, ["grey", "grey"], rng, radius=7.9), 1.0)
     one = [draw(CENTRE_PX[1:], ["grey"], rng, radius=7.9) for _ in range(2)]
-    assert graph.answer(two).joint_names == ["grey_1", "grey_2"]
-    assert graph.answer(image(one[0], 1.1)).joint_names == ["grey_2"]
+    assert names(graph.answer(two)) == ["grey_1", "grey_2"]
+    assert names(graph.answer(image(one[0], 1.1))) == ["grey_2"]
     done = graph.resets.call_async(Trigger.Request())
     graph.until(done.done)
     assert done.result().success
     assert done.result().message == "2 parts forgotten"
-    assert graph.answer(image(one[1], 1.2)).joint_names == ["grey_1"]
+    assert names(graph.answer(image(one[1], 1.2))) == ["grey_1"]
 
 
 def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
@@ -266,7 +271,7 @@ def test_wrong_images_are_refused_and_the_node_goes_on(graph, draw, rng):
     padded[:, :640] = frame
     msg = image(padded, 2.0)
     msg.width = 640  # rows may be longer than the image is wide
-    assert graph.answer(msg).joint_names == ["black_1", "grey_1"]
+    assert names(graph.answer(msg)) == ["black_1", "grey_1"]
 
 
 def test_live_parameters(graph, draw, rng):
@@ -274,7 +279,7 @@ def test_live_parameters(graph, draw, rng):
     radius_px = graph.detector._vision.options.radius_px
     (result,) = graph.detector.set_parameters([Parameter("threshold", value=0.5)])
     assert result.successful
-    assert graph.answer(image(frame, 1.0)).joint_names == ["black_1"]
+    assert names(graph.answer(image(frame, 1.0))) == ["black_1"]
     assert graph.detector._vision.options.radius_px == radius_px
     (result,) = graph.detector.set_parameters([Parameter("max_missed", value=-1)])
     assert not result.successful
@@ -345,7 +350,7 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         graph.warnings.clear()
         for k, x in enumerate([0.0, 0.001]):
             answer = graph.answer(image(plate.take([x, 0, 0], rng), 2.0 + 0.2 * k))
-            assert answer.joint_names == ["black_1", "grey_1"]
+            assert names(answer) == ["black_1", "grey_1"]
             seen = msg_to_parts(answer).position
             assert np.abs(seen - [[0.1 + x, 0.02], [-0.1 + x, -0.05]]).max() < 2e-4
             graph.until(lambda k=k: len(poses) > k)

@@ -24,6 +24,7 @@ from .convert import (
     wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
+from .goals import ACTIONS, goal_to_scenario, scenario_to_goal
 from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
@@ -32,6 +33,7 @@ from .qos import CAMERA, DATA, IMAGE, LATCHED, NEWEST
 from .unlocked import UnlockedSubscription
 
 __all__ = [
+    "ACTIONS",
     "CAMERA",
     "DATA",
     "DIAGNOSTICS_PERIOD_S",
@@ -51,6 +53,7 @@ __all__ = [
     "declare",
     "follow",
     "forces_to_msg",
+    "goal_to_scenario",
     "image_to_array",
     "motors_to_msg",
     "msg_to_cycle",
@@ -64,6 +67,7 @@ __all__ = [
     "parts_to_msg",
     "pose_to_msg",
     "run_node",
+    "scenario_to_goal",
     "scene_to_msg",
     "seconds",
     "start_nodes",

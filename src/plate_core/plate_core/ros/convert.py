@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import PoseStamped, Transform, Twist, Wrench
-from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from plate_interfaces.msg import Part, PartForce, PartForces
+from plate_interfaces.msg import Parts as PartsMsg
+
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import Parts, Wanted
+from ..parts import Parts, Wanted, part_class
 from ..rig import Camera, Rig
 
 FRAME = "plate_home"
 PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
+
+STATE = ("x", "y", "angle", "vx", "vy", "spin")
+"""Fields of Part and PartForce."""
+
+INTERVALS = (
+    "force_x_min", "force_x_max", "force_y_min", "force_y_max", "torque_min", "torque_max",
+)  # fmt: skip
+"""Fields of PartForce."""
+
+UNKNOWN = -1.0
+NO_COVARIANCE = np.array([UNKNOWN, *np.zeros(8)])
 
 MOST = 1e9
 """Of a part nothing is larger than this, in SI units: enough for all, and computable with."""
@@ -39,84 +54,110 @@ def to_time(nanosec: int) -> Time:
     return Time(sec=int(nanosec // 1_000_000_000), nanosec=int(nanosec % 1_000_000_000))
 
 
-def parts_to_msg(parts: Parts, stamp: Time) -> MultiDOFJointState:
-    """Return parts as a message, with nothing wanted of them; see `wanted_to_msg`."""
-    return wanted_to_msg(Wanted.make(parts), stamp)
-
-
-def wanted_to_msg(wanted: Wanted, stamp: Time) -> MultiDOFJointState:
-    """Return parts and what is wanted of them as a message.
-
-    wrench.force.x and .y are the wanted mean force [N], torque.z the wanted torque [N m]. A planar
-    part feels no torque about x or y: torque.x and torque.y carry the tolerance of force.x and
-    force.y [N]. Nor is it lifted: force.z is the greatest friction on it [N].
-    """
-    parts = wanted.parts
-    msg = MultiDOFJointState(header=Header(stamp=stamp, frame_id=FRAME))
-    msg.joint_names = list(parts.ids)
-    for i in range(len(parts)):
-        transform, twist, wrench = Transform(), Twist(), Wrench()
-        transform.translation.x, transform.translation.y = parts.position[i].tolist()
-        transform.rotation.z = float(np.sin(parts.angle[i] / 2))
-        transform.rotation.w = float(np.cos(parts.angle[i] / 2))
-        twist.linear.x, twist.linear.y = parts.velocity[i].tolist()
-        twist.angular.z = float(parts.spin[i])
-        wrench.force.x, wrench.force.y = wanted.force[i].tolist()
-        wrench.force.z = float(parts.friction_limit[i])
-        wrench.torque.x, wrench.torque.y = wanted.tolerance[i].tolist()
-        wrench.torque.z = float(wanted.torque[i])
-        msg.transforms.append(transform)
-        msg.twist.append(twist)
-        msg.wrench.append(wrench)
+def parts_to_msg(parts: Parts, stamp: Time, source: int = Part.SEEN) -> PartsMsg:
+    """Return parts as a message; `source` says how all of them were measured."""
+    msg = PartsMsg(header=Header(stamp=stamp, frame_id=FRAME))
+    msg.parts = [
+        Part(
+            **dict(zip(STATE, row, strict=True)), id=name, type=part_class(name),
+            confidence=UNKNOWN, covariance=NO_COVARIANCE, source=source,
+        )
+        for name, row in zip(parts.ids, _state(parts), strict=True)
+    ]  # fmt: skip
     return msg
 
 
-def msg_to_parts(msg: MultiDOFJointState) -> Parts:
-    """Return the parts of a message, whatever is wanted of them; errors as `msg_to_wanted`."""
-    return msg_to_wanted(msg).parts
-
-
-def msg_to_wanted(msg: MultiDOFJointState) -> Wanted:
-    """Return the parts of a message and what is wanted of them; twist and wrench may be left out.
+def msg_to_parts(msg: PartsMsg) -> Parts:
+    """Return the parts of a message.
 
     Raises
     ------
     PlateError
-        If lengths disagree, a name is given twice, or a value is not finite or beyond `MOST`.
+        If a name is given twice, or a value is not finite or beyond `MOST`.
     """
-    count = len(msg.joint_names)
-    for name in ("transforms", "twist", "wrench"):
-        items = getattr(msg, name)
-        if len(items) != count and (items or name == "transforms"):
-            raise PlateError(f"parts: {len(items)} {name} for {count} names, allowed: as many")
-    if len(set(msg.joint_names)) != count:
-        raise PlateError(f"parts: a name is given twice in {list(msg.joint_names)}")
-    rows = [
-        (
-            *(at.translation.x, at.translation.y),
-            2 * np.arctan2(at.rotation.z, at.rotation.w),
-            *(twist.linear.x, twist.linear.y, twist.angular.z),
-            *(wrench.force.x, wrench.force.y, wrench.force.z),
-            *(wrench.torque.x, wrench.torque.y, wrench.torque.z),
+    ids = tuple(part.id for part in msg.parts)
+    rows = _checked("parts", ids, msg.parts, STATE)
+    x, y, angle, vx, vy, spin = rows.T
+    return Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin)
+
+
+def wanted_to_msg(wanted: Wanted, stamp: Time) -> PartForces:
+    """Return what is wanted of parts as a message; `stamp` is that of the image it answers."""
+    msg = PartForces(header=Header(stamp=stamp, frame_id=FRAME), period_s=float(wanted.period))
+    low, high = wanted.force - wanted.tolerance, wanted.force + wanted.tolerance
+    turned = np.where(wanted.torque == 0, np.inf, 0.0)  # without: any turning will do
+    rows = np.column_stack(
+        [low[:, 0], high[:, 0], low[:, 1], high[:, 1], wanted.torque - turned,
+         wanted.torque + turned, wanted.parts.friction_limit]
+    ).tolist()  # fmt: skip
+    msg.forces = [
+        PartForce(
+            **dict(zip((*STATE, *INTERVALS, "friction_limit"), (*state, *row), strict=True)),
+            id=name, friction_limit_stddev=UNKNOWN,
         )
-        for at, twist, wrench in zip(
-            msg.transforms, msg.twist or count * [Twist()], msg.wrench or count * [Wrench()],
-            strict=True,
-        )
+        for name, state, row in zip(wanted.parts.ids, _state(wanted.parts), rows, strict=True)
     ]  # fmt: skip
-    columns = np.array(rows, dtype=float).reshape(count, 12)
-    sane = np.abs(columns) <= MOST  # not so where it is NaN
+    return msg
+
+
+def msg_to_wanted(msg: PartForces) -> Wanted:
+    """Return what a message wants of parts.
+
+    Raises
+    ------
+    PlateError
+        If a name is given twice, a value is not finite or beyond `MOST` (the ends of an interval
+        may be infinite), an interval ends before it begins, or the period is not above 0.
+    """
+    ids = tuple(force.id for force in msg.forces)
+    if ids and not 0 < msg.period_s <= MOST:
+        raise PlateError(f"part_forces: period_s is {msg.period_s:g}, allowed: above 0")
+    rows = _checked("part_forces", ids, msg.forces, (*STATE, "friction_limit"))
+    ends = np.array([[getattr(f, key) for key in INTERVALS] for f in msg.forces], dtype=float)
+    ends = ends.reshape(-1, 6)
+    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # so where one is NaN
+    if np.any(wrong):
+        row, column = np.argwhere(wrong)[0]
+        low, high = ends[row, 2 * column : 2 * column + 2]
+        raise PlateError(
+            f"part_forces: {ids[row]} has {INTERVALS[2 * column]} {low:g} and "
+            f"{INTERVALS[2 * column + 1]} {high:g}, allowed: min not above max"
+        )
+    asked = np.all(np.isfinite(ends[:, 4:]), axis=1)
+    low, high = np.clip(ends[:, 0::2], -MOST, MOST), np.clip(ends[:, 1::2], -MOST, MOST)
+    middle, tolerance = (low + high) / 2, (high - low) / 2
+    x, y, angle, vx, vy, spin, friction = rows.T
+    return Wanted.make(
+        Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin, friction),
+        middle[:, :2],
+        tolerance[:, :2],
+        np.where(asked, middle[:, 2], 0.0),
+        float(msg.period_s),
+    )
+
+
+def _state(parts: Parts) -> list[list[float]]:
+    """Return the numbers of `STATE` for each part."""
+    columns = [parts.position, parts.angle[:, None], parts.velocity, parts.spin[:, None]]
+    rows: list[list[float]] = np.hstack(columns).tolist()
+    return rows
+
+
+def _checked(
+    what: str, ids: tuple[str, ...], items: Sequence[Part | PartForce], keys: tuple[str, ...]
+) -> np.ndarray:
+    """Return the fields `keys` (M, n) of the parts in a message, if all are sane."""
+    if len(set(ids)) < len(ids):
+        raise PlateError(f"{what}: a name is given twice in {list(ids)}")
+    rows = [[getattr(item, key) for key in keys] for item in items]
+    array = np.array(rows, dtype=float).reshape(len(ids), len(keys))
+    sane = np.abs(array) <= MOST  # not so where it is NaN
     if not np.all(sane):
         row, column = np.argwhere(~sane)[0]
         raise PlateError(
-            f"parts: {msg.joint_names[row]} has a value of {columns[row, column]:g}, "
-            f"allowed: up to {MOST:g}"
+            f"{what}: {ids[row]} has a value of {array[row, column]:g}, allowed: up to {MOST:g}"
         )
-    position, angle, velocity, spin, force, friction, tolerance, torque = np.split(
-        columns, [2, 3, 5, 6, 8, 9, 11], axis=1
-    )
-    parts = Parts.make(tuple(msg.joint_names), position, velocity, angle, spin, friction)
-    return Wanted.make(parts, force, tolerance, torque)
+    return array
 
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:

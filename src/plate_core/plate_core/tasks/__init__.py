@@ -5,10 +5,11 @@
 """
 
 from .curves import circle_points
-from .keys import CLASSES, SECTIONS
+from .keys import CLASSES, SECTIONS, side_name
 from .scenario import (
     check_scenario,
     load_scenario,
+    read_scenario,
     region_outline,
     scenario_names,
     start_positions,
@@ -48,7 +49,9 @@ __all__ = [
     "check_scenario",
     "circle_points",
     "load_scenario",
+    "read_scenario",
     "region_outline",
     "scenario_names",
+    "side_name",
     "start_positions",
 ]

@@ -12,6 +12,12 @@ SIDES = {
 }  # fmt: skip
 """Sides and corners of the plate."""
 
+
+def side_name(side: Side) -> str:
+    """Return the name of a side or corner."""
+    return next(name for name, each in SIDES.items() if each == side)
+
+
 KINDS = ("sort", "follow", "assemble", "pose")
 """Kinds of task."""
 

@@ -85,7 +85,12 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
                 "the path of a .yaml file"
             )
         path = config_path("scenarios") / f"{text}.yaml"
-    fields = read_yaml(path, ScenarioError)
+    return read_scenario(read_yaml(path, ScenarioError), path.stem, path.parent)
+
+
+def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
+    """Return the scenario of a file in `folder`, or of an action's goal; errors as
+    `load_scenario`."""
     parts = tuple(_group(child) for child in fields.children("parts"))
     if not parts:
         raise fields.fail("parts", "at least one group of parts")
@@ -93,14 +98,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     if len(set(labels)) < len(labels):
         raise fields.fail("parts", keys.ALL_DIFFERENT)
     scenario = Scenario(
-        name=path.stem,
+        name=name,
         description=fields.value(keys.FILE["description"]),
         parts=parts,
         task=_task(fields.child("task"), parts),
         time_limit_s=fields.value(keys.FILE["time_limit_s"]),
         marked=fields.value(keys.FILE["marked"]),
-        rig=_rig(fields, path.parent),
-        file=path.name,
+        rig=_rig(fields, folder),
+        file=fields.where,
     )
     if not isinstance(scenario.task, FollowTask) and (
         scenario.task.hold_s >= scenario.time_limit_s

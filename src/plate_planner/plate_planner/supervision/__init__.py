@@ -3,11 +3,14 @@
 `begin`, `judge` and `stopped` lead from phase to phase; `Inputs` watches the other nodes.
 """
 
-from .failure import LastSeen, loss_text, outlook, shortfall_text
+from .failure import LastSeen, loss_of, outlook, shortfall_text
 from .inputs import Inputs
 from .phase import (
+    STOP,
+    Failure,
     Findings,
     Phase,
+    Reason,
     TaskLimits,
     TaskState,
     begin,
@@ -19,16 +22,19 @@ from .phase import (
 from .progress import Progress
 
 __all__ = [
+    "STOP",
+    "Failure",
     "Findings",
     "Inputs",
     "LastSeen",
     "Phase",
     "Progress",
+    "Reason",
     "TaskLimits",
     "TaskState",
     "begin",
     "judge",
-    "loss_text",
+    "loss_of",
     "missing_parts",
     "outlook",
     "shortfall_text",

@@ -10,7 +10,7 @@ from plate_core import Parts, Rig
 from plate_core.rig import LEAST_GAMMA
 
 from ..estimation import LastRequest
-from .phase import LOOK
+from .phase import LOOK, Failure, Reason
 
 NEAR_EDGE = 3.0
 """A part that was last seen this near an edge has left the plate [part radii]."""
@@ -29,23 +29,25 @@ class LastSeen(NamedTuple):
     stamp: float
 
 
-def loss_text(name: str, last: LastSeen | None, began: float, rig: Rig, count: int) -> str:
+def loss_of(name: str, last: LastSeen | None, began: float, rig: Rig, count: int) -> Failure:
     """Say what became of a part that is no longer seen, and what would help; only its name where
     it never was (`last` is None).
 
     `began` is when the task did [s], `count` the number of parts.
     """
     if last is None:
-        return name
+        return Failure(Reason.PART_UNSEEN, name)
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
     if edge > NEAR_EDGE * rig.parts.radius_m:
-        return f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
+        text = f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
+        return Failure(Reason.PART_UNSEEN, text)
     more = ", fewer parts" if count > FEW else ""
-    return (
+    return Failure(
+        Reason.PART_LEFT,
         f"{name} left the plate {where}; starts and goals further from the edges{more} or less "
-        "drift_max would keep it"
+        "drift_max would keep it",
     )
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 
 from plate_core.status import COMPILING, Finding, Input, Level
 
+from .phase import Failure, Reason
+
 CYCLES = 3.0
 """Silence of so many cycles is none yet, however short the timeout."""
 
@@ -188,8 +190,8 @@ class Inputs:
 
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
-    ) -> str:
-        """Say why a running task cannot go on; empty if it can.
+    ) -> Failure | None:
+        """Say why a running task cannot go on; None if it can.
 
         Parameters
         ----------
@@ -203,33 +205,41 @@ class Inputs:
         """
         why = self._missing(now, began, period, publishers)
         # A line that has failed is the reason, whatever is missed because of it.
-        return self._driver_text if why and self.error_since is not None else why
+        return self._driver_failure if why and self.error_since is not None else why
+
+    @property
+    def _driver_failure(self) -> Failure:
+        return Failure(Reason.DRIVER_STOPPED, self._driver_text)
 
     def _missing(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
-    ) -> str:
+    ) -> Failure | None:
         timeout = self.timeout(period)
         silence = min(self.driver.silence(now), now - began)
         if silence > self.driver.timeout_s:
             nobody = "" if publishers("driver_state") else "nobody publishes it, "
-            return f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
+            why = f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
+            return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
-                return self._driver_text
+                return self._driver_failure
         elif not self.driver_state.ready:
-            return self._driver_text
+            return self._driver_failure
         if self.enabled_again is not None and self.enabled_again > began:
-            return "driver: the motors were stopped and enabled again"
+            why = "driver: the motors were stopped and enabled again"
+            return Failure(Reason.DRIVER_STOPPED, why)
         silence = min(self.parts.silence(now), now - began)
         if self.unanswered is not None:  # a simulator in lockstep shows nothing new until then
             silence, question = now - max(self.unanswered, began), "does the solver run?"
             if silence > timeout:
                 why = self._blame("plate_cycle", "solver", question, now, publishers)
-                return f"no plate_cycle for {silence:.1f} s: {why}"
+                return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s: {why}")
         elif silence > timeout:
-            return self._no_parts(now, silence, publishers)
+            return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         name = self._cut_off(now, began, period)
-        return f"{name}: {self.reports[name].message}" if name else ""
+        if not name:
+            return None
+        return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
         """Name the first node around the loop that says that it has no input; empty if none does.
@@ -267,15 +277,15 @@ class Inputs:
             driver = Finding(Level.WARN, self.driver_problem(now))
         return [parts, driver]
 
-    def stood_still(self, now: float, period: float) -> str:
-        """Say that the planner itself has stood still for longer than its inputs may; or nothing.
+    def stood_still(self, now: float, period: float) -> Failure | None:
+        """Say that the planner itself has stood still for longer than its inputs may; or None.
 
         What has come meanwhile looks fresh, but the plate has long been brought to rest.
         """
         away = now - self.ran
         if away <= self.timeout(period):
-            return ""
-        return f"the planner itself stood still for {away:.1f} s"
+            return None
+        return Failure(Reason.STOOD_STILL, f"the planner itself stood still for {away:.1f} s")
 
     def woken(self, now: float) -> Inputs:
         """Return what counts after a standstill: what came meanwhile is not known."""

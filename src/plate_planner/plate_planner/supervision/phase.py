@@ -9,7 +9,8 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 from plate_core import Parts, part_class
 from plate_core.tasks import Scenario
@@ -44,6 +45,37 @@ class Phase(StrEnum):
     def is_end(self) -> bool:
         """Whether a task has come to its end, good or bad."""
         return self is Phase.DONE or self.is_failure
+
+
+class Reason(IntEnum):
+    """Why a task ended, as in plate_interfaces/TaskStatus, which says what each one means."""
+
+    NONE = 0
+    TIME_LIMIT = 1
+    NO_PROGRESS = 2
+    TOO_FAR_OFF = 3
+    PART_LEFT = 4
+    PART_UNSEEN = 5
+    PARTS_MISSING = 6
+    CANCELED = 7
+    PREEMPTED = 8
+    STOPPED = 9
+    NO_PARTS = 10
+    NO_CYCLE = 11
+    NO_DRIVER = 12
+    DRIVER_STOPPED = 13
+    CUT_OFF = 14
+    STOOD_STILL = 15
+    INVALID_GOAL = 16
+    NOT_READY = 17
+    BUSY = 18
+
+
+class Failure(NamedTuple):
+    """Why something cannot go on, and what there is to say of it."""
+
+    reason: Reason
+    text: str
 
 
 @dataclass(frozen=True)
@@ -81,7 +113,9 @@ class TaskState:
     Attributes
     ----------
     phase : Phase
-    reason : str
+    reason : Reason
+        Why it ended.
+    detail : str
         What there is to say of its end: the result if it is done, else why, and what would help.
     asked : float or None
         First image after `start`.
@@ -98,7 +132,8 @@ class TaskState:
     """
 
     phase: Phase = Phase.IDLE
-    reason: str = ""
+    reason: Reason = Reason.NONE
+    detail: str = ""
     asked: float | None = None
     began: float | None = None
     ended: float | None = None
@@ -120,7 +155,7 @@ class TaskState:
         time = ""
         if self.began is not None and self.ended is not None:
             time = f" after {self.ended - self.began:.1f} s"
-        return f"{self.phase.value}{time}" + (f": {self.reason}" if self.reason else "")
+        return f"{self.phase.value}{time}" + (f": {self.detail}" if self.detail else "")
 
     def elapsed(self, t: float) -> float:
         """Time [s] since the task began, until `t` or its end."""
@@ -173,15 +208,19 @@ def begin(
     if t - asked > limits.start_timeout_s + TIME_TOLERANCE_S:
         what = f"{_listed(missing)} not seen" if missing else "no two images with the same parts"
         why = f"{what} within {limits.start_timeout_s:g} s of start; {LOOK}"
-        return _end(state, t, Phase.ABORTED, why)
+        return _end(state, t, Phase.ABORTED, Reason.PARTS_MISSING, why)
     return replace(state, asked=asked)
 
 
-def stopped(state: TaskState, t: float | None, why: str = "stopped") -> TaskState:
+STOP = Failure(Reason.STOPPED, "stopped")
+"""A person's stop, by the service."""
+
+
+def stopped(state: TaskState, t: float | None, why: Failure = STOP) -> TaskState:
     """Stop: a running task is aborted at stamp t [s], None if there was no image; else idle."""
     if state.phase is not Phase.RUNNING:
         return TaskState()
-    return _end(state, t, Phase.ABORTED, why)
+    return _end(state, t, Phase.ABORTED, *why)
 
 
 @dataclass(frozen=True)
@@ -203,7 +242,7 @@ class Findings:
     outcome : str
         What there is to tell if the task is done now.
     loss : callable
-        Says of a missing part, by its name, what became of it.
+        Tells of a missing part, by its name, what became of it.
     """
 
     missing: tuple[str, ...]
@@ -212,7 +251,7 @@ class Findings:
     problem: str = ""
     detail: Callable[[], str] = lambda: ""
     outcome: str = ""
-    loss: Callable[[str], str] = lambda name: name
+    loss: Callable[[str], Failure] = lambda name: Failure(Reason.PART_UNSEEN, name)
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -231,26 +270,29 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     timeout = limits.unseen_timeout_s + TIME_TOLERANCE_S
     lost = tuple(name for name, since in missing_since if t - since > timeout)
     if lost:
-        return _end(state, t, Phase.LOST, "; ".join(map(found.loss, lost)))
+        losses = [found.loss(name) for name in lost]
+        text = "; ".join(loss.text for loss in losses)
+        return _end(state, t, Phase.LOST, losses[0].reason, text)
     if found.problem:
-        return _end(state, t, Phase.STUCK, found.problem)
+        return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, found.problem)
     held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
     if held and not found.missing:
-        return _end(state, t, Phase.DONE, found.outcome)
-    reason = ""
+        return _end(state, t, Phase.DONE, Reason.NONE, found.outcome)
+    reason, text = Reason.NONE, ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:
-        reason = f"time limit of {limits.time_limit_s:g} s"
+        reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"
         if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
-            reason += " (still getting nearer: a longer time_limit_s would do)"
+            text += " (still getting nearer: a longer time_limit_s would do)"
     elif met_since is None and t - state.nearest_at > limits.stuck_timeout_s + TIME_TOLERANCE_S:
-        reason = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
-    if not reason:
+        reason = Reason.NO_PROGRESS
+        text = f"no nearer to the goal for {limits.stuck_timeout_s:g} s"
+    if reason is Reason.NONE:
         return state
-    return _end(state, t, Phase.STUCK, "; ".join(filter(None, (reason, found.detail()))))
+    return _end(state, t, Phase.STUCK, reason, "; ".join(filter(None, (text, found.detail()))))
 
 
-def _end(state: TaskState, t: float | None, phase: Phase, reason: str) -> TaskState:
-    return replace(state, phase=phase, reason=reason, ended=t)
+def _end(state: TaskState, t: float | None, phase: Phase, reason: Reason, detail: str) -> TaskState:
+    return replace(state, phase=phase, reason=reason, detail=detail, ended=t)
 
 
 def _since(since: float | None, holds: bool, t: float) -> float | None:

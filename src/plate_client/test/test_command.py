@@ -12,12 +12,12 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
+from plate_client.command import Graph, domains_in_use, main  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import LATCHED, declare, follow, parameter  # noqa: E402
-from plate_core.ros.command import Graph, domains_in_use, main  # noqa: E402
+from plate_interfaces.msg import TaskStatus  # noqa: E402
 
 NAMESPACE = f"/command_test_{os.getpid()}"
 
@@ -39,13 +39,13 @@ def graph():
     follow(node, declare(node, Options), lambda _: None)
 
     def answer(request, response):
-        orders.append(getattr(request, "data", "start"))
+        orders.append(getattr(request, "data", "home"))
         response.success, response.message = orders[-1] is not False, "so it is"
         return response
 
-    node.create_service(Trigger, "start", answer)
+    node.create_service(Trigger, "home", answer)
     node.create_service(SetBool, "enable", answer)
-    node.create_publisher(String, "task_state", LATCHED).publish(String(data="idle"))
+    node.create_publisher(TaskStatus, "task_status", LATCHED).publish(TaskStatus(text="idle"))
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     thread = threading.Thread(target=executor.spin)
@@ -68,13 +68,16 @@ def asked(graph, command, *words):
 
 
 def test_services_and_state(graph):
-    assert asked(graph, "start") == "so it is"
+    assert asked(graph, "home") == "so it is"
     assert asked(graph, "enable") == "so it is"
     with pytest.raises(PlateError, match="so it is"):  # refused, with the reason
         asked(graph, "disable")
     with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
         asked(graph, "stop")
-    assert asked(graph, "state").splitlines() == ["driver_state: nothing heard", "task_state: idle"]
+    assert asked(graph, "state").splitlines() == [
+        "driver_state: nothing heard",
+        "task_status: idle",
+    ]
 
 
 def test_parameters(graph):
@@ -125,7 +128,7 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch
 def test_nobody_is_there(graph):
     alone = Graph("/nowhere")
     try:
-        for command in ("start", "state", "params"):
+        for command in ("home", "state", "params"):
             with pytest.raises(PlateError, match="no graph runs in ROS domain"):
                 asked(alone, command)
     finally:
@@ -157,10 +160,11 @@ def test_a_domain_or_namespace_that_is_none_is_refused_in_a_line(domain, words, 
 
 
 def test_a_mistyped_command_is_told_the_nearest(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["plate", "strt"])
+    monkeypatch.setattr(sys, "argv", ["plate", "enabel"])
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 2
     assert (
-        "command is 'strt' (did you mean start?), allowed: start, stop" in capsys.readouterr().err
+        "command is 'enabel' (did you mean enable?), allowed: stop, enable"
+        in capsys.readouterr().err
     )

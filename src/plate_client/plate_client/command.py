@@ -1,4 +1,4 @@
-"""The program `plate`: starts, stops, states and parameters of a running graph, without `ros2`."""
+"""The program `plate`: tasks, stops, states and parameters of a running graph, without `ros2`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 
 import rclpy
 import yaml
+from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.node import Node
@@ -21,15 +22,16 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from ..errors import PlateError, did_you_mean
-from ..status import COMPILING
-from ..yaml_fields import config_path
-from .diagnostics import msg_to_reports
-from .qos import DATA, LATCHED
+from plate_core import PlateError, config_path, did_you_mean
+from plate_core.ros import ACTIONS, DATA, LATCHED, msg_to_reports
+from plate_core.status import COMPILING
+from plate_core.tasks import Scenario, load_scenario
+from plate_interfaces.msg import TaskStatus
+
+from .client import PlateClient, TaskError
 
 SERVICES = {
-    "start": "start the planner's task",
-    "stop": "end the planner's task",
+    "stop": "end the task, whoever sent it",
     "enable": "clear the present stop: the motors get current, and the plate goes home",
     "disable": "brake, then current off, without an emergency",
     "emergency_stop": "brake, then current off (stop category 1)",
@@ -38,6 +40,8 @@ SERVICES = {
     "calibrate": "learn the plate's response",
 }
 OTHERS = {
+    "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
+    "cancel": "cancel all goals",
     "state": "print driver_state, task_state, and what each node says of itself",
     "params": "[NODE]: list parameters, their values and meanings",
     "get": "NODE NAME: print a parameter",
@@ -53,6 +57,9 @@ URGENT = ("emergency_stop", "cut_power", "disable")
 REPORT_S, LATE_S = 1.2, 2.0
 """What nodes say of themselves once a second is listened to for so long, and for so much longer
 where some of those that are known have said nothing yet [s]."""
+
+PROGRESS_S = 2.0
+"""Between two lines on how a task gets on [s]."""
 
 NAME = "plate_command"
 
@@ -103,6 +110,8 @@ def _arguments() -> argparse.Namespace:
             one.add_argument("node", nargs="?" if name == "params" else None, metavar="NODE")
         if name in ("get", "set"):
             one.add_argument("name", metavar="NAME")
+        if name == "goal":
+            one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":
             one.add_argument("value", metavar="VALUE")
         one.add_argument("--namespace", default="", help="of the nodes")
@@ -138,6 +147,10 @@ class Graph:
             If it was not done.
         """
         match args.command:
+            case "goal":
+                return self._do(load_scenario(args.scenario))
+            case "cancel":
+                return self._cancel_all()
             case "state":
                 return self._state()
             case "params":
@@ -154,6 +167,36 @@ class Graph:
             case _:
                 trigger = Trigger.Request()
                 return self._asked(Trigger, args.command, trigger, args.command in URGENT)
+
+    # Tasks
+
+    def _do(self, scenario: Scenario) -> str:
+        """Do a task, and show how it gets on; returns the last status in words."""
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        if not self._seen():
+            raise PlateError(nobody())
+        plate = PlateClient(self.node, self._until)
+        task = plate.start(scenario)
+        try:
+            while not self._until(lambda: task.ended, PROGRESS_S):
+                at = task.progress
+                line = f"{at.time_s:.0f} s: {at.parts_sorted} of {at.parts_total} parts"
+                print(f"  {line}, {1e3 * at.to_go_m:.0f} mm to go", flush=True)
+            status = plate.wait(task, 0.0)
+        except KeyboardInterrupt:
+            status = plate.cancel(task)
+        if status.state != TaskStatus.DONE:
+            raise TaskError(status)
+        return str(status.text)
+
+    def _cancel_all(self) -> str:
+        """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
+        count = sum(
+            len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request(), True)
+                .goals_canceling)
+            for name in ACTIONS
+        )  # fmt: skip
+        return f"{count} goals canceled"
 
     # Services
 
@@ -190,9 +233,9 @@ class Graph:
     # State
 
     def _state(self) -> str:
-        topics = ("driver_state", "task_state")
-        for topic in topics:
-            self.node.create_subscription(String, topic, self._on_text(topic), LATCHED)
+        topics = {"driver_state": String, "task_status": TaskStatus}
+        for topic, kind in topics.items():
+            self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
         self._until(lambda: bool(self._seen()), NOBODY_S)
         if self._seen():
             self._until(lambda: False, REPORT_S)
@@ -203,9 +246,9 @@ class Graph:
         lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in self._health.items())])
 
-    def _on_text(self, topic: str) -> Callable[[String], None]:
-        def on_message(msg: String) -> None:
-            self._said[topic] = msg.data
+    def _on_text(self, topic: str) -> Callable[[Any], None]:
+        def on_message(msg: Any) -> None:
+            self._said[topic] = msg.data if isinstance(msg, String) else msg.text
 
         return on_message
 

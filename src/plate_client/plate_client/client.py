@@ -1,0 +1,255 @@
+"""Tasks for the plate, from Python: goals of the planner's actions, and what becomes of them.
+
+with PlateClient.connect() as plate:
+    status = plate.run(load_scenario("sort_4"))
+    print(status.text)
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from plate_core import PlateError, config_path
+from plate_core.ros import ACTIONS, scenario_to_goal
+from plate_core.tasks import Scenario
+from plate_interfaces.msg import TaskProgress, TaskStatus
+
+FOUND_S = 5.0
+"""Longest wait for the planner to be found [s]."""
+
+GONE_S = 2.0
+"""A planner that is not there for longer will not send a result [s]."""
+
+CANCEL_S = 5.0
+"""Longest wait until a task that was canceled has ended [s]."""
+
+POLL_S = 0.02
+
+AGAIN_S = 0.2
+"""Between two tries of a goal for which the graph is not ready yet [s]."""
+
+Until = Callable[[Callable[[], bool], float], bool]
+"""Handles messages until a condition holds, or for a time [s]; returns whether it holds."""
+
+
+class TaskError(PlateError):
+    """A task was not done; `status` says why."""
+
+    def __init__(self, status: TaskStatus) -> None:
+        super().__init__(status.text)
+        self.status = status
+
+
+class Task:
+    """A goal that was sent, and what becomes of it.
+
+    Attributes
+    ----------
+    name : str
+        Of the action.
+    progress : TaskProgress
+        The newest.
+    status : TaskStatus or None
+        How it ended; None while it runs.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.progress = TaskProgress()
+        self.status: TaskStatus | None = None
+        self._handle: Any = None
+        self._cancel = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is over, well or not."""
+        return self.status is not None
+
+    @property
+    def done(self) -> bool:
+        """Whether it is over, and its goal reached."""
+        return self.status is not None and self.status.state == TaskStatus.DONE
+
+    def has_begun(self) -> bool:
+        """Whether the planner does it, or has done with it."""
+        return self.ended or self.progress.parts_total > 0
+
+    def cancel(self) -> None:
+        """Ask for its end; `PlateClient.wait` tells when it is over."""
+        self._cancel = True
+        if self._handle is not None and not self.ended:
+            self._handle.cancel_goal_async()
+
+    def _on_feedback(self, msg: Any) -> None:
+        self.progress = msg.feedback.progress
+
+    def _on_answer(self, future: Any) -> None:
+        self._handle = handle = future.result()
+        if not handle.accepted:  # rclpy refuses a goal whose id it knows already
+            self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
+            return
+        handle.get_result_async().add_done_callback(self._on_result)
+        if self._cancel:
+            handle.cancel_goal_async()
+
+    def _on_result(self, future: Any) -> None:
+        status = future.result().result.status
+        if status.state in (TaskStatus.IDLE, TaskStatus.RUNNING):  # a result that nobody filled
+            status.state, status.text = TaskStatus.ABORTED, "the planner has forgotten the goal"
+        self.status = status
+
+
+class PlateClient:
+    """The planner's actions, for a node of yours.
+
+    Parameters
+    ----------
+    node : Node
+        In the planner's namespace.
+    until : callable
+        Handles the node's messages, see `Until`; left out: `rclpy.spin_once`.
+    """
+
+    def __init__(self, node: Node, until: Until | None = None) -> None:
+        self.node = node
+        self._until = until or self._spin_until
+        self._clients = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
+
+    @classmethod
+    @contextmanager
+    def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
+        """Make a client with a node of its own, in the domain ROS_DOMAIN_ID."""
+        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
+        context = rclpy.Context()
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node(f"plate_client_{os.getpid()}", namespace=namespace, context=context)
+        executor = EventsExecutor(context=context)
+        executor.add_node(node)
+
+        def until(true: Callable[[], bool], timeout_s: float) -> bool:
+            end = time.monotonic() + timeout_s
+            while not true():
+                if time.monotonic() > end:
+                    return False
+                executor.spin_once(timeout_sec=POLL_S)
+            return True
+
+        client = cls(node, until)
+        try:
+            yield client
+        finally:
+            client.close()
+            executor.shutdown()
+            node.destroy_node()
+            rclpy.shutdown(context=context)
+
+    def close(self) -> None:
+        """Let go of the actions; the node stays."""
+        for client in self._clients.values():
+            client.destroy()
+
+    def found(self, name: str) -> bool:
+        """Whether there is an action of this name."""
+        return bool(self._clients[name].server_is_ready())
+
+    def send(self, task: Scenario | Any) -> Task:
+        """Send a scenario, or a goal of one of the actions, and return at once.
+
+        Raises
+        ------
+        PlateError
+            If there is no planner.
+        """
+        if isinstance(task, Scenario):
+            name, goal = scenario_to_goal(task)
+        else:
+            name, goal = next(n for n, kind in ACTIONS.items() if isinstance(task, kind.Goal)), task
+        client = self._clients[name]
+        if not self._until(client.server_is_ready, FOUND_S):
+            raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
+        sent = Task(name)
+        client.send_goal_async(goal, feedback_callback=sent._on_feedback).add_done_callback(
+            sent._on_answer
+        )
+        return sent
+
+    def wait(self, task: Task, timeout_s: float = float("inf")) -> TaskStatus:
+        """Return how a task ended.
+
+        Raises
+        ------
+        PlateError
+            If it does not end in time, or the planner is gone.
+        """
+        client, end = self._clients[task.name], time.monotonic() + timeout_s
+        seen = time.monotonic()
+        while not self._until(lambda: task.ended, AGAIN_S):
+            now = time.monotonic()
+            if client.server_is_ready():
+                seen = now
+            if now - seen > GONE_S:
+                raise PlateError("the planner is gone: what became of the task is not known")
+            if now > end:
+                raise PlateError(f"{task.name} has not ended within {timeout_s:g} s")
+        assert task.status is not None
+        return task.status
+
+    def start(self, scenario: Scenario | Any, ready_timeout_s: float = FOUND_S) -> Task:
+        """Send a goal; again, while the graph is not ready for it, for so long [s].
+
+        Raises
+        ------
+        TaskError
+            If it is refused.
+        """
+        end = time.monotonic() + ready_timeout_s
+        while True:
+            task = self.send(scenario)
+            self._until(task.has_begun, FOUND_S)
+            if task.status is None or task.status.reason not in REFUSED:
+                return task
+            if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:
+                raise TaskError(task.status)
+            self._until(lambda: False, AGAIN_S)
+
+    def run(self, scenario: Scenario | Any, timeout_s: float = float("inf")) -> TaskStatus:
+        """Do a task; returns its last status.
+
+        Raises
+        ------
+        TaskError
+            If it is refused, or ends without being done.
+        PlateError
+            As `wait`.
+        """
+        status = self.wait(self.start(scenario), timeout_s)
+        if status.state != TaskStatus.DONE:
+            raise TaskError(status)
+        return status
+
+    def cancel(self, task: Task) -> TaskStatus:
+        """End a task: nothing is asked of the parts any more; returns its last status."""
+        task.cancel()
+        return self.wait(task, CANCEL_S)
+
+    def _spin_until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not true():
+            if time.monotonic() > end:
+                return False
+            rclpy.spin_once(self.node, timeout_sec=POLL_S)
+        return True
+
+
+REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
+"""Reasons why a task has never begun."""

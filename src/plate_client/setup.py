@@ -1,0 +1,24 @@
+"""Build plate_client as an ament_python package."""
+
+from setuptools import find_packages, setup
+
+NAME = "plate_client"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["plate_core", "PyYAML"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The plate developers",
+    maintainer_email="plate@example.org",
+    description="The plate's tasks, stops and parameters from Python and from the command line.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": [f"plate = {NAME}.command:main"]},
+)

@@ -1,0 +1,89 @@
+"""Scenarios as goals: what goes out comes back, and a wrong goal is refused as a wrong file is."""
+
+from dataclasses import replace
+
+import pytest
+
+from plate_core import ScenarioError
+from plate_core.tasks import load_scenario, scenario_names
+
+pytest.importorskip("rclpy")
+from geometry_msgs.msg import Point
+from rclpy.serialization import deserialize_message, serialize_message
+
+from plate_core.ros import ACTIONS, goal_to_scenario, scenario_to_goal
+from plate_interfaces.msg import PartCount, Region
+
+
+def sent(scenario):
+    name, goal = scenario_to_goal(scenario)
+    return deserialize_message(serialize_message(goal), ACTIONS[name].Goal)
+
+
+def sort_goal():
+    return sent(load_scenario("sort_4"))
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_there_and_back(name):
+    scenario = load_scenario(name)
+    back = goal_to_scenario(sent(scenario))
+    assert back.labels == scenario.labels
+    assert back.time_limit_s == scenario.time_limit_s
+    again = goal_to_scenario(sent(back))
+    assert again == back
+    if not name.startswith("spin"):  # degrees there and back
+        assert back.task == scenario.task
+    else:
+        assert back.task.poses[0].place is None
+        assert back.task.poses[0].angle == pytest.approx(scenario.task.poses[0].angle)
+
+
+def spoilt(change):
+    goal = sort_goal()
+    change(goal)
+    return goal
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda g: setattr(g, "goal_fraction", float("nan")),
+            "sort_parts: task: goal_fraction is nan",
+        ),
+        (lambda g: setattr(g, "time_limit_s", -1.0), "sort_parts: time_limit_s is -1.0, allowed"),
+        (lambda g: setattr(g, "hold_s", 1e9), "hold_s is 1000000000.0, allowed"),
+        (lambda g: setattr(g, "parts", []), "parts is .*, allowed: at least one"),
+        (lambda g: setattr(g.parts[0], "count", 0), "count is 0, allowed"),
+        (lambda g: g.parts.append(PartCount(type="black", count=1)), "each class once"),
+        (lambda g: setattr(g, "regions", g.regions[:1]), "grey is missing"),
+        (lambda g: g.regions.append(Region(type="black", side="top")), "black stands twice"),
+        (lambda g: setattr(g.regions[0], "side", "lfet"), "black is 'lfet', allowed: one of left"),
+        (lambda g: setattr(g.regions[0], "side", ""), "bin_m"),
+        (lambda g: g.regions.append(Region(type="red", side="top")), "red"),
+    ],
+)
+def test_a_wrong_goal_is_named(change, message):
+    with pytest.raises(ScenarioError, match=message):
+        goal_to_scenario(spoilt(change))
+
+
+def test_a_bin_of_a_goal():
+    goal = sort_goal()
+    goal.regions[0].side = ""
+    goal.regions[0].polygon = [Point(x=0.1, y=0.0), Point(x=0.2, y=0.0), Point(x=0.2, y=0.1)]
+    back = goal_to_scenario(goal)
+    assert back.task.regions["black"].corner == ((0.1, 0.0), (0.2, 0.0), (0.2, 0.1))
+
+
+def test_speeds_along_a_path():
+    scenario = load_scenario("follow_2")
+    path = replace(scenario.task.paths[0], profile=((0.0, 0.01), (1.0, 0.04)))
+    task = replace(scenario.task, paths=(path, *scenario.task.paths[1:]))
+    back = goal_to_scenario(sent(replace(scenario, task=task)))
+    assert back.task.paths[0].profile == path.profile
+    _, goal = scenario_to_goal(replace(scenario, task=task))
+    goal.paths[0].profile_speeds = [0.01]
+    with pytest.raises(ScenarioError, match="2 profile_fractions and 1 profile_speeds"):
+        goal_to_scenario(goal)
