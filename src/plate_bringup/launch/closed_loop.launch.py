@@ -3,7 +3,7 @@
 ros2 launch plate_bringup closed_loop.launch.py scenario:=sort_10 method:=sinusoids
 ros2 launch plate_bringup closed_loop.launch.py transport:=serial  # a simulated motor controller
 ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # with transport:=serial only
-ros2 service call /start std_srvs/srv/Trigger
+ros2 run plate_client plate goal sort_10
 """
 
 from plate_bringup.actions import describe

@@ -3,7 +3,7 @@
 ros2 launch plate_bringup hardware.launch.py port:=/dev/ttyUSB0 image_topic:=/camera/image_raw
 
 ros2 service call /enable std_srvs/srv/SetBool "{data: true}"    # when you have looked at the rig
-ros2 service call /start std_srvs/srv/Trigger
+ros2 run plate_client plate goal sort_10
 
 The camera's driver is started separately; it publishes image and camera_info, triggered at the
 start of each plate cycle.

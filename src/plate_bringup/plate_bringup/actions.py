@@ -26,7 +26,6 @@ from plate_core.tasks import load_scenario
 from .graph import GraphError, RunOptions, load_graph
 
 COMMON = {
-    "scenario": "name in config/scenarios, or path of a .yaml file",
     "method": "of the solver",
     "seed": "of scattered parts, image noise and the solver",
     "transport": "what moves the plate",
@@ -36,6 +35,7 @@ COMMON = {
     "namespace": "of all nodes and topics",
 }
 SIMULATED = {
+    "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
     "lockstep": "the simulator waits for every answer",
     "rate": "simulated seconds per second",
 }
@@ -85,7 +85,7 @@ def describe(hardware: bool) -> LaunchDescription:
 
 def arguments_of(hardware: bool) -> dict[str, str]:
     """Return the arguments of a launch file, name to meaning."""
-    return COMMON | (HARDWARE if hardware else SIMULATED)
+    return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
 def check_names(hardware: bool, names: Iterable[str]) -> None:
@@ -122,7 +122,7 @@ def start(hardware: bool, context: Any) -> list[Any]:
     known = arguments_of(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
-    if not hardware and "scenario" in given and not {"rig_file", "params_file"} & given.keys():
+    if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
         values["rig_file"] = load_scenario(given["scenario"]).rig
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values

@@ -58,5 +58,5 @@ def test_on_hardware_nothing_stands_in_for_it():
 def test_options_that_were_not_chosen_are_left_as_the_file_has_them():
     options = RunOptions(scenario="sort_6")
     given = {name: options.parameters(node, {"scenario"}) for name, node in GRAPH.items()}
-    assert given["simulator"] == given["planner"] == {"scenario": "sort_6"}
-    assert given["solver"] == given["driver"] == given["detector"] == {}
+    assert given["simulator"] == {"scenario": "sort_6"}
+    assert given["planner"] == given["solver"] == given["driver"] == given["detector"] == {}

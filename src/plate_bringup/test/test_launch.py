@@ -72,14 +72,14 @@ def started(file, **given):
     ],
 )
 def test_launch_files_start_the_same_list(stand_in, file, names, files):
-    nodes, others = started(file, scenario="sort_6")
+    nodes, others = started(file, method="rotations")
     assert list(nodes) == names
     assert others == []
     listed = {node.name: node for node in load_graph()}
     for name, node in nodes.items():
         assert (node.package, node.executable) == (listed[name].package, listed[name].executable)
         assert [Path(path).name for path in node.parameters[:-1]] == files
-        wanted = {"scenario": "sort_6"} if name in ("simulator", "planner") else {}
+        wanted = {"method": "rotations"} if name == "solver" else {}
         assert node.parameters[-1] == wanted  # what is left out is as the files have it
 
 
@@ -107,7 +107,6 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
     assert rigs("closed_loop") == {"desk"}
     assert rigs("closed_loop", rig_file="my_rig.yaml") == {"my_rig.yaml"}
     assert rigs("closed_loop", params_file=str(mine)) == {None}  # it may name one
-    assert rigs("hardware") == {None}
 
 
 @pytest.mark.parametrize(
@@ -116,7 +115,7 @@ def test_rig_of_the_scenario_is_taken_where_none_is_given(stand_in, tmp_path):
         (
             "closed_loop",
             "scenaro",
-            r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario, met",
+            r"is 'scenaro' \(did you mean scenario\?\), allowed: scenario, lock",
         ),
         ("hardware", "image_topc", r"is 'image_topc' \(did you mean image_topic\?\), allowed: "),
         ("closed_loop", "port", r"is 'port', of hardware\.launch\.py, allowed: scenario, "),
