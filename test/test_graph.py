@@ -190,9 +190,9 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
 
 BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
 WRONG_INPUT = [
-    ("planner", {"scenario": "sort_3"}, "scenario is 'sort_3' (did you mean sort_"),
+    ("planner", {"scenario": "sort_4"}, "parameter scenario is not one of planner"),
     ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3' (did you mean sort_"),
-    ("planner", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
+    ("simulator", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
     ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),
     ("driver", {"transport": "serial", "port": "/dev/none"}, "port is '/dev/none', allowed: a"),
