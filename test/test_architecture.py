@@ -69,7 +69,7 @@ def may_use_ros(path: Path) -> bool:
     return (
         path.name == "node.py"
         or inside[:3] == ("plate_core", "plate_core", "ros")
-        or inside == ("plate_bringup", "plate_bringup", "actions.py")
+        or (inside[0] == "plate_bringup" and path.name in ("actions.py", "one_process.py"))
         or inside[0] == "plate_client"
     )
 

@@ -188,6 +188,53 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     assert processes.exit_codes == dict.fromkeys(NAMES[1:], 0)
 
 
+@pytest.mark.alone
+def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_activated(tmp_path):
+    options = RunOptions(scenario="sort_4", autostart=False)
+    with session(options, tmp_path, pictures=False) as graph:
+        observer, record = graph.observer, graph.observer.record
+        graph.free()
+        for name, topic in (("solver", "plate_cycle"), ("detector", "parts")):
+            record.states.clear()
+            observer.start()
+            record.tables.clear()
+            assert observer.until(lambda: any(not at_rest(c) for c in tables(record)[-1:]), 30)
+            observer.change_state(name, "deactivate")
+            assert observer.until(lambda: record.ended, 30)
+            assert f": no {topic} for " in record.states[-1]
+            assert record.states[-1].endswith(f"the {name} runs and says: inactive")
+            assert observer.until(lambda: "the plate rests" in record.last("driver", "message"), 30)
+            observer.change_state(name, "activate")
+            observer.await_answers(30)
+        observer.change_state("simulator", "deactivate")
+        record.truth.clear()
+        assert not observer.until(lambda: record.truth, 1.0)
+        observer.change_state("simulator", "activate")
+        assert observer.until(lambda: record.truth, 30)
+    assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
+
+
+def test_all_nodes_in_one_process_sort_parts(tmp_path):
+    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False, one_process=True)
+    with session(options, tmp_path) as graph:
+        assert graph.nodes == NAMES
+        assert graph.processes.names == ["one_process"]
+        graph.begin()
+        record = graph.observer.record
+        assert graph.observer.until(lambda: record.ended, 60)
+    assert graph.processes.exit_codes == {"one_process": 0}
+    assert record.states[-1].startswith("done")
+    assert check_limits(record, load_rig()).faults == ()
+
+
+def test_what_one_node_of_a_process_refuses_names_it(tmp_path, domain):
+    options = RunOptions(method="C", one_process=True)
+    with Processes(GRAPH.values(), options, tmp_path, domain) as processes:
+        assert processes.wait("one_process", 60) == 2
+        *_, line = processes.log("one_process").read_text().splitlines()
+    assert line.startswith("error: solver: parameter method is 'C', allowed: one of ")
+
+
 BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
 WRONG_INPUT = [
     ("planner", {"scenario": "sort_4"}, "parameter scenario is not one of planner"),

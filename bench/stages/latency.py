@@ -1,8 +1,9 @@
-"""From image to motors in the real graph, beside a graph of as many processes that only forwards.
+"""From image to motors in the real graph, beside a graph of five processes that only forwards.
 
-Both run at the same time and take turns: the forwarders' image comes half a cycle after the real
-one. Their messages have the real ones' topics, types and sizes. Times are those at which the
-middleware published a message; the observer's own pace does not count.
+Nodes in processes of their own, then all in one. Both graphs run at the same time and take turns:
+the forwarders' image comes half a cycle after the real one. Their messages have the real ones'
+topics, types and sizes. Times are those at which the middleware published a message; the observer's
+own pace does not count.
 """
 
 from __future__ import annotations
@@ -25,14 +26,32 @@ QUICK_S = 6.0
 
 def measure(quick: bool) -> Result:
     """Sort ten parts in real time, beside the forwarders."""
-    from graph.forward import NAMESPACE
-    from graph.series import STAGES, stages_ms, work_again
+    apart, together = measured(quick, one_process=False), measured(quick, one_process=True)
+    return Result(
+        [
+            table("latency", "nodes in processes of their own", apart[0]),
+            table("latency_one_process", "all nodes in one process", together[0]),
+            Table(
+                "cpu", "Share of one core [%]", {"node": "processes", "cpu": "CPU"},
+                cpu(apart[1], "") + cpu(together[1], "second run, "),
+            ),
+        ],
+        [
+            *said("processes of their own", *apart),
+            *said("one process", *together),
+        ],
+    )  # fmt: skip
+
+
+def measured(quick: bool, one_process: bool) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """Run the graph and the forwarders; return the rows of the stages, and the shares of a core."""
+    from graph.series import stages_ms, work_again
 
     from plate_bringup import RunOptions
 
     most = 1 if quick else TASKS
     with TemporaryDirectory() as logs:
-        options = RunOptions(scenario="sort_10", autostart=False)
+        options = RunOptions(scenario="sort_10", autostart=False, one_process=one_process)
         run = work_again(
             options,
             Path(logs),
@@ -42,44 +61,46 @@ def measure(quick: bool) -> Result:
         )
         *_, series = run
     real, beside = stages_ms(series.hops()), stages_ms(series.hops("beside"))
-    rows = [row(name, real[name], beside[name]) for name in real]
-    whole = rows[-2]
-    computed = sum(r["more"] for r in rows if r["stage"] in STAGES[1:])
-    shares = ", ".join(
-        f"{r['stage']} {100 * r['more'] / computed:.0f} %" for r in rows if r["stage"] in STAGES[1:]
-    )
-    cpu: list[dict[str, Any]] = [
-        {"node": name, "cpu": 100 * share, "beside": 100 * series.cpu[f"{NAMESPACE}_{name}"]}
-        for name, share in series.cpu.items()
-        if not name.startswith(NAMESPACE)
-    ]
-    return Result(
-        [
-            Table(
-                "latency", "Ten parts: when messages are published, after those they answer",
-                {
-                    "stage": "stage", "median": "median [ms]", "p99": "99 % [ms]",
-                    "beside": "forwarding: median [ms]", "beside_p99": "99 % [ms]",
-                    "ratio": "ratio of medians", "ratio_p99": "of 99 %",
-                    "more": "median more [ms]", "images": "images",
-                },
-                rows,
-                "camera: from stamp to published image; here it includes the simulation's picture.",
-            ),
-            Table(
-                "cpu", "Share of one core [%]",
-                {"node": "node", "cpu": "real", "beside": "forwarding"},
-                cpu,
-            ),
-        ],
-        [
-            f"image to setpoints {whole['median']:.1f} ms, forwarding {whole['beside']:.1f} ms: "
-            f"{whole['ratio']:.2f} times; 99 %: {whole['ratio_p99']:.2f} times",
-            f"{computed:.1f} ms more than forwarding: {shares}",
-            f"{sum(r['cpu'] for r in cpu):.0f} % of a core for all nodes, forwarding "
-            f"{sum(r['beside'] for r in cpu):.0f} %",
-        ],
+    return [row(name, real[name], beside[name]) for name in real], series.cpu
+
+
+def table(name: str, what: str, rows: list[dict[str, Any]]) -> Table:
+    """Return the table of the stages."""
+    return Table(
+        name, f"Ten parts, {what}: when messages are published, after those they answer",
+        {
+            "stage": "stage", "median": "median [ms]", "p99": "99 % [ms]",
+            "beside": "forwarding: median [ms]", "beside_p99": "99 % [ms]",
+            "ratio": "ratio of medians", "ratio_p99": "of 99 %",
+            "more": "median more [ms]", "images": "images",
+        },
+        rows,
+        "camera: from stamp to published image; here it includes the simulation's picture.",
     )  # fmt: skip
+
+
+def cpu(shares: dict[str, float], run: str) -> list[dict[str, Any]]:
+    """Return the share of a core [%] of each process."""
+    return [{"node": f"{run}{name}", "cpu": 100 * share} for name, share in shares.items()]
+
+
+def said(what: str, rows: list[dict[str, Any]], shares: dict[str, float]) -> list[str]:
+    """Return what the rows say."""
+    from graph.forward import NAMESPACE
+    from graph.series import STAGES
+
+    whole = rows[-2]
+    stages = [r for r in rows if r["stage"] in STAGES[1:]]
+    computed = sum(r["more"] for r in stages)
+    parts = ", ".join(f"{r['stage']} {100 * r['more'] / computed:.0f} %" for r in stages)
+    real = sum(v for name, v in shares.items() if not name.startswith(NAMESPACE))
+    return [
+        f"{what}: image to setpoints {whole['median']:.1f} ms, forwarding {whole['beside']:.1f} ms:"
+        f" {whole['ratio']:.2f} times; 99 %: {whole['ratio_p99']:.2f} times",
+        f"{what}: {computed:.1f} ms more than forwarding: {parts}",
+        f"{what}: {100 * real:.0f} % of a core for all nodes, forwarding "
+        f"{100 * (sum(shares.values()) - real):.0f} %",
+    ]
 
 
 def row(stage: str, real: np.ndarray, beside: np.ndarray) -> dict[str, Any]:

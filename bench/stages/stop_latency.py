@@ -73,6 +73,7 @@ GRAPH = ("plate_sim", "plate_vision", "plate_planner", "plate_solver")
 CONDITIONS: dict[str, dict[str, Any]] = {
     "cycles each 200 ms": {},
     "the whole graph, sorting ten parts": {"graph": True},
+    "the same in one process": {"graph": True, "one_process": True},
     "20,000 points, again and again": {"points": 20_000, "pause_s": 0.02},
     "1,000,000 points, again and again": {"points": 1_000_000, "pause_s": 0.2},
     "clock that stands still": {"parameters": ["use_sim_time:=true"]},
@@ -161,19 +162,20 @@ class Bench:
 
 def latencies(
     count: int, points: int = 0, pause_s: float = 0.1, period_s: float = PERIOD_S, busy: int = 0,
-    parameters: list[str] | None = None, graph: bool = False,
+    parameters: list[str] | None = None, graph: bool = False, one_process: bool = False,
 ) -> list[tuple[float, float]]:  # fmt: skip
     """Return the times [ms] from the call of emergency_stop to the frame, at most and at least."""
     context = multiprocessing.get_context("spawn")
     ready, done, stops = context.Event(), context.Event(), context.Queue()
     found: list[tuple[float, float]] = []
-    driver = "from plate_driver.node import main; main()"
+    package = "plate_bringup.one_process" if one_process else "plate_driver.node"
+    driver = f"from {package} import main; main()"
     with tempfile.TemporaryDirectory() as folder:
         link = str(Path(folder) / "port")
         process = context.Process(target=serve, args=(link, ready, done, stops), daemon=True)
         process.start()
         ready.wait(START_S)
-        words = ["transport:=serial", f"port:={link}", *(parameters or [])]
+        words = ["driver:transport:=serial", f"driver:port:={link}", *(parameters or [])]
         arguments = ["--ros-args", "--log-level", "fatal", *(w for p in words for w in ("-p", p))]
         bench = Bench(None if graph else period_s)
         try:
@@ -182,7 +184,7 @@ def latencies(
                 for client in (bench.stop, bench.enable):
                     client.wait_for_service(START_S)
                 with ExitStack() as stack:
-                    for package in GRAPH if graph else ():
+                    for package in GRAPH if graph and not one_process else ():
                         main = f"from {package}.node import main; main()"
                         stack.enter_context(program("-c", main, *arguments[:3]))
                     for _ in range(busy):

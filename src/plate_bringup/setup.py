@@ -16,11 +16,12 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", sorted(map(str, Path("launch").glob("*.py")))),
     ],
-    install_requires=["plate_core"],
+    install_requires=["plate_core", "PyYAML"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
     description="Launch files of the closed loop, its list of nodes, parameters, scenarios, views.",
     license="Apache-2.0",
+    entry_points={"console_scripts": [f"one_process = {NAME}.one_process:main"]},
 )

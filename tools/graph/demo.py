@@ -143,6 +143,7 @@ def checked(args: argparse.Namespace) -> Plan:
         lockstep=args.lockstep,
         rig_file=absolute(rig_file),
         autostart=False,
+        one_process=args.one_process,
     )
     domain = args.domain
     if domain is None and args.port:  # the camera is somebody else's, in the domain of this shell

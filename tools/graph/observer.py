@@ -345,12 +345,26 @@ class Observer:
         Raises
         ------
         GraphError
-            If it refuses: its log tells why.
+            If it refuses: why.
         """
-        for step in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-            request = ChangeState.Request(transition=Transition(id=step))
-            if not self.call(ChangeState, "driver/change_state", request).success:
-                raise GraphError("the driver could not be activated, see its log")
+        for transition in ("configure", "activate"):
+            self.change_state("driver", transition)
+
+    def change_state(self, node: str, transition: str) -> None:
+        """Have a node make a transition of its lifecycle.
+
+        Raises
+        ------
+        GraphError
+            If it refuses: why.
+        """
+        request = ChangeState.Request(transition=Transition(label=transition))
+        if self.call(ChangeState, f"{node}/change_state", request).success:
+            return
+        health, now = self.record.health, time.monotonic()
+        self.until(lambda: node in health and health[node].at > now, FRESH_S)
+        said = health[node].message if node in health else "nothing"
+        raise GraphError(f"{transition} refused, {node} says: {said}")
 
     def enable(self) -> None:
         """Set the motors free, as a person does who has looked at the rig; returns when they are.

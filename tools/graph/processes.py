@@ -25,6 +25,9 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 PR_SET_PDEATHSIG = 1
 
+ONE_PROCESS = "one_process"
+"""The program that runs all nodes, and the name of its log."""
+
 
 class Interrupted(KeyboardInterrupt):
     """A signal asked us to stop; `number` is the signal."""
@@ -81,28 +84,39 @@ def ros_environment(domain: int) -> dict[str, str]:
     }
 
 
-def executable(node: GraphNode) -> Path:
+def executable(package: str, name: str) -> Path:
     """Return the file that `ros2 run` would start."""
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if p]
     for prefix in prefixes:
-        path = prefix / "lib" / node.package / node.executable
+        path = prefix / "lib" / package / name
         if os.access(path, os.X_OK):
             return path
-    raise GraphError(
-        f"{node.package} {node.executable} is not installed; run: make setup, then: source env.sh"
-    )
+    raise GraphError(f"{package} {name} is not installed; run: make setup, then: source env.sh")
+
+
+ROS_ARGS = ("--ros-args", "--disable-external-lib-logs", "--params-file")
 
 
 def command(node: GraphNode, parameters: Mapping[str, Value]) -> list[str]:
     """Return the command line of a node: parameters of nodes.yaml first, then the given ones."""
-    words = [str(executable(node)), "--ros-args", "--disable-external-lib-logs"]
-    words += ["-r", f"__node:={node.name}", "--params-file", str(config_path("nodes.yaml"))]
+    words = [str(executable(node.package, node.executable)), *ROS_ARGS]
+    words += [str(config_path("nodes.yaml")), "-r", f"__node:={node.name}"]
     for name, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
         if isinstance(value, str):  # quoted: a text of digits must stay a text
             text = "'" + text.replace("'", "''") + "'"
         words += ["-p", f"{name}:={text}"]
     return words
+
+
+def command_of_all(nodes: Iterable[GraphNode], options: RunOptions, folder: Path) -> list[str]:
+    """Return the command line that runs all nodes in one process, and write their parameters."""
+    nodes = list(nodes)
+    file = folder / f"{ONE_PROCESS}.yaml"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(options.parameter_file(nodes), encoding="utf-8")
+    words = [str(executable("plate_bringup", ONE_PROCESS)), *(node.name for node in nodes)]
+    return [*words, *ROS_ARGS, str(config_path("nodes.yaml")), "--params-file", str(file)]
 
 
 class Processes:
@@ -114,7 +128,7 @@ class Processes:
     options : RunOptions
         Decides their parameters.
     logs : path
-        Folder for NODE.log.
+        Folder for NODE.log, or one_process.log.
     domain : int
         ROS domain.
     prefix : mapping of str to list, optional
@@ -127,7 +141,8 @@ class Processes:
     Attributes
     ----------
     exit_codes : dict of str to int
-        By node, once stopped; negative: ended by that signal.
+        By node, once stopped; negative: ended by that signal. Of all nodes in one process: by
+        `one_process`, which is then the name to be given here.
     """
 
     def __init__(
@@ -141,15 +156,15 @@ class Processes:
         remaps: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
         self.exit_codes: dict[str, int] = {}
-        remaps = remaps or {}
-        self._commands = {
-            node.name: [
-                *(prefix or {}).get(node.name, []),
-                *command(node, options.parameters(node)),
-                *(("-r", ":=".join(remaps[node.name])) if node.name in remaps else ()),
-            ]
-            for node in nodes
-        }  # fmt: skip
+        remaps, prefix = remaps or {}, prefix or {}
+        self._commands: dict[str, list[str]] = {}
+        if options.one_process:
+            self._commands[ONE_PROCESS] = command_of_all(nodes, options, logs)
+        for node in () if options.one_process else nodes:
+            words = [*prefix.get(node.name, []), *command(node, options.parameters(node))]
+            if node.name in remaps:
+                words += ["-r", ":=".join(remaps[node.name])]
+            self._commands[node.name] = words
         self._logs = logs
         self._environment = os.environ | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, subprocess.Popen[bytes]] = {}
@@ -190,6 +205,11 @@ class Processes:
     def restart(self, name: str) -> None:
         """Start a node that has ended again."""
         self._start(name, self._commands[name])
+
+    @property
+    def names(self) -> list[str]:
+        """Names of what runs."""
+        return list(self._running)
 
     def log(self, name: str) -> Path:
         """Return the path of a node's log."""

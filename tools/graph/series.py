@@ -113,7 +113,7 @@ def work_again(
         graph = stack.enter_context(session(options, logs, pictures=False))
         hops = stack.enter_context(Hops())
         graph.free()
-        names, others = list(graph.nodes), None
+        names, others = graph.processes.names, None
         if beside:
             one_task(graph, hops, None, 0.0, 5.0)  # messages of their true size
             others = stack.enter_context(Hops(NAMESPACE))
@@ -158,7 +158,7 @@ def one_task(
         (counts[0] - before[0], counts[1] - before[1], counts[2] - before[2]),
         limits.tables,
         len(limits.faults),
-        {name: memory_mb(graph.processes.pid(name)) for name in graph.nodes},
+        {name: memory_mb(graph.processes.pid(name)) for name in graph.processes.names},
         rows(hops, start, end),
         rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),
     )

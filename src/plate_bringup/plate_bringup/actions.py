@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 from launch import LaunchDescription
@@ -31,6 +32,8 @@ COMMON = {
     "transport": "what moves the plate",
     "rig_file": "measured facts of the rig",
     "params_file": "ROS parameters of the nodes, over those of config/nodes.yaml",
+    "one_process": "all nodes in one process, not each in its own",
+    "autostart": "false: somebody else configures and activates the nodes",
     "record": "all messages into a bag (MCAP), by ros2 bag",
     "namespace": "of all nodes and topics",
 }
@@ -50,6 +53,8 @@ CHOICES = {
     "method": ("rotations", "sinusoids"),
     "transport": ("sim", "serial"),
     "lockstep": ("true", "false"),
+    "one_process": ("true", "false"),
+    "autostart": ("true", "false"),
     "record": ("true", "false"),
 }
 
@@ -133,22 +138,20 @@ def start(hardware: bool, context: Any) -> list[Any]:
         if not files[-1].is_file():
             raise GraphError(f"params_file is {given['params_file']!r}: no such file")
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
+    waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     actions: list[Any] = []
-    for node in options.nodes(load_graph()):
+    for name, program in programs(options, given).items():
         last_words = [""]
         process = Node(
-            package=node.package,
-            executable=node.executable,
-            name=node.name,
             namespace=given.get("namespace", ""),
-            parameters=[*map(str, files), options.parameters(node, given)],
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
-            on_exit=partial(_end, node.name, last_words),
+            on_exit=partial(_end, name, last_words),
+            **program | {"parameters": [*map(str, files), program["parameters"], *waiting]},
         )
         listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
         actions.append(RegisterEventHandler(listen))
-        if node.name == "driver" and options.over_link:
+        if name == "driver" and options.over_link:
             actions.append(OpaqueFunction(function=partial(_await, Path(options.link), process)))
         else:
             actions.append(process)
@@ -156,6 +159,26 @@ def start(hardware: bool, context: Any) -> list[Any]:
         record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
         actions.append(ExecuteProcess(cmd=record, output="screen"))
     return actions
+
+
+def programs(options: RunOptions, given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Return what is started, by name: package, executable, parameters over those of the files."""
+    nodes = options.nodes(load_graph())
+    if given.get("one_process") != "true":
+        return {
+            node.name: {
+                "package": node.package,
+                "executable": node.executable,
+                "name": node.name,
+                "parameters": options.parameters(node, given),
+            }
+            for node in nodes
+        }
+    with NamedTemporaryFile("w", suffix=".yaml", delete=False, encoding="utf-8") as file:
+        file.write(options.parameter_file(nodes, given))
+    program = {"package": "plate_bringup", "executable": "one_process"}
+    names = [node.name for node in nodes]
+    return {"one_process": program | {"arguments": names, "parameters": file.name}}
 
 
 def _await(link: Path, process: Any, context: Any) -> list[Any]:

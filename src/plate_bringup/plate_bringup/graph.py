@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import yaml
+
 from plate_core import PlateError, config_path
 from plate_core.yaml_fields import Fields, read_yaml
 
@@ -39,6 +41,8 @@ class GraphNode:
     ----------
     name, package, executable : str
         What `ros2 run PACKAGE EXECUTABLE` starts, and the name it has in the graph.
+    component : str
+        Its class.
     on_hardware : bool
         Whether it runs on hardware too; False for what stands in for the hardware.
     transport : str
@@ -48,6 +52,7 @@ class GraphNode:
     name: str
     package: str
     executable: str
+    component: str
     on_hardware: bool
     transport: str = ""
 
@@ -79,6 +84,7 @@ def _node(fields: Fields) -> GraphNode:
         fields.text("name"),
         fields.text("package"),
         fields.text("executable"),
+        fields.text("component"),
         fields.flag("on_hardware"),
         fields.text("transport") if fields.has("transport") else "",
     )
@@ -112,6 +118,8 @@ class RunOptions:
         To all nodes; empty: the default rig.
     autostart : bool
         False: the driver waits until it is configured and activated from outside.
+    one_process : bool
+        All nodes in one process, `plate_bringup one_process`.
     """
 
     scenario: str = "sort_10"
@@ -125,6 +133,7 @@ class RunOptions:
     rate: float = 1.0
     rig_file: str = ""
     autostart: bool = True
+    one_process: bool = False
 
     def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
         """Return the nodes of the graph that this run needs."""
@@ -139,6 +148,15 @@ class RunOptions:
     def over_link(self) -> bool:
         """Whether the driver talks to the simulated device."""
         return self.transport == "serial" and not (self.hardware or self.port)
+
+    def parameter_file(
+        self, nodes: Iterable[GraphNode], given: Collection[str] | None = None
+    ) -> str:
+        """Return `parameters` of several nodes as a file of ROS parameters, in any namespace."""
+        values = {
+            f"/**/{node.name}": {"ros__parameters": self.parameters(node, given)} for node in nodes
+        }
+        return str(yaml.safe_dump({name: v for name, v in values.items() if v["ros__parameters"]}))
 
     def parameters(self, node: GraphNode, given: Collection[str] | None = None) -> dict[str, Value]:
         """Return the parameters of a node, over those of nodes.yaml.

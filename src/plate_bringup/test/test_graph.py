@@ -11,13 +11,13 @@ GRAPH = {node.name: node for node in RunOptions().nodes(load_graph())}
 
 def test_the_list_of_nodes_is_checked(tmp_path):
     path = tmp_path / "graph.yaml"
-    node = "{name: a, package: p, executable: e, on_hardware: true}"
+    node = "{name: a, package: p, executable: e, component: m.C, on_hardware: true}"
     path.write_text(f"nodes: [{node}]")
     assert load_graph(path)[0].package == "p"
     path.write_text(f"nodes: [{node}, {node}]")
     with pytest.raises(GraphError, match="each name once"):
         load_graph(path)
-    path.write_text("nodes: [{name: a, package: p, executable: e}]")
+    path.write_text("nodes: [{name: a, package: p, executable: e, component: m.C}]")
     with pytest.raises(PlateError, match="on_hardware is missing"):
         load_graph(path)
 

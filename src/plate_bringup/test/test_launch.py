@@ -7,6 +7,7 @@ import types
 from pathlib import Path
 
 import pytest
+import yaml
 
 from plate_bringup import GraphError, RunOptions, load_graph
 
@@ -61,7 +62,7 @@ def started(file, **given):
     # One that waits for another is given as a function of what there is.
     nodes += [a.function.args[1] for a in actions if a.kind == "OpaqueFunction"]
     others = [action for action in actions if action.kind == "ExecuteProcess"]
-    return {node.name: node for node in nodes}, others
+    return {getattr(node, "name", node.executable): node for node in nodes}, others
 
 
 @pytest.mark.parametrize(
@@ -130,6 +131,30 @@ def test_mistyped_arguments_are_refused(stand_in, file, name, words):
 def test_arguments_of_a_launch_file_that_includes_ours_do_no_harm(stand_in):
     nodes, _ = started("closed_loop", use_rviz="true", config_file="x", scenario="sort_6")
     assert list(nodes) == NAMES
+
+
+def test_all_nodes_in_one_process_have_the_same_parameters(stand_in):
+    given = {"scenario": "sort_6", "seed": "3"}
+    apart, _ = started("closed_loop", **given)
+    together, _ = started("closed_loop", one_process="true", **given)
+    (process,) = together.values()
+    assert (process.package, process.executable) == ("plate_bringup", "one_process")
+    assert process.arguments == NAMES
+    read = yaml.safe_load(Path(process.parameters[-1]).read_text(encoding="utf-8"))
+    assert {name.removeprefix("/**/"): v["ros__parameters"] for name, v in read.items()} == {
+        name: node.parameters[-1] for name, node in apart.items() if node.parameters[-1]
+    }
+
+
+def test_nodes_that_somebody_else_starts_wait(stand_in):
+    for given, waits in (
+        ({}, False),
+        ({"autostart": "true"}, False),
+        ({"autostart": "false"}, True),
+    ):
+        nodes, _ = started("closed_loop", **given)
+        waiting = {name for name, node in nodes.items() if {"autostart": False} in node.parameters}
+        assert waiting == (set(NAMES) if waits else set())
 
 
 def test_few_values_are_choices(stand_in):

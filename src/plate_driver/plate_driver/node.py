@@ -471,7 +471,9 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _find(self, now: float) -> Finding:
         """Return how well the driver is, and why."""
-        lasting = [f"calibration {self._outcome}"] if self._outcome.startswith("failed") else []
+        lasting = [str(self.failure)] if self.failure is not None else []
+        if self._outcome.startswith("failed"):
+            lasting.append(f"calibration {self._outcome}")
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")
         state, statistics = self.state_text(), self._guard.statistics

@@ -26,7 +26,7 @@ from .convert import (
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
 from .goals import ACTIONS, goal_to_scenario, scenario_to_goal
 from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
-from .main import run_node
+from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
 from .qos import CAMERA, DATA, IMAGE, LATCHED, NEWEST
@@ -67,6 +67,7 @@ __all__ = [
     "parts_to_msg",
     "pose_to_msg",
     "run_node",
+    "run_nodes",
     "scenario_to_goal",
     "scene_to_msg",
     "seconds",

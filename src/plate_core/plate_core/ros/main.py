@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import FrameType
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -41,40 +43,53 @@ def run_node(
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         sys.exit(2)
-    stopped = spinning = False
-    node = None
+    run_nodes({"": make}, args)
+
+
+def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None = None) -> None:
+    """Do the same for several nodes in one process and one executor, given by name: all are made,
+    then configured, then activated, in this order. What one refuses begins with its name.
+    """
+    stopped, spinning = False, False
+    nodes: list[Any] = []
     code = 0
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         nonlocal stopped
         again, stopped = stopped, True  # a second signal must not break the teardown
-        if not again and (not spinning or getattr(node, "configuring", False)):
+        waiting = spinning and not any(getattr(node, "configuring", False) for node in nodes)
+        if not (again or waiting):
             raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, on_signal)
     try:
         _init(args)
-        node = make()
         # EventsExecutor.spin() hangs in some builds; spin_once on it works and is the fastest.
         executor = EventsExecutor()
-        executor.add_node(node)
-        if isinstance(node, SafeLifecycleNode):
-            start_nodes(node)
+        for make in makes.values():
+            nodes.append(make())
+            executor.add_node(nodes[-1])
+        start_nodes(*(node for node in nodes if isinstance(node, SafeLifecycleNode)))
         spinning = True
         while rclpy.ok() and not stopped:
             executor.spin_once(timeout_sec=POLL_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except PlateError as error:
+        if len(makes) > 1:
+            failed = (n.get_name() for n in nodes if getattr(n, "failure", None) is error)
+            being_made = [*makes, ""][len(nodes)]
+            error = PlateError(f"{next(failed, being_made)}: {error}")
         print(f"error: {error}", file=sys.stderr, flush=True)
         code = 2
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        with contextlib.ExitStack() as stack:
+            stack.callback(rclpy.try_shutdown)
+            for node in nodes:
+                stack.callback(node.destroy_node)
     if code:
         sys.exit(code)
 

@@ -1,0 +1,42 @@
+"""All nodes of the loop in one process and one executor: for a small computer, or a debugger."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+from typing import Any
+
+from plate_core.ros import run_nodes
+
+from .graph import RunOptions, load_graph
+
+
+def main() -> None:
+    """Run the nodes that are named."""
+    graph = {node.name: node for node in load_graph()}
+    default = [node.name for node in RunOptions().nodes(graph.values())]
+    parser = argparse.ArgumentParser(
+        prog="ros2 run plate_bringup one_process",
+        usage="%(prog)s [NODE ...] [--ros-args --params-file FILE ...]",
+        description=__doc__,
+    )
+    parser.add_argument(
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        help=f"of {', '.join(graph)}; if left out {', '.join(default)}",
+    )
+    words = sys.argv[1:]
+    ros = words.index("--ros-args") if "--ros-args" in words else len(words)
+    names = parser.parse_args(words[:ros]).nodes or default
+    unknown = [name for name in names if name not in graph]
+    if unknown:
+        parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(graph)}")
+    run_nodes({name: component(graph[name].component) for name in names}, words[ros:])
+
+
+def component(name: str) -> Any:
+    """Return the class of that name."""
+    module, _, kind = name.rpartition(".")
+    return getattr(import_module(module), kind)
