@@ -1,7 +1,8 @@
 """The closed loop without ROS: the same cores as the nodes, composed in one process.
 
-Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. Where an
-image is missed, the plate repeats what it did. How answers get to the plate is an argument: at once
+Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. A camera
+that runs free takes images at any time, and each cycle is answered a while before its end. Where
+no answer comes, the plate repeats what it did. How answers get to the plate is an argument: at once
 (`Direct`), or over a serial line (`harness.serial.SerialLine`).
 """
 
@@ -60,6 +61,12 @@ EFFORT = ("iterations", "restarts")
 SIGHT_M, SIGHT_RAD = 3e-4, 0.01
 """A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
 
+MOMENT_S = 1e-6
+"""Least time that passes between two events [s]."""
+
+CAMERA = ("exposure_s", "readout_s")
+"""Facts of the rig's camera that a setting replaces."""
+
 HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
 node's."""
@@ -84,6 +91,8 @@ class Setup:
     disturbances : Disturbances
         Of the world.
     planner : PlannerOptions
+    exposure_s, readout_s : float or None
+        Of the rig's camera [s], where they are to be others.
     image_age_s : float or None
         What the planner takes the images' latency to be [s]; None: it finds out.
     effort : mapping of str to int
@@ -100,6 +109,8 @@ class Setup:
     mu_scale: float = 1.0
     disturbances: Disturbances = NONE
     planner: PlannerOptions = field(default_factory=PlannerOptions)
+    exposure_s: float | None = None
+    readout_s: float | None = None
     image_age_s: float | None = None
     effort: Mapping[str, Any] = field(default_factory=dict)
     own_planner: str = ""
@@ -120,7 +131,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
         try:
             if key == "method":
                 setup = replace(setup, method=_method(text))
-            elif key in ("noise", "mu_scale", "image_age_s"):
+            elif key in ("noise", "mu_scale", "image_age_s", *CAMERA):
                 setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
             elif key in EFFORT:
                 setup = replace(setup, effort={**setup.effort, key: int(text)})
@@ -135,7 +146,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "noise", "mu_scale", "image_age_s", *EFFORT]
+            known = ["method", "noise", "mu_scale", "image_age_s", *CAMERA, *EFFORT]
             kinds = (Disturbances, SortOptions, FollowOptions)
             known += [f.name for kind in kinds for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
@@ -191,7 +202,8 @@ class Moment:
     scaled : bool
         Whether the driver had to scale the answer down to these limits.
     error_m : (P,)
-        True distance of each seen part from its reference or place [m]; empty when sorting.
+        True distance of each seen part from its reference or place [m], at the start of the running
+        cycle; empty when sorting.
     turn_error : (P,)
         What is missing to its angle [rad], in a task of poses.
     held : int
@@ -223,18 +235,22 @@ class Transport(Protocol):
     ----------
     running : PlateCycle
         What the solver takes to be running: the cycle that was sent last.
+    began : float
+        When it began to run [s].
     now : float
         Time [s].
     """
 
     running: PlateCycle
+    began: float
     now: float
 
     def send(self, table: MotorTable) -> None:
         """Take an answer."""
 
-    def play(self) -> Sequence[PlateCycle | PlateMotion]:
-        """Let time pass until the next image is due; returns the plate's motions until then."""
+    def play(self, until: float) -> Sequence[PlateCycle | PlateMotion]:
+        """Let time pass until a cycle begins, but no longer than `until` [s]; returns the plate's
+        motions until then."""
 
 
 class ControlLaw(Protocol):
@@ -289,7 +305,7 @@ class Direct:
     """The simulator's own transport: what is sent during a cycle is played after it."""
 
     def __init__(self) -> None:
-        self.now = 0.0
+        self.now = self.began = 0.0
         self._playback = Playback(PlateCycle.rest(IDLE_PERIOD), resting=True)
         self._newest: PlateCycle | None = None
 
@@ -302,13 +318,17 @@ class Direct:
         """Take what is played next."""
         self._newest = table.cycle
 
-    def play(self) -> list[PlateCycle]:
-        """Let the cycle that is being played pass."""
-        played = self._playback.cycle
-        self.now += played.period
-        self._playback = next_playback(self._playback, self._newest, HOLD_CYCLES, IDLE_PERIOD)
-        self._newest = None
-        return [played]
+    def play(self, until: float) -> list[PlateCycle | PlateMotion]:
+        """Let the cycle that is being played pass, up to its end or `until` [s]."""
+        played, end = self._playback.cycle, self.began + self._playback.cycle.period
+        until = until if until < end - MOMENT_S else end
+        begin, stop = self.now - self.began, min(until - self.began, played.period)
+        whole = begin == 0 and stop == played.period
+        self.now = min(until, end)
+        if self.now == end:
+            self._playback = next_playback(self._playback, self._newest, HOLD_CYCLES, IDLE_PERIOD)
+            self._newest, self.began = None, end
+        return [played if whole else PlateMotion.piece(played, begin, stop)]
 
 
 def run(
@@ -317,7 +337,7 @@ def run(
     """Run the loop until the task has ended; yields every cycle with an image."""
     line = transport or Direct()
     scenario = load_scenario(setup.scenario)
-    rig = rig or load_rig(scenario.rig)
+    rig = seen_by(setup, rig or load_rig(scenario.rig))
     simulation = Simulation(
         rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
     )
@@ -326,38 +346,59 @@ def run(
     state = planner.start(planner.initial())
     own = load_planner(setup.own_planner, rig) if setup.own_planner else None
     controller = Controller(rig, setup.method, setup.seed, **setup.effort)
-    held = 0
+    free = setup.disturbances.image_rate > 0
+    shots = simulation.shots(line.now)
+    shot = next(shots) if free else None
+    held, began, start, image = -1, -np.inf, simulation.state, None
     while True:
-        world, t = simulation.state, line.now
-        held += 1
-        image = simulation.capture()
-        if image is not None:
-            at_work = cpu_time()
-            tracker = observe(vision, tracker, image, t)
-            state, wanted, progress = planner.plan(state, tracker.parts, t)
+        world, now, at_work = simulation.state, line.now, cpu_time()
+        if line.began > began:  # another cycle
+            held, began, start = held + 1, line.began, world
+            state = planner.started(state, line.running, began) if free else state
+        new, stamp = None, now
+        if shot is None:
+            new = simulation.capture()
+        elif shot.delivered <= now:
+            new, stamp = simulation.capture(now - shot.middle), shot.stamp
+            shot = next(shots)
+        if new is not None:
+            image, at_work = new, cpu_time()
+            tracker = observe(vision, tracker, image, stamp)
+            state = planner.see(state, tracker.parts, stamp)
+        due = new is not None if shot is None else state.due <= now
+        if due and image is not None:
+            state, wanted, progress = planner.answer(state)
             if own is not None:
-                wanted = _checked(own.plan(tracker.parts, t), setup.own_planner)
-            began = cpu_time()
+                wanted = _checked(own.plan(tracker.parts, began), setup.own_planner)
+            solving = cpu_time()
             answer = controller.answer(wanted, line.running)
-            solve_s = cpu_time() - began
-            table, fitted = prepare(rig, answer.cycle, round(t * 1e9))
+            solve_s = cpu_time() - solving
+            table, fitted = prepare(rig, answer.cycle, round(began * 1e9))
             line.send(table)
-            state = planner.hear(state, answer.cycle, t)
+            state = planner.hear(state, answer.cycle, now)
             step_s = cpu_time() - at_work
-            error = _true_error(scenario, rig, state, tracker.parts, world, t)
-            turned = _true_turn_error(scenario, rig, state, tracker.parts, world)
+            error = _true_error(scenario, rig, state, tracker.parts, start, began)
+            turned = _true_turn_error(scenario, rig, state, tracker.parts, start)
             used = fitted.usage
             yield Moment(
-                t, world, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
+                began, start, tracker.parts, wanted, answer, progress, image, solve_s, step_s,
                 used.overall, used.force / rig.limits.force,
                 float(np.sqrt(np.max(used.thermal_load))), fitted.factor < 1, error, turned,
-                held - 1,
+                max(held, 0),
             )  # fmt: skip
-            held = 0
+            held = -1
             if progress.ended:
                 return
-        for motion in line.play():
+        answer_at = state.due if image is not None else np.inf
+        until = np.inf if shot is None else min(shot.delivered, max(answer_at, now + MOMENT_S))
+        for motion in line.play(until):
             simulation.run(motion)
+
+
+def seen_by(setup: Setup, rig: Rig) -> Rig:
+    """Return the rig with the setup's camera."""
+    settings = {key: getattr(setup, key) for key in CAMERA if getattr(setup, key) is not None}
+    return replace(rig, camera=replace(rig.camera, **settings)) if settings else rig
 
 
 def _true_error(

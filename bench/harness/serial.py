@@ -129,7 +129,7 @@ class SerialLine:
         )
         self.operator = Operator(self.transport)
         self.running = PlateCycle.rest(IDLE_PERIOD)
-        self.now, self.late, self.images = 0.0, 0, 1
+        self.now, self.began, self.late, self.images = 0.0, 0.0, 0, 1
         self.troubles: Counter[str] = Counter()
         self.newest_trouble = ""
         self._rig, self._event, self._at = rig, event, at
@@ -142,8 +142,13 @@ class SerialLine:
         """Take an answer, which the driver gets `ANSWER_S` later."""
         self._waiting.append((self.emulator.now + ANSWER_S, table))
 
-    def play(self) -> list[PlateMotion]:
-        """Let time pass until an image is due; returns the plate's motions until then."""
+    def play(self, until: float) -> list[PlateMotion]:
+        """Let time pass until an image is due; returns the plate's motions until then.
+
+        Its images come at the ends of the device's segments: it knows of no others.
+        """
+        if np.isfinite(until):
+            raise PlateError("image_rate over a serial line, allowed: a triggered camera")
         motions = []
         while True:
             while not self._segments:
@@ -152,7 +157,8 @@ class SerialLine:
             motions.append(PlateMotion.of_motors(self._rig, segment.times, segment.motors))
             if segment.end - self.now >= SHORTEST_S:
                 self.late += 0 < segment.table == self._table
-                self.now, self._table = segment.end, segment.table
+                self.now = self.began = segment.end
+                self._table = segment.table
                 self.images += 1
                 return motions
 

@@ -1,4 +1,5 @@
-"""The planner: one image's parts in, what is asked of them out. Pure; time is an argument."""
+"""The planner: parts of images in, what is asked of them out, once per cycle of the plate. Pure;
+time is an argument."""
 
 from __future__ import annotations
 
@@ -51,6 +52,9 @@ class PlannerOptions(TaskOptions):
         A part unseen for longer than this is lost [s].
     stuck_timeout_s : float
         A task that comes no nearer to its goal for longer than this is stuck [s].
+    answer_s : float
+        Where starts of cycles are reported: an answer is given this long before the next [s], time
+        for solver, driver and line.
     image_age_s : float or None
         How old an image is at its stamp [s]; None: found out from the motion.
     """
@@ -59,6 +63,7 @@ class PlannerOptions(TaskOptions):
     start_timeout_s: float = 10.0
     unseen_timeout_s: float = 1.0
     stuck_timeout_s: float = 30.0
+    answer_s: float = 0.05
     image_age_s: float | None = None
 
 
@@ -77,7 +82,9 @@ class PlannerState:
     last : mapping of str to LastSeen
         Where each part was on the plate when it was seen last.
     answer : (Wanted, Progress) or None
-        Answer to the last image, given again when the same image comes again.
+        The last answer, given again when the same image comes again.
+    due : float
+        When the next answer is [s]; infinite until a start of a cycle is reported.
     """
 
     task: TaskState
@@ -86,14 +93,18 @@ class PlannerState:
     known: tuple[str, ...] = ()
     last: Mapping[str, LastSeen] = field(default_factory=dict)
     answer: tuple[Wanted, Progress] | None = None
+    due: float = np.inf
 
 
 @dataclass(frozen=True)
 class Planner:
     """Plans one scenario on one rig.
 
-    Use: `state = planner.start(planner.initial())`, then for every image
-    `state, wanted, progress = planner.plan(state, parts, t)`.
+    Use: `state = planner.start(planner.initial())`. With a camera that is triggered at the start of
+    each cycle, then for every image `state, wanted, progress = planner.plan(state, parts, t)`.
+    With one that runs free, `state = planner.see(state, parts, t)` for every image,
+    `state = planner.started(state, cycle, t)` for every cycle that the plate begins, and at the
+    time `state.due`, `state, wanted, progress = planner.answer(state)`.
     """
 
     rig: Rig
@@ -149,10 +160,21 @@ class Planner:
         """
         return replace(state, estimator=state.estimator.hear(cycle, arrival))
 
+    def started(self, state: PlannerState, cycle: PlateCycle, begin: float) -> PlannerState:
+        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
+        due = begin + max(cycle.period - self.options.answer_s, 0.0)
+        return replace(state, estimator=state.estimator.started(cycle, begin), due=due)
+
+    def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
+        """Take in the parts of one image, as vision saw them, and its stamp [s]."""
+        if state.estimator.clock.went_back(t) and state.task.phase is Phase.RUNNING:
+            state = self.start(state)
+        return replace(state, estimator=state.estimator.update(parts, t))
+
     def plan(
         self, state: PlannerState, parts: Parts, t: float
     ) -> tuple[PlannerState, Wanted, Progress]:
-        """Answer one image.
+        """Answer one image, taken at the start of a cycle.
 
         Parameters
         ----------
@@ -170,15 +192,17 @@ class Planner:
             Of the same parts; of none when nothing is asked.
         progress : Progress
         """
-        clock = state.estimator.clock
-        if state.answer is not None and t == clock.stamp:
+        if state.answer is not None and t == state.estimator.clock.stamp:
             return state, *state.answer
-        if clock.went_back(t) and state.task.phase is Phase.RUNNING:
-            state = self.start(state)
-        state = replace(state, estimator=state.estimator.update(parts, t))
-        there = state.estimator.parts if self.rules.estimated else parts
+        return self.answer(self.see(state, parts, t))
+
+    def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
+        """Say what is asked of the parts in the next cycle; see `plan`."""
+        estimator = state.estimator
+        there = estimator.parts if self.rules.estimated else estimator.seen
         present = self._on_plate(there)
-        state = replace(state, last=self._last_seen(state.last, there, t))
+        last = self._last_seen(state.last, there, estimator.stamp)
+        state = replace(state, last=last, due=np.inf)
         state, found = self._advance(state, present)
         wanted = NOTHING
         if state.task.active and found.request is not None and len(present):
@@ -247,6 +271,7 @@ class Planner:
             start=start,
             period=period,
             motion_known=estimator.log.known,
+            latency_known=estimator.latency_known or not estimator.log.reported,
             predicted=place + period * estimator.bias.along(axes),
             shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / period,
             active=active,

@@ -49,12 +49,14 @@ def test_time_that_begins_anew():
 def test_pieces_cover_the_time_asked_for():
     log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.2)
     pieces = list(log.between(0.05, 0.35))
-    assert [cycle is SHORT for cycle, _, _ in pieces] == [True, False]
-    assert np.array([p[1:] for p in pieces]) == pytest.approx(np.array([[0, 0.1], [0, 0.15]]))
+    assert [cycle is SHORT for cycle, *_ in pieces] == [True, False]
+    assert np.array([p[1:] for p in pieces]) == pytest.approx(
+        np.array([[0.1, 0, 0.1], [0.2, 0, 0.15]])
+    )
     assert not list(log.between(0.0, 0.1))
     # A run that was cut short by an early image is used as far as it went.
     cut = CycleLog(((0.0, SHORT), (0.09, LONG)))
-    assert [p[2] - p[1] for p in cut.between(0.0, 0.29)] == pytest.approx([0.09, 0.2])
+    assert [p[3] - p[2] for p in cut.between(0.0, 0.29)] == pytest.approx([0.09, 0.2])
 
 
 def test_it_forgets_what_is_long_past():
@@ -97,3 +99,20 @@ def test_going_back_is_noticed():
     clock = clock.tick(3.0)
     assert clock.went_back(2.9)
     assert not clock.went_back(3.0)
+
+
+def test_reports_say_what_runs_wherever_images_are():
+    log = CycleLog().started(SHORT, 1.0).hear(LONG, 1.05).advance(1.043)
+    assert names(log) == [(1.0, "short")]
+    # Until the next report the newest one follows at its end, else the same again.
+    assert names(log.advance(1.13)) == [(1.0, "short"), (1.1, "long")]
+    assert names(log.started(LONG, 1.1004).advance(1.13)) == [(1.0, "short"), (1.1004, "long")]
+    assert names(log.advance(1.13).started(SHORT, 1.102)) == [(1.0, "short"), (1.102, "short")]
+    assert names(log.started(SHORT, 1.1).advance(1.33)) == [
+        (1.0, "short"), (1.1, "short"), (1.2, "short"), (1.3, "short")
+    ]  # fmt: skip
+
+
+def test_reports_that_go_back_begin_anew():
+    log = CycleLog().started(SHORT, 9.0).started(LONG, 2.0)
+    assert names(log) == [(2.0, "long")]

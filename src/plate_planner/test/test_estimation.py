@@ -91,7 +91,7 @@ def test_it_finds_friction_and_the_place_at_the_stamp(age):
     assert np.median(errors[10:]) < 0.04e-3
     if age:  # without the filter they would be where they were half a cycle ago
         assert np.median(raw[10:]) > 10 * np.median(errors[10:])
-    assert estimator.estimate.friction == pytest.approx(friction, rel=0.04)
+    assert estimator.friction == pytest.approx(friction, rel=0.04)
     assert estimator.parts.friction_limit == pytest.approx(friction * ACCEL * MASS, rel=0.04)
 
 
@@ -109,8 +109,8 @@ def test_its_error_is_as_large_as_it_says():
     for seed in range(4):
         for k, (estimator, truth) in enumerate(estimated(World(4, 1.1, seed), 12)):
             if k > 3:
-                gap = estimator.estimate.mean[:, :2] - truth
-                spread = estimator.estimate.covariance[:, :2, :2]
+                gap = estimator.mean[:, :2] - truth
+                spread = estimator.latency.estimate.covariance[0, :, :2, :2]
                 square.append(np.einsum("ki,kij,kj->k", gap, np.linalg.inv(spread), gap) / 2)
     # 1 if it were exact; it allows for more than this world holds: uneven friction, a worse camera.
     assert 0.05 < np.mean(square) < 1.2
@@ -150,18 +150,18 @@ def test_a_part_put_down_in_mid_task_is_known_at_once_and_soon_well():
         assert len(estimator.parts) == (3 if k >= 8 else 2)
         if k > 12:
             assert np.abs(estimator.parts.position - truth).max() < 0.1e-3
-    assert estimator.estimate.friction[2] == pytest.approx(0.8, rel=0.05)
+    assert estimator.friction[2] == pytest.approx(0.8, rel=0.05)
 
 
 def test_a_part_that_is_pushed_is_where_it_is_seen():
     world = World(2, 1.2)
     for k, (estimator, truth) in enumerate(estimated(world, 20)):
         if k == 12:
-            learnt = estimator.estimate.friction[1]
+            learnt = estimator.friction[1]
             world.place = world.place + [[0, 0], [4e-3, -3e-3]]
         if k == 13:
             assert np.abs(estimator.parts.position - truth).max() < 6 * CAMERA_M
-            assert estimator.estimate.friction[1] == pytest.approx(learnt, rel=0.05)
+            assert estimator.friction[1] == pytest.approx(learnt, rel=0.05)
     assert np.abs(estimator.parts.position - truth).max() < 0.1e-3
 
 
@@ -258,3 +258,55 @@ def test_parts_that_were_not_asked_go_on_drifting():
     assert asked.predict(parts, 1.0 + T, T) == pytest.approx(np.array([[0.001] * 2, [0.003] * 2]))
     for other in (1.0 + 2 * T, 0.0):  # too old, and of a time that has begun anew
         assert asked.predict(parts, other, T) == pytest.approx(np.full((2, 2), 0.001))
+
+
+# A camera that runs free
+
+
+def run_free(rate, latency, given=None, jitter=0.0, cycles=40, seed=0, later=0.0):
+    """Yield the estimator when each cycle begins, as reported, and the truth there.
+
+    Images are taken at `rate` [1/s]; halfway their latency grows by `later` [s].
+    """
+    world, rng = World(4, 1.1, seed), np.random.default_rng(seed)
+    estimator, cycle, middle, last = Estimator.of(RIG, T, given), PlateCycle.rest(T), 0.01, 0.0
+    for k in range(cycles):
+        estimator = estimator.started(cycle, k * T)
+        yield estimator, world.place
+        world.run(cycle)
+        while middle < (k + 1) * T:
+            old = latency + (later if k > cycles // 2 else 0.0)
+            last = max(middle + old + jitter * rng.standard_normal(), last + 1e-4)
+            estimator = estimator.update(world.seen((k + 1) * T - middle), last)
+            middle += 1 / rate
+        cycle = shaken(world.rng)
+
+
+@pytest.mark.parametrize("rate", [15.0, 47.0, 120.0])
+@pytest.mark.parametrize("latency", [0.0, 0.037, 0.08])
+def test_images_of_any_time_tell_places_and_latency(rate, latency):
+    errors = [
+        np.abs(estimator.parts.position - truth).max()
+        for estimator, truth in run_free(rate, latency)
+        if len(estimator.parts)
+    ]
+    *_, (estimator, _) = run_free(rate, latency)
+    assert estimator.latency.latency == pytest.approx(latency, abs=1.5e-3)
+    assert np.median(errors[20:]) < 0.1e-3
+    assert estimator.frames.rate == pytest.approx(rate, rel=0.01)
+
+
+def test_a_camera_that_gets_slower_is_followed():
+    runs = run_free(30.0, 0.02, cycles=80, later=0.04)
+    found = [estimator.latency.latency for estimator, _ in runs]
+    assert found[40] == pytest.approx(0.02, abs=2e-3)
+    assert found[-1] == pytest.approx(0.06, abs=2e-3)
+
+
+def test_stamps_that_scatter_are_put_right_as_frames_are_regular():
+    errors = []
+    for estimator, truth in run_free(30.0, 0.03, 0.03, jitter=0.005, cycles=60):
+        if len(estimator.parts):
+            errors.append(np.abs(estimator.parts.position - truth).max())
+    assert estimator.frames.scatter == pytest.approx(0.005, rel=0.3)
+    assert np.median(errors[30:]) < 0.2e-3

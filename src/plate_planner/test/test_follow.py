@@ -351,7 +351,7 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     for k in range(12):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))  # no error at all as yet
         short = np.array([fraction * 0.04 if k < len(scalings) else 0.0, 0.0])
-        now = Situation(seen, k * T, (k + 1) * T, T, True, seen.position, short, True)
+        now = Situation(seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True)
         memory = follower.measure(memory, now)
         if k < len(scalings):
             assert memory.scaling[1] == pytest.approx(scalings[k])
@@ -365,7 +365,7 @@ def test_a_lack_that_does_not_pass_never_stops_the_references():
     short = np.full(2, 0.2 * 0.04)
     for k in range(100):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))
-        now = Situation(seen, k * T, (k + 1) * T, T, True, seen.position, short, True)
+        now = Situation(seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True)
         memory = follower.measure(memory, now)
     before = follower.to_go(memory, 100 * T)
     assert 0 < memory.scaling[1] < 0.1

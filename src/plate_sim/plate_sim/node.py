@@ -113,7 +113,9 @@ class Options(NodeOptions):
     @property
     def disturbances(self) -> Disturbances:
         """Return what is asked for of the real world's disturbances."""
-        return Disturbances(**{f.name: getattr(self, f.name) for f in fields(Disturbances)})
+        kinds = {f.name for f in fields(Disturbances)}
+        ours = {f.name: getattr(self, f.name) for f in fields(self) if f.name in kinds}
+        return Disturbances(**ours)
 
 
 @dataclass

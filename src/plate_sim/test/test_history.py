@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_sim import PlateMotion, Trajectory, WorldState, record_cycle, simulate
+from plate_sim import PlateMotion, WorldState, record_cycle, simulate
+from plate_sim.world import BodyTrajectory
 from plate_sim.world.history import History, Passage
 
 RIG = load_rig()
@@ -14,10 +15,13 @@ def passage(start, period=0.1, count=11, accel=2.0, there=True):
     """One part that accelerates evenly for `period` from a start (t, place, velocity)."""
     t = np.linspace(0, period, count)
     place = start[0] + start[1] * t + 0.5 * accel * t**2
-    run = Trajectory(
+    run = BodyTrajectory(
         t,
         np.stack([place, 0 * t], -1)[:, None],
+        3 * place[:, None],
         np.stack([start[1] + accel * t, 0 * t], -1)[:, None],
+        3 * (start[1] + accel * t)[:, None],
+        np.array([there]),
     )
     motion = PlateMotion.of_cycle(PlateCycle.rest(period))
     return Passage(motion, run, np.array([there]))
@@ -28,6 +32,7 @@ def test_even_acceleration_is_met_exactly_at_any_age():
     for age in (0.0, 0.003, 0.0999, 0.1, 0.1234, 0.15):
         t = 0.2 - age
         assert past.ago(age).position[0] == pytest.approx([t**2, 0], abs=1e-12)
+        assert past.ago(age).angle == pytest.approx(3 * t**2, abs=1e-12)
     # Before the first cycle it stood still, after the last it goes on.
     assert past.ago(0.5).position[0] == pytest.approx([0, 0])
     assert past.ago(-0.01).position[0] == pytest.approx([0.04 + 0.01 * 0.4, 0])

@@ -1,14 +1,15 @@
 """The world as the camera shows it: latency, blur, what is missed and what is not there."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from plate_core import PlateCycle, load_rig
-from plate_core.rig import Suspension, to_image
+from plate_core.rig import Suspension, row_delay, to_image
 from plate_core.tasks import load_scenario
-from plate_sim import Camera, Disturbances, Simulation, part_greys, simulate
+from plate_sim import Camera, Disturbances, PlateMotion, Simulation, part_greys, simulate
 from plate_sim.camera import PLATE
 from plate_sim.world import NONE
 
@@ -188,3 +189,59 @@ def test_a_suspended_plate_is_seen_where_it_really_is():
     draw = blank(simulation, rig)
     assert gap(simulation.capture(), draw(simulation.state.position, pose)) <= 1
     assert gap(simulation.capture(), draw(simulation.state.position, None)) > 5
+
+
+@pytest.mark.parametrize("age", [0.0, 0.004, 0.031, 0.12])
+def test_a_camera_that_runs_free_sees_the_middle_of_a_cycle(age):
+    """A cycle in pieces, an image after each: against the exact integrator."""
+    world = Disturbances(image_rate=30.0, latency=age, blur=False)
+    simulation = Simulation(RIG, SORT_4, 1, world, noise=0.0)
+    start, draw = simulation.state, blank(simulation)
+    cycle, samples = shaking(0.2), 4000
+    true = simulate(
+        cycle, start.position, start.velocity, RIG.friction.mu, samples=samples, tolerance=1e-8
+    )
+    ends = [0.0, 0.033, 0.041, 0.141, 0.2]
+    for begin, end in pairwise(ends):
+        simulation.run(PlateMotion.piece(cycle, begin, end))
+        if end > age:
+            t = end - age
+            expected = draw(true.position[round(t / 0.2 * samples)], cycle.pose(t)[0])
+            assert gap(simulation.capture(age), expected) <= 1
+    assert simulation.state.position == pytest.approx(true.position[-1], abs=5e-6)
+
+
+def test_a_rolling_shutter_shows_each_part_at_the_instant_of_its_row():
+    rig = replace(RIG, camera=replace(RIG.camera, readout_s=0.03))
+    world = Disturbances(image_rate=30.0, latency=0.1, blur=False)
+    simulation = Simulation(rig, SORT_4, 1, world, noise=0.0)
+    start, draw = simulation.state, blank(simulation)
+    cycle, samples = shaking(0.2), 4000
+    simulation.run(cycle)
+    image = simulation.capture(0.1)
+    true = simulate(
+        cycle, start.position, start.velocity, RIG.friction.mu, samples=samples, tolerance=1e-8
+    )
+    middle = true.position[samples // 2]
+    delay = row_delay(rig, middle)
+    assert np.ptp(delay) > 0.005  # parts in upper and in lower rows
+    row = np.rint(samples * (0.5 + delay / 0.2)).astype(int)
+    own = true.position[row, np.arange(4)]
+    drawn, at_once = draw(own, np.zeros(3)), draw(middle, np.zeros(3))
+    for column, line in np.rint(to_image(rig, own)).astype(int):
+        window = np.s_[line - 10 : line + 11, column - 10 : column + 11]
+        assert gap(image[window], drawn[window]) <= 3
+    assert gap(drawn, at_once) > 20
+
+
+def test_images_come_at_their_rate_in_the_order_of_their_stamps():
+    world = Disturbances(image_rate=60.0, latency=0.03, stamp_jitter=0.005)
+    shots = Simulation(RIG, SORT_4, 3, world).shots(2.0)
+    shots = [next(shots) for _ in range(2000)]
+    middle, stamp, delivered = np.array([[s.middle, s.stamp, s.delivered] for s in shots]).T
+    assert np.diff(middle) == pytest.approx(np.full(1999, 1 / 60))
+    assert 2.0 <= middle[0] < 2.0 + 1 / 60
+    assert delivered == pytest.approx(middle + 0.03)
+    assert np.all(np.diff(stamp) > 0)
+    assert np.mean(stamp - middle) == pytest.approx(0.03, abs=5e-4)
+    assert np.std(stamp - middle) == pytest.approx(0.005, rel=0.1)

@@ -98,6 +98,13 @@ def to_image(rig: Rig, point: np.ndarray) -> np.ndarray:
     return straight if lens is None or not lens.bends else lens.bend(straight)
 
 
+def row_delay(rig: Rig, point: np.ndarray) -> np.ndarray:
+    """Return by how much later (M,) [s] than the image's middle row those rows are exposed that
+    show points (M, 2) [m, plate_home]."""
+    row = to_image(rig, point)[:, 1]
+    return np.asarray(rig.camera.readout_s * (row / rig.camera.height_px - 0.5))
+
+
 def part_radius_px(rig: Rig) -> float:
     """Return the radius of a part in the middle of the plate as the camera sees it [px]."""
     radius = rig.parts.radius_m

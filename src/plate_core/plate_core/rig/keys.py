@@ -34,6 +34,10 @@ CAMERA = Section(
         Key("height_px", Whole(16, 16384), "Height of an image."),
         Key("exposure_s", Number(0, 0.1), "Exposure time of an image."),
         Key(
+            "readout_s", Number(0, 0.1), "Rolling shutter: the last row is exposed this much later "
+            "than the first; 0 with a global one.", 0.0,
+        ),
+        Key(
             "corners_px", Numbers((4, 2), -16384, 32768), "Images of the plate's corners at rest, "
             "as seen: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
         ),

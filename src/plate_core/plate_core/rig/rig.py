@@ -140,13 +140,15 @@ class Motor:
 @dataclass(frozen=True)
 class Camera:
     """The camera: image size [px], exposure [s], image points of the plate's corners at rest
-    (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated."""
+    (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated; and
+    by how much its last row is exposed later than its first [s]."""
 
     width_px: int
     height_px: int
     exposure_s: float
     corners_px: tuple[tuple[float, float], ...]
     lens: Lens | None = None
+    readout_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -315,6 +317,7 @@ def _camera(fields: Fields) -> Camera:
         width_px=width,
         height_px=height,
         exposure_s=fields.value(keys.CAMERA["exposure_s"]),
+        readout_s=fields.value(keys.CAMERA["readout_s"]),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
         lens=_lens(fields, width, height),
     )

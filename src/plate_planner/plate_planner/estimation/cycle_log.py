@@ -1,4 +1,8 @@
-"""Which plate cycle ran when, and how long a cycle is: from cycles sent, and the images' stamps."""
+"""Which plate cycle ran when, and how long a cycle is.
+
+Whoever plays cycles reports when one begins. Where nobody does, a camera is taken to be triggered
+at the start of each cycle: then its stamps say it, and cycles that were sent what has begun.
+"""
 
 from __future__ import annotations
 
@@ -37,15 +41,23 @@ class CycleLog:
         Each ends where the next begins; before the first the plate rests.
     sent : tuple of (arrival [s], PlateCycle), or None
         The newest cycle sent that has not begun.
+    reported : bool
+        Whether starts of cycles are reported; else images are taken at them.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
     sent: tuple[float, PlateCycle] | None = None
+    reported: bool = False
 
     @property
     def known(self) -> bool:
         """Whether any cycle has run."""
         return bool(self.runs)
+
+    @property
+    def begin(self) -> float:
+        """When the last run began [s]."""
+        return self.runs[-1][0]
 
     @property
     def end(self) -> float:
@@ -64,11 +76,25 @@ class CycleLog:
             return self
         return replace(self, sent=(arrival, cycle))
 
+    def started(self, cycle: PlateCycle, begin: float) -> CycleLog:
+        """Take in the report that the plate began a cycle at `begin` [s]."""
+        if self.runs and begin < self.begin - MEMORY_S:
+            return CycleLog(((begin, cycle),), None, True)  # time began anew
+        before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
+        kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
+        waits = self.sent is not None and self.sent[0] > begin
+        return CycleLog((*kept, (begin, cycle)), self.sent if waits else None, True)
+
     def advance(self, t: float) -> CycleLog:
-        """Return the log at an image's stamp t [s]: a cycle begins there.
+        """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
 
         At a cycle's end the newest one follows, if it was there in time, else the same again.
         """
+        if self.reported:
+            log = self
+            while log.end <= t < log.end + MEMORY_S:
+                log = log._begin(log.end, log.runs[-1][1])
+            return log
         log = self
         if self.runs and t < self.runs[-1][0]:
             log = CycleLog()  # time began anew
@@ -85,11 +111,12 @@ class CycleLog:
 
     def _begin(self, t: float, same: PlateCycle | None) -> CycleLog:
         if self.sent is not None and self.sent[0] + HANDOVER_S <= t:
-            return CycleLog((*self.runs, (t, self.sent[1])))
+            return replace(self, runs=(*self.runs, (t, self.sent[1])), sent=None)
         return self if same is None else replace(self, runs=(*self.runs, (t, same)))
 
-    def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float]]:
-        """Yield the pieces of runs from `begin` to `end` [s]: cycle, and from when to when in it.
+    def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
+        """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when
+        to when in it.
 
         Where nothing ran there is no piece.
         """
@@ -97,7 +124,7 @@ class CycleLog:
             stop = self.runs[k + 1][0] if k + 1 < len(self.runs) else start + cycle.period
             a, b = max(begin, start), min(end, stop, start + cycle.period)
             if b > a:
-                yield cycle, a - start, b - start
+                yield cycle, start, a - start, b - start
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from plate_core import Parts, PlateCycle, Rig
+from plate_core.rig import row_delay
 
-from .cycle_log import CycleClock, CycleLog
+from .cycle_log import SHORTEST_S, CycleClock, CycleLog
 from .filter import StateEstimate, propagate
+from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
 
 COAST = 5
@@ -17,6 +19,9 @@ COAST = 5
 
 FRESH = 1.5
 """A request is what the present cycle does if it is at most this many periods old."""
+
+SAME_LATENCY_S = 2e-3
+"""Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
 
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
@@ -117,7 +122,7 @@ class DriftBias:
         known = row >= 0
         drift, place = np.zeros((len(parts), 2)), parts.position.copy()
         drift[known], place[known] = self.drift[row[known]], self.place[row[known]]
-        if latency is not None and latency == self.latency and self._was_for(t):
+        if self._had(latency) and self._was_for(t):
             new = np.einsum("pij,pj->pi", axes, parts.position - place) / self.span
             new = np.clip(new, -most[:, None], most[:, None])
             drift += gain * np.where((known & seen)[:, None], new - drift, 0.0)
@@ -131,6 +136,11 @@ class DriftBias:
         """Return the drift (M, 2) [m/s, plate_home] for parts with these axes."""
         return np.einsum("pi,pij->pj", self.drift, axes)
 
+    def _had(self, latency: float | None) -> bool:
+        if latency is None or self.latency is None:
+            return False
+        return abs(latency - self.latency) < SAME_LATENCY_S
+
     def _was_for(self, t: float) -> bool:
         return abs(t - self.stamp) <= LATE * self.span
 
@@ -141,9 +151,10 @@ class Estimator:
 
     Attributes
     ----------
-    friction_accel, mass : float
-        mu g of the rig [m/s2], and of a part [kg].
+    rig : Rig
     clock : CycleClock
+    frames : FrameClock
+        When images were taken, by a camera that runs free.
     latency : LatencyHypotheses
         Estimates of the parts, by how old an image is at its stamp.
     log : CycleLog
@@ -151,17 +162,21 @@ class Estimator:
         As vision saw them.
     request : LastRequest
         What parts are taken to do as long as the plate's motion is not known.
+    before, before_stamp : Parts, float
+        The parts as they were said at the last answer, and when that was [s].
     bias : DriftBias
         What they do otherwise than predicted.
     """
 
-    friction_accel: float
-    mass: float
+    rig: Rig
     clock: CycleClock
     latency: LatencyHypotheses
+    frames: FrameClock = field(default_factory=FrameClock)
     log: CycleLog = field(default_factory=CycleLog)
     seen: Parts = NOBODY
     request: LastRequest = field(default_factory=LastRequest)
+    before: Parts = NOBODY
+    before_stamp: float = -np.inf
     bias: DriftBias = field(default_factory=DriftBias)
 
     @classmethod
@@ -178,17 +193,34 @@ class Estimator:
         """
         clock = CycleClock.starting(default_period)
         hypotheses = LatencyHypotheses.of(latency)
-        return cls(rig.friction.accel, rig.parts.mass_kg, clock, hypotheses)
+        return cls(rig, clock, hypotheses)
+
+    @property
+    def friction_accel(self) -> float:
+        """mu g of the rig [m/s2]."""
+        return self.rig.friction.accel
 
     def hear(self, cycle: PlateCycle, arrival: float) -> Estimator:
         """Take in a cycle that was sent to the plate, and when [s, the time of the stamps]."""
         return replace(self, log=self.log.hear(cycle, arrival))
 
+    def started(self, cycle: PlateCycle, begin: float) -> Estimator:
+        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
+        return replace(self, log=self.log.started(cycle, begin))
+
     def update(self, parts: Parts, t: float) -> Estimator:
         """Take in one image: its parts and its stamp [s]."""
-        log = self.log.advance(t)
-        latency = self.latency.update(log, parts, t, self.friction_accel, COAST)
-        return replace(self, clock=self.clock.tick(t), seen=parts, log=log, latency=latency)
+        log, hypotheses = self.log.advance(t), self.latency
+        if self.clock.went_back(t):
+            forgotten = StateEstimate.nothing(len(hypotheses.latencies))
+            hypotheses = replace(hypotheses, estimate=forgotten)
+        delay = np.zeros(len(parts))
+        if self.rig.camera.readout_s > 0:
+            delay = row_delay(self.rig, parts.position)
+        clock, frames = self.clock.tick(t), self.frames.tick(t)
+        taken = frames.instant if log.reported else t
+        latency = hypotheses.update(log, parts, taken, delay, self.friction_accel, COAST)
+        return replace(self, clock=clock, frames=frames, seen=parts, log=log, latency=latency)
 
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
         """Take in what is asked of the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
@@ -196,7 +228,10 @@ class Estimator:
 
     @property
     def stamp(self) -> float:
-        """Stamp of the last image [s]; minus infinity before the first."""
+        """When the parts are as said [s]: the start of the running cycle, which is the stamp of the
+        last image where starts are not reported; minus infinity before the first."""
+        if self.log.reported:
+            return self.log.begin
         return -np.inf if self.clock.stamp is None else self.clock.stamp
 
     @property
@@ -210,18 +245,39 @@ class Estimator:
         return self.log.end if self.log.known else self.stamp + self.clock.period
 
     @property
-    def estimate(self) -> StateEstimate:
-        """What is known of the parts."""
-        return self.latency.estimate
+    def ids(self) -> tuple[str, ...]:
+        """The parts that are known."""
+        return self.latency.estimate.ids
+
+    @property
+    def mean(self) -> np.ndarray:
+        """State of the parts (M, 5) as `StateEstimate.mean`, when each was seen last."""
+        return self.latency.estimate.mean[self.latency.best]
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Friction of each part (M,) over the rig's."""
+        return np.exp(self.mean[:, 4])
 
     @property
     def parts(self) -> Parts:
         """The parts at the stamp; as they were seen, as long as the plate's motion is not known."""
         if not self.log.known:
             return self.seen
-        place = self.estimate.predict(self.log, self.stamp, self.friction_accel)
-        grip = self.mass * self.friction_accel * self.estimate.friction
-        return Parts.make(self.estimate.ids, place, self.estimate.drift, friction_limit=grip)
+        estimate, best = self.latency.estimate, self.latency.best
+        place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
+        grip = self.rig.force_unit * self.friction
+        return Parts.make(estimate.ids, place, self._drift(place), friction_limit=grip)
+
+    def _drift(self, place: np.ndarray) -> np.ndarray:
+        """Drift (M, 2) [m/s] of the parts that are at `place` (M, 2) [m] at the stamp: since the
+        cycle before began, or as seen where images are taken at the starts of cycles."""
+        if not self.log.reported:
+            return self.latency.estimate.drift
+        row, span = rows_of(self.ids, self.before.ids), self.stamp - self.before_stamp
+        usual = 0 < span < FRESH * self.period
+        gone = place - np.vstack([self.before.position, np.zeros((1, 2))])[row]
+        return np.where((row >= 0)[:, None] & usual, gone / max(span, SHORTEST_S), 0.0)
 
     def predict(self, parts: Parts) -> np.ndarray:
         """Where parts will be (M, 2) [m] when the answer to the last image begins to act.
@@ -230,8 +286,9 @@ class Estimator:
         """
         if not self.log.known:
             return self.as_asked(parts)
-        state = self.estimate.mean[rows_of(parts.ids, self.estimate.ids)]
-        end = propagate(self.log, state, self.estimate.time, self.log.end, self.friction_accel)
+        row = rows_of(parts.ids, self.ids)
+        time = self.latency.estimate.time[self.latency.best][row]
+        end = propagate(self.log, self.mean[row], time, self.log.end, self.friction_accel)
         return end[:, :2]
 
     def as_asked(self, parts: Parts) -> np.ndarray:
@@ -249,13 +306,28 @@ class Estimator:
         """Learn from parts at the stamp, and from where they are `predicted` to be (M, 2) [m] at
         `next_start` the next time; the rest as in `DriftBias.update`."""
         seen, latency = rows_of(parts.ids, self.seen.ids) >= 0, self._known_latency
-        bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain, most)
-        return replace(self, bias=bias.predict(predicted, self.stamp, self.next_start, latency))
+        # What was predicted a short while ahead tells less.
+        ahead = min(self.bias.span / self.period, 1.0)
+        bias = self.bias.update(parts, seen, self.stamp, latency, axes, gain * ahead, most)
+        bias = bias.predict(predicted, self._known_until, self.next_start, latency)
+        return replace(self, bias=bias, before=parts, before_stamp=self.stamp)
+
+    @property
+    def _known_until(self) -> float:
+        """When parts were seen that predictions rest on [s]."""
+        if not self.log.reported:
+            return self.stamp
+        return float(np.max(self.latency.estimate.time[self.latency.best], initial=self.log.begin))
+
+    @property
+    def latency_known(self) -> bool:
+        """Whether it is known how old images are, but for a few milliseconds."""
+        return self.latency.found
 
     @property
     def _known_latency(self) -> float | None:
         """Latency [s] that predictions rest on; None as long as it is being found out."""
-        known = self.latency.found or not self.log.known
+        known = self.latency_known or not self.log.known
         return self.latency.latency if known else None
 
 

@@ -1,15 +1,18 @@
 """Where the parts are, how fast, and how slippery: a Kalman filter on the stick-slip motion.
 
-A camera that fires once per cycle sees places only, and may show them late. The filter's motion
-model is what the plate did: from image to image every part is propagated by the very cycles that
-ran, so an image of the middle of a cycle is compared with the middle of a cycle. What a part does
-unlike the model tells its friction. State of a part: x, y [m], vx, vy [m/s] in plate_home, and the
-logarithm of its friction over the rig's. Parts do not influence each other.
+A camera sees places only, at any time, and may show them late. The filter's motion model is what
+the plate did: from image to image every part is propagated by the very cycles that ran, so an image
+of the middle of a cycle is compared with the middle of a cycle. What a part does unlike the model
+tells its friction. State of a part: x, y [m], vx, vy [m/s] in plate_home, and the logarithm of its
+friction over the rig's. Parts do not influence each other; but an image whose stamp is off shows
+all of them too early or too late.
+
+Everything is done for A hypotheses side by side, of how old an image is at its stamp.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -29,7 +32,7 @@ uncertain, for the motion bends where parts stick."""
 CAMERA_M = 0.02e-3
 """Error of a place that is seen [m]: the camera's noise, and what motion blur adds."""
 
-PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 5e-3, 5e-3, 0.01])
+PROCESS_NOISE = np.array([0.02e-3, 0.02e-3, 2e-3, 2e-3, 0.01])
 """What the model misses in a cycle (as DIFFERENCE): friction that is uneven under the part, finite
 steps, a plate that does not quite do as asked."""
 
@@ -40,8 +43,8 @@ PUSHED_SIGMA = 6.0
 """A part this many standard deviations from its prediction was pushed by something that the model
 does not know: it is taken to be where it is seen, at any speed."""
 
-OUTLIER_M = 5e-3
-"""A larger distance of a part from its prediction counts as this [m]."""
+TINY = 1e-300
+"""Keeps a state that does not move in a step from a division by zero."""
 
 FRICTION_RANGE = np.log(3.0)
 """Friction is looked for between a third and three times the rig's [log]."""
@@ -52,88 +55,155 @@ SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """What is known of the parts when the last image was taken.
+    """What is known of M parts, by A hypotheses.
 
     Attributes
     ----------
     ids : tuple of str
-    time : float
-        When that was [s, the time of the stamps].
-    mean : (M, 5)
-    covariance : (M, 5, 5)
+    time : (A, M)
+        When that was: when each part was seen last, or propagated to [s, the time of the stamps].
+    mean : (A, M, 5)
+    covariance : (A, M, 5, 5)
     drift : (M, 2)
         As it was seen last [m/s].
     unseen : (M,)
         Images in a row that do not show the part.
-    square_error : float
-        Squared distances of parts from their predictions in the last image, summed [m2].
+    start : float
+        When the last cycle began before parts were seen in it [s]; NaN: none did.
+    start_mean : (A, M, 5)
+        What was expected of the parts then.
     """
 
-    ids: tuple[str, ...] = ()
-    time: float = -np.inf
-    mean: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 5, 5)))
-    drift: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    unseen: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    square_error: float = 0.0
+    ids: tuple[str, ...]
+    time: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    drift: np.ndarray
+    unseen: np.ndarray
+    start: float
+    start_mean: np.ndarray
 
-    @property
-    def friction(self) -> np.ndarray:
-        """Friction of each part (M,) over the rig's."""
-        return np.exp(self.mean[:, 4])
+    @classmethod
+    def nothing(cls, count: int) -> StateEstimate:
+        """Return `count` hypotheses about no parts."""
+        return cls(
+            (), np.zeros((count, 0)), np.zeros((count, 0, 5)), np.zeros((count, 0, 5, 5)),
+            np.zeros((0, 2)), np.zeros(0, int), np.nan, np.zeros((count, 0, 5)),
+        )  # fmt: skip
 
-    def predict(self, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
-        """Return where the parts are (M, 2) [m] at a later time t [s]."""
-        return propagate(log, self.mean, self.time, t, friction_accel)[:, :2]
+    def of(self, hypotheses: np.ndarray | list[int]) -> StateEstimate:
+        """Return some of the hypotheses."""
+        return replace(
+            self, time=self.time[hypotheses], mean=self.mean[hypotheses],
+            covariance=self.covariance[hypotheses], start_mean=self.start_mean[hypotheses],
+        )  # fmt: skip
+
+    def at(self, hypothesis: int, log: CycleLog, t: float, friction_accel: float) -> np.ndarray:
+        """Return what is known of the parts (M, 5) at a time t [s], by one hypothesis.
+
+        Earlier than they were seen they were where that was expected, if a cycle began then.
+        """
+        mean, time = self.mean[hypothesis], self.time[hypothesis]
+        ahead = propagate(log, mean, time, np.maximum(time, t), friction_accel)
+        before = self.start_mean[hypothesis] if t == self.start else mean
+        return np.where((time > t)[:, None], before, ahead)
 
     def update(
-        self, log: CycleLog, parts: Parts, time: float, friction_accel: float, most: int
-    ) -> StateEstimate:
-        """Take in the parts of an image taken at `time` [s].
+        self,
+        log: CycleLog,
+        parts: Parts,
+        time: np.ndarray,
+        friction_accel: float,
+        most: int,
+        jitter: float,
+    ) -> tuple[StateEstimate, Fit]:
+        """Take in the parts of an image.
 
-        A part that is not seen is propagated for `most` images.
+        Parameters
+        ----------
+        log : CycleLog
+        parts : Parts
+            P parts that the image shows.
+        time : (A, P)
+            When it shows each of them, by each hypothesis [s].
+        friction_accel : float
+            mu g of the rig [m/s2].
+        most : int
+            Images in a row for which a part that is not seen is kept.
+        jitter : float
+            Standard deviation of the images' stamps [s].
+
+        Returns
+        -------
+        estimate : StateEstimate
+        fit : Fit
+            How well the hypotheses have predicted the image.
         """
-        if time < self.time:
-            return StateEstimate().update(log, parts, time, friction_accel, most)
-        now = self._propagated(log, time, friction_accel)._without(most)
+        now = self._without(most)
+        if log.known and log.begin != now.start:
+            now = now._begun(log, friction_accel)
         row = {name: i for i, name in enumerate(now.ids)}
         old = [i for i, name in enumerate(parts.ids) if name in row]
         new = [i for i, name in enumerate(parts.ids) if name not in row]
         rows = np.array([row[parts.ids[i]] for i in old], int)
-        mean, covariance, drift = now.mean.copy(), now.covariance.copy(), now.drift.copy()
-        unseen = now.unseen + 1
-        gap = parts.position[old] - mean[rows, :2]
-        mean[rows], covariance[rows] = kalman_update(
-            mean[rows], covariance[rows], parts.position[old]
-        )
+        place = parts.position
+        mean, covariance = now._propagated(rows, log, time[:, old], friction_accel)
+        mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter)
+        after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
+        for whole, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
+            whole[:, rows] = piece
+        drift, unseen = now.drift.copy(), now.unseen + 1
         drift[rows], unseen[rows] = parts.velocity[old], 0
-        first = np.hstack([parts.position[new], np.zeros((len(new), 3))])
-        return StateEstimate(
+        count = len(time)
+        first = np.tile(np.hstack([place[new], np.zeros((len(new), 3))]), (count, 1, 1))
+        wide = np.tile(np.diag(FIRST_SEEN**2), (count, len(new), 1, 1))
+        estimate = StateEstimate(
             (*now.ids, *(parts.ids[i] for i in new)),
-            time,
-            np.vstack([mean, first]),
-            np.concatenate([covariance, np.tile(np.diag(FIRST_SEEN**2), (len(new), 1, 1))]),
+            np.hstack([after[2], time[:, new]]),
+            np.concatenate([after[0], first], axis=1),
+            np.concatenate([after[1], wide], axis=1),
             np.vstack([drift, parts.velocity[new]]),
             np.append(unseen, np.zeros(len(new), int)),
-            float(np.sum(np.minimum(np.sum(gap**2, axis=1), OUTLIER_M**2))),
+            now.start,
+            np.concatenate([now.start_mean, first], axis=1),
         )
+        return estimate, fit
 
-    def moved_to(self, log: CycleLog, time: float, friction_accel: float) -> StateEstimate:
-        """Return the same places at another time [s], with the velocities of that time."""
-        mean = self.mean.copy()
-        mean[:, 2:] = propagate(log, mean, self.time, time, friction_accel)[:, 2:]
-        return replace(self, time=time, mean=mean)
+    def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
+        """Return the same places `later` (A,) [s], with the velocities of that time."""
+        count, time = len(self.ids), self.time + later[:, None]
+        end = propagate(
+            log, self.mean.reshape(-1, 5), self.time.ravel(), time.ravel(), friction_accel
+        )
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        mean[..., 2:] = end.reshape(-1, count, 5)[..., 2:]
+        unsure = (friction_accel * later) ** 2
+        covariance[..., 2, 2] += unsure[:, None]
+        covariance[..., 3, 3] += unsure[:, None]
+        return replace(self, time=time, mean=mean, covariance=covariance)
 
-    def _propagated(self, log: CycleLog, time: float, friction_accel: float) -> StateEstimate:
-        """Return the estimate at a later time [s], before the image of that time."""
-        if not len(self.ids):
-            return replace(self, time=time)
-        cloud = (self.mean[:, None] + SAMPLES).reshape(-1, 5)
-        cloud = propagate(log, cloud, self.time, time, friction_accel).reshape(-1, 6, 5)
-        slope = ((cloud[:, 1:] - cloud[:, :1]) / DIFFERENCE[:, None]).transpose(0, 2, 1)
-        covariance = slope @ self.covariance @ slope.transpose(0, 2, 1)
-        covariance += np.diag(PROCESS_NOISE**2)
-        return replace(self, time=time, mean=cloud[:, 0], covariance=covariance)
+    def _begun(self, log: CycleLog, friction_accel: float) -> StateEstimate:
+        """Note where parts are expected to be when the last cycle began, if that was since."""
+        begin = np.maximum(self.time, log.begin).ravel()
+        mean = propagate(log, self.mean.reshape(-1, 5), self.time.ravel(), begin, friction_accel)
+        return replace(self, start=log.begin, start_mean=mean.reshape(self.mean.shape))
+
+    def _propagated(
+        self, rows: np.ndarray, log: CycleLog, time: np.ndarray, friction_accel: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean (A, K, 5) and covariance (A, K, 5, 5) of some parts at times (A, K) [s]."""
+        mean, begin = self.mean[:, rows], self.time[:, rows]
+        shape = (*begin.shape, 6, 5)
+        cloud = (mean[:, :, None] + SAMPLES).reshape(-1, 5)
+        end = np.maximum(begin, time)
+        cloud = propagate(
+            log, cloud, np.repeat(begin.ravel(), 6), np.repeat(end.ravel(), 6), friction_accel
+        ).reshape(shape)
+        slope = ((cloud[:, :, 1:] - cloud[:, :, :1]) / DIFFERENCE[:, None]).transpose(0, 1, 3, 2)
+        covariance = slope @ self.covariance[:, rows] @ slope.transpose(0, 1, 3, 2)
+        cycles = (end - begin) / log.period if log.known else np.ones_like(begin)
+        covariance += cycles[:, :, None, None] * np.diag(PROCESS_NOISE**2)
+        return cloud[:, :, 0], covariance
 
     def _without(self, most: int) -> StateEstimate:
         """Leave out parts that the last `most` images did not show."""
@@ -141,39 +211,99 @@ class StateEstimate:
         if np.all(keep):
             return self
         return StateEstimate(
-            tuple(name for name, k in zip(self.ids, keep, strict=True) if k), self.time,
-            self.mean[keep], self.covariance[keep], self.drift[keep], self.unseen[keep],
+            tuple(name for name, k in zip(self.ids, keep, strict=True) if k),
+            self.time[:, keep], self.mean[:, keep], self.covariance[:, keep], self.drift[keep],
+            self.unseen[keep], self.start, self.start_mean[:, keep],
         )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Fit:
+    """How well each of A hypotheses has predicted an image.
+
+    Attributes
+    ----------
+    log_likelihood : (A,)
+    lateness : (A,)
+        By how much later than assumed the image shows the parts, by itself alone [s].
+    square : (A,)
+        Mean square of innovations over their variance: 1 is usual.
+    information : (A,)
+        One over the variance of that [1/s2]; 0: it tells nothing.
+    """
+
+    log_likelihood: np.ndarray
+    square: np.ndarray
+    lateness: np.ndarray
+    information: np.ndarray
+
+
 def kalman_update(
-    mean: np.ndarray, covariance: np.ndarray, seen: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean (K, 5) and covariance (K, 5, 5) after places (K, 2) [m] were seen."""
-    innovation = seen - mean[:, :2]
-    inverse = np.linalg.inv(covariance[:, :2, :2] + CAMERA_M**2 * np.eye(2))
-    gain = covariance[:, :, :2] @ inverse
-    square = np.einsum("ki,kij,kj->k", innovation, inverse, innovation)
-    after = mean + np.einsum("kij,kj->ki", gain, innovation)
-    after[:, 4] = np.clip(after[:, 4], -FRICTION_RANGE, FRICTION_RANGE)
-    left = covariance - gain @ covariance[:, :2]
+    mean: np.ndarray, covariance: np.ndarray, seen: np.ndarray, jitter: float
+) -> tuple[np.ndarray, np.ndarray, Fit]:
+    """Return mean (A, K, 5) and covariance (A, K, 5, 5) after places (K, 2) [m] were seen.
+
+    The stamp is off by a normal deviate of `jitter` [s], the same for all parts: with v_i their
+    velocities it adds v_i v_j^T jitter^2 to the innovations' covariance. The deviate's posterior is
+    normal too (a rank-one update), and is taken out of the innovations.
+    """
+    innovation, velocity = seen - mean[..., :2], mean[..., 2:4]
+    spread = covariance[..., :2, :2] + CAMERA_M**2 * np.eye(2)
+    inverse = np.linalg.inv(spread)
+    square = np.einsum("aki,akij,akj->ak", innovation, inverse, innovation)
+    weighted = np.einsum("aki,akij->akj", velocity, inverse)
+    information = np.einsum("aki,aki->ak", weighted, velocity)
+    lateness = np.einsum("aki,aki->ak", weighted, innovation)
+    # A part that was pushed tells nothing of the stamp.
+    usual = np.maximum(square - jitter**2 * lateness**2 / (1 + jitter**2 * information), 0)
+    known = usual <= PUSHED_SIGMA**2
+    information, lateness = (np.sum(x * known, axis=1) for x in (information, lateness))
+    variance = jitter**2 / (1 + jitter**2 * information)
+    late = variance * lateness
+    left = innovation - late[:, None, None] * velocity
+    square = np.einsum("aki,akij,akj->ak", left, inverse, left)
+    gain = covariance[..., :2] @ inverse
+    after = mean + np.einsum("akij,akj->aki", gain, left)
+    after[..., 4] = np.clip(after[..., 4], -FRICTION_RANGE, FRICTION_RANGE)
+    shift = np.einsum("akij,akj->aki", gain, velocity)
+    rest = covariance - gain @ covariance[..., :2, :]
+    rest += variance[:, None, None, None] * shift[..., :, None] * shift[..., None, :]
     pushed = square > PUSHED_SIGMA**2
-    after[pushed, 2:] = mean[pushed, 2:]
-    after[pushed, :2] = seen[pushed]
-    left[pushed] = np.diag(FIRST_SEEN**2)
-    left[pushed, 4, 4] = covariance[pushed, 4, 4]
-    return after, (left + left.transpose(0, 2, 1)) / 2
+    row, part = np.nonzero(pushed)
+    after[row, part, 2:] = mean[row, part, 2:]
+    after[row, part, :2] = seen[part]
+    rest[row, part] = np.diag(FIRST_SEEN**2)
+    rest[row, part, 4, 4] = covariance[row, part, 4, 4]
+    square = np.minimum(square, PUSHED_SIGMA**2)
+    likelihood = -0.5 * (
+        np.sum(square + np.log(np.linalg.det(spread)), axis=1)
+        + (late / jitter) ** 2
+        + np.log(1 + jitter**2 * information)
+    )
+    alone = np.divide(lateness, information, out=np.zeros_like(late), where=information > 0)
+    axes = 2 * max(len(seen), 1)
+    fit = Fit(likelihood, np.sum(square, axis=1) / axes, alone, information)
+    return after, (rest + rest.swapaxes(-1, -2)) / 2, fit
 
 
 def propagate(
-    log: CycleLog, state: np.ndarray, begin: float, end: float, friction_accel: float
+    log: CycleLog,
+    state: np.ndarray,
+    begin: np.ndarray | float,
+    end: np.ndarray | float,
+    friction_accel: float,
 ) -> np.ndarray:
-    """Return states (K, 5) at `end` that were such at `begin` [s], by the cycles that ran."""
+    """Return states (K, 5) at `end` that were such at `begin`, (K,) or all alike [s], by the cycles
+    that ran."""
     state = state.copy()
+    if not len(state):
+        return state
+    begin = np.ascontiguousarray(np.broadcast_to(begin, len(state)), dtype=float)
+    end = np.ascontiguousarray(np.broadcast_to(end, len(state)), dtype=float)
     bound = friction_accel * np.exp(state[:, 4])
-    for cycle, a, b in log.between(begin, end):
+    for cycle, start, a, b in log.between(float(begin.min()), float(end.max())):
         pose, twist, dt = _sampled(cycle, a, b)
-        _stick_slip(state, bound, pose, twist, dt)
+        _stick_slip(state, bound, pose, twist, begin - start - a, end - start - a, dt)
     return state
 
 
@@ -186,25 +316,34 @@ def _sampled(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndar
 
 @kernel(error_model="numpy")
 def _stick_slip(
-    state: np.ndarray, bound: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float
+    state: np.ndarray,
+    bound: np.ndarray,
+    pose: np.ndarray,
+    twist: np.ndarray,
+    begin: np.ndarray,
+    end: np.ndarray,
+    dt: float,
 ) -> None:
     """Propagate states (K, 5), in place, through a sampled motion: the implicit Coulomb step.
 
     `bound` (K,) is mu g [m/s2], not 0; pose and twist (n, 3) are the plate's at the middles of n
-    steps. States side by side within a step: the processor takes several at once, 10 to 20 times
-    as fast as one after the other.
+    steps of dt [s]; each state moves from its `begin` to its `end` (K,) [s since the first step]
+    only. States side by side within a step: the processor takes several at once, 10 to 20 times as
+    fast as one after the other.
     """
     x, y, vx, vy = state[:, 0].copy(), state[:, 1].copy(), state[:, 2].copy(), state[:, 3].copy()
-    most = bound * dt
     for k in range(len(twist)):
         along, across, turn = twist[k, 0], twist[k, 1], twist[k, 2]
         centre_x, centre_y = pose[k, 0], pose[k, 1]
+        first, last = k * dt, (k + 1) * dt
         for i in range(len(x)):
+            h = max(min(last, end[i]) - max(first, begin[i]), 0.0)
+            most = bound[i] * h
             dx = along - turn * (y[i] - centre_y) - vx[i]
             dy = across + turn * (x[i] - centre_x) - vy[i]
-            fraction = most[i] / max(sqrt(dx * dx + dy * dy), most[i])
+            fraction = most / max(sqrt(dx * dx + dy * dy), most + TINY)
             vx[i] += fraction * dx
             vy[i] += fraction * dy
-            x[i] += dt * vx[i]
-            y[i] += dt * vy[i]
+            x[i] += h * vx[i]
+            y[i] += h * vy[i]
     state[:, 0], state[:, 1], state[:, 2], state[:, 3] = x, y, vx, vy

@@ -1,8 +1,10 @@
-"""How old an image is at its stamp: estimates at several latencies, and which the motion bears out.
+"""How old an image is at its stamp: hypotheses side by side, and which the motion bears out.
 
-A camera's latency is seldom known, and parts on the plate move by millimetres in 10 ms. Estimates
-side by side take the images to be of different ages; the one that best predicts the next image is
-believed, and the latencies draw closer around it until one is left.
+A camera's latency is seldom known, and parts on the plate move by millimetres in 10 ms. Hypotheses
+take the images to be of different ages; the likelihood of what they predicted says which one is
+believed. They draw closer around it until half a millisecond is between two, and move on with a
+latency that changes. How far stamps scatter (their jitter) is found on the way: what an image shows
+too late or too early, beyond what its parts can tell.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from plate_core import Parts
 
 from .cycle_log import CycleLog
-from .filter import StateEstimate
+from .filter import Fit, StateEstimate
 
 STEPS = np.arange(-2, 3)
 """Latencies tried, in steps from the middle one."""
@@ -26,12 +28,50 @@ COARSE_S, FINE_S = 0.025, 0.5e-3
 LONGEST_S = 0.5
 """No image is taken to be older [s]."""
 
-FEWEST_IMAGES, CLEAR, FORGET = 4, 4.0, 0.9
-"""A latency is chosen after so many images at the least, once the worst one predicts them so many
-times worse than the best; what older images tell fades by this factor an image."""
+FEWEST_IMAGES, CLEAR, BETTER = 4, 8.0, 4.0
+"""Latencies are given up after so many images at the least, once they are less likely than the best
+by so much [log]: model and noise are not quite as assumed. It takes less to believe another one."""
 
-MOST_IMAGES = 40
-"""Latencies that so many images do not tell apart are equally good, and one is kept."""
+MISFIT, MISFIT_IMAGES = 6.0, 8
+"""Where the mean square of normalised innovations, over so many images, is above this (1 is usual),
+nothing that is assumed can be right: the latency is looked for anew."""
+
+MEMORY_S = 3.0
+"""What an image tells of the latency counts for about so long [s]."""
+
+JITTER_S = (0.5e-3, 1e-3, 20e-3)
+"""Least, first and greatest standard deviation of stamps to be believed [s]."""
+
+JITTER_IMAGES = 50
+"""Images over which that is found."""
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """The variance of the stamps: a mean of squares, each counting as much as its image can tell.
+
+    Attributes
+    ----------
+    total, weight : float
+        Weighted sum of squares [1/s2], and of weights [1/s4].
+    """
+
+    total: float = 1 / JITTER_S[1] ** 2
+    weight: float = 1 / JITTER_S[1] ** 4
+
+    @property
+    def deviation(self) -> float:
+        """The standard deviation [s]."""
+        return float(np.clip(np.sqrt(max(self.total / self.weight, 0.0)), *JITTER_S[::2]))
+
+    def update(self, lateness: float, information: float) -> Jitter:
+        """Take in by how much an image was late by itself [s], and what it tells of it [1/s2]."""
+        if information <= 0:
+            return self
+        noise, keep = 1 / information, 1 - 1 / JITTER_IMAGES
+        weight = 1 / (self.deviation**2 + noise) ** 2
+        square = min(lateness**2, JITTER_S[2] ** 2) - noise
+        return Jitter(keep * self.total + weight * square, keep * self.weight + weight)
 
 
 @dataclass(frozen=True)
@@ -42,27 +82,33 @@ class LatencyHypotheses:
     ----------
     latencies : (A,)
         Rising [s].
-    estimates : tuple of StateEstimate
-        One for each latency.
+    estimate : StateEstimate
+        By each of them.
     best : int
         Which one is believed.
-    square_error : (A,)
-        Squared distances of parts from each estimate's predictions [m2], fading.
+    log_likelihood : (A,)
+        Of what each one predicted, fading.
     images : int
         Images of a plate in motion since the latencies were set.
+    misfit : float
+        Mean square of what the best one has predicted wrongly, over its variance; 1 is usual.
+    jitter : Jitter
     """
 
     latencies: np.ndarray
-    estimates: tuple[StateEstimate, ...]
+    estimate: StateEstimate
     best: int = 0
-    square_error: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
+    log_likelihood: np.ndarray = field(default_factory=lambda: np.zeros(len(STEPS)))
     images: int = 0
+    misfit: float = 1.0
+    jitter: Jitter = field(default_factory=Jitter)
 
     @classmethod
     def of(cls, latency: float | None) -> LatencyHypotheses:
         """Return the hypotheses at the start: one latency [s], or several if it is unknown."""
         tried = COARSE_S * (STEPS - STEPS[0]) if latency is None else np.array([latency])
-        return cls(tried, (StateEstimate(),) * len(tried), square_error=np.zeros(len(tried)))
+        nothing = StateEstimate.nothing(len(tried))
+        return cls(tried, nothing, log_likelihood=np.zeros(len(tried)))
 
     @property
     def latency(self) -> float:
@@ -72,48 +118,64 @@ class LatencyHypotheses:
     @property
     def found(self) -> bool:
         """Whether the latency is known, but for a few milliseconds."""
-        return bool(np.ptp(self.latencies) < COARSE_S * np.ptp(STEPS))
-
-    @property
-    def estimate(self) -> StateEstimate:
-        """The estimate at that latency."""
-        return self.estimates[self.best]
+        return bool(np.ptp(self.latencies) < COARSE_S)
 
     def update(
-        self, log: CycleLog, parts: Parts, t: float, friction_accel: float, most: int
+        self,
+        log: CycleLog,
+        parts: Parts,
+        t: float,
+        delay: np.ndarray,
+        friction_accel: float,
+        most: int,
     ) -> LatencyHypotheses:
-        """Take in the parts of an image with stamp t [s]; see `StateEstimate.update`."""
-        estimates = tuple(
-            estimate.update(log, parts, t - latency, friction_accel, most)
-            for estimate, latency in zip(self.estimates, self.latencies, strict=True)
-        )
-        error = FORGET * self.square_error + [estimate.square_error for estimate in estimates]
+        """Take in the parts of an image with stamp t [s], each seen `delay` (P,) [s] later than the
+        middle of the image; the rest as in `StateEstimate.update`."""
+        time = t - self.latencies[:, None] + delay
+        last = np.max(self.estimate.time[self.best], initial=-np.inf)
+        fading = np.exp(-max(t - self.latency - last, 0.0) / MEMORY_S)
+        jitter = self.jitter.deviation
+        estimate, fit = self.estimate.update(log, parts, time, friction_accel, most, jitter)
         moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
-        seen = replace(self, estimates=estimates, square_error=error, images=self.images + moved)
-        step = np.ptp(self.latencies) / len(STEPS[1:])
-        if seen.images >= FEWEST_IMAGES and np.max(error) > CLEAR * np.min(error):
-            best = int(np.argmin(error))
-            return seen._closer(best, log, t, friction_accel) if step > FINE_S else seen._one(best)
-        return seen._one(self.best) if seen.images >= MOST_IMAGES and 0 < step < COARSE_S else seen
-
-    def _one(self, k: int) -> LatencyHypotheses:
-        """Keep one latency."""
-        return LatencyHypotheses(
-            self.latencies[k : k + 1], self.estimates[k : k + 1], square_error=np.zeros(1)
+        if not moved:
+            return replace(self, estimate=estimate)
+        seen = replace(
+            self,
+            estimate=estimate,
+            log_likelihood=fading * self.log_likelihood + fit.log_likelihood,
+            images=self.images + 1,
+            misfit=self.misfit + (float(fit.square[self.best]) - self.misfit) / MISFIT_IMAGES,
+            jitter=self._jitter(fit),
         )
-
-    def _closer(
-        self, best: int, log: CycleLog, t: float, friction_accel: float
-    ) -> LatencyHypotheses:
-        """Set the latencies anew around the best."""
+        if len(self.latencies) == 1 or seen.images < FEWEST_IMAGES:
+            return seen
+        if self.found and seen.misfit > MISFIT:
+            return replace(LatencyHypotheses.of(None), jitter=self.jitter)
+        likely = seen.log_likelihood
+        best, middle = int(np.argmax(likely)), len(STEPS) // 2
         step = self.latencies[1] - self.latencies[0]
         at_end = best == len(STEPS) - 1 or (best == 0 and self.latencies[0] > 0)
-        step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
+        given_up = middle if at_end else np.abs(STEPS - STEPS[best]) > 1
+        other = at_end or step > FINE_S or best != middle
+        if other and likely[best] - np.max(likely[given_up]) > CLEAR:
+            step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
+            return seen._around(best, step, log, friction_accel)
+        return replace(seen, best=best) if likely[best] - likely[self.best] > BETTER else seen
+
+    def _jitter(self, fit: Fit) -> Jitter:
+        """Return the jitter after an image; as long as the latency is wrong it tells nothing."""
+        if not self.found:
+            return self.jitter
+        return self.jitter.update(float(fit.lateness[self.best]), float(fit.information[self.best]))
+
+    def _around(
+        self, best: int, step: float, log: CycleLog, friction_accel: float
+    ) -> LatencyHypotheses:
+        """Set the latencies anew around the best, at steps [s]."""
         middle = np.clip(self.latencies[best], -STEPS[0] * step, LONGEST_S - STEPS[-1] * step)
         latencies = middle + step * STEPS
-        estimates = []
-        for latency in latencies:
-            older = min(int(np.searchsorted(self.latencies, latency - 1e-9)), len(STEPS) - 1)
-            estimates.append(self.estimates[older].moved_to(log, t - latency, friction_accel))
+        older = np.minimum(np.searchsorted(self.latencies, latencies - 1e-9), len(STEPS) - 1)
+        estimate = self.estimate.of(older)
+        estimate = estimate.moved(log, self.latencies[older] - latencies, friction_accel)
         nearest = int(np.argmin(np.abs(latencies - self.latencies[best])))
-        return LatencyHypotheses(latencies, tuple(estimates), nearest)
+        return LatencyHypotheses(latencies, estimate, nearest, jitter=self.jitter)

@@ -42,6 +42,10 @@ NEGLIGIBLE = 0.3e-3
 """Drift that a cycle may always lack [m/s]: solver and filter leave 0.2 mm/s, no reason to slow
 down on a slow path."""
 
+SLOW_START = 0.1
+"""Speed scaling at the start, and as long as it is not known how old images are [-]: errors are
+then larger the faster all is."""
+
 SPEED_UP = 0.1
 """Growth of the speed scaling in one cycle: smoother than the errors that slow it down [-]."""
 
@@ -234,6 +238,8 @@ class Follower(TaskRules):
         # How long the solver's cycles are is known from the first that runs: wait for it.
         start = now.start if now.motion_known else now.start + now.period
         again = self.begin(now.parts, start)
+        if not now.latency_known:
+            again = replace(again, scaling=(SLOW_START, SLOW_START))
         led = 0.0 if memory is None else memory.lead_s + (now.period if memory.leading else 0.0)
         far = np.nan_to_num(self._leader.distance(now.parts)) > self._leader.task.tolerance_m
         leading = (memory is None or memory.leading) and bool(np.any(far))
@@ -303,7 +309,9 @@ class Follower(TaskRules):
             # Until the answer begins to act, the references do as was said before.
             anchor=now.start,
             progress=memory.path_time(now.start),
-            scaling=(before, self._scaling(before, worst, float(np.max(lacking, initial=0.0)))),
+            scaling=(before, self._scaling(before, worst, float(np.max(lacking, initial=0.0))))
+            if now.latency_known
+            else (before, before),
         )
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:

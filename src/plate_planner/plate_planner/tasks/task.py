@@ -78,6 +78,8 @@ class Situation:
         Length of a cycle [s].
     motion_known : bool
         Whether the plate's cycles are known; else predictions are what parts were asked to do.
+    latency_known : bool
+        Whether it is known how old images are, but for a few milliseconds.
     predicted : (M, 2)
         Where the parts will be at `start` [m, plate_home].
     shortfall : (M,)
@@ -91,6 +93,7 @@ class Situation:
     start: float
     period: float
     motion_known: bool
+    latency_known: bool
     predicted: np.ndarray
     shortfall: np.ndarray
     active: bool

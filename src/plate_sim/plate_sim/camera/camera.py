@@ -126,9 +126,10 @@ class Camera:
         velocity : (M, 2), optional
             Of the parts [m/s], if `position` is (M, 2): blurs them over the exposure. Zero if
             missing.
-        pose : (3,) or (s, 3), optional
-            Of the plate [m, m, rad], once or s times over the exposure; at home if missing, as at
-            every start of a cycle that a rigid plate makes.
+        pose : (3,), (s, 3) or (b, s, 3), optional
+            Of the plate [m, m, rad], once or s times over the exposure, or so in each of b equal
+            bands of rows; at home if missing, as at every start of a cycle that a rigid plate
+            makes.
         angle : (M,), optional
             Of the parts [rad], counter-clockwise. Discs then carry a mark in the direction of
             their angle: grey on black, black on grey.
@@ -147,7 +148,10 @@ class Camera:
         canvas = self._canvas
         np.copyto(canvas, self._empty)
         if pose is not None and np.any(pose):
-            self._move_plate(canvas, _samples("pose", pose, (3,)))
+            bands = pose if np.ndim(pose) == 3 else [pose]
+            ends = len(canvas) * np.arange(len(bands) + 1) // len(bands)
+            for k, poses in enumerate(bands):
+                self._move_plate(canvas, _samples("pose", poses, (3,)), ends[k : k + 2])
         if count:
             turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
             self._draw(canvas, path, grey, turns, angle is not None, outline)
@@ -240,15 +244,17 @@ class Camera:
         length = np.linalg.norm(np.diff(path, axis=0), axis=2).sum(axis=0)
         return window, scale, _copies(length * scale)
 
-    def _move_plate(self, canvas: np.ndarray, poses: np.ndarray) -> None:
-        """Paint what changes when the plate is not at home but at poses (s, 3)."""
+    def _move_plate(self, canvas: np.ndarray, poses: np.ndarray, rows: np.ndarray) -> None:
+        """Paint what changes in rows [rows[0], rows[1]) when the plate is not at home but at poses
+        (s, 3)."""
         corners = np.array([to_home(pose, self._rig.plate.corners) for pose in poses])
         away = np.linalg.norm(corners - self._rig.plate.corners, axis=2).max()
         travel = np.linalg.norm(np.diff(corners, axis=0), axis=2).sum(axis=0).max()
         steps = int(np.ceil((away + 1 / self._scale) / STRIP_STEP))
         if steps not in self._edge:
             self._edge[steps] = np.flatnonzero(self._edge_distance <= steps * STRIP_STEP)
-        self._paint_plate(canvas, poses, self._edge[steps], float(travel))
+        first, end = np.searchsorted(self._edge[steps], rows * canvas.shape[1])
+        self._paint_plate(canvas, poses, self._edge[steps][first:end], float(travel))
 
     def _paint_plate(
         self, canvas: np.ndarray, poses: np.ndarray, pixels: np.ndarray, travel: float

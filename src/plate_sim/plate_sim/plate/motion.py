@@ -64,6 +64,20 @@ class PlateMotion:
             raise CycleError("motor motion: times must start at 0 and rise")
         return cls(times, quintic_pieces(times, *plate_state(rig, *np.moveaxis(motors, 1, 0))))
 
+    @classmethod
+    def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
+        """Return what happens from `begin` to `end` [s] of a motion; both within it."""
+        times = motion.times
+        first = int(np.searchsorted(times, begin, "right")) - 1
+        last = int(np.searchsorted(times, end, "left"))
+        knots = np.concatenate([[begin], times[first + 1 : last], [end]])
+        coefficients = np.array(motion.coefficients[first:last])
+        # Powers of the time since the first piece's start: moved on to `begin` by Horner's scheme.
+        for k in range(5):
+            for j in range(4, k - 1, -1):
+                coefficients[0, j] += (begin - times[first]) * coefficients[0, j + 1]
+        return cls(knots - begin, coefficients)
+
     @property
     def period(self) -> float:
         """Length of the cycle [s]."""

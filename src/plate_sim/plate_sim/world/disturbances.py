@@ -15,6 +15,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "tilt_x": (-TILT, TILT),
     "tilt_y": (-TILT, TILT),
     "latency": (0.0, 1.0),
+    "image_rate": (0.0, 200.0),
+    "stamp_jitter": (0.0, 0.05),
     "missed_images": (0.0, 0.95),
     "missed_parts": (0.0, 1.0),
     "false_parts": (0.0, 1.0),
@@ -39,6 +41,11 @@ class Disturbances:
     latency : float
         An image is this old [s] when it is delivered. Its stamp is the time of delivery, as a
         camera's driver gives it that does not know better.
+    image_rate : float
+        Images a second of a camera that runs free; 0: it is triggered at the start of each cycle.
+        Their latency counts from the middle of the exposure, with a trigger from its beginning.
+    stamp_jitter : float
+        Standard deviation of the stamps of a camera that runs free [s]; they keep their order.
     blur : bool
         Whether motion blurs images over the rig's exposure.
     missed_images : float
@@ -60,6 +67,8 @@ class Disturbances:
     tilt_x: float = 0.0
     tilt_y: float = 0.0
     latency: float = 0.0
+    image_rate: float = 0.0
+    stamp_jitter: float = 0.0
     blur: bool = True
     missed_images: float = 0.0
     missed_parts: float = 0.0

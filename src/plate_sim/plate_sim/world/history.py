@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..friction import Trajectory
 from ..plate import PlateMotion
 from .bodies import BodyTrajectory
 
@@ -19,14 +18,14 @@ class Passage:
     ----------
     motion : PlateMotion
         Of the plate.
-    run : Trajectory or BodyTrajectory
+    run : BodyTrajectory
         Of the parts, from the cycle's start to its end.
     on_plate : (M,)
         Which parts were there when it ended.
     """
 
     motion: PlateMotion
-    run: Trajectory | BodyTrajectory
+    run: BodyTrajectory
     on_plate: np.ndarray
 
 
@@ -38,6 +37,8 @@ class View:
     ----------
     position : (M, 2)
         [m].
+    angle : (M,)
+        [rad].
     on_plate : (M,)
         Which parts were there.
     pose : (3,)
@@ -45,6 +46,7 @@ class View:
     """
 
     position: np.ndarray
+    angle: np.ndarray
     on_plate: np.ndarray
     pose: np.ndarray
 
@@ -78,19 +80,25 @@ class History:
             age -= passage.motion.period
         t = passage.motion.period - age
         inside, beyond = min(max(t, 0.0), passage.motion.period), max(0.0, -age)
-        position, velocity = _between(passage.run, inside)
+        run = passage.run
+        position, velocity = _between(run.time, run.position, run.velocity, inside)
+        angle, spin = _between(run.time, run.angle, run.spin, inside)
         pose, twist = passage.motion.pose(inside)[0], passage.motion.twist(inside)[0]
         # A part that falls off stays where it did: from then on it is at its last place.
-        left = ~passage.on_plate & np.all(position == passage.run.position[-1], axis=1)
-        return View(position + beyond * velocity, ~left, pose + beyond * twist)
+        left = ~passage.on_plate & np.all(position == run.position[-1], axis=1)
+        return View(
+            position + beyond * velocity, angle + beyond * spin, ~left, pose + beyond * twist
+        )
 
 
-def _between(run: Trajectory | BodyTrajectory, t: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and velocities (M, 2) at t [s]: between two samples velocity is linear."""
-    k = int(np.clip(np.searchsorted(run.time, t, "right") - 1, 0, len(run.time) - 2))
-    h = run.time[k + 1] - run.time[k]
-    share = (t - run.time[k]) / h
-    start, end = run.velocity[k], run.velocity[k + 1]
-    # The line between both places, and the bow that the change of velocity gives
-    line = run.position[k] + share * (run.position[k + 1] - run.position[k])
+def _between(
+    time: np.ndarray, place: np.ndarray, rate: np.ndarray, t: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places and rates (M, ...) at t [s]: between two samples the rate is linear."""
+    k = int(np.clip(np.searchsorted(time, t, "right") - 1, 0, len(time) - 2))
+    h = time[k + 1] - time[k]
+    share = (t - time[k]) / h
+    start, end = rate[k], rate[k + 1]
+    # The line between both places, and the bow that the change of the rate gives
+    line = place[k] + share * (place[k + 1] - place[k])
     return line - 0.5 * h * share * (1 - share) * (end - start), start + share * (end - start)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from plate_core import PlateCycle, Rig, part_class
+from plate_core.rig import row_delay
 from plate_core.tasks import Scenario
 
 from ..camera import NOISE, Camera, part_greys
@@ -18,9 +21,25 @@ from .history import History, Passage
 from .state import WorldState
 from .step import record_cycle, run_cycle
 
-EXPOSURES = 5
-"""Times during an exposure of the past at which parts and plate are looked up: the plate turns
-round in no less than 20 ms, an exposure takes a few."""
+EXPOSURES, LONGEST_STEP_S = 5, 3e-3
+"""Least number of times during an image at which parts and plate are looked up, and the greatest
+distance between two [s]: the plate turns round in no less than 20 ms."""
+
+FINEST_STAMP_S = 1e-4
+"""Least distance of two stamps [s]."""
+
+BANDS = 8
+"""Bands of rows in which a rolling shutter shows the plate's edges."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """An image of a camera that runs free: the middle of its exposure, its stamp, and when it is
+    delivered [s]."""
+
+    middle: float
+    stamp: float
+    delivered: float
 
 
 class Simulation:
@@ -54,9 +73,9 @@ class Simulation:
         mu_scale: float = 1.0,
         contacts: Contacts = INELASTIC,
     ) -> None:
-        layout, self._pixel_rng, field, self._image_rng, self._part_rng = np.random.default_rng(
-            seed
-        ).spawn(5)
+        layout, self._pixel_rng, field, self._image_rng, self._part_rng, self._stamp_rng = (
+            np.random.default_rng(seed).spawn(6)
+        )
         self.state = WorldState.of_scenario(scenario, rig, layout)
         self.plate = PlateState.at_rest()
         self.disturbances = disturbances
@@ -67,16 +86,31 @@ class Simulation:
         self._grey = part_greys([part_class(name) for name in self.state.ids])
         self._history = History()
         self._marked = scenario.marked
-        self._turned = self.state.angle  # at the start of the last cycle
-        self._period = 1.0  # its length
 
     @property
     def mu(self) -> np.ndarray:
         """True friction coefficients (M,) now."""
         return self._field.friction(self._mu, self.state.position, self.plate.pose)
 
-    def capture(self) -> np.ndarray | None:
-        """Return the image (height, width), uint8, that is delivered now; None if it is missed."""
+    def shots(self, begin: float) -> Iterator[Shot]:
+        """Yield the images of a camera that runs free, from `begin` [s] on, without end."""
+        camera, world, rng = self._rig.camera, self.disturbances, self._stamp_rng
+        interval, last = 1 / max(world.image_rate, 1e-9), -np.inf
+        shown = camera.exposure_s + camera.readout_s
+        middle = begin + interval * rng.random()
+        while True:
+            jitter = world.stamp_jitter * rng.standard_normal()
+            # A camera's driver stamps images in the order in which they come.
+            last = max(middle + world.latency + jitter, last + FINEST_STAMP_S)
+            yield Shot(middle, last, middle + max(world.latency, shown / 2))
+            middle += interval
+
+    def capture(self, age: float | None = None) -> np.ndarray | None:
+        """Return the image (height, width), uint8, that is delivered now; None if it is missed.
+
+        `age` is the time since the middle of its exposure [s]; if None its exposure began
+        `latency` ago.
+        """
         missed = self._image_rng.random() < self.disturbances.missed_images
         hidden = self._part_rng.random(len(self._grey)) < self.disturbances.missed_parts
         false = self._part_rng.binomial(len(self._grey), self.disturbances.false_parts)
@@ -84,7 +118,7 @@ class Simulation:
         grey = self._part_rng.choice(self._grey, false)
         if missed:
             return None
-        path, seen, pose = self._view()
+        path, angle, seen, pose = self._view(age)
         seen = seen & ~hidden
         spots = np.broadcast_to(place, (len(path), false, 2))
         return self._camera.render(
@@ -92,43 +126,71 @@ class Simulation:
             np.concatenate([self._grey[seen], grey]),
             self._pixel_rng,
             pose=pose,
-            angle=np.append(self._angles()[seen], np.zeros(false)) if self._marked else None,
+            angle=np.append(angle[seen], np.zeros(false)) if self._marked else None,
         )
-
-    def _angles(self) -> np.ndarray:
-        """Return the angles (M,) [rad] that an image shows; within a cycle taken as linear."""
-        share = self.disturbances.latency / self._period
-        return self.state.angle + share * (self._turned - self.state.angle)
 
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
         """Command a cycle, or what a motor controller has played, and move the parts to its end."""
         motion: PlateCycle | PlateMotion = cycle
         mu, ground = self.mu, self.disturbances.ground
-        self._turned, self._period = self.state.angle, cycle.period
         if self._rig.suspension is not None:
             motion, self.plate = realise(self._rig, self.plate, cycle)
         world: dict[str, Any] = {"contacts": self._contacts, "ground": ground}
-        if self.disturbances.latency == 0:
+        if not self._past:
             self.state = run_cycle(self.state, motion, self._rig, mu, **world)
             return
         self.state, run = record_cycle(self.state, motion, self._rig, mu, **world)
         plate = PlateMotion(motion.times, motion.coefficients)
-        self._history = self._history.after(
-            Passage(plate, run, self.state.on_plate), self.disturbances.latency
-        )
+        self._history = self._history.after(Passage(plate, run, self.state.on_plate), self._past)
 
-    def _view(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return positions over the exposure (s, M, 2), which parts are there, and the plate's
-        poses (s, 3); None if it is at home."""
-        state, latency = self.state, self.disturbances.latency
-        exposure = self._rig.camera.exposure_s if self.disturbances.blur else 0.0
-        if latency > 0 and self._history.passages:
-            ages = latency - exposure * np.linspace(0, 1, EXPOSURES)
-            views = [self._history.ago(age) for age in ages]
-            path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
-            return path, views[0].on_plate, pose
+    @property
+    def _past(self) -> float:
+        """How much of the past an image may show [s]."""
+        camera = self._rig.camera
+        shown = camera.exposure_s + camera.readout_s
+        needed = self.disturbances.image_rate > 0 or camera.readout_s > 0
+        return self.disturbances.latency + (shown if needed else 0.0)
+
+    def _view(
+        self, age: float | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return positions over the exposure (s, M, 2), angles (M,), which parts are there, and the
+        plate's poses (s, 3), or (b, s, 3) by bands of rows; None if it is at home."""
+        state, camera = self.state, self._rig.camera
+        exposure = camera.exposure_s if self.disturbances.blur else 0.0
+        if self._past and self._history.passages:
+            shown = exposure + camera.readout_s
+            first = self.disturbances.latency if age is None else age + shown / 2
+            return self._past_view(first, exposure, shown)
         later = np.array([0.0, exposure])[:, None]
         path = state.position + later[:, None] * state.velocity
         if self._rig.suspension is None:
-            return path, state.on_plate, None
-        return path, state.on_plate, self.plate.pose + later * self.plate.twist
+            return path, state.angle, state.on_plate, None
+        pose = self.plate.pose + later * self.plate.twist
+        return path, state.angle, state.on_plate, pose
+
+    def _past_view(
+        self, first: float, exposure: float, shown: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the same of an image whose first row began to be exposed `first` [s] ago; from
+        then to the end of its last row it is `shown` [s]."""
+        count = max(EXPOSURES, 1 + int(np.ceil(shown / LONGEST_STEP_S)))
+        time = shown * np.linspace(0, 1, count)
+        views = [self._history.ago(first - t) for t in time]
+        path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
+        middle, readout = views[count // 2], self._rig.camera.readout_s
+        if readout == 0:
+            return path, middle.angle, middle.on_plate, pose
+        row = np.clip(row_delay(self._rig, middle.position) / readout + 0.5, 0, 1)
+        begin = readout * np.append(row, (np.arange(BANDS) + 0.5) / BANDS)
+        at = begin[:, None] + exposure * np.linspace(0, 1, EXPOSURES)
+        parts = len(row)
+        seen = np.empty((EXPOSURES, parts, 2))
+        for i in range(parts):
+            for axis in range(2):
+                seen[:, i, axis] = np.interp(at[i], time, path[:, i, axis])
+        poses = np.empty((BANDS, EXPOSURES, 3))
+        for band in range(BANDS):
+            for axis in range(3):
+                poses[band, :, axis] = np.interp(at[parts + band], time, pose[:, axis])
+        return seen, middle.angle, middle.on_plate, poses

@@ -1,0 +1,55 @@
+"""When frames were taken, by stamps that scatter: regular cameras, dropped images, gaps."""
+
+import numpy as np
+import pytest
+
+from plate_planner.estimation.frame_clock import ACQUIRE, LONGEST_S, FrameClock
+
+
+def clocked(rate, seconds=15.0, scatter=0.005, dropped=0.0, seed=0):
+    """Return the clock in the end, and by how much its instants were wrong in the second half."""
+    rng, clock, last, errors = np.random.default_rng(seed), FrameClock(), -1.0, []
+    for i in range(int(rate * seconds)):
+        if rng.random() >= dropped:
+            instant = 3.0 + i / rate
+            last = max(instant + scatter * rng.standard_normal(), last + 1e-4)
+            clock = clock.tick(last)
+            errors.append(clock.instant - instant)
+    return clock, np.array(errors[len(errors) // 2 :])
+
+
+@pytest.mark.parametrize("rate", [5.0, 15.0, 30.0])
+@pytest.mark.parametrize("dropped", [0.0, 0.02])
+def test_the_scatter_of_stamps_is_taken_out(rate, dropped):
+    for seed in range(4):
+        clock, errors = clocked(rate, dropped=dropped, seed=seed)
+        assert np.sqrt(np.mean(errors**2)) < 0.5 * 0.005
+        assert clock.rate == pytest.approx(rate, rel=5e-3)
+        assert clock.scatter == pytest.approx(0.005, rel=0.5)
+
+
+def test_true_stamps_stay_as_they_are():
+    clock, errors = clocked(30.0, scatter=0.0)
+    assert np.abs(errors).max() < 1e-6
+    assert clock.rate == pytest.approx(30.0, rel=1e-4)
+
+
+def test_a_stamp_is_believed_until_frames_are_known_and_after_a_gap():
+    clock = FrameClock()
+    assert clock.rate == 0
+    for k in range(ACQUIRE - 1):
+        clock = clock.tick(0.1 * k + 0.003 * (-1) ** k)
+        assert clock.instant == clock.stamps[-1]
+    assert clock.rate == pytest.approx(10, rel=0.1)
+    for stamp in (clock.stamps[-1] + 2 * LONGEST_S, 0.5):
+        clock = clock.tick(stamp)
+        assert (clock.instant, clock.rate) == (stamp, 0)
+
+
+def test_another_rate_is_found():
+    clock = FrameClock()
+    stamps = np.cumsum(np.concatenate([np.full(60, 1 / 30), np.full(400, 1 / 17)]))
+    for stamp in stamps.tolist():
+        clock = clock.tick(stamp)
+    assert clock.rate == pytest.approx(17, rel=1e-2)
+    assert clock.instant == pytest.approx(stamps[-1], abs=2e-3)
