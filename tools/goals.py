@@ -1,0 +1,135 @@
+"""Send random goals to the real graph: right and wrong ones, cancels, preemptions, stops.
+
+python tools/goals.py [--goals 1000] [--seed 0] [--json FILE]
+
+Every goal must be answered, with a reason that is possible, and at the end the plate must rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from graph.observer import Observer
+from graph.session import session
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_bringup import RunOptions
+from plate_client import PlateClient, Task
+from plate_core import load_rig
+from plate_core.ros import msg_to_motors, scenario_to_goal
+from plate_core.tasks import load_scenario
+from plate_interfaces.msg import TaskStatus
+from plate_planner.supervision import Reason
+
+SCENARIOS = ("sort_4", "sort_6", "follow_2", "assemble_8", "spin_1")
+"""Parts of the first are on the plate: those of the others are not all seen."""
+
+PAUSE_S, ANSWER_S, REST_S = 0.15, 10.0, 3.0
+"""Mean time between two goals; longest wait for a result at the end; until the plate rests [s]."""
+
+
+def wrong(goal: Any, rng: np.random.Generator) -> Any:
+    """Spoil a goal so that it cannot be done."""
+    match int(rng.integers(4)):
+        case 0:
+            goal.time_limit_s = float(rng.choice([np.nan, -1.0, 1e300]))
+        case 1:
+            goal.parts = []
+        case 2:
+            goal.parts[0].type = "purple"
+        case _:
+            goal.parts[0].count = 0
+    return goal
+
+
+def random_goal(rng: np.random.Generator) -> tuple[Any, bool]:
+    """Return a goal, and whether it is a wrong one."""
+    name = SCENARIOS[0] if rng.random() < 0.6 else str(rng.choice(SCENARIOS[1:]))
+    scenario = replace(load_scenario(name), time_limit_s=float(rng.uniform(1.0, 20.0)))
+    goal = scenario_to_goal(scenario)[1]
+    if rng.random() < 0.2:
+        return wrong(goal, rng), True
+    return goal, False
+
+
+def storm(observer: Observer, count: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Send goals, end some of them, and say what became of them."""
+    plate = PlateClient(observer.node, observer.until)
+    sent: list[tuple[Task, bool]] = []
+    canceled: set[int] = set()
+    stops = 0
+    for number in range(count):
+        goal, bad = random_goal(rng)
+        sent.append((plate.send(goal), bad))
+        if rng.random() < 0.1:
+            observer.set_parameter("planner", "preempt", bool(rng.random() < 0.5))
+        if rng.random() < 0.05:
+            observer.trigger("stop")
+            stops += 1
+        if rng.random() < 0.4:  # also goals that have ended, and those not yet accepted
+            chosen = int(rng.integers(max(0, number - 3), number + 1))
+            sent[chosen][0].cancel()
+            canceled.add(chosen)
+        observer.until(lambda: False, float(rng.exponential(PAUSE_S)))
+        if number % 100 == 99:
+            print(f"  {number + 1} goals", flush=True)
+    for task, _ in sent[-4:]:
+        task.cancel()
+    observer.until(lambda: all(task.ended for task, _ in sent), ANSWER_S)
+    observer.trigger("stop")
+    before = len(observer.record.tables)
+    observer.until(lambda: False, REST_S)
+    last = msg_to_motors(
+        load_rig(), deserialize_message(observer.record.tables[-1], JointTrajectory)
+    )
+    reasons = Counter(
+        Reason(task.status.reason).name if not task.done else "DONE"
+        for task, _ in sent
+        if task.status is not None
+    )
+    return {
+        "goals": count,
+        "wrong": sum(bad for _, bad in sent),
+        "cancels": len(canceled),
+        "stops": stops,
+        "unanswered": sum(not task.ended for task, _ in sent),
+        "wrong ones that began": sum(
+            bad and task.status is not None and task.status.reason != TaskStatus.INVALID_GOAL
+            for task, bad in sent
+        ),
+        "reasons": dict(reasons.most_common()),
+        "tables at the end": len(observer.record.tables) - before,
+        "plate rests": not np.any(last.knot_pose) and not np.any(last.knot_twist),
+    }
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--goals", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    options = RunOptions(scenario=SCENARIOS[0], autostart=False)
+    with tempfile.TemporaryDirectory() as logs, session(options, Path(logs)) as graph:
+        graph.free()
+        graph.observer.await_ready()
+        result = storm(graph.observer, args.goals, np.random.default_rng(args.seed))
+    print(json.dumps(result, indent=1))
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    well = not result["unanswered"] and not result["wrong ones that began"]
+    return 0 if well and result["plate rests"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
