@@ -273,6 +273,6 @@ def test_a_node_that_dies_is_named_and_its_log_is_shown(tmp_path):
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "demo: planner was ended by SIGKILL" in errors
-    assert "task sort_4: running" in errors
+    assert "task sort: running" in errors
     assert "log: " in errors
     assert marked(mark) == []

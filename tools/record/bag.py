@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from ament_index_python.packages import get_package_share_directory
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -18,6 +19,9 @@ DISCOVERY_S = 0.5
 
 DEPTH = 200
 """Messages that may wait for us [-]."""
+
+OURS = "plate_interfaces"
+"""The package whose messages no list of ROS 2's own has."""
 
 BAG_VERSION: Final = 9
 """Of the bag's metadata.yaml: what ROS 2 Jazzy writes."""
@@ -42,13 +46,16 @@ class Recorder:
     def __init__(self, node: Node, folder: Path) -> None:
         try:
             from rosbags.rosbag2 import StoragePlugin, Writer
-            from rosbags.typesys import Stores, get_typestore
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError:
             raise PlateError(
                 "recording needs the package rosbags: pip install rosbags; or: ros2 bag record -a"
             ) from None
         self._node, self._looked_at = node, -DISCOVERY_S
         self._types = get_typestore(Stores.ROS2_JAZZY)
+        for path in Path(get_package_share_directory(OURS)).glob("msg/*.msg"):
+            text = path.read_text(encoding="utf-8")
+            self._types.register(get_types_from_msg(text, f"{OURS}/msg/{path.stem}"))
         self._writer = Writer(folder, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._heard: set[str] = set()
 

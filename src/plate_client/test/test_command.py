@@ -150,7 +150,7 @@ def test_nobody_is_there(graph):
     ],
 )
 def test_a_domain_or_namespace_that_is_none_is_refused_in_a_line(domain, words, message):
-    code = "from plate_core.ros.command import main; main()"
+    code = "from plate_client.command import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", code, *words], env=os.environ | {"ROS_DOMAIN_ID": domain},
         capture_output=True, text=True, timeout=60,

@@ -445,7 +445,7 @@ def test_the_command_line_stops_and_tells(peer):
     assert (code, EMERGENCY in text) == (0, True)
     assert plate("enable") == (0, "ready\n")
     code, text = plate("stop")
-    assert (code, "no service start: nodes here: driver, driver_safety" in text) == (1, True)
+    assert (code, "no service stop: nodes here: driver, driver_safety" in text) == (1, True)
 
 
 def test_a_stop_latches_in_every_state(peer):

@@ -1,0 +1,69 @@
+"""Tasks sent to the real graph by `plate_client`, as a script of a user would."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from goals import storm
+from graph.session import session
+
+from plate_bringup import GraphError, RunOptions
+from plate_client import PlateClient
+from plate_core import PlateError
+from plate_core.tasks import load_scenario
+
+pytestmark = pytest.mark.alone
+
+SORT_4 = load_scenario("sort_4")
+
+
+def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path):
+    options = RunOptions(scenario="sort_4", autostart=False)
+    with session(options, tmp_path, pictures=False) as graph:
+        graph.free()
+        graph.observer.await_ready()
+        result = storm(graph.observer, 60, np.random.default_rng(1))
+        assert result["unanswered"] == 0, result
+        assert result["wrong ones that began"] == 0, result
+        assert result["plate rests"], result
+        assert {"INVALID_GOAL", "CANCELED", "BUSY"} <= result["reasons"].keys(), result
+        check_the_command(graph)
+        check_a_planner_that_dies(graph)
+
+
+def check_the_command(graph):
+    """`plate goal` shows how a task gets on, and Ctrl-C cancels it."""
+    domain = {"ROS_DOMAIN_ID": str(graph.observer.domain)}
+    words = [sys.executable, "-c", "from plate_client.command import main; main()"]
+    words += ["goal", "sort_4"]
+    process = subprocess.Popen(
+        words, env=os.environ | domain, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    record = graph.observer.record
+    record.states.clear()
+    assert graph.observer.until(lambda: "running" in record.states, 30)
+    process.send_signal(signal.SIGINT)
+    said, problem = process.communicate(timeout=30)
+    assert process.returncode == 1, (said, problem)
+    assert problem.startswith("plate: aborted")
+    assert "canceled" in problem
+    assert graph.observer.until(lambda: "canceled" in record.states[-1], 5)
+
+
+def check_a_planner_that_dies(graph):
+    """A client does not wait in vain for what a dead planner promised."""
+    observer = graph.observer
+    plate = PlateClient(observer.node, observer.until)
+    observer.pulses.clear()  # else the death of a node is the observer's error
+    task = plate.start(SORT_4)
+    graph.processes.signal("planner", signal.SIGKILL)
+    with pytest.raises(PlateError, match="the planner is gone"):
+        plate.wait(task, 30.0)
+    with pytest.raises(GraphError, match="no action sort_parts: does the planner run"):
+        observer.start(SORT_4, 0.0)
