@@ -129,6 +129,8 @@ def start(hardware: bool, context: Any) -> list[Any]:
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
     if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
         values["rig_file"] = load_scenario(given["scenario"]).rig
+    if "namespace" in given:  # two plates have two simulated devices
+        values["link"] = RunOptions.link + "_" + given["namespace"].strip("/").replace("/", "_")
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )

@@ -183,6 +183,8 @@ def test_the_driver_waits_for_the_simulated_device(stand_in, tmp_path):
     assert nodes["driver"].parameters[-1] == {"transport": "serial", "port": link}
     assert nodes["device"].parameters[-1] == {"link": link}
     assert nodes["simulator"].parameters[-1] == {"driven_by": "device"}
+    beside, _ = started("closed_loop", transport="serial", namespace="/lab/right")
+    assert beside["device"].parameters[-1] == {"link": f"{link}_lab_right"}
     start, driver = sys.modules["plate_bringup.actions"]._await, nodes["driver"]
     (later,) = start(tmp_path / "link", driver, None)
     assert later.kind == "TimerAction"
