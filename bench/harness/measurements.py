@@ -40,6 +40,7 @@ ABOUT = {
         "tasks": "Every scenario over many seeds, and in worlds that are not as believed",
         "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
         "sizing": "Shaking ratio and number of parts: time, error, parts dropped",
+        "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
         "control": "The closed loop with more and less time for the solver",
         "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
         "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",

@@ -503,6 +503,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         findings = self._inputs.findings(now, self._publisher_count)
         if self._refused:
             findings.append(Finding(Level.WARN, self._refused))
+        if self._estimator.image_problem:
+            findings.append(Finding(Level.WARN, self._estimator.image_problem))
         found = worst(findings, "")
         if self._run is None:
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))
@@ -522,6 +524,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             "task_state": "idle" if run is None else run.state.task.text,
             "driver_state": self._inputs.driver_state.text,
             "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
+            "image_rate_hz": f"{self._estimator.image_rate:.1f}",
         }
 
     def _begin_report(self) -> None:

@@ -158,6 +158,11 @@ class CycleClock:
         intervals = (*self.intervals, step)[-INTERVALS_KEPT:]
         return CycleClock(t, intervals, median_low(intervals))
 
+    @property
+    def interval(self) -> float:
+        """Distance of the last two images [s]; the period as long as it is not known."""
+        return self.intervals[-1] if self.intervals else self.period
+
     def went_back(self, t: float) -> bool:
         """Whether a stamp [s] is earlier than the last: the source was started again."""
         return self.stamp is not None and t < self.stamp

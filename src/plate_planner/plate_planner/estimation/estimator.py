@@ -26,6 +26,10 @@ SAME_LATENCY_S = 2e-3
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
 
+ODD, ODD_IMAGES = 0.25, 20
+"""So many images in a row that are this fraction of a cycle off a whole number of cycles apart are
+not of a camera that is triggered at the starts of cycles."""
+
 NOBODY = Parts.make((), np.zeros((0, 2)))
 
 
@@ -162,6 +166,8 @@ class Estimator:
         As vision saw them.
     request : LastRequest
         What parts are taken to do as long as the plate's motion is not known.
+    odd : int
+        Images in a row that did not come a whole number of cycles after the one before.
     before, before_stamp : Parts, float
         The parts as they were said at the last answer, and when that was [s].
     bias : DriftBias
@@ -175,6 +181,7 @@ class Estimator:
     log: CycleLog = field(default_factory=CycleLog)
     seen: Parts = NOBODY
     request: LastRequest = field(default_factory=LastRequest)
+    odd: int = 0
     before: Parts = NOBODY
     before_stamp: float = -np.inf
     bias: DriftBias = field(default_factory=DriftBias)
@@ -219,8 +226,32 @@ class Estimator:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
         taken = frames.instant if log.reported else t
+        cycles = clock.interval / log.period if log.known else 1.0
+        odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
         latency = hypotheses.update(log, parts, taken, delay, self.friction_accel, COAST)
-        return replace(self, clock=clock, frames=frames, seen=parts, log=log, latency=latency)
+        return replace(
+            self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd
+        )
+
+    @property
+    def image_rate(self) -> float:
+        """Images a second; 0 until it is known."""
+        return self.frames.rate
+
+    @property
+    def image_problem(self) -> str:
+        """What is wrong with when images come; empty if nothing is."""
+        if not self.log.known:
+            return ""
+        rate, cycles = self.image_rate, 1 / self.period
+        if self.log.reported and 0 < rate < cycles:
+            return f"{rate:.3g} images a second, allowed: {cycles:.3g} or more, one in each cycle"
+        if not self.log.reported and self.odd >= ODD_IMAGES:
+            return (
+                f"{rate:.3g} images a second and {cycles:.3g} cycles: the camera is not triggered "
+                "at the start of each cycle"
+            )
+        return ""
 
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
         """Take in what is asked of the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
