@@ -32,6 +32,9 @@ FEWEST_IMAGES, CLEAR, BETTER = 4, 8.0, 4.0
 """Latencies are given up after so many images at the least, once they are less likely than the best
 by so much [log]: model and noise are not quite as assumed. It takes less to believe another one."""
 
+SOON_IMAGES = 4
+"""Of images at the starts of cycles, after which believing another latency takes more and more."""
+
 MISFIT, MISFIT_IMAGES = 6.0, 8
 """Where the mean square of normalised innovations, over so many images, is above this (1 is usual),
 nothing that is assumed can be right: the latency is looked for anew."""
@@ -152,7 +155,11 @@ class LatencyHypotheses:
         if self.found and seen.misfit > MISFIT:
             return replace(LatencyHypotheses.of(None), jitter=self.jitter)
         likely = seen.log_likelihood
+        # Images at the starts of cycles tell little of it: what was believed for long is kept.
+        better = BETTER if log.reported else BETTER * max(seen.images / SOON_IMAGES, 1.0)
         best, middle = int(np.argmax(likely)), len(STEPS) // 2
+        if likely[best] - likely[self.best] < better:
+            best = self.best
         step = self.latencies[1] - self.latencies[0]
         at_end = best == len(STEPS) - 1 or (best == 0 and self.latencies[0] > 0)
         given_up = middle if at_end else np.abs(STEPS - STEPS[best]) > 1
@@ -160,7 +167,7 @@ class LatencyHypotheses:
         if other and likely[best] - np.max(likely[given_up]) > CLEAR:
             step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
             return seen._around(best, step, log, friction_accel)
-        return replace(seen, best=best) if likely[best] - likely[self.best] > BETTER else seen
+        return replace(seen, best=best)
 
     def _jitter(self, fit: Fit) -> Jitter:
         """Return the jitter after an image; as long as the latency is wrong it tells nothing."""
