@@ -14,7 +14,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
-from rclpy.task import Future
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -164,7 +163,7 @@ class Run:
     state: PlannerState
     began: float  # when the goal came [s, steady clock]
     goal: Any  # its handle
-    ended: Future
+    finished: bool = False  # whether it has its result
     progress: Progress | None = None
 
     @property
@@ -184,6 +183,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def __init__(self) -> None:
         super().__init__("planner", PlannerParameters)
         self._run: Run | None = None
+        self._ends: dict[bytes, TaskStatus] = {}  # results on their way, by goal
         self._stamp = self.get_clock().now().to_msg()  # of the last image
         self._diagnostics = self.report(
             self._find, self._values, reported=self._begin_report, stamp=lambda: self._stamp
@@ -206,8 +206,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_timer(WATCH_PERIOD_S, self._watch)
         for name, action in ACTIONS.items():
             server = ActionServer(
-                self, action, name, self._on_goal, cancel_callback=self._on_cancel
-            )
+                self, action, name, self._result, handle_accepted_callback=self._on_goal,
+                cancel_callback=self._on_cancel,
+            )  # fmt: skip
             self.keep(ActionServer.destroy, server)
 
     def begin(self) -> None:
@@ -375,34 +376,38 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     # Goals
 
-    async def _on_goal(self, goal: Any) -> Any:
-        """Do a task; returns its result when it has ended.
+    def _on_goal(self, goal: Any) -> None:
+        """Begin a task, which goes on until `_finish`; rclpy polls a coroutine that waits.
 
         A goal that cannot be done is accepted and aborted at once: a refused one has no room for
         the reason.
         """
-        now = self._wake() if self.active else 0.0
-        run = self._begin(goal, now)
-        if isinstance(run, Failure):
-            status = TaskStatus(state=TaskStatus.ABORTED, reason=int(run.reason), text=run.text)
+        why = self._begin(goal, self._wake() if self.active else 0.0)
+        if why is not None:
+            self.get_logger().warning(f"goal refused: {why.text}")
+            status = TaskStatus(state=TaskStatus.ABORTED, reason=int(why.reason), text=why.text)
             status.header = Header(stamp=self._stamp)
-            self.get_logger().warning(f"goal refused: {run.text}")
-            goal.abort()
+            self._finish(goal, status)
+
+    def _finish(self, goal: Any, status: TaskStatus) -> None:
+        """Give a goal its result, by `_result`."""
+        self._ends[bytes(goal.goal_id.uuid)] = status
+        goal.execute()
+
+    def _result(self, goal: Any) -> Any:
+        status = self._ends.pop(bytes(goal.goal_id.uuid))
+        if status.state == TaskStatus.DONE:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
         else:
-            await run.ended
-            status = self._status(run)
-            if run.state.task.phase is Phase.DONE:
-                goal.succeed()
-            elif goal.is_cancel_requested:
-                goal.canceled()
-            else:
-                goal.abort()
+            goal.abort()
         result = ACTIONS[self._action(goal.request)].Result()
         result.status = status
         return result
 
-    def _begin(self, goal: Any, now: float) -> Run | Failure:
-        """Begin a task, unless there is a reason not to."""
+    def _begin(self, goal: Any, now: float) -> Failure | None:
+        """Begin a task; returns the reason if it cannot be begun."""
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
         try:
@@ -425,11 +430,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         for doubt in planner.doubts():
             self.get_logger().warning(doubt)
         state = planner.start(planner.initial(self._estimator))
-        self._run = run = Run(planner, state, now, goal, Future())
+        self._run = Run(planner, state, now, goal)
         self._asked = True
         self._follow_up()
         self._go_on()
-        return run
+        return None
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
         """End the task of a goal."""
@@ -478,8 +483,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             feedback = ACTIONS[self._action(run.goal.request)].Feedback()
             feedback.progress = status.progress
             run.goal.publish_feedback(feedback)
-        elif not run.ended.done():
-            run.ended.set_result(None)
+        elif not run.finished:
+            run.finished = True
+            self._finish(run.goal, status)
 
     def _publish_status(self) -> TaskStatus:
         status = TaskStatus(text="idle") if self._run is None else self._status(self._run)
