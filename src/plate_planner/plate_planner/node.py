@@ -438,7 +438,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
         """End the task of a goal."""
-        if self._run is None or self._run.goal is not goal:
+        run = self._run
+        if run is None or run.goal is not goal or run.finished:
             return CancelResponse.REJECT
         self._wake()
         self._end(CANCELED)
