@@ -237,7 +237,6 @@ def test_what_one_node_of_a_process_refuses_names_it(tmp_path, domain):
 
 BROKEN = "parts: [{class: black, count: 2}\ntask: ]"
 WRONG_INPUT = [
-    ("planner", {"scenario": "sort_4"}, "parameter scenario is not one of planner"),
     ("simulator", {"scenario": "sort_3"}, "scenario is 'sort_3' (did you mean sort_"),
     ("simulator", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-PUBLISHER = re.compile(r'create_(?:lifecycle_)?publisher\(\s*\w+,\s*"(\w+)"')
+PUBLISHER = re.compile(r'(?:create|managed)_(?:lifecycle_)?publisher\(\s*\w+,\s*"(\w+)"')
 PUBLISHED = {
     name
     for pattern in ("src/*/plate_*/node.py", "src/plate_core/plate_core/ros/*.py")

@@ -113,7 +113,7 @@ def work_again(
         graph = stack.enter_context(session(options, logs, pictures=False))
         hops = stack.enter_context(Hops())
         graph.free()
-        names, others = graph.processes.names, None
+        names, others = [*graph.processes.names], None
         if beside:
             one_task(graph, hops, None, 0.0, 5.0)  # messages of their true size
             others = stack.enter_context(Hops(NAMESPACE))
