@@ -196,7 +196,7 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
         graph.free()
         for name, topic in (("solver", "plate_cycle"), ("detector", "parts")):
             record.states.clear()
-            observer.start()
+            observer.start(graph.scenario)
             record.tables.clear()
             assert observer.until(lambda: any(not at_rest(c) for c in tables(record)[-1:]), 30)
             observer.change_state(name, "deactivate")

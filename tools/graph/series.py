@@ -158,7 +158,11 @@ def one_task(
         (counts[0] - before[0], counts[1] - before[1], counts[2] - before[2]),
         limits.tables,
         len(limits.faults),
-        {name: memory_mb(graph.processes.pid(name)) for name in graph.processes.names},
+        {
+            name: memory_mb(graph.processes.pid(name))
+            for name in graph.processes.names
+            if not name.startswith("beside_")
+        },
         rows(hops, start, end),
         rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),
     )

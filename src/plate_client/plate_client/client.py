@@ -215,7 +215,10 @@ class PlateClient:
         end = time.monotonic() + ready_timeout_s
         while True:
             task = self.send(scenario)
-            self._until(task.has_begun, FOUND_S)
+            try:
+                self._until(task.has_begun, FOUND_S)
+            except KeyboardInterrupt:  # nobody else knows of the task
+                raise TaskError(self.cancel(task)) from None
             if task.status is None or task.status.reason not in REFUSED:
                 return task
             if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:

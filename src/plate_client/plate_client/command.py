@@ -74,6 +74,7 @@ DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
 def main() -> None:
     """Run the command line; exit code 0 if it was done, 1 if not."""
     args = _arguments()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` has it ignored
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
     try:
         domain()

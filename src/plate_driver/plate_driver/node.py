@@ -414,7 +414,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         assert experiment is not None
         try:
             if not experiment.over:
-                if self._guard.over(now - self._guard.lasts_s):
+                if self._guard.over(now, 2.0):
                     raise PlateError("the motors have not played the experiment to its end")
                 return
             calibration = experiment.finished()

@@ -269,7 +269,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
         if run is None:
-            self._idle = self._idle.update(parts, seconds(stamp))
+            if seconds(stamp) != self._idle.stamp:  # in lockstep an image may come again
+                self._idle = self._idle.update(parts, seconds(stamp))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted

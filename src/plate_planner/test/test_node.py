@@ -167,6 +167,10 @@ class Graph:
         return msg_to_wanted(self.forces[-1])
 
     def close(self):
+        if self.planner.active:
+            self.planner.trigger_deactivate()
+        for _ in range(10):  # the result of a goal that ends with it
+            self.executor.spin_once(timeout_sec=0.01)
         self.executor.shutdown()
         self.probe.destroy_node()
         self.planner.destroy_node()

@@ -19,6 +19,9 @@ from ..errors import PlateError
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered
 
+LAST_ROUNDS = 5
+"""Rounds of the executor in which what was said at the end is sent."""
+
 POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
 
@@ -86,6 +89,12 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
+        for node in nodes:  # while messages still go out: results of goals that end with it
+            if getattr(node, "active", False) and rclpy.ok():
+                node.trigger_deactivate()
+        if spinning:
+            for _ in range(LAST_ROUNDS):
+                executor.spin_once(timeout_sec=0.01)
         with contextlib.ExitStack() as stack:
             stack.callback(rclpy.try_shutdown)
             for node in nodes:

@@ -188,13 +188,13 @@ class Guard:
         thermal = self.thermal.at_time(self.rig, now).under(np.zeros(4))
         return replace(self, table=None, thermal=thermal)
 
-    def over(self, now: float) -> bool:
-        """Tell whether the last table has been played to its end, or the clock was put back: cycles
-        have ceased to come. At 0 a simulated clock has not been heard yet."""
+    def over(self, now: float, times: float = 1.0) -> bool:
+        """Tell whether cycles have ceased to come: `times` as long as the last table lasts has
+        passed, or the clock was put back. At 0 a simulated clock has not been heard yet."""
         if self.table is None:
             return False
         put_back = now > 0 and 1e9 * (self.sent_at - now) > RESTART_NS
-        return put_back or now - self.sent_at > self.lasts_s
+        return put_back or now - self.sent_at > times * self.lasts_s
 
     def watched(self, now: float) -> tuple[Guard, bool]:
         """Return the guard at `now` [s], and whether it rests since cycles ceased to come."""
