@@ -263,6 +263,7 @@ class SlowNode(SafeLifecycleNode[NodeOptions]):
             self.triggered = True
             self.trigger_configure()
         elif self.active:
+            self.triggered = True
             print("active", flush=True)
 
     def configure(self):

@@ -77,6 +77,11 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
         spinning = True
         while rclpy.ok() and not stopped:
             executor.spin_once(timeout_sec=POLL_S)
+        for node in nodes:  # while messages still go out: results of goals that end with it
+            if isinstance(node, SafeLifecycleNode) and node.active and rclpy.ok():
+                node.trigger_deactivate()
+        for _ in range(LAST_ROUNDS if rclpy.ok() else 0):
+            executor.spin_once(timeout_sec=0.01)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except PlateError as error:
@@ -89,12 +94,6 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
-        for node in nodes:  # while messages still go out: results of goals that end with it
-            if getattr(node, "active", False) and rclpy.ok():
-                node.trigger_deactivate()
-        if spinning:
-            for _ in range(LAST_ROUNDS):
-                executor.spin_once(timeout_sec=0.01)
         with contextlib.ExitStack() as stack:
             stack.callback(rclpy.try_shutdown)
             for node in nodes:
