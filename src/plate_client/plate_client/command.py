@@ -32,7 +32,7 @@ from plate_interfaces.msg import TaskStatus
 from .client import PlateClient, TaskError
 
 SERVICES = {
-    "stop": "end the task, whoever sent it",
+    "stop": "end the task, also of another sender",
     "enable": "clear the present stop: the motors get current, and the plate goes home",
     "disable": "brake, then current off, without an emergency",
     "emergency_stop": "brake, then current off (stop category 1)",

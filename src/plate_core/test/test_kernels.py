@@ -21,7 +21,7 @@ from plate_rooms.outer import two
 told = []
 with when_compiling(lambda: told.append("compiling")):
     print(two(3), dict(two.stats.cache_hits))
-    two(3.5)  # another kernel: it is told once
+    two(3.5)  # another kernel: it is said once
 assert told == ["compiling"] * (not two.stats.cache_hits)
 """
 

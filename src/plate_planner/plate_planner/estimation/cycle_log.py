@@ -1,6 +1,6 @@
 """Which plate cycle ran when, and how long a cycle is.
 
-Whoever plays cycles reports when one begins. Where nobody does, a camera is taken to be triggered
+The player of cycles reports when one begins. Where none does, a camera is taken to be triggered
 at the start of each cycle: then its stamps say it, and cycles that were sent what has begun.
 """
 
