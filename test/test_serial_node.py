@@ -29,6 +29,8 @@ from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from plate_core.ros import DATA, LATCHED, cycle_to_msg, nanoseconds, to_time  # noqa: E402
 from plate_driver.state import LOOK, OFF, UNANSWERED  # noqa: E402
 
+pytestmark = pytest.mark.alone  # the device must be heard in time
+
 RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3
@@ -320,7 +322,6 @@ WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
         ended(signal.SIGKILL), homed]  # fmt: skip
 
 
-@pytest.mark.alone  # the device must be heard in time
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
 def test_no_way_undoes_a_stop(bench, way):
     board = bench.board
