@@ -14,7 +14,9 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
-from plate_client.command import Graph, domains_in_use, main  # noqa: E402
+from plate_client.command import main  # noqa: E402
+from plate_client.graph import Graph  # noqa: E402
+from plate_client.services import domains_in_use  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import LATCHED, declare, follow, parameter  # noqa: E402
 from plate_interfaces.msg import TaskStatus  # noqa: E402
@@ -43,7 +45,8 @@ def graph():
         response.success, response.message = orders[-1] is not False, "so it is"
         return response
 
-    node.create_service(Trigger, "home", answer)
+    for name in ("home", "emergency_stop"):
+        node.create_service(Trigger, name, answer)
     node.create_service(SetBool, "enable", answer)
     node.create_publisher(TaskStatus, "task_status", LATCHED).publish(TaskStatus(text="idle"))
     executor = SingleThreadedExecutor(context=context)
@@ -157,6 +160,42 @@ def test_a_domain_or_namespace_that_is_none_is_refused_in_a_line(domain, words, 
     )  # fmt: skip
     assert (done.returncode, done.stderr[: len(message)]) == (1, message)
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("command", "code"), [("emergency_stop", 0), ("disable", 1)])
+def test_a_stop_waits_for_no_import_that_it_does_not_need(graph, command, code):
+    program = """
+import sys
+from plate_client.command import main
+try:
+    main()
+finally:
+    print({"scipy", "numba", "plate_core.ros", "plate_core.tasks", "rclpy.action"} & {*sys.modules})
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, command, "--namespace", NAMESPACE],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == code
+    assert "so it is" in done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_interrupted_while_it_imports_it_says_so_in_a_line():
+    program = """
+import os, signal, sys
+from plate_client.command import main
+class Finder:
+    def find_spec(self, name, *rest):
+        if name == "rclpy":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, "state"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (130, "plate: interrupted\n")
 
 
 def test_a_mistyped_command_is_told_the_nearest(monkeypatch, capsys):

@@ -25,6 +25,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import (  # noqa: E402
+    CALLS,
     DATA,
     LATCHED,
     cycle_to_msg,
@@ -446,6 +447,18 @@ def test_the_command_line_stops_and_tells(peer):
     assert plate("enable") == (0, "ready\n")
     code, text = plate("stop")
     assert (code, "no service stop: nodes here: driver, driver_safety" in text) == (1, True)
+
+
+def test_each_of_100_stops_at_once_is_answered(peer):
+    peer.connect()
+    stops = [
+        peer.node.create_client(Trigger, "emergency_stop", qos_profile=CALLS) for _ in range(100)
+    ]
+    assert all(peer.until(stop.service_is_ready) for stop in stops)
+    peer.until(lambda: False, 1.0)  # the driver gets to know them
+    answers = [stop.call_async(Trigger.Request()) for stop in stops]
+    assert peer.until(lambda: all(answer.done() for answer in answers))
+    assert {answer.result().message for answer in answers} == {EMERGENCY}
 
 
 def test_a_stop_latches_in_every_state(peer):

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import comb
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from ..errors import CycleError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 REST_TOLERANCE = np.array([1e-6, 1e-6, 1e-5])
 """Pose [m, m, rad], twist and acceleration below this (times 1, 1/s, 1/s2 and 100) are rest."""
@@ -84,6 +87,8 @@ class PlateCycle:
     @cached_property
     def _splines(self) -> tuple[PPoly, PPoly, PPoly]:
         """Pose, twist and acceleration as piecewise polynomials."""
+        from scipy.interpolate import PPoly  # here: the command that stops must not wait for it
+
         pose = PPoly(self._coefficients.transpose(1, 0, 2)[::-1], self.times)
         return pose, pose.derivative(), pose.derivative(2)
 

@@ -29,11 +29,12 @@ from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
-from .qos import CAMERA, DATA, IMAGE, LATCHED, NEWEST
+from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST
 from .unlocked import UnlockedSubscription
 
 __all__ = [
     "ACTIONS",
+    "CALLS",
     "CAMERA",
     "DATA",
     "DIAGNOSTICS_PERIOD_S",

@@ -18,6 +18,7 @@ from ..errors import PlateError
 from ..status import Finding, Level
 from .diagnostics import Diagnostics
 from .params import Spec, declare, follow, parameter
+from .qos import CALLS
 
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
@@ -152,7 +153,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             response.message = f"{self.get_name()} is inactive, allowed: active"
             return response
 
-        self.keep(self.destroy_service, self.create_service(kind, name, callback))
+        service = self.create_service(kind, name, callback, qos_profile=CALLS)
+        self.keep(self.destroy_service, service)
 
     def managed_timer(self, period_s: float, tick: Callable[[], None]) -> Timer:
         """Have `tick` called every so often while the node is active, by the steady clock."""

@@ -41,3 +41,12 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """State that a late subscriber must still see."""
+
+CALLS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Services and their clients: with ROS's own depth of 10, of 100 stops at once 90 get no answer. A
+client needs it too, for the answers to all of them pass through its queue."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 SAGITTA_M = 1e-6
 """Greatest distance of a chord from its arc [m]: far below what a camera sees."""
@@ -40,6 +39,8 @@ def spline_points(point: np.ndarray, closed: bool) -> np.ndarray:
     at the first point, which is not repeated. An open one has no curvature at its ends.
     """
     knot = np.vstack([point, point[:1]]) if closed else np.asarray(point, dtype=float)
+    from scipy.interpolate import CubicSpline  # here: the command that stops must not wait for it
+
     length = np.hypot(*np.diff(knot, axis=0).T)
     place = np.append(0.0, np.cumsum(length))
     spline = CubicSpline(place, knot, bc_type="periodic" if closed else "natural")

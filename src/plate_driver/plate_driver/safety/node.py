@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from plate_core.ros import LATCHED
+from plate_core.ros import CALLS, LATCHED
 
 from ..state import CUT, DISABLED, EMERGENCY, READY, UNANSWERED
 from ..transports import STOPPED_SINCE, Condition
@@ -65,7 +65,8 @@ class SafetyNode:
             (Trigger, "home", self._on_home),
         ):
             full = driver.resolve_service_name(name)
-            node.create_service(kind, full, self._guarded(answer), callback_group=group)
+            call = self._guarded(answer)
+            node.create_service(kind, full, call, qos_profile=CALLS, callback_group=group)
         topic = driver.resolve_topic_name("driver_state")
         self._states = node.create_publisher(String, topic, LATCHED)
         self._state, self._state_at = "", float("-inf")

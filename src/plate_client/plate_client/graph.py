@@ -1,0 +1,178 @@
+"""Tasks, states and parameters of the running nodes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+from action_msgs.srv import CancelGoal
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_msgs.msg import String
+
+from plate_core import PlateError, did_you_mean
+from plate_core.ros import ACTIONS, LATCHED
+from plate_core.tasks import Scenario, load_scenario
+from plate_interfaces.msg import TaskStatus
+
+from .client import PlateClient, TaskError
+from .services import NOBODY_S, Services, nobody
+
+PROGRESS_S = 2.0
+"""Between two lines on how a task gets on [s]."""
+
+
+class Graph(Services):
+    """The running nodes, their services too, as seen by a node of our own.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the nodes.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        super().__init__(namespace)
+        self._said: dict[str, str] = {}  # by topic
+
+    def run(self, args: argparse.Namespace) -> str:
+        """Do what is asked, and return what there is to tell.
+
+        Raises
+        ------
+        PlateError
+            If it was not done.
+        """
+        match args.command:
+            case "goal":
+                return self._do(load_scenario(args.scenario))
+            case "cancel":
+                return self._cancel_all()
+            case "state":
+                return self._state()
+            case "params":
+                return "\n".join(self._list(name) for name in self._nodes(args.node))
+            case "get":
+                (node,) = self._nodes(args.node)
+                return str(self._get(node, args.name))
+            case "set":
+                (node,) = self._nodes(args.node)
+                return self._set(node, args.name, args.value)
+            case _:
+                return super().run(args)
+
+    # Tasks
+
+    def _do(self, scenario: Scenario) -> str:
+        """Do a task, and show how it gets on; returns the last status in words."""
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        if not self._seen():
+            raise PlateError(nobody())
+        plate = PlateClient(self.node, self._until)
+        task = plate.start(scenario)
+        try:
+            while not self._until(lambda: task.ended, PROGRESS_S):
+                at = task.progress
+                line = f"{at.time_s:.0f} s: {at.parts_sorted} of {at.parts_total} parts"
+                print(f"  {line}, {1e3 * at.to_go_m:.0f} mm to go", flush=True)
+            status = plate.wait(task, 0.0)
+        except KeyboardInterrupt:
+            status = plate.cancel(task)
+        if status.state != TaskStatus.DONE:
+            raise TaskError(status)
+        return str(status.text)
+
+    def _cancel_all(self) -> str:
+        """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
+        count = sum(
+            len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request(), True)
+                .goals_canceling)
+            for name in ACTIONS
+        )  # fmt: skip
+        return f"{count} goals canceled"
+
+    # State
+
+    def _state(self) -> str:
+        topics = {"driver_state": String, "task_status": TaskStatus}
+        for topic, kind in topics.items():
+            self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        health = self._health() if self._seen() else {}
+        if not self._seen() and not self._said:
+            raise PlateError(nobody())
+        lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
+        return "\n".join([*lines, *(f"  {name}: {text}" for name, text in health.items())])
+
+    def _on_text(self, topic: str) -> Callable[[Any], None]:
+        def on_message(msg: Any) -> None:
+            self._said[topic] = msg.data if isinstance(msg, String) else msg.text
+
+        return on_message
+
+    # Parameters
+
+    def _nodes(self, name: str | None) -> list[str]:
+        """Return the node of a name, or all."""
+        self._until(lambda: bool(self._seen()), NOBODY_S)
+        if self._seen():
+            self._until(lambda: name in self._seen(), NOBODY_S)
+        here = self._seen()
+        if not here:
+            raise PlateError(nobody())
+        if name is None:
+            return here
+        if name not in here:
+            raise PlateError(f"node is {name!r}{did_you_mean(name, here)}, here: {', '.join(here)}")
+        return [name]
+
+    def _names(self, node: str) -> list[str]:
+        answer = self._call(ListParameters, f"{node}/list_parameters", ListParameters.Request())
+        return sorted(answer.result.names)
+
+    def _get(self, node: str, name: str) -> Any:
+        request = GetParameters.Request(names=[name])
+        values = self._call(GetParameters, f"{node}/get_parameters", request).values
+        value = parameter_value_to_python(values[0]) if values else None
+        if value is None:
+            known = self._names(node)
+            hint = did_you_mean(name, known)
+            raise PlateError(f"{node} has no parameter {name!r}{hint}, it has: {', '.join(known)}")
+        return value
+
+    def _list(self, node: str) -> str:
+        names = self._names(node)
+        request = GetParameters.Request(names=names)
+        values = self._call(GetParameters, f"{node}/get_parameters", request).values
+        asked = DescribeParameters.Request(names=names)
+        told = self._call(DescribeParameters, f"{node}/describe_parameters", asked).descriptors
+        lines = [node]
+        for name, value, about in zip(names, values, told, strict=True):
+            shown = repr(parameter_value_to_python(value))
+            allowed = f" ({about.additional_constraints})" if about.additional_constraints else ""
+            fixed = "" if not about.read_only else " [fixed]"
+            lines.append(f"  {name:20} {shown:14} {about.description}{allowed}{fixed}")
+        return "\n".join(lines)
+
+    def _set(self, node: str, name: str, text: str) -> str:
+        before = self._get(node, name)
+        scalar = isinstance(before, bool | int | float | str)
+        kind = type(before) if scalar else list
+        try:
+            value = text if isinstance(before, str) else yaml.safe_load(text)
+            if isinstance(before, float) and type(value) is int:
+                value = float(value)
+            allowed = type(value) is kind
+        except (yaml.YAMLError, ValueError):  # the latter: a date that is none
+            allowed = False
+        if not allowed:
+            raise PlateError(f"{node} {name} is {text!r}, allowed: a {kind.__name__}")
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        result = self._call(SetParameters, f"{node}/set_parameters", request).results[0]
+        if not result.successful:
+            raise PlateError(f"{node} refuses: {result.reason}")
+        return f"{node} {name}: {before} -> {value}"

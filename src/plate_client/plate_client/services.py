@@ -1,0 +1,194 @@
+"""Calls of the running nodes' services, with no more imports than a stop needs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from plate_core import PlateError, config_path
+
+NOBODY_S, FOUND_S, ANSWER_S = 1.0, 3.0, 15.0
+"""Longest waits: for any node to be seen, for a service to be found, for its answer [s]."""
+
+URGENT = ("emergency_stop", "cut_power", "disable")
+"""These are tried for longer, also where nobody is seen."""
+
+REPORT_S, LATE_S = 1.2, 2.0
+"""What nodes say of themselves once a second is listened to for so long, and for so much longer
+where some of those that are known have said nothing yet [s]."""
+
+CALLS = QoSProfile(depth=1000)
+"""As in plate_core.ros, which takes too long to import."""
+
+NAME = "plate_command"
+
+LAST_DOMAIN = 232
+"""The ports of the next one would be beyond 65535."""
+
+DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
+"""UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains whose ports are nobody else's."""
+
+
+def start_ros(namespace: str) -> None:
+    """Start ROS, for nodes of a namespace.
+
+    Raises
+    ------
+    PlateError
+        If the environment names no ROS domain, or the namespace is none.
+    """
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
+    domain()
+    if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", namespace, re.ASCII):
+        raise PlateError(
+            f"namespace is {namespace!r}, allowed: words of letters, digits and _, with / "
+            "between them"
+        )
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+
+
+class Services:
+    """The services of the running nodes, as seen by a node of our own.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the nodes.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self.node = Node(
+            NAME, namespace=namespace, start_parameter_services=False, enable_rosout=False
+        )
+
+    def run(self, args: argparse.Namespace) -> str:
+        """Do what is asked, and return what there is to tell.
+
+        Raises
+        ------
+        PlateError
+            If it was not done.
+        """
+        service, urgent = args.command, args.command in URGENT
+        if service in ("enable", "disable"):
+            answer = self._call(
+                SetBool, "enable", SetBool.Request(data=service == "enable"), urgent
+            )
+        else:
+            answer = self._call(Trigger, service, Trigger.Request(), urgent)
+        if not answer.success:
+            raise PlateError(str(answer.message))
+        return str(answer.message)
+
+    def _call(self, kind: Any, service: str, request: Any, urgent: bool = False) -> Any:
+        client = self.node.create_client(kind, service, qos_profile=CALLS)
+
+        def there() -> bool:  # a service may be known before the name of its node is
+            return urgent or client.service_is_ready() or bool(self._seen())
+
+        if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
+            cut = ": cut the power by hand" if urgent else ""
+            raise PlateError(self._missing(service) + cut)
+        future = client.call_async(request)
+        if not self._until(future.done, ANSWER_S):
+            cut = ": cut the power by hand" if urgent else ""
+            raise PlateError(f"{service} does not answer{cut}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def _missing(self, service: str) -> str:
+        """Say why there is no such service."""
+        here = self._seen()
+        if not here:
+            return f"no service {service}: {nobody()}"
+        from plate_core.status import COMPILING
+
+        health = self._health()
+        busy = [f"{name} is {text}" for name, text in health.items() if COMPILING in text]
+        return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
+
+    def _health(self) -> dict[str, str]:
+        """Return what each node says of itself, by its name."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        from plate_core.ros import DATA, msg_to_reports
+
+        said: dict[str, str] = {}
+
+        def on_message(msg: DiagnosticArray) -> None:
+            for report in msg_to_reports(msg):
+                said[report.node] = f"{report.level.name}, {report.message}"
+
+        heard = self.node.create_subscription(DiagnosticArray, "diagnostics", on_message, DATA)
+        self._until(lambda: False, REPORT_S)
+        self._until(lambda: len(said) >= self.node.count_publishers("diagnostics"), LATE_S)
+        self.node.destroy_subscription(heard)
+        return said
+
+    def _seen(self) -> list[str]:
+        """Return the names of the nodes of our namespace."""
+        ours = self.node.get_namespace()
+        found = self.node.get_node_names_and_namespaces()
+        return sorted(  # names with _ are hidden: tools, such as the daemon of the ros2 command
+            name
+            for name, where in found
+            if name != NAME and where == ours and not name.startswith("_")
+        )
+
+    def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
+        end = time.monotonic() + timeout_s
+        while not true():
+            if time.monotonic() > end:
+                return False
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+        return True
+
+
+def nobody() -> str:
+    """Say that no graph is there, and in which domains of this machine there may be one."""
+    others = sorted(domains_in_use() - {domain()})
+    text = f"no graph runs in ROS domain {domain()}"
+    if others:
+        listed = ", ".join(map(str, others))
+        text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID={others[0]}"
+    return text
+
+
+def domain() -> int:
+    """Return the ROS domain of this process.
+
+    Raises
+    ------
+    PlateError
+        If the environment names none.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+        raise PlateError(
+            f"ROS_DOMAIN_ID is {text!r}, allowed: a whole number from 0 to {LAST_DOMAIN}"
+        )
+    return int(text)
+
+
+def domains_in_use() -> set[int]:
+    """Return the ROS domains of this machine's processes, as their UDP ports tell."""
+    found = set()
+    for table in ("/proc/net/udp", "/proc/net/udp6"):
+        path = Path(table)
+        for line in path.read_text("ascii").splitlines()[1:] if path.exists() else ():
+            port = int(line.split()[1].rsplit(":", 1)[1], 16)
+            domain, offset = divmod(port - DDS_PORT, PORTS_PER_DOMAIN)
+            if domain in DOMAINS and offset >= 10:  # below: multicast
+                found.add(domain)
+    return found
