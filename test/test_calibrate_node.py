@@ -16,6 +16,7 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.serialization import serialize_message  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros import cycle_to_msg, start_nodes, to_time  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
@@ -99,7 +100,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         assert order.done, order.failure
         assert driver.latch.open(number)
         run(0.1)
-        assert driver.state_text() == "ready"
+        assert driver.status.state is DriverState.READY
 
     def shaken(stamp_ns: int) -> np.ndarray:
         """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
@@ -110,7 +111,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
 
     def calibrated() -> None:
         assert driver._on_calibrate(Trigger.Request(), Trigger.Response()).success
-        assert driver.state_text() == "calibrating"
+        assert driver.status.state is DriverState.CALIBRATING
 
     try:
         enable()
@@ -122,13 +123,14 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         run(3.0)
         assert not learned.exists()
         assert driver._experiment is None
-        assert driver.state_text().startswith(("disabled", "stopped"))
+        assert driver.status.state is DriverState.STOPPED
+        assert driver.status.reason is DriverReason.DEVICE_RESET
         enable()
         calibrated()
         for _ in range(40):
             if driver._experiment is not None:
                 run(1.0)
-        assert driver.state_text() == "ready"
+        assert driver.status.state is DriverState.READY
         assert learned.exists()
         assert [path.name for path in learned.parent.iterdir() if "plate.npz" in path.name] == [
             "plate.npz"

@@ -17,7 +17,6 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
@@ -31,6 +30,7 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_driver.node import DriverNode  # noqa: E402
+from plate_interfaces.msg import DriverStatus  # noqa: E402
 from plate_sim.device import node  # noqa: E402
 from plate_sim.device.node import DeviceNode  # noqa: E402
 
@@ -74,8 +74,8 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
     states: list[JointState] = []
     peer.create_subscription(JointTrajectory, "motor_motion", motions.append, 50)
     peer.create_subscription(JointState, "motor_states", states.append, DATA)
-    said: list[str] = [""]
-    peer.create_subscription(String, "driver_state", lambda m: said.append(m.data), LATCHED)
+    said = [DriverStatus()]
+    peer.create_subscription(DriverStatus, "driver_status", said.append, LATCHED)
     cycles = peer.create_publisher(JointTrajectory, "plate_cycle", DATA)
     enabler = peer.create_client(SetBool, "enable")
     for each in (driver, peer):
@@ -98,7 +98,7 @@ def test_a_cycle_goes_round_and_after_a_pulled_plug_a_person_enables(tmp_path):
         return False
 
     def ready() -> bool:
-        return said[-1].startswith("ready")
+        return said[-1].state == DriverStatus.READY
 
     def whole(msg: JointTrajectory) -> bool:
         return len(msg.points) == 33 and any(msg.points[16].positions)

@@ -16,7 +16,7 @@ TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
 
 EXPECTED = {
     ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),
-    ("kill", "driver"): ("no driver_state for", "does the driver run?", "simulator"),
+    ("kill", "driver"): ("no driver_status for", "does the driver run?", "simulator"),
     ("freeze", "simulator"): ("no image for", "does the camera run?", "detector"),
     ("freeze", "planner"): ("the planner itself stood still for", "", "solver"),
     ("freeze", "solver"): ("no plate_cycle for", "the solver is silent, does it run?", "planner"),

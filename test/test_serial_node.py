@@ -22,12 +22,12 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import DATA, LATCHED, cycle_to_msg, nanoseconds, to_time  # noqa: E402
-from plate_driver.state import LOOK, OFF, UNANSWERED  # noqa: E402
+from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
+from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 pytestmark = pytest.mark.alone  # the device must be heard in time
 
@@ -132,11 +132,12 @@ class Bench:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.told: list[str] = []
+        self.status = DriverStatus()
         self.states: list[JointState] = []
         self.setpoints: list[JointTrajectory] = []
         self.reports: list[DiagnosticStatus] = []
         listen = self.node.create_subscription
-        listen(String, "driver_state", self.on_state, LATCHED)
+        listen(DriverStatus, "driver_status", self.on_status, LATCHED)
         listen(JointState, "motor_states", self.states.append, DATA)
         listen(JointTrajectory, "motor_setpoints", self.setpoints.append, DATA)
         listen(DiagnosticArray, "diagnostics", lambda m: self.reports.append(m.status[0]), DATA)
@@ -151,10 +152,16 @@ class Bench:
         self.changer = client(ChangeState, "driver/change_state")
         self.stamp = 0
 
-    def on_state(self, msg: String) -> None:
-        state = "ready" if msg.data.startswith("ready: enabled at") else msg.data
-        if self.told[-1:] != [state]:
-            self.told.append(state)
+    def on_status(self, msg: DriverStatus) -> None:
+        self.status = msg
+        if self.told[-1:] != [msg.text]:
+            self.told.append(msg.text)
+
+    def off(self) -> bool:
+        """Whether the motors are, and were heard to be since `told` was cleared."""
+        return bool(self.told) and self.status.state in (
+            DriverStatus.DISABLED, DriverStatus.STOPPED,
+        )  # fmt: skip
 
     def start(self, *parameters: str) -> subprocess.Popen:
         words = ["transport:=serial", f"port:={self.board.port}", "state_rate:=50.0"]
@@ -306,9 +313,7 @@ def ended(number: int):
         bench.end(number)
         bench.told.clear()
         bench.start()
-        assert bench.until(
-            lambda: bench.told and bench.told[-1].startswith(("stopped", "disabled"))
-        )
+        assert bench.until(bench.off)
 
     end.__name__ = signal.Signals(number).name
     return end
@@ -339,7 +344,7 @@ def test_no_way_undoes_a_stop(bench, way):
         bench.wait(0.2)
     assert board.count(Enable) == enables
     assert (board.current, board.setpoints) == (False, setpoints)
-    assert bench.told[-1].startswith(("stopped", "disabled")), bench.told
+    assert bench.off(), bench.told
     bench.moving()  # a person enables: once on the line, whatever repetitions
     assert board.current
 
@@ -354,13 +359,12 @@ def test_an_end_in_mid_motion_stops_the_plate_for_good(bench, way):
     enables = board.count(Enable)
     way(bench)
     assert bench.until(lambda: not board.current)
-    at_rest = ("stopped", "disabled")
-    assert bench.until(lambda: bench.told[-1].startswith(at_rest) if bench.told else False)
+    assert bench.until(bench.off)
     for _ in range(10):
         bench.send()
         bench.wait(0.2)
     assert (board.count(Enable), board.current) == (enables, False)
-    assert bench.told[-1].startswith(at_rest), bench.told
+    assert bench.off(), bench.told
     if way.__name__ != "SIGKILL":
         assert board.count(Stop) >= 1  # it said so, and did not leave it to the device
 
@@ -375,7 +379,9 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     assert not board.current
     assert Stop(1) in board.heard
     bench.tells(CUT)
+    heard = len(bench.told)
     bench.moving()
+    assert bench.told[heard:] == ["enabling: the plate goes home", "ready"]  # and never braking
     assert bench.enable(False).success
     bench.tells(OFF)
     bench.moving()
@@ -383,7 +389,8 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     board.dead = True
     answer = bench.stop()
     assert (answer.success, answer.message) == (False, UNANSWERED)
-    assert bench.until(lambda: bench.told[-1].startswith("error: "))
+    assert bench.until(lambda: bench.status.state == DriverStatus.ERROR)
+    assert bench.status.reason == DriverStatus.STOP_UNANSWERED
     assert bench.until(lambda: bench.reports[-1].level == DiagnosticStatus.ERROR)
     assert not bench.enable().success
     assert bench.until(lambda: not board.current)  # the device's own watchdog

@@ -9,6 +9,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
+from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import Commit, Enable, Hello, Message, Reader, State, Stop, parse
 from plate_driver.setpoints import MotorTable, prepare
 from plate_driver.transports import Condition, Measured, Order, SerialTransport
@@ -435,7 +436,7 @@ def test_a_session_of_another_host_stops_the_plate(firmware):
     second = link(firmware, seed=1000)  # as after kill -9: nobody has said good-bye
     pass_time(firmware, second, 1.5)
     quiet_since(firmware, since)
-    assert second.report().reason == "stopped"
+    assert second.report().reason is DriverReason.EARLIER_STOP
     goes_on(firmware, second)
 
 
@@ -484,7 +485,7 @@ def test_an_enable_does_not_clear_a_fault_that_came_later(firmware):
     assert wish.failure.startswith("wrong stop"), wish.failure
     pass_time(firmware, transport, 1.0)
     assert not firmware.current
-    assert "supply" in transport.report().reason
+    assert "supply" in transport.report().text
     firmware.delay = 0.0
     pass_time(firmware, transport, 0.5)
     goes_on(firmware, transport)
@@ -548,7 +549,7 @@ def test_a_jam_is_told(firmware):
     firmware.order("jam 1")
     pass_time(firmware, transport, 0.5)
     assert not firmware.current
-    assert transport.report().reason == "following"
+    assert transport.report().reason is DriverReason.FOLLOWING
     [told] = transport.troubles()
     assert told.startswith("device has stopped: following (a motor was 3.")
     assert told.endswith("mm from its setpoint, allowed: 3)")

@@ -19,7 +19,7 @@ def task(number, counts=(100, 0, 0), growth=0.0, ended="done"):
     stamps = at + 0.2 * np.arange(50)
     hops = stamps[:, None] + 1e-3 * np.array([0, 1, 4, 9, 29, 34 + number % 2])
     memory = dict.fromkeys(NODES, 100.0 + growth * at / 3600)
-    return Task(at, ended, counts, 100, 0, memory, hops, np.zeros((0, 6)))
+    return Task(at, ended, ended == "done", counts, 100, 0, memory, hops, np.zeros((0, 6)))
 
 
 def test_a_slope_has_the_interval_that_its_name_promises():

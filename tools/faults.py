@@ -5,7 +5,7 @@ python tools/faults.py [NODE ...] [--fault kill --fault freeze --fault cut] [--t
 
 For each a task of its own, with the parts put down anew. `kill` is SIGKILL, and the node is
 started again after 4 s; `freeze` is SIGSTOP, and SIGCONT after 3 s; `cut` lets nothing of
-its main input through to the node for 4 s. Told is what driver_state, task_status and the
+its main input through to the node for 4 s. Told is what driver_status, task_status and the
 diagnostics said and how long after the fault; when the plate rested; whether it moved again before
 anybody asked; and which services had to be called to go on. With --transport serial a simulated
 motor controller is in between, and the plate's motion is what that has played.
@@ -32,7 +32,6 @@ from graph.domains import own_domain
 from graph.observer import ALL, Observer
 from graph.processes import Processes
 from record.judge import LimitCheck, check_limits
-from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, GraphNode, RunOptions, load_graph
@@ -40,7 +39,7 @@ from plate_core import load_rig
 from plate_core.ros import LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import Level
 from plate_core.tasks import load_scenario
-from plate_interfaces.msg import Parts, TaskStatus
+from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
 START_S, MOVE_S = 180.0, 30.0
 """Longest waits [s]: until the graph stands, until the plate moves."""
@@ -115,6 +114,7 @@ class Said:
     at: float
     text: str
     level: int = 0
+    state: int | None = None  # of a status
 
 
 class Talk:
@@ -123,20 +123,20 @@ class Talk:
     def __init__(self, observer: Observer) -> None:
         self.said: dict[str, list[Said]] = {}
         listen = observer.node.create_subscription
-        listen(String, "driver_state", self._on_driver, LATCHED)
+        listen(DriverStatus, "driver_status", self._on_driver, LATCHED)
         listen(TaskStatus, "task_status", self._on_task, LATCHED)
         listen(DiagnosticArray, "diagnostics", self._on_diagnostics, ALL)
 
-    def _on_driver(self, msg: String) -> None:
-        self._note("driver_state", msg.data)
+    def _on_driver(self, msg: DriverStatus) -> None:
+        self._note("driver_status", msg.text)
 
     def _on_task(self, msg: TaskStatus) -> None:
         said = self.said.get("task_status")
         if not said or said[-1].text != msg.text:  # it is said with each image
-            self._note("task_status", msg.text)
+            self._note("task_status", msg.text, state=msg.state)
 
-    def _note(self, who: str, text: str, level: int = 0) -> None:
-        self.said.setdefault(who, []).append(Said(time.monotonic(), text, level))
+    def _note(self, who: str, text: str, level: int = 0, state: int | None = None) -> None:
+        self.said.setdefault(who, []).append(Said(time.monotonic(), text, level, state))
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for report in msg_to_reports(msg):
@@ -231,7 +231,7 @@ class Faults:
         observer = self.observer
         self.plate.tables_only = False
         for _ in range(TRIES):
-            if not observer.record.driver_state.startswith("ready"):
+            if not observer.record.ready:
                 observer.enable()
             observer.begin_anew(self.scenario)
             self.plate.moved_until = 0.0
@@ -291,12 +291,12 @@ class Faults:
         """Note what was said between two times."""
         talk = self.talk
         for said in talk.after("task_status", since):
-            if said.at < until and not said.text.startswith("running"):
+            if said.at < until and said.state != TaskStatus.RUNNING:
                 row.task, row.task_s = said.text, round(said.at - since, 1)
                 break
-        before = talk.before("driver_state", since).text
+        before = talk.before("driver_status", since).text
         row.driver, row.driver_s = before, None
-        for said in talk.after("driver_state", since):
+        for said in talk.after("driver_status", since):
             if said.at < until and said.text != before:
                 row.driver, row.driver_s = said.text, round(said.at - since, 1)
                 break
@@ -305,7 +305,7 @@ class Faults:
             worst: Said | None = None
             for said in talk.after(name, since):
                 more = Level(said.level).rank > (Level(worst.level).rank if worst else 0)
-                if name not in ("driver_state", "task_status") and said.at < until and more:
+                if name not in ("driver_status", "task_status") and said.at < until and more:
                     worst = said
             if worst is not None and worst.level != talk.before(name, since).level:
                 seconds = round(worst.at - since, 1)
@@ -319,7 +319,7 @@ class Faults:
             observer.start(self.scenario, 0.0)
         except GraphError as refusal:
             row.refused = str(refusal)
-            if not observer.record.driver_state.startswith("ready"):
+            if not observer.record.ready:
                 row.to_go_on.append("enable")
                 observer.enable()
             observer.start(self.scenario)
@@ -398,7 +398,7 @@ def markdown(result: dict[str, Any]) -> str:
         return f"{seconds:.1f} s: {text}" if seconds is not None else text
 
     lines = [
-        "| fault | node | task_status | driver_state | diagnostics | plate rests | to go on |",
+        "| fault | node | task_status | driver_status | diagnostics | plate rests | to go on |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:

@@ -151,7 +151,7 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
             end = time.time()
             latency = 1e3 * np.diff(rows(hops, start, end)[:, [0, -1]], axis=1)
         return {
-            "ended": record.states[-1], "images": len(latency),
+            "done": record.done, "ended": record.states[-1], "images": len(latency),
             "latency_ms": round(float(np.median(latency)), 1),
             "latency_p99_ms": round(float(np.percentile(latency, 99)), 1),
             "crossed_kB_per_s": round(1e-3 * (crossed() - begun) / (end - start), 1),
@@ -174,7 +174,7 @@ def inside(args: argparse.Namespace) -> int:
     print(result, flush=True)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    well = result["ended"].startswith("done") if args.reach != "nobody" else not result["heard"]
+    well = result["done"] if args.reach != "nobody" else not result["heard"]
     return 0 if well else 1
 
 

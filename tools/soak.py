@@ -76,8 +76,8 @@ def summed_up(series: Series) -> dict[str, Any]:
     drift, wide = slope(at, np.array([1e3 * np.median(task.latency) for task in settled]))
     return {
         "hours": tasks[-1].at_s / 3600,
-        "tasks": len(tasks), "done": sum(task.ended.startswith("done") for task in tasks),
-        "ended": [task.ended for task in tasks if not task.ended.startswith("done")],
+        "tasks": len(tasks), "done": sum(task.done for task in tasks),
+        "ended": [task.ended for task in tasks if not task.done],
         "cycles": cycles, "held": held, "late": late, "missed_share": (held + late) / cycles,
         "tables": sum(task.tables for task in tasks), "faults": sum(task.faults for task in tasks),
         "latency_ms": np.median(latency), "latency_p99_ms": np.percentile(latency, 99),

@@ -195,7 +195,7 @@ class SerialLine:
     def _upload(self, table: MotorTable) -> None:
         try:
             self.transport.send(table, HOLD_CYCLES)
-        except CycleError:  # the device is not ready: driver_state gives the reason
+        except CycleError:  # the device is not ready: driver_status gives the reason
             return
         self.running = table.cycle
 

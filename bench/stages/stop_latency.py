@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from harness import Result, Table, missing_peer, optional
+from plate_core.driver_status import DriverState
 from plate_core.serial_protocol import Reader, Stop, parse
 from plate_core.tasks import load_scenario
 from stages.upload import PERIOD_S, device, shaking
@@ -105,18 +106,18 @@ class Bench:
     def __init__(self, period_s: float | None) -> None:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
-        from std_msgs.msg import String
         from std_srvs.srv import SetBool, Trigger
         from trajectory_msgs.msg import JointTrajectory
 
         from plate_client import PlateClient
         from plate_core.ros import DATA, LATCHED, cycle_to_msg, to_time
+        from plate_interfaces.msg import DriverStatus
 
         self.node = rclpy.create_node("stop_latency")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
-        self.state = ""
-        self.node.create_subscription(String, "driver_state", self._on_state, LATCHED)
+        self.state: int | None = None
+        self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.stop = self.node.create_client(Trigger, "emergency_stop")
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
@@ -133,8 +134,8 @@ class Bench:
         self._thread = threading.Thread(target=self.executor.spin, daemon=True)
         self._thread.start()
 
-    def _on_state(self, msg: Any) -> None:
-        self.state = msg.data
+    def _on_status(self, msg: Any) -> None:
+        self.state = msg.state
 
     def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait for a condition."""
@@ -180,7 +181,7 @@ def latencies(
         bench = Bench(None if graph else period_s)
         try:
             with program("-c", driver, *arguments):
-                bench.until(lambda: bench.state.startswith("disabled"), START_S)
+                bench.until(lambda: bench.state == DriverState.DISABLED, START_S)
                 for client in (bench.stop, bench.enable):
                     client.wait_for_service(START_S)
                 with ExitStack() as stack:
@@ -221,7 +222,7 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
     except queue.Empty:
         return [(float("inf"), float("inf"))]
     bench.until(future.done, 5.0)
-    bench.until(lambda: bench.state.startswith("stopped"), 10.0)
+    bench.until(lambda: bench.state == DriverState.STOPPED, 10.0)
     return [(1e3 * (told - began), max(0.0, 1e3 * (looked - began)))]
 
 

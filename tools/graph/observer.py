@@ -18,7 +18,6 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -28,7 +27,7 @@ from plate_core import PlateError
 from plate_core.ros import CAMERA, LATCHED, msg_to_reports, nanoseconds
 from plate_core.status import COMPILING, Level
 from plate_core.tasks import Scenario
-from plate_interfaces.msg import Parts, TaskStatus
+from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
 MOST_IMAGES = 240
 """Images kept for drawing (300 kB each)."""
@@ -115,8 +114,8 @@ class Record:
         What the planner said of the task, each once.
     status : TaskStatus, optional
         The newest.
-    driver_state : str
-        What the driver said last.
+    driver : DriverStatus, optional
+        The newest.
     """
 
     truth: list[bytes] = field(default_factory=list)
@@ -129,7 +128,7 @@ class Record:
     health: dict[str, Health] = field(default_factory=dict)
     states: list[str] = field(default_factory=list)
     status: TaskStatus | None = None
-    driver_state: str = ""
+    driver: DriverStatus | None = None
 
     def last(self, node: str, key: str, default: str = "") -> str:
         """Return the newest value that a node has reported."""
@@ -139,6 +138,16 @@ class Record:
     def numbers(self, node: str, key: str) -> list[float]:
         """Return all numbers that a node has reported under a key."""
         return [float(values[key]) for _, values in self.reports.get(node, []) if key in values]
+
+    @property
+    def ready(self) -> bool:
+        """Whether cycles reach the motors."""
+        return self.driver is not None and self.driver.state == DriverStatus.READY
+
+    @property
+    def done(self) -> bool:
+        """Whether the task is over, and its goal reached."""
+        return self.status is not None and self.status.state == TaskStatus.DONE
 
     @property
     def ended(self) -> bool:
@@ -195,7 +204,7 @@ class Observer:
             listen(Image, "image_raw", record.images.add, CAMERA, True)
         listen(DiagnosticArray, "diagnostics", self._on_report, ALL, False)
         listen(TaskStatus, "task_status", self._on_task, LATCHED, False)
-        listen(String, "driver_state", self._on_driver, LATCHED, False)
+        listen(DriverStatus, "driver_status", self._on_driver, LATCHED, False)
 
     def __enter__(self) -> Observer:
         return self
@@ -213,8 +222,8 @@ class Observer:
         if not self.record.states or self.record.states[-1] != msg.text:
             self.record.states.append(msg.text)
 
-    def _on_driver(self, msg: String) -> None:
-        self.record.driver_state = msg.data
+    def _on_driver(self, msg: DriverStatus) -> None:
+        self.record.driver = msg
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         stamp = nanoseconds(msg.header.stamp)
@@ -374,7 +383,8 @@ class Observer:
         GraphError
             If that is refused, or they are not ready in time.
         """
-        self.until(lambda: not self.record.driver_state.startswith("braking"), READY_S)
+        record, braking = self.record, DriverStatus.BRAKING
+        self.until(lambda: record.driver is None or record.driver.state != braking, READY_S)
         answer = self.call(SetBool, "enable", SetBool.Request(data=True))
         if not answer.success:
             raise GraphError(f"enable refused: {answer.message}")
@@ -388,8 +398,8 @@ class Observer:
         GraphError
             If it does not in time: what it says instead.
         """
-        if not self.until(lambda: self.record.driver_state.startswith("ready"), READY_S):
-            said = self.record.driver_state or "nothing"
+        if not self.until(lambda: self.record.ready, READY_S):
+            said = "nothing" if self.record.driver is None else self.record.driver.text
             raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
 
     def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:

@@ -39,6 +39,9 @@ class Task:
     at_s : float
         When it ended, since the series began [s].
     ended : str
+        How, in words.
+    done : bool
+        Whether its goal was reached.
     counts : tuple of int
         Plate cycles; those repeated since no new one had come; those begun too late.
     tables, faults : int
@@ -52,6 +55,7 @@ class Task:
 
     at_s: float
     ended: str
+    done: bool
     counts: tuple[int, int, int]
     tables: int
     faults: int
@@ -155,6 +159,7 @@ def one_task(
     task = Task(
         time.monotonic() - began,
         record.states[-1],
+        record.done,
         (counts[0] - before[0], counts[1] - before[1], counts[2] - before[2]),
         limits.tables,
         len(limits.faults),

@@ -91,7 +91,6 @@ def judge(
     """
     film = develop(record, rig)
     limits = check_limits(record, rig)
-    state = record.states[-1]
     task = load_scenario(options.scenario).task
     follows = isinstance(task, FollowTask)
     poses = isinstance(task, PoseTask)
@@ -102,8 +101,8 @@ def judge(
         "transport": options.transport,
         "seed": options.seed,
         "lockstep": options.lockstep,
-        "success": state.startswith("done") and film.dropped == 0,
-        "message": state,
+        "success": record.done and film.dropped == 0,
+        "message": record.states[-1],
         "dropped": film.dropped,
         "parts": len(film.ids),
         "there": "placed" if isinstance(task, AssembleTask | PoseTask) else "sorted",

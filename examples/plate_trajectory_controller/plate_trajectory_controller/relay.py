@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plate_core import CycleError, Rig
+from plate_core.driver_status import DriverReason
 from plate_core.motion import motor_state
 from plate_driver.setpoints import MAX_KNOTS, MotorTable
 from plate_driver.transports import Condition, Measured, Order, Report
@@ -113,11 +114,11 @@ class Relay:
         """Say what is known: a joint_trajectory_controller does not tell whether current flows."""
         now = self._clock()
         if not self._states or now - self._states[-1][0] > SILENCE_S:
-            return Report(Condition.GONE, "no joint_states")
+            return Report(Condition.GONE, DriverReason.NO_ANSWER, "no joint_states")
         if now < self._rests_at:
             return Report(Condition.BRAKING)
         if not self._enabled:
-            return Report(Condition.OFF, HELD)
+            return Report(Condition.OFF, DriverReason.OTHER, HELD)
         return Report(Condition.READY)
 
     def send(self, table: MotorTable, repeats: int) -> None:

@@ -23,7 +23,7 @@ SERVICES = {
 OTHERS = {
     "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",
     "cancel": "cancel all goals",
-    "state": "print driver_state, task_state, and what each node says of itself",
+    "state": "print driver_status, task_status, and what each node says of itself",
     "params": "[NODE]: list parameters, their values and meanings",
     "get": "NODE NAME: print a parameter",
     "set": "NODE NAME VALUE: change a parameter of a running node",

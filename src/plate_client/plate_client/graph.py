@@ -10,12 +10,11 @@ import yaml
 from action_msgs.srv import CancelGoal
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
-from std_msgs.msg import String
 
 from plate_core import PlateError, did_you_mean
 from plate_core.ros import ACTIONS, LATCHED
 from plate_core.tasks import Scenario, load_scenario
-from plate_interfaces.msg import TaskStatus
+from plate_interfaces.msg import DriverStatus, TaskStatus
 
 from .client import PlateClient, TaskError
 from .services import NOBODY_S, Services, nobody
@@ -96,7 +95,7 @@ class Graph(Services):
     # State
 
     def _state(self) -> str:
-        topics = {"driver_state": String, "task_status": TaskStatus}
+        topics = {"driver_status": DriverStatus, "task_status": TaskStatus}
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
         self._until(lambda: bool(self._seen()), NOBODY_S)
@@ -108,7 +107,7 @@ class Graph(Services):
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:
-            self._said[topic] = msg.data if isinstance(msg, String) else msg.text
+            self._said[topic] = msg.text
 
         return on_message
 

@@ -78,7 +78,7 @@ def test_services_and_state(graph):
     with pytest.raises(PlateError, match="no service stop: nodes here: talker"):
         asked(graph, "stop")
     assert asked(graph, "state").splitlines() == [
-        "driver_state: nothing heard",
+        "driver_status: nothing heard",
         "task_status: idle",
     ]
 

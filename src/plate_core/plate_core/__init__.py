@@ -1,7 +1,7 @@
 """What two or more stages share: rig facts, plate motions, tasks, messages, the serial protocol.
 
 Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, `ros`,
-`serial_protocol`, `colours`, `status` and `yaml_fields` have the rest.
+`serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` have the rest.
 """
 
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean

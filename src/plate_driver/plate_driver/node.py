@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import CycleError, PlateError, load_rig
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.motion import motor_state
 from plate_core.ros import (
     DATA,
@@ -38,7 +39,7 @@ from .calibration import Calibration, Experiment, check_writable, save_response,
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
-from .state import CALIBRATING, DISABLED, READY, UNANSWERED, driver_state, health
+from .status import UNANSWERED, driver_status, health
 from .transports import (
     Condition,
     Latch,
@@ -95,11 +96,11 @@ class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
     Subscribes plate_cycle.
-    Publishes motor_setpoints and motor_states while active, driver_state and diagnostics always.
+    Publishes motor_setpoints and motor_states while active, driver_status and diagnostics always.
     Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate.
 
     What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
-    in every lifecycle state: emergency_stop, cut_power, enable, home and driver_state. Nothing but
+    in every lifecycle state: emergency_stop, cut_power, enable, home and driver_status. Nothing but
     `enable` gives the motors current.
 
     Measured motor_states have position [m], and in `effort`, since JointState has no field for it,
@@ -173,7 +174,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass cycles on, and say so before the first one."""
         result = super().on_activate(state)
-        self._safety.publish_state()
+        self._safety.publish_status()
         return result
 
     def rest(self) -> None:
@@ -181,7 +182,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         transport = self._transport
         if transport is None:
             return
-        self._latch.close(DISABLED if transport.motors else "")
+        self._latch.close(DriverReason.SWITCHED_OFF if transport.motors else DriverReason.NONE)
         self._halted()
         done = transport.stop().wait()
         self._latch.unanswered = not done
@@ -196,13 +197,13 @@ class DriverNode(SafeLifecycleNode[Options]):
                 time.sleep(0.01)
         if not self._setpoints.wait_for_all_acked(Duration(seconds=FAREWELL_S)):
             self.get_logger().debug("not everyone has confirmed the last motor table")
-        self._safety.publish_state()
+        self._safety.publish_status()
 
     def release(self) -> None:
         """Let go of the transport."""
         self._close()
         self._measured, self._experiment = None, None
-        self._safety.publish_state()
+        self._safety.publish_status()
 
     # The transport
 
@@ -259,14 +260,12 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Why no cycle is let through."""
         return self._latch
 
-    def state_text(self) -> str:
-        """Return what driver_state is to say."""
+    @property
+    def status(self) -> DriverStatus:
+        """What the motors do, and why they are not ready."""
         transport = self._transport
         report = None if transport is None else transport.report
-        latch, calibrating = self._latch, self._experiment is not None
-        lifecycle = "unconfigured" if transport is None else "inactive"
-        lifecycle = "active" if self.active else lifecycle
-        return driver_state(lifecycle, latch.reason, report, calibrating, latch.unanswered)
+        return driver_status(self.active, self._latch, report, self._experiment is not None)
 
     # Work
 
@@ -298,9 +297,9 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         number = self._latch.number
         try:
-            state = self.state_text()
-            if state != READY:
-                raise CycleError(f"the driver is {state}")
+            status = self.status
+            if status.state is not DriverState.READY:
+                raise CycleError(f"the driver is {status.text}")
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
             msg = deserialize_message(data, JointTrajectory)
             stamp_ns = nanoseconds(msg.header.stamp)
@@ -354,12 +353,12 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
         if not self.active:
             return
-        state, now = self.state_text(), self._now()
+        status, now = self.status, self._now()
         self._ready_since = min(self._ready_since, now)  # a simulated clock may be put back
-        if state not in (READY, CALIBRATING):
+        if status.state not in (DriverState.READY, DriverState.CALIBRATING):
             self._ready_since = now
             if self._experiment is not None:
-                self._calibrated(f"failed: {state}", now)
+                self._calibrated(f"failed: {status.text}", now)
             if self._guard.table is not None:
                 self._halted()
             return
@@ -378,19 +377,19 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _on_calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = False
-        transport, state = self._transport, self.state_text()
+        transport, status = self._transport, self.status
         if not self.options.calibration_file:
             response.message = "calibration_file is '', allowed: the name of a file"
         elif transport is None or not transport.calibrates:
             response.message = "transport is sim or streams, allowed: serial with cycles"
-        elif state != READY:
-            response.message = f"the driver is {state}, allowed: ready"
+        elif status.state is not DriverState.READY:
+            response.message = f"the driver is {status.text}, allowed: ready"
         else:
             try:
                 check_writable(self.options.calibration_file)
                 self._outcome = ""
                 self._begin_experiment(transport, Calibration.start(self._rig), self._now())
-                response.success, response.message = True, "see driver_state and diagnostics"
+                response.success, response.message = True, "see driver_status and diagnostics"
             except PlateError as error:
                 self._experiment, response.message = None, str(error)
         return response
@@ -476,14 +475,14 @@ class DriverNode(SafeLifecycleNode[Options]):
             lasting.append(f"calibration {self._outcome}")
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")
-        state, statistics = self.state_text(), self._guard.statistics
-        return health(state, statistics, self._again, self._quiet_s(self._now()), lasting)
+        quiet_s = self._quiet_s(self._now())
+        return health(self.status, self._guard.statistics, self._again, quiet_s, lasting)
 
     def _values(self) -> dict[str, str]:
         """Return what diagnostics tell, name to value."""
         experiment, transport = self._experiment, self._transport
         values = self._guard.values(DIAGNOSTICS_PERIOD_S, self._now())
-        values["state"] = self.state_text()
+        values["state"] = self.status.text
         if experiment is not None:
             values["calibration"] = experiment.calibration.progress
         elif self._outcome:

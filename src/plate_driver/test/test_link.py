@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import (  # fmt: skip
     Acknowledgement,
     Begin,
@@ -25,6 +26,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Stop,
     Telemetry,
 )
+from plate_driver.transports import Condition, Report
 from plate_driver.transports.line import ANSWER_S, frame_bytes
 from plate_driver.transports.link import (
     GREETING_S,
@@ -37,7 +39,14 @@ from plate_driver.transports.link import (
 )  # fmt: skip
 
 REST = (0.0,) * 4
+WRONG_DEVICE, DEVICE_RESET, NO_ANSWER = (
+    DriverReason.WRONG_DEVICE, DriverReason.DEVICE_RESET, DriverReason.NO_ANSWER,
+)  # fmt: skip
 KNOTS = [Knot(i, REST, REST, REST) for i in range(49)]
+
+
+def gone(reason: DriverReason, text: str) -> Report:
+    return Report(Condition.GONE, reason, text)
 
 
 def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0, stop: int = 77) -> Packet:
@@ -83,7 +92,7 @@ def test_hello_is_repeated_and_given_up():
     assert waits[GREETING_TRIES:] == pytest.approx(
         [LATER_GREETING_S] * len(waits[GREETING_TRIES:]), abs=2e-3
     )
-    assert link.failed == "device does not answer Hello"
+    assert link.failed == gone(NO_ANSWER, "device does not answer Hello")
     assert now == pytest.approx(GREETING_S, abs=0.2)
     assert link.due(now)[1] == []
 
@@ -255,11 +264,17 @@ def test_home_is_a_command():
 @pytest.mark.parametrize(
     ("packet", "failed"),
     [
-        (capabilities(version=3), "device speaks version 3 for 4 motors, allowed: version 2 for 4"),
-        (capabilities(boot=2), "device was reset"),
-        (Packet(0, Acknowledgement(9, Status.NO_SESSION)), "device was reset"),
-        (capabilities(session=4), ""),
-        (Packet(0, Acknowledgement(9, Status.DONE)), ""),
+        (
+            capabilities(version=3),
+            gone(WRONG_DEVICE, "device speaks version 3 for 4 motors, allowed: version 2 for 4"),
+        ),
+        (capabilities(boot=2), gone(DEVICE_RESET, "device was reset")),
+        (
+            Packet(0, Acknowledgement(9, Status.NO_SESSION)),
+            gone(DEVICE_RESET, "device was reset"),
+        ),
+        (capabilities(session=4), None),
+        (Packet(0, Acknowledgement(9, Status.DONE)), None),
     ],
 )
 def test_what_ends_a_link(packet, failed):
@@ -269,7 +284,8 @@ def test_what_ends_a_link(packet, failed):
 def test_silence_ends_a_link_later_where_the_way_is_long():
     link = met()
     assert not link.due(SILENCE_S - 1e-3)[0].failed
-    assert link.due(SILENCE_S + 1e-3)[0].failed == "device has been silent for 1 s"
+    silent = gone(NO_ANSWER, "device has been silent for 1 s")
+    assert link.due(SILENCE_S + 1e-3)[0].failed == silent
     far = replace(link, line=replace(link.line, trip_s=0.2, deviation_s=0.05))
     assert not far.due(SILENCE_S + 0.399)[0].failed
     assert far.due(SILENCE_S + 0.401)[0].failed

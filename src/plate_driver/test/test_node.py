@@ -20,7 +20,6 @@ from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
@@ -35,7 +34,8 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.state import LOOK, OFF  # noqa: E402
+from plate_driver.status import LOOK, OFF  # noqa: E402
+from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 NAMESPACE = f"/driver_test_{os.getpid()}"
@@ -77,9 +77,9 @@ class Peer:
             (DiagnosticArray, "diagnostics", self.reports),
         ):
             self.node.create_subscription(kind, topic, received.append, DATA)
-        self.told: list[str] = []
-        self.heard_at: list[float] = []
-        self.node.create_subscription(String, "driver_state", self._on_state, LATCHED)
+        self.told: list[str] = []  # without what is said again
+        self.statuses: list[DriverStatus] = []
+        self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.changes = self.node.create_client(ChangeState, "driver/change_state")
         self.asks = self.node.create_client(GetState, "driver/get_state")
@@ -93,11 +93,10 @@ class Peer:
             command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
 
-    def _on_state(self, msg: String) -> None:
-        self.heard_at.append(time.monotonic())
-        state = "ready" if msg.data.startswith("ready: enabled at") else msg.data
-        if not self.told or self.told[-1] != state:
-            self.told.append(state)
+    def _on_status(self, msg: DriverStatus) -> None:
+        self.statuses.append(msg)
+        if not self.told or self.told[-1] != msg.text:
+            self.told.append(msg.text)
 
     def until(self, condition, seconds: float = 60.0) -> bool:
         """Spin until the condition holds; False when it takes too long.
@@ -495,27 +494,32 @@ def test_a_stop_latches_in_every_state(peer):
     assert peer.call(enable, SetBool.Request(data=True)).success
     assert peer.until(lambda: peer.told[-1] == "ready")
     # A sign of life, twice a second.
-    count = len(peer.heard_at)
-    assert peer.until(lambda: len(peer.heard_at) >= count + 3)
+    count = len(peer.statuses)
+    assert peer.until(lambda: len(peer.statuses) >= count + 3)
 
 
 def test_an_enable_without_a_stop_changes_nothing(peer):
-    """Another text would end a running task: it stands for a stop that was cleared."""
+    """Another time of it would end a running task: it stands for a stop that was cleared."""
     peer.connect()
-    texts = []
-    peer.node.create_subscription(String, "driver_state", lambda m: texts.append(m.data), LATCHED)
-    assert peer.until(lambda: texts and texts[-1].startswith("ready: enabled at"))
-    before = texts[-1]
+    assert peer.until(lambda: peer.told[-1:] == ["ready"])
+    first, before = len(peer.statuses) - 1, peer.statuses[-1].enabled_at
+    assert abs(nanoseconds(before) * 1e-9 - time.time()) < 600
     enable = peer.node.create_client(SetBool, "enable")
     answer = peer.call(enable, SetBool.Request(data=True))
     assert (answer.success, answer.message) == (True, "ready")
-    count = len(texts)
-    assert peer.until(lambda: len(texts) >= count + 2)
-    assert set(texts) == {before}
+    count = len(peer.statuses)
+    assert peer.until(lambda: len(peer.statuses) >= count + 2)
+    assert all(status.enabled_at == before for status in peer.statuses[first:])
     stop = peer.node.create_client(Trigger, "emergency_stop")
     assert peer.call(stop, Trigger.Request()).success
     assert peer.call(enable, SetBool.Request(data=True)).success
-    assert peer.until(lambda: texts[-1].startswith("ready") and texts[-1] != before)
+    ready = DriverStatus.READY
+    assert peer.until(
+        lambda: peer.statuses[-1].state == ready and peer.statuses[-1].enabled_at != before
+    )
+    stopped = next(s for s in peer.statuses if s.state == DriverStatus.STOPPED)
+    assert (stopped.reason, stopped.text) == (DriverStatus.EMERGENCY_STOP, EMERGENCY)
+    assert stopped.enabled_at == before
 
 
 def test_cycles_that_are_too_long_are_refused_unread(peer):

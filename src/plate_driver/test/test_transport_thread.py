@@ -5,25 +5,21 @@ import threading
 import pytest
 
 from plate_core import CycleError, load_rig
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.status import Finding, Level
 from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from plate_driver.setpoints import Statistics
 from plate_driver.setpoints.motor_table import MotorTable
-from plate_driver.state import (
-    CUT,
-    DISABLED,
-    EMERGENCY,
-    LOOK,
-    OFF,
-    UNCERTAIN,
-    driver_state,
-    health,
-)
+from plate_driver.status import LOOK, OFF, UNCERTAIN, driver_status, health
 from plate_driver.transports import Condition, Order, Report, SimTransport
 from plate_driver.transports.thread import Latch, TransportThread
 
 RIG = load_rig()
 TABLE = MotorTable.rest(RIG, 0.1, 1)
+NONE, EMERGENCY, CUT, OFF_SWITCH = (
+    DriverReason.NONE, DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT,
+    DriverReason.SWITCHED_OFF,
+)  # fmt: skip
 
 
 def kept() -> tuple[TransportThread, Latch, list[MotorTable]]:
@@ -57,17 +53,17 @@ def test_an_enable_opens_only_the_stop_it_was_given_for():
     assert not latch.open(number)
     assert latch.reason == EMERGENCY
     assert latch.open(latch.number)
-    assert latch.reason == ""
+    assert latch.reason is NONE
 
 
 def test_a_weaker_reason_does_not_replace_a_stronger_one():
     _, latch, _ = kept()
-    latch.close(DISABLED)
-    latch.close(EMERGENCY, over=("", DISABLED))
-    latch.close(DISABLED)
+    latch.close(OFF_SWITCH)
+    latch.close(EMERGENCY, over=(NONE, OFF_SWITCH))
+    latch.close(OFF_SWITCH)
     assert latch.reason == EMERGENCY
     latch.close(CUT, over=())
-    latch.close(EMERGENCY, over=("", DISABLED))
+    latch.close(EMERGENCY, over=(NONE, OFF_SWITCH))
     assert latch.reason == CUT
     assert latch.number == 5
 
@@ -131,7 +127,8 @@ def test_a_defect_of_a_transport_stops_the_motors_and_ends_nothing(broken):
         assert not answer.done
     assert [str(error) for error in told] == ["a defect"]
     assert thread.report.condition is Condition.GONE
-    assert "defect" in thread.report.reason
+    assert thread.report.reason is DriverReason.DEFECT
+    assert "defect" in thread.report.text
     assert bool(stops) == (broken != "stop")
 
 
@@ -171,66 +168,125 @@ def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
     assert [str(error) for error in told] == ["a defect"] * 2
 
 
+def closed(reason: DriverReason, unanswered: bool = False) -> Latch:
+    """A latch that was closed, unless the reason is NONE."""
+    latch = Latch()
+    if reason:
+        latch.close(reason)
+    latch.unanswered = unanswered
+    return latch
+
+
+SUPPLY, FOLLOWING, EARLIER = (
+    Report(Condition.OFF, reason, reason.words)
+    for reason in (DriverReason.SUPPLY, DriverReason.FOLLOWING, DriverReason.EARLIER_STOP)
+)
+SILENT = Report(Condition.GONE, DriverReason.NO_ANSWER, "the device does not answer")
+
+
 @pytest.mark.parametrize(
-    ("lifecycle", "latch", "condition", "reason", "calibrating", "told"),
+    ("active", "latch", "report", "state", "reason", "text"),
     [
-        ("unconfigured", "", None, "", False, "unconfigured"),
-        ("unconfigured", EMERGENCY, None, "", False,
-         "unconfigured: emergency stop; look at the rig, then call enable"),
-        ("inactive", DISABLED, Condition.OFF, "", False, "inactive"),
-        ("active", "", Condition.GONE, "", False, "error: the device does not answer"),
-        ("active", EMERGENCY, Condition.GONE, "port is gone", False, "error: port is gone"),
-        ("active", "", Condition.OFF, "", False, OFF),
-        ("active", DISABLED, Condition.OFF, "stopped", False, OFF),
-        ("active", DISABLED, Condition.BRAKING, "stopped", False, "braking: disabled"),
-        ("inactive", DISABLED, Condition.BRAKING, "stopped", False, "inactive: braking"),
-        ("active", DISABLED, Condition.OFF, "supply", False,
-         "stopped: supply; look at the rig, then call enable"),
-        ("active", EMERGENCY, Condition.OFF, "supply", False, f"stopped: emergency stop; {LOOK}"),
-        ("active", "", Condition.OFF, "following", False,
-         "stopped: following; look at the rig, then call enable"),
-        ("active", "", Condition.OFF, "stopped", False,
-         "stopped: before this driver began; look at the rig, then call enable"),
-        ("active", "", Condition.ENABLING, "", False, "enabling: the plate goes home"),
-        ("active", EMERGENCY, Condition.BRAKING, "stopped", False,
+        (False, NONE, None, DriverState.UNCONFIGURED, NONE, "unconfigured"),
+        (False, EMERGENCY, None, DriverState.UNCONFIGURED, EMERGENCY,
+         f"unconfigured: emergency stop; {LOOK}"),
+        (False, OFF_SWITCH, Report(Condition.OFF), DriverState.INACTIVE, NONE, "inactive"),
+        (True, NONE, SILENT, DriverState.ERROR, DriverReason.NO_ANSWER,
+         "error: the device does not answer"),
+        (True, EMERGENCY, SILENT, DriverState.ERROR, DriverReason.NO_ANSWER,
+         "error: the device does not answer"),
+        (True, NONE, Report(Condition.OFF), DriverState.DISABLED, NONE, OFF),
+        (True, OFF_SWITCH, EARLIER, DriverState.DISABLED, OFF_SWITCH, OFF),
+        (True, OFF_SWITCH, SUPPLY, DriverState.STOPPED, DriverReason.SUPPLY,
+         f"stopped: supply; {LOOK}"),
+        (True, EMERGENCY, SUPPLY, DriverState.STOPPED, EMERGENCY,
+         f"stopped: emergency stop; {LOOK}"),
+        (True, NONE, FOLLOWING, DriverState.STOPPED, DriverReason.FOLLOWING,
+         f"stopped: following; {LOOK}"),
+        (True, NONE, EARLIER, DriverState.STOPPED, DriverReason.EARLIER_STOP,
+         f"stopped: before this driver began; {LOOK}"),
+        (True, NONE, Report(Condition.ENABLING), DriverState.ENABLING, NONE,
+         "enabling: the plate goes home"),
+        (True, OFF_SWITCH, Report(Condition.BRAKING, DriverReason.EARLIER_STOP, "stopped"),
+         DriverState.BRAKING, OFF_SWITCH, "braking: switched off"),
+        (False, OFF_SWITCH, Report(Condition.BRAKING), DriverState.BRAKING, OFF_SWITCH,
+         "braking: switched off"),
+        (True, NONE, Report(Condition.BRAKING, DriverReason.HEAT, "heat"), DriverState.BRAKING,
+         DriverReason.HEAT, "braking: heat"),
+        (True, NONE, Report(Condition.READY), DriverState.READY, NONE, "ready"),
+        (True, EMERGENCY, Report(Condition.READY), DriverState.BRAKING, EMERGENCY,
          "braking: emergency stop"),
-        ("active", "", Condition.BRAKING, "heat", False, "braking: heat"),
-        ("active", "", Condition.READY, "", False, "ready"),
-        ("active", "", Condition.READY, "", True, "calibrating"),
-        ("active", EMERGENCY, Condition.READY, "", False, "braking: emergency stop"),
     ],
 )  # fmt: skip
-def test_driver_state_is_what_the_motors_report(
-    lifecycle, latch, condition, reason, calibrating, told
-):
-    report = None if condition is None else Report(condition, reason)
-    assert driver_state(lifecycle, latch, report, calibrating) == told
+def test_the_status_is_what_the_motors_report(active, latch, report, state, reason, text):
+    told = driver_status(active, closed(latch), report, calibrating=False)
+    assert told == DriverStatus(state, reason, text)
 
 
-@pytest.mark.parametrize("lifecycle", ["unconfigured", "inactive", "active"])
-def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(lifecycle):
-    gone, off = Report(Condition.GONE, "port is gone"), Report(Condition.OFF, "stopped")
-    assert driver_state(lifecycle, CUT, gone, False, True) == UNCERTAIN
-    assert driver_state(lifecycle, CUT, None, False, True) == UNCERTAIN
-    assert "power cut" in driver_state(lifecycle, CUT, off, False, True)
+def test_calibrating_is_a_state():
+    told = driver_status(True, Latch(), Report(Condition.READY), calibrating=True)
+    assert told == DriverStatus(DriverState.CALIBRATING, text="calibrating")
+
+
+def test_motors_that_are_ready_before_the_latch_is_open_do_not_brake():
+    """The device is heard before the enable has come back; only a stop since then brakes."""
+    latch = closed(CUT)
+    number = latch.number
+
+    def state() -> DriverState:
+        return driver_status(True, latch, Report(Condition.READY), calibrating=False).state
+
+    with latch.being_enabled(number):
+        assert state() is DriverState.ENABLING
+        with latch.being_enabled(number):  # by somebody else, who is refused
+            pass
+        assert state() is DriverState.ENABLING
+        assert latch.open(number)
+    assert state() is DriverState.READY
+    latch.close(CUT)
+    with latch.being_enabled(latch.number):
+        latch.close(EMERGENCY, over=())
+        assert state() is DriverState.BRAKING
+
+
+def test_each_enable_has_another_time():
+    latch = Latch()
+    assert latch.open(0)
+    first = latch.enabled_ns
+    latch.close(CUT)
+    assert latch.open(1)
+    assert latch.enabled_ns > first
+
+
+@pytest.mark.parametrize("active", [False, True])
+def test_a_stop_that_nobody_acknowledged_is_told_until_the_device_is_heard(active):
+    latch = closed(CUT, unanswered=True)
+    wanted = DriverStatus(DriverState.ERROR, DriverReason.STOP_UNANSWERED, UNCERTAIN)
+    assert driver_status(active, latch, SILENT, False) == wanted
+    assert driver_status(active, latch, None, False) == wanted
+    assert driver_status(active, latch, EARLIER, False).reason is CUT
 
 
 @pytest.mark.parametrize(
-    ("state", "troubles", "retries", "quiet_s", "level", "message"),
+    ("state", "text", "troubles", "retries", "quiet_s", "level", "message"),
     [
-        ("ready", (), 0, None, Level.OK, "all cycles as asked"),
-        ("calibrating", (), 50, None, Level.OK, "all cycles as asked"),
-        ("ready", ("a cycle was refused",), 0, None, Level.WARN, "a cycle was refused"),
-        ("ready", (), 51, None, Level.WARN, "51 messages were repeated: the line is bad"),
-        ("ready", (), 0, 1.2, Level.STALE, "no plate_cycle for 1.2 s, the plate rests"),
-        (OFF, (), 0, 5.0, Level.WARN, OFF),
-        ("inactive", (), 0, None, Level.WARN, "inactive"),
-        ("error: x", (), 0, 5.0, Level.ERROR, "error: x"),
-        (f"stopped: {CUT}; {LOOK}", (), 0, None, Level.ERROR, f"stopped: {CUT}; {LOOK}"),
+        (DriverState.READY, "", (), 0, None, Level.OK, "all cycles as asked"),
+        (DriverState.CALIBRATING, "", (), 50, None, Level.OK, "all cycles as asked"),
+        (DriverState.READY, "", ("a cycle was refused",), 0, None, Level.WARN,
+         "a cycle was refused"),
+        (DriverState.READY, "", (), 51, None, Level.WARN,
+         "51 messages were repeated: the line is bad"),
+        (DriverState.READY, "", (), 0, 1.2, Level.STALE,
+         "no plate_cycle for 1.2 s, the plate rests"),
+        (DriverState.DISABLED, OFF, (), 0, 5.0, Level.WARN, OFF),
+        (DriverState.INACTIVE, "inactive", (), 0, None, Level.WARN, "inactive"),
+        (DriverState.ERROR, "error: x", (), 0, 5.0, Level.ERROR, "error: x"),
+        (DriverState.STOPPED, "stopped: y", (), 0, None, Level.ERROR, "stopped: y"),
     ],
-)
-def test_levels(state, troubles, retries, quiet_s, level, message):
-    assert health(state, Statistics(problems=troubles), retries, quiet_s) == Finding(level, message)
+)  # fmt: skip
+def test_levels(state, text, troubles, retries, quiet_s, level, message):
+    found = health(DriverStatus(state, text=text), Statistics(problems=troubles), retries, quiet_s)
+    assert found == Finding(level, message)
 
 
 def test_long_messages_are_refused_by_their_beginning():

@@ -14,7 +14,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
-from std_msgs.msg import Header, String
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -31,6 +31,7 @@ from plate_core.ros import (
     forces_to_msg,
     goal_to_scenario,
     msg_to_cycle,
+    msg_to_driver_status,
     msg_to_parts,
     msg_to_reports,
     nanoseconds,
@@ -40,7 +41,7 @@ from plate_core.ros import (
     wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
-from plate_interfaces.msg import PartForces, Parts, TaskProgress, TaskStatus
+from plate_interfaces.msg import DriverStatus, PartForces, Parts, TaskProgress, TaskStatus
 
 from .estimation import Estimator, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
@@ -83,7 +84,7 @@ class PlannerParameters(NodeOptions):
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "A running task ends when parts, plate_cycle or driver_state fail for longer [s, wall]",
+        "A running task ends when parts, plate_cycle or driver_status fail for longer [s, wall]",
         0.1,
         3600.0,
     )
@@ -176,7 +177,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     """Node `planner`: does tasks; says for each image which mean force it wants on each part.
 
     Actions sort_parts, follow_paths, assemble_parts, pose_parts. Service stop ends the task.
-    Subscribes parts, plate_cycle, driver_state, diagnostics.
+    Subscribes parts, plate_cycle, driver_status, diagnostics.
     Publishes part_forces, task_status, markers, diagnostics.
     """
 
@@ -200,7 +201,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
         self.managed_subscription(Parts, "parts", self._on_parts, NEWEST)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
-        self.managed_subscription(String, "driver_state", self._on_driver, LATCHED)
+        self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.managed_service(Trigger, "stop", self._on_stop)
         self.managed_timer(WATCH_PERIOD_S, self._watch)
@@ -313,9 +314,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         same = abs(now - stamp) < SAME_CLOCK_S and not self.options.lockstep
         return now if same else stamp
 
-    def _on_driver(self, msg: String) -> None:
+    def _on_driver(self, msg: DriverStatus) -> None:
         now = self._wake()
-        self._inputs = self._inputs.heard_driver(now, msg.data)
+        try:
+            self._inputs = self._inputs.heard_driver(now, msg_to_driver_status(msg))
+        except PlateError as error:
+            self._warn(str(error))
         self._judge(now)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
@@ -526,11 +530,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _values(self) -> Mapping[str, str]:
         run = self._run
         progress = {} if run is None or run.progress is None else run.progress.values()
+        driver = self._inputs.driver_status
         return {
             **progress,
             "task": "" if run is None else run.name,
             "task_state": "idle" if run is None else run.state.task.text,
-            "driver_state": self._inputs.driver_state.text,
+            "driver_status": "" if driver is None else driver.text,
             "parts_silent_s": f"{self._inputs.parts.silence(time.monotonic()):.2f}",
             "image_rate_hz": f"{self._estimator.image_rate:.1f}",
         }

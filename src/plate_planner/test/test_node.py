@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
@@ -31,7 +30,7 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_core.tasks import load_scenario  # noqa: E402
-from plate_interfaces.msg import PartForces, TaskStatus  # noqa: E402
+from plate_interfaces.msg import DriverStatus, PartForces, TaskStatus  # noqa: E402
 from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
 from plate_planner.node import PlannerNode  # noqa: E402
 from plate_planner.supervision import Reason  # noqa: E402
@@ -40,13 +39,22 @@ IDS = ("black_1", "black_2", "grey_1", "grey_2")
 APART = np.array([[-0.05, -0.05], [-0.05, 0.05], [0.05, -0.05], [0.05, 0.05]])
 SORTED = APART * [4.5, 1.0]
 SORT_4 = load_scenario("sort_4")
+READY = DriverStatus(state=DriverStatus.READY, text="ready")
+NOT_READY = [
+    DriverStatus(state=DriverStatus.STOPPED, text="stopped: emergency stop; look at the rig"),
+    DriverStatus(state=DriverStatus.DISABLED, text="disabled"),
+    DriverStatus(state=DriverStatus.BRAKING, text="braking: heat"),
+    DriverStatus(state=DriverStatus.INACTIVE, text="inactive"),
+    DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating"),
+]
+ERROR = DriverStatus(state=DriverStatus.ERROR, text="error: the device does not answer")
 
 
 class Graph:
-    """The planner and a probe that speaks to it: also as the driver, whose state is said again and
-    again while `driver` is not empty, and as the solver, while `answering`; and as a client."""
+    """The planner and a probe that speaks to it: also as the driver, whose status is said again and
+    again while there is one, and as the solver, while `answering`; and as a client."""
 
-    def __init__(self, driver="ready", **parameters):
+    def __init__(self, driver=READY, **parameters):
         args = ["--ros-args", "-r", "__ns:=/planner_test"]
         for name, value in parameters.items():
             args += ["-p", f"{name}:={value}"]
@@ -65,7 +73,7 @@ class Graph:
         self.driver, self.answering, self.cycle = driver, True, PlateCycle.rest(0.1)
         self.parts = self.probe.create_publisher(PartsMsg, "parts", DATA)
         listen = self.probe.create_subscription
-        self.drivers = self.probe.create_publisher(String, "driver_state", LATCHED)
+        self.drivers = self.probe.create_publisher(DriverStatus, "driver_status", LATCHED)
         self.cycles = self.probe.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.others = self.probe.create_publisher(DiagnosticArray, "diagnostics", DATA)
         self.probe.create_timer(0.2, self.say)
@@ -81,11 +89,16 @@ class Graph:
         # The latched state arrives on its own, which shows that the two have found each other.
         self.until(lambda: self.states and self.parts.get_subscription_count())
         self.until(lambda: self.planner.count_subscribers("part_forces"))
-        self.until(lambda: not driver or self.planner._inputs.driver_state.known)
+        self.until(lambda: not driver or self.planner._inputs.driver_status)
 
     def say(self):
         if self.driver:
-            self.drivers.publish(String(data=self.driver))
+            self.drivers.publish(self.driver)
+
+    def driver_text(self):
+        """What the planner has heard of the driver."""
+        status = self.planner._inputs.driver_status
+        return None if status is None else status.text
 
     def on_status(self, msg):
         self.statuses.append(msg)
@@ -273,17 +286,16 @@ def test_stop_says_what_was_stopped(graph):
 
 
 def test_a_goal_is_refused_with_the_reason(graph):
-    graph = graph(driver="")
+    graph = graph(driver=None)
     refused = graph.refused()
     not_ready = TaskStatus.NOT_READY
-    text = "sort is not started: no driver_state yet: does the driver run?"
+    text = "sort is not started: no driver_status yet: does the driver run?"
     assert refused == (not_ready, text)
-    for state in ("stopped: emergency stop; look at the rig, then call enable", "disabled"):
-        graph.driver = state
-        graph.until(lambda state=state: graph.planner._inputs.driver_state.text == state)
-        assert graph.refused() == (not_ready, f"sort is not started: driver: {state}")
-    graph.driver = "ready"
-    graph.until(lambda: graph.planner._inputs.driver_state.text == "ready")
+    for status in (*NOT_READY, ERROR, READY):
+        graph.driver = status
+        graph.until(lambda text=status.text: graph.driver_text() == text)
+        if status is not READY:
+            assert graph.refused() == (not_ready, f"sort is not started: driver: {status.text}")
     text = "sort is not started: no parts yet: does the detector run, does the camera?"
     assert graph.refused() == (not_ready, text)
     busy = DiagnosticStatus(name="/a/solver", message="compiling kernels for 3 s")
@@ -321,7 +333,7 @@ def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
     assert graph.refused() == (TaskStatus.NOT_READY, "the planner is not active")
     graph.planner.trigger_activate()
     graph.until(lambda: graph.states[-1] == "idle")
-    graph.until(lambda: graph.planner._inputs.driver_state.known)
+    graph.until(lambda: graph.planner._inputs.driver_status)
     graph.begin(1.0)
 
 
@@ -330,38 +342,48 @@ def test_reasons_are_those_of_the_message():
         assert getattr(TaskStatus, reason.name) == reason
 
 
-@pytest.mark.parametrize(
-    "state",
-    [
-        "stopped: emergency stop; look at the rig, then call enable",
-        "disabled",
-        "braking",
-        "inactive",
-    ],
-)
-def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, state):
+@pytest.mark.parametrize("status", NOT_READY, ids=lambda status: status.text)
+def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     graph = graph()
-    graph.begin()
-    graph.driver = state
-    aborted = f"aborted after 0.1 s: driver: {state}"
+    handle = graph.begin()
+    graph.driver = status
+    aborted = f"aborted after 0.1 s: driver: {status.text}"
     graph.until(lambda: graph.states[-1] == aborted)
-    assert graph.report() == (
-        DiagnosticStatus.ERROR,
-        f"{aborted}; driver: {state}",
-    )
+    assert graph.result(handle)[1].reason == TaskStatus.DRIVER_STOPPED
+    assert graph.report() == (DiagnosticStatus.ERROR, f"{aborted}; driver: {status.text}")
     assert graph.image(0.5, APART).parts.ids == ()
 
 
 def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
     graph = graph(input_timeout_s=30.0)  # no images come here
     graph.begin()
-    graph.driver = "error: the device does not answer"
+    graph.driver = ERROR
     graph.until(lambda: graph.planner._inputs.error_since is not None)
-    graph.driver = "ready"
+    graph.driver = READY
     graph.until(lambda: graph.planner._inputs.error_since is None)
     assert graph.states[-1] == "running"
-    graph.driver = "error: the device does not answer"
+    graph.driver = ERROR
     graph.until(lambda: graph.states[-1].endswith(": driver: error: the device does not answer"))
+
+
+def test_motors_that_were_stopped_and_enabled_again_end_the_task(graph):
+    """Nobody may have heard of the stop in between."""
+    graph = graph()
+    handle = graph.begin()
+    enabled_again = DriverStatus(state=DriverStatus.READY, text="ready", enabled_at=to_time(1))
+    graph.driver = enabled_again
+    task = graph.result(handle)[1]
+    assert task.reason == TaskStatus.DRIVER_STOPPED
+    assert task.text.endswith(": driver: the motors were stopped and enabled again")
+
+
+def test_a_driver_status_that_is_none_is_refused(graph):
+    graph = graph()
+    graph.begin()
+    for wrong in (DriverStatus(state=99), DriverStatus(state=DriverStatus.READY, reason=200)):
+        graph.drivers.publish(wrong)
+    graph.until(lambda: "driver_status: reason is 200, allowed: 0 to 18" in graph.report()[1])
+    assert graph.states[-1] == "running"
 
 
 def stale(name, message):
@@ -421,9 +443,9 @@ def test_a_solver_that_does_not_answer_ends_the_task(silenced):
 
 
 def test_a_driver_that_falls_silent_ends_the_task(silenced):
-    silenced.driver = ""
+    silenced.driver = None
     silenced.feed(lambda: silenced.states[-1] != "running")
-    assert ": no driver_state for 0." in silenced.states[-1]
+    assert ": no driver_status for 0." in silenced.states[-1]
 
 
 def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):

@@ -12,9 +12,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 from plate_interfaces.msg import Part, PartForce, PartForces
 from plate_interfaces.msg import Parts as PartsMsg
 
+from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
 from ..parts import Parts, Wanted, part_class
@@ -52,6 +54,31 @@ def nanoseconds(stamp: Time) -> int:
 def to_time(nanosec: int) -> Time:
     """Return the stamp of a whole number of nanoseconds."""
     return Time(sec=int(nanosec // 1_000_000_000), nanosec=int(nanosec % 1_000_000_000))
+
+
+def driver_status_to_msg(status: DriverStatus, stamp: Time) -> DriverStatusMsg:
+    """Return what the driver says of the motors as a message."""
+    return DriverStatusMsg(
+        header=Header(stamp=stamp), state=int(status.state), reason=int(status.reason),
+        text=status.text, enabled_at=to_time(status.enabled_ns),
+    )  # fmt: skip
+
+
+def msg_to_driver_status(msg: DriverStatusMsg) -> DriverStatus:
+    """Return what the driver says of the motors.
+
+    Raises
+    ------
+    PlateError
+        If state or reason is none of those that there are.
+    """
+    for name, kind in (("state", DriverState), ("reason", DriverReason)):
+        if getattr(msg, name) not in set(kind):
+            value = getattr(msg, name)
+            raise PlateError(f"driver_status: {name} is {value}, allowed: 0 to {max(kind):d}")
+    return DriverStatus(
+        DriverState(msg.state), DriverReason(msg.reason), msg.text, nanoseconds(msg.enabled_at)
+    )
 
 
 def parts_to_msg(parts: Parts, stamp: Time, source: int = Part.SEEN) -> PartsMsg:

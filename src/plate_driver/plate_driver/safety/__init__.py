@@ -1,6 +1,6 @@
 """What stops the motors: a node with a participant and threads of its own, apart from all cycles.
 
-The driver makes it; others use its services and `driver_state`.
+The driver makes it; others use its services and `driver_status`.
 """
 
 __all__: list[str] = []

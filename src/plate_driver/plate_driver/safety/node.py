@@ -1,4 +1,4 @@
-"""Stops, enable, home and driver_state: a node with a participant and threads of its own."""
+"""Stops, enable, home and driver_status: a node with a participant and threads of its own."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from plate_core.ros import CALLS, LATCHED
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
+from plate_core.ros import CALLS, LATCHED, driver_status_to_msg
+from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
-from ..state import CUT, DISABLED, EMERGENCY, READY, UNANSWERED
+from ..status import UNANSWERED
 from ..transports import STOPPED_SINCE, Condition
 
 if TYPE_CHECKING:
     from ..node import DriverNode
 
 STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
-"""Time between checks whether driver_state has changed, and after which it is repeated [s]."""
+"""Time between checks whether driver_status has changed, and after which it is repeated [s]."""
 
 FAREWELL_S = 0.5
 """How long to wait until the last messages have arrived [s]."""
@@ -37,8 +38,8 @@ THREADS = 16
 
 
 class SafetyNode:
-    """Stops, enable, home and driver_state, apart from all that cycles do: a participant of its own
-    receives nothing else, threads of its own answer, and the clock is the steady one.
+    """Stops, enable, home and driver_status, apart from all that cycles do: a participant of its
+    own receives nothing else, threads of its own answer, and the clock is the steady one.
 
     Parameters
     ----------
@@ -67,13 +68,14 @@ class SafetyNode:
             full = driver.resolve_service_name(name)
             call = self._guarded(answer)
             node.create_service(kind, full, call, qos_profile=CALLS, callback_group=group)
-        topic = driver.resolve_topic_name("driver_state")
-        self._states = node.create_publisher(String, topic, LATCHED)
-        self._state, self._state_at = "", float("-inf")
+        topic = driver.resolve_topic_name("driver_status")
+        self._statuses = node.create_publisher(DriverStatusMsg, topic, LATCHED)
+        self._status: DriverStatus | None = None
+        self._status_at = float("-inf")
         self._publishing = threading.Lock()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         own = MutuallyExclusiveCallbackGroup()
-        node.create_timer(STATE_PERIOD_S, self.publish_state, clock=steady, callback_group=own)
+        node.create_timer(STATE_PERIOD_S, self.publish_status, clock=steady, callback_group=own)
         self._ended = False
         self._executor = MultiThreadedExecutor(THREADS, context=self._context)
         self._executor.add_node(node)
@@ -103,21 +105,20 @@ class SafetyNode:
 
         return callback
 
-    def publish_state(self) -> None:
-        """Publish driver_state if it has changed, or was not published for a while."""
+    def publish_status(self) -> None:
+        """Publish driver_status if it has changed, or was not published for a while."""
         with self._publishing:
-            state, now = self._driver.state_text(), time.monotonic()
-            if state == READY:  # another text after each enable: nobody can miss a stop in between
-                state = f"{READY}: enabled at {self._latch.opened}"
-            if state == self._state and now - self._state_at < LIFE_PERIOD_S:
+            status, now = self._driver.status, time.monotonic()
+            if status == self._status and now - self._status_at < LIFE_PERIOD_S:
                 return
-            self._state, self._state_at = state, now
-            self._states.publish(String(data=state))
+            self._status, self._status_at = status, now
+            stamp = self._driver.get_clock().now().to_msg()
+            self._statuses.publish(driver_status_to_msg(status, stamp))
 
     def close(self) -> None:
         """Publish the last state, and end."""
-        self.publish_state()
-        self._states.wait_for_all_acked(Duration(seconds=FAREWELL_S))
+        self.publish_status()
+        self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         self._ended = True
         self._thread.join(FAREWELL_S)
         # Only now: it destroys what a thread that still spins waits for.
@@ -128,59 +129,70 @@ class SafetyNode:
     def _on_emergency_stop(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        return self._stop_and_log(response, EMERGENCY, over=("", DISABLED))
+        return self._stop_and_log(
+            response, DriverReason.EMERGENCY_STOP,
+            over=(DriverReason.NONE, DriverReason.SWITCHED_OFF),
+        )  # fmt: skip
 
     def _on_cut_power(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._stop_and_log(response, CUT, over=())
+        return self._stop_and_log(response, DriverReason.POWER_CUT, over=())
 
-    def _stop(self, response: Any, reason: str, over: tuple[str, ...] = ("",)) -> Any:
+    def _stop(
+        self, response: Any, reason: DriverReason,
+        over: tuple[DriverReason, ...] = (DriverReason.NONE,),
+    ) -> Any:  # fmt: skip
         """Close the latch, have the motors stop, and answer whether they do."""
         self._latch.close(reason, over)
-        order = self._driver.stop_motors(cut=reason == CUT)
+        order = self._driver.stop_motors(cut=reason is DriverReason.POWER_CUT)
         response.success = order.done
-        response.message = self._driver.state_text() if order.done else UNANSWERED
-        self.publish_state()
+        response.message = self._driver.status.text if order.done else UNANSWERED
+        self.publish_status()
         return response
 
-    def _stop_and_log(self, response: Any, reason: str, over: tuple[str, ...]) -> Any:
+    def _stop_and_log(
+        self, response: Any, reason: DriverReason, over: tuple[DriverReason, ...]
+    ) -> Any:
         self._stop(response, reason, over)
         if response.success:
-            self.node.get_logger().warning(reason)
+            self.node.get_logger().warning(reason.words)
         else:
-            self.node.get_logger().error(f"{reason}: {UNANSWERED}")
+            self.node.get_logger().error(f"{reason.words}: {UNANSWERED}")
         return response
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if not request.data:
-            return self._stop(response, DISABLED)
+            return self._stop(response, DriverReason.SWITCHED_OFF)
         transport, number = self._driver.transport, self._latch.number
         if transport is None or not self._driver.active:
             response.success = False
-            response.message = f"the driver is {self._driver.state_text()}, allowed: active"
+            response.message = f"the driver is {self._driver.status.text}, allowed: active"
             return response
         transport.poll()
-        if self._driver.state_text() == READY:  # there is no stop to clear, and a task may run
-            response.success, response.message = True, READY
+        status = self._driver.status
+        if status.state is DriverState.READY:  # there is no stop to clear, and a task may run
+            response.success, response.message = True, status.text
             return response
-        order = transport.enable(number)
-        self.publish_state()
-        order.wait()
-        if not order.settled:
-            order.settle(f"the motors are not ready after {order.longest_s:.2g} s")
-        failure = order.failure
-        if not failure and not self._latch.open(number):
-            failure = STOPPED_SINCE
-            transport.stop()  # whatever it has found
+        with self._latch.being_enabled(number):
+            order = transport.enable(number)
+            self.publish_status()
+            order.wait()
+            failure = order.failure
+            if not order.settled:
+                failure = f"the motors are not ready after {order.longest_s:.2g} s"
+                transport.stop()  # nobody waits for them any more
+            elif not failure and not self._latch.open(number):
+                failure = STOPPED_SINCE
+                transport.stop()  # whatever it has found
         transport.poll()
-        self.publish_state()
-        response.success, response.message = not failure, failure or self._driver.state_text()
+        self.publish_status()
+        response.success, response.message = not failure, failure or self._driver.status.text
         return response
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         transport = self._driver.transport
         response.success = False
         if transport is None or transport.report.condition is not Condition.OFF:
-            state = self._driver.state_text()
+            state = self._driver.status.text
             response.message = f"the driver is {state}, allowed: motors off; call enable, false"
             return response
         order = transport.home()

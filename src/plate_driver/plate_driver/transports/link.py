@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import (
     MOTORS,
     VERSION,
@@ -29,6 +30,7 @@ from plate_core.serial_protocol import (
 )
 
 from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
+from .transport import Condition, Report
 
 SILENCE_S = 1.0
 """So long, and a round trip, without a message, and the device is gone [s]: the link is begun anew.
@@ -147,8 +149,8 @@ class Link:
         What became of the last Stop, Enable or Home.
     flight : tuple of (float, int)
         Knots on their way to the device: when they have come [s], and their bytes.
-    failed : str
-        Why the link is of no use any more; empty while it is.
+    failed : Report or None
+        Why the link is of no use any more; None while it is.
     refusal : str
         What the device refused since the last `without_refusal`.
     retries : int
@@ -169,7 +171,7 @@ class Link:
     heartbeat_at: float = float("-inf")
     answer: Answer | None = None
     flight: tuple[tuple[float, int], ...] = ()
-    failed: str = ""
+    failed: Report | None = None
     refusal: str = ""
     retries: int = 0
 
@@ -234,6 +236,9 @@ class Link:
         """Return the link that has the device, which must be off, forget where home is."""
         return self._ordered(Home())
 
+    def _failing(self, reason: DriverReason, text: str) -> Link:
+        return replace(self, failed=Report(Condition.GONE, reason, text))
+
     def without_refusal(self) -> Link:
         """Return the link without its refusal, which was reported."""
         return replace(self, refusal="")
@@ -277,21 +282,19 @@ class Link:
 
     def _greeted(self, device: Capabilities) -> Link:
         if device.version != VERSION or device.motors != MOTORS:
-            return replace(
-                self,
-                failed=f"device speaks version {device.version} for {device.motors} motors, "
-                f"allowed: version {VERSION} for {MOTORS}",
-            )
+            why = f"device speaks version {device.version} for {device.motors} motors, allowed: "
+            why += f"version {VERSION} for {MOTORS}"
+            return self._failing(DriverReason.WRONG_DEVICE, why)
         if device.session != self.session:
             return self  # an answer to someone before us
         if self.device is not None and device.boot != self.device.boot:
-            return replace(self, failed="device was reset")
+            return self._failing(DriverReason.DEVICE_RESET, "device was reset")
         queue = tuple(p for p in self.queue if not isinstance(p.message, Hello))
         return replace(self, device=device, queue=queue)
 
     def _answered(self, answer: Acknowledgement) -> Link:
         if answer.status is Status.NO_SESSION and self.device is not None:
-            return replace(self, failed="device was reset")
+            return self._failing(DriverReason.DEVICE_RESET, "device was reset")
         about = [p for p in self.queue if p.sequence == answer.sequence and p.tries]
         if not about:
             return self
@@ -335,7 +338,8 @@ class Link:
             return self, []
         silence = SILENCE_S + self.line.round_s
         if now - self.heard_at > silence and self.device is not None:
-            return replace(self, failed=f"device has been silent for {silence:.2g} s"), []
+            why = f"device has been silent for {silence:.2g} s"
+            return self._failing(DriverReason.NO_ANSWER, why), []
         link = self._fed(now)._split(now)
         link = replace(link, flight=tuple(item for item in link.flight if item[0] > now))
         packets: list[Packet] = []
@@ -344,8 +348,8 @@ class Link:
         link = link._beaten(now, packets)
         for pending in link._sendable(now):
             if pending.tries and now - pending.first_at > link._longest(pending.message):
-                name = type(pending.message).__name__
-                return replace(link, failed=f"device does not answer {name}"), []
+                why = f"device does not answer {type(pending.message).__name__}"
+                return link._failing(DriverReason.NO_ANSWER, why), []
             if not link._room(pending.message, now):
                 break
             link = link._sent(pending, now, packets)

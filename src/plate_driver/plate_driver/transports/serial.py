@@ -11,6 +11,7 @@ import numpy as np
 import serial
 
 from plate_core import CycleError, FrameError, PlateError
+from plate_core.driver_status import DriverReason
 from plate_core.rig import Limits
 from plate_core.serial_protocol import (
     Capabilities,
@@ -58,6 +59,7 @@ READ_BYTES = 65_536
 """Most bytes read at once: a second of what the device can say at 921,600 baud is less."""
 
 UNANSWERED = "the device does not answer"
+NO_ANSWER = Report(Condition.GONE, DriverReason.NO_ANSWER, UNANSWERED)
 
 CONDITIONS = {
     State.OFF: Condition.OFF,
@@ -66,6 +68,18 @@ CONDITIONS = {
     State.PLAYING: Condition.READY,
     State.BRAKING: Condition.BRAKING,
 }
+
+REASONS = {
+    Fault.HARDWARE: DriverReason.HARDWARE,
+    Fault.SUPPLY: DriverReason.SUPPLY,
+    Fault.FOLLOWING: DriverReason.FOLLOWING,
+    Fault.HEAT: DriverReason.HEAT,
+    Fault.LIMIT: DriverReason.LIMIT,
+    Fault.HOST_SILENT: DriverReason.HOST_SILENT,
+    Fault.STOPPED: DriverReason.EARLIER_STOP,
+}
+"""Of several faults the first one here is the reason; where home is not known the next enable finds
+it, which is no reason to look at the rig."""
 
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
@@ -166,7 +180,8 @@ class SerialTransport:
         baud: float = BAUD,
         limits: Limits | None = None,
     ) -> None:
-        self._limits, self._unfit = limits, ""
+        self._limits = limits
+        self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # and not enabled since
         self._closed = False
@@ -185,7 +200,7 @@ class SerialTransport:
         self._table = 0
         self._failures = 0
         self._reopen_at = 0.0
-        self._gone_reason = UNANSWERED
+        self._gone = NO_ANSWER
         self._troubles: list[str] = []
         self._stop_noted = -1
         self._following_m = self._load = 0.0
@@ -225,7 +240,7 @@ class SerialTransport:
         """
         report = self.report()
         if report.condition is not Condition.READY:
-            reason = f" ({report.reason})" if report.reason else ""
+            reason = f" ({report.text})" if report.text else ""
             raise CycleError(f"the device is {report.condition.value}{reason}, allowed: ready")
         if len(table.q) > self.max_knots and not self._streams:
             raise CycleError(
@@ -266,7 +281,7 @@ class SerialTransport:
             if due:
                 self._write(self._port, due)
         except OSError as error:
-            self._give_up(f"serial port: {error}", now)
+            self._give_up(Report(Condition.GONE, DriverReason.PORT, f"serial port: {error}"), now)
             return measured
         if self._link.failed:
             self._give_up(self._link.failed, now)
@@ -280,20 +295,23 @@ class SerialTransport:
         """Say what the device says that the motors do."""
         telemetry, now = self._link.telemetry, self._clock()
         if self._port is None or self._link.device is None or telemetry is None:
-            return Report(Condition.GONE, self._gone_reason)
+            return self._gone
         longest = QUIET_S + self._link.line.round_s
         if now - self._link.heard_at > longest:
-            return Report(Condition.GONE, UNANSWERED)
+            return NO_ANSWER
         if now - self._link.telemetry_at > longest:
-            return Report(Condition.GONE, "the device does not report its state")
+            why = "the device does not report its state"
+            return Report(Condition.GONE, DriverReason.NO_TELEMETRY, why)
         if self._unfit:
-            return Report(Condition.GONE, self._unfit)
-        # Where home is not known the next enable finds it: that is no reason to look at the rig.
-        faults = telemetry.faults & ~Fault.NO_HOME
-        reason = named(faults) if telemetry.state in (State.OFF, State.BRAKING) else ""
+            return self._unfit
+        condition = CONDITIONS[telemetry.state]
         if telemetry.state is State.OFF and self._reset:
-            reason = "the device was reset"
-        return Report(CONDITIONS[telemetry.state], reason)
+            return Report(condition, DriverReason.DEVICE_RESET, "the device was reset")
+        if telemetry.state not in (State.OFF, State.BRAKING):
+            return Report(condition)
+        reasons = (reason for fault, reason in REASONS.items() if fault & telemetry.faults)
+        text = named(telemetry.faults & ~Fault.NO_HOME)
+        return Report(condition, next(reasons, DriverReason.NONE), text)
 
     @property
     def busy(self) -> bool:
@@ -350,7 +368,7 @@ class SerialTransport:
         telemetry = self._link.telemetry
         order = self._ordered(READY_S)
         if self._unfit:
-            return order.settle(self._unfit)
+            return order.settle(self._unfit.text)
         if self.report().condition is Condition.GONE or telemetry is None:
             return order.settle(UNANSWERED)
         if self._stops or self._link.fresh_telemetry is None:  # which stop would it clear?
@@ -435,7 +453,7 @@ class SerialTransport:
         before = self._link.device
         self._link = self._link.heard(packet, now)
         if before is None and self._link.device is not None:
-            self._failures, self._gone_reason = 0, UNANSWERED
+            self._failures, self._gone = 0, NO_ANSWER
             self._greeted(self._link.device)
         message = packet.message
         if not isinstance(message, Telemetry):
@@ -454,9 +472,10 @@ class SerialTransport:
         """Look at a device that has answered: is it the same, and is it for this rig?"""
         self._reset = self._reset or self._boot not in (None, device.boot)
         self._boot = device.boot
-        self._unfit = "" if self._limits is None else differing(device, self._limits)
-        if self._unfit:
-            self._note(self._unfit)
+        why = "" if self._limits is None else differing(device, self._limits)
+        self._unfit = Report(Condition.GONE, DriverReason.WRONG_DEVICE, why) if why else None
+        if why:
+            self._note(why)
 
     def _following(self, telemetry: Telemetry) -> str:
         device = self._link.device
@@ -510,13 +529,13 @@ class SerialTransport:
         try:
             self._connect(self._make_port())
         except PlateError as error:
-            self._give_up(str(error), now)
+            self._give_up(Report(Condition.GONE, DriverReason.PORT, str(error)), now)
 
-    def _give_up(self, reason: str, now: float) -> None:
-        self._note(reason)
-        self._gone_reason = reason
+    def _give_up(self, why: Report, now: float) -> None:
+        self._note(why.text)
+        self._gone = why
         self._streamed = self._next = None
-        self._settle_request(reason)
+        self._settle_request(why.text)
         self._release()
         self._reopen_at = now + REOPEN_S[min(self._failures, len(REOPEN_S) - 1)]
         self._failures += 1

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from datetime import datetime
 from typing import TypeVar
 
 from plate_core import CycleError, PlateError
+from plate_core.driver_status import DriverReason
 
 from ..setpoints import MotorTable
 from .transport import Condition, Measured, Order, Report, Transport
@@ -54,13 +55,14 @@ class Latch:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._reason, self._number = "", 0
+        self._reason, self._number = DriverReason.NONE, 0
+        self._enabling: list[int] = []  # the numbers of stops that are being cleared
         self.unanswered = False  # whether the last stop was not acknowledged
-        self.opened = ""  # when cycles were let through last, for people and for the planner
+        self.enabled_ns = 0  # wall clock when it was opened last [ns]; another one each time
 
     @property
-    def reason(self) -> str:
-        """What was stopped, and what to do; empty: open."""
+    def reason(self) -> DriverReason:
+        """What has closed it; NONE: it is open."""
         return self._reason
 
     @property
@@ -68,20 +70,36 @@ class Latch:
         """Stops so far."""
         return self._number
 
-    def close(self, reason: str, over: tuple[str, ...] = ("",)) -> None:
+    @property
+    def enabling(self) -> bool:
+        """Whether an enable is under way, and no stop has come since."""
+        return self._number in self._enabling
+
+    def close(
+        self, reason: DriverReason, over: tuple[DriverReason, ...] = (DriverReason.NONE,)
+    ) -> None:
         """Count a stop; its reason replaces one of those in `over` only, unless that is empty."""
         with self._lock:
             self._number += 1
             if not over or self._reason in over:
                 self._reason = reason
 
+    @contextlib.contextmanager
+    def being_enabled(self, number: int) -> Iterator[None]:
+        """Say meanwhile that an enable is under way, for the stop with a number."""
+        self._enabling.append(number)
+        try:
+            yield
+        finally:
+            self._enabling.remove(number)
+
     def open(self, number: int) -> bool:
         """Let cycles through again, unless there was a stop since the one with a number."""
         with self._lock:
             if number != self._number:
                 return False
-            self._reason, self.unanswered = "", False
-            self.opened = f"{datetime.now():%H:%M:%S.%f}"
+            self._reason, self.unanswered = DriverReason.NONE, False
+            self.enabled_ns = max(time.time_ns(), self.enabled_ns + 1)
             return True
 
 
@@ -152,7 +170,8 @@ class TransportThread:
         except PlateError:
             raise
         except Exception as error:  # see above
-            self.report = Report(Condition.GONE, f"the transport has a defect: {error!r}")
+            why = f"the transport has a defect: {error!r}"
+            self.report = Report(Condition.GONE, DriverReason.DEFECT, why)
             with contextlib.suppress(Exception):  # the same defect, most likely
                 self._transport.stop()
             self._on_defect(error)
@@ -170,7 +189,7 @@ class TransportThread:
         try:
             order = self._tried(ask)
             if order is None:
-                return Order().settle(self.report.reason)
+                return Order().settle(self.report.text)
             self._tried(self._reported)
             return order
         finally:
@@ -198,7 +217,7 @@ class TransportThread:
                 return True
 
             if not self._tried(ask):
-                raise CycleError(self.report.reason)
+                raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
         """Stop, see `Transport.stop`."""

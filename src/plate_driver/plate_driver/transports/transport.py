@@ -22,6 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
 from plate_core import PlateError, Rig, did_you_mean
+from plate_core.driver_status import DriverReason
 
 from ..setpoints import MotorTable
 
@@ -46,14 +47,18 @@ class Report:
     Attributes
     ----------
     condition : Condition
-    reason : str
-        Why they are off, brake or do not answer; empty where there is none.
+    reason : DriverReason
+        Why they are off, brake or do not answer. A stop that was asked for is EARLIER_STOP: whether
+        this driver asked for it, the driver knows. What is in no list is OTHER.
+    text : str
+        The same in words.
     values : mapping of str to str
         Whatever is worth a line in the diagnostics.
     """
 
     condition: Condition
-    reason: str = ""
+    reason: DriverReason = DriverReason.NONE
+    text: str = ""
     values: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from plate_core.driver_status import DriverState, DriverStatus
 from plate_core.status import COMPILING, Finding, Input, Level
 
 from .phase import Failure, Reason
@@ -30,34 +31,8 @@ LOOP = ("detector", "solver", "driver", "device", "simulator")
 """Nodes whose diagnostics count: without input for one of them the plate does not do as planned."""
 
 FRESH_S, LIFE_S = 0.5, 0.8
-"""Silence of parts or cycles [s], unless cycles are long, and of driver_state, which is said again
+"""Silence of parts or cycles [s], unless cycles are long, and of driver_status, which is said again
 each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
-
-
-@dataclass(frozen=True)
-class DriverState:
-    """What driver_state tells: one word, or a word, a colon, and the reason."""
-
-    text: str = ""
-
-    @property
-    def known(self) -> bool:
-        """Whether the driver has said anything."""
-        return bool(self.text)
-
-    @property
-    def ready(self) -> bool:
-        """Whether cycles reach the motors."""
-        return self._word == "ready"
-
-    @property
-    def failed(self) -> bool:
-        """Whether the device cannot be reached, or has not done what it was to do."""
-        return self._word == "error"
-
-    @property
-    def _word(self) -> str:
-        return self.text.partition(":")[0]
 
 
 @dataclass(frozen=True)
@@ -83,14 +58,14 @@ class Inputs:
         Of the last parts [ns].
     unanswered : float or None
         Since when part_forces have been published without a plate_cycle after them.
-    driver_state : DriverState
+    driver_status : DriverStatus or None
         The newest.
     error_since : float or None
         Since when it has told an error.
-    ready : DriverState
-        The newest that was ready: its text is another after each enable.
+    enabled_ns : int or None
+        When the motors were enabled, as the newest status that was ready has it [ns, wall clock].
     enabled_again : float or None
-        When that has changed: the motors were stopped meanwhile, even if nothing else told.
+        When that was heard to change: the motors were stopped meanwhile, even if nothing else told.
     reports : mapping of str to Report
         Diagnostics by node.
     """
@@ -100,9 +75,9 @@ class Inputs:
     ran: float
     stamp: int | None = None
     unanswered: float | None = None
-    driver_state: DriverState = DriverState()
+    driver_status: DriverStatus | None = None
     error_since: float | None = None
-    ready: DriverState = DriverState()
+    enabled_ns: int | None = None
     enabled_again: float | None = None
     reports: Mapping[str, Report] = field(default_factory=dict)
 
@@ -110,7 +85,7 @@ class Inputs:
     def none_yet(cls, now: float, timeout_s: float) -> Inputs:
         """Return what has been heard at the start: nothing."""
         parts = Input("parts", "parts", "does the detector run, does the camera?", timeout_s, now)
-        driver = Input("driver_state", "driver_state", "does the driver run?", timeout_s, now)
+        driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
         return cls(parts, driver, now)
 
     # What is heard
@@ -129,17 +104,17 @@ class Inputs:
         """Take in that the solver has answered."""
         return replace(self, unanswered=None)
 
-    def heard_driver(self, now: float, text: str) -> Inputs:
-        """Take in what driver_state tells."""
-        state = DriverState(text)
-        again = state.ready and self.ready.known and state != self.ready
+    def heard_driver(self, now: float, status: DriverStatus) -> Inputs:
+        """Take in what the driver says."""
+        ready = status.state is DriverState.READY
+        again = ready and self.enabled_ns not in (None, status.enabled_ns)
         since = now if self.error_since is None else self.error_since
         return replace(
             self,
             driver=self.driver.heard(now),
-            driver_state=state,
-            error_since=since if state.failed else None,
-            ready=state if state.ready else self.ready,
+            driver_status=status,
+            error_since=since if status.state is DriverState.ERROR else None,
+            enabled_ns=status.enabled_ns if ready else self.enabled_ns,
             enabled_again=now if again else self.enabled_again,
         )
 
@@ -164,9 +139,9 @@ class Inputs:
         gone = self.driver.gone(now)
         if gone is not None:
             return gone.message
-        if not self.driver_state.known:
-            return f"no driver_state yet: {self.driver.question}"
-        return "" if self.driver_state.ready else self._driver_text
+        if self.driver_status is None:
+            return f"no driver_status yet: {self.driver.question}"
+        return "" if self._driver_ready else self._driver_text
 
     def compiling(self, now: float) -> str:
         """Say that a node of the loop compiles, so that no task can be started yet; or nothing."""
@@ -178,7 +153,12 @@ class Inputs:
 
     @property
     def _driver_text(self) -> str:
-        return f"driver: {self.driver_state.text}"
+        return "" if self.driver_status is None else f"driver: {self.driver_status.text}"
+
+    @property
+    def _driver_ready(self) -> bool:
+        """Whether cycles reach the motors."""
+        return self.driver_status is not None and self.driver_status.state is DriverState.READY
 
     def parts_problem(self, now: float, publishers: Callable[[str], int]) -> str:
         """Say why no task can be started with what comes of the camera; empty if one can."""
@@ -217,13 +197,13 @@ class Inputs:
         timeout = self.timeout(period)
         silence = min(self.driver.silence(now), now - began)
         if silence > self.driver.timeout_s:
-            nobody = "" if publishers("driver_state") else "nobody publishes it, "
-            why = f"no driver_state for {silence:.1f} s: {nobody}{self.driver.question}"
+            nobody = "" if publishers("driver_status") else "nobody publishes it, "
+            why = f"no driver_status for {silence:.1f} s: {nobody}{self.driver.question}"
             return Failure(Reason.NO_DRIVER, why)
         if self.error_since is not None:
             if now - max(self.error_since, began) > ERROR_TIMEOUT_S:
                 return self._driver_failure
-        elif not self.driver_state.ready:
+        elif not self._driver_ready:
             return self._driver_failure
         if self.enabled_again is not None and self.enabled_again > began:
             why = "driver: the motors were stopped and enabled again"
