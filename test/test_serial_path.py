@@ -1,7 +1,8 @@
 """The driver's serial transport against the C firmware, byte by byte, in simulated time."""
 
 import subprocess
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,29 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.driver_status import DriverReason
-from plate_core.serial_protocol import Commit, Enable, Hello, Message, Reader, State, Stop, parse
+from plate_core.driver_status import DriverReason, DriverState
+from plate_core.serial_protocol import (
+    Commit,
+    Enable,
+    Hello,
+    Message,
+    Reader,
+    State,
+    Stop,
+    Telemetry,
+    frame,
+    parse,
+)  # fmt: skip
 from plate_driver.setpoints import MotorTable, prepare
-from plate_driver.transports import Condition, Measured, Order, SerialTransport
+from plate_driver.status import driver_status
+from plate_driver.transports import (
+    Condition,
+    Latch,
+    Measured,
+    Order,
+    SerialTransport,
+    TransportThread,
+)  # fmt: skip
 
 RIG = load_rig()
 PERIOD = 0.1
@@ -36,6 +56,7 @@ class SimulatedFirmware:
     """The firmware as a process, its time, and the line to it with all that may go wrong."""
 
     program: Path
+    options: tuple[str, ...] = ()  # time in which motors get warm [s], force they bear [N]
     damage: float = 0.0  # share of bytes that change
     loss: float = 0.0  # share of bytes that vanish
     delay: float = 0.0  # [s], each way
@@ -55,7 +76,7 @@ class SimulatedFirmware:
 
     def start(self) -> None:
         self.process = subprocess.Popen(
-            [self.program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            [self.program, *self.options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self.started = self.now
 
@@ -561,3 +582,199 @@ def test_long_tables_are_refused(firmware):
     cycle = PlateCycle.from_samples(1.0, np.zeros((600, 3)))
     with pytest.raises(CycleError, match="601 knots, allowed by the device: 512"):
         transport.send(prepare(RIG, cycle, 1)[0], 1)
+
+
+Provoke = Callable[[SimulatedFirmware, Latch], SerialTransport | TransportThread]
+
+PROVOKE: dict[DriverReason, tuple[DriverState, Provoke]] = {}
+"""By reason: the state that has it, and a function that brings motors and latch there."""
+
+
+def provokes(reason: DriverReason, state: DriverState) -> Callable[[Provoke], Provoke]:
+    def keep(provoke: Provoke) -> Provoke:
+        PROVOKE[reason] = state, provoke
+        return provoke
+
+    return keep
+
+
+@provokes(DriverReason.NONE, DriverState.READY)
+def provoke_nothing(firmware, latch):
+    return enabled(firmware)
+
+
+def stopped_by(firmware: SimulatedFirmware, latch: Latch, reason: DriverReason) -> SerialTransport:
+    transport = enabled(firmware)
+    play(firmware, transport, 0.3)
+    latch.close(reason)
+    settled(firmware, transport, transport.stop(cut=reason is DriverReason.POWER_CUT))
+    pass_time(firmware, transport, 1.0)
+    return transport
+
+
+@provokes(DriverReason.SWITCHED_OFF, DriverState.DISABLED)
+def provoke_switched_off(firmware, latch):
+    return stopped_by(firmware, latch, DriverReason.SWITCHED_OFF)
+
+
+@provokes(DriverReason.EMERGENCY_STOP, DriverState.STOPPED)
+def provoke_emergency_stop(firmware, latch):
+    return stopped_by(firmware, latch, DriverReason.EMERGENCY_STOP)
+
+
+@provokes(DriverReason.POWER_CUT, DriverState.STOPPED)
+def provoke_power_cut(firmware, latch):
+    return stopped_by(firmware, latch, DriverReason.POWER_CUT)
+
+
+@provokes(DriverReason.EARLIER_STOP, DriverState.STOPPED)
+def provoke_earlier_stop(firmware, latch):
+    before = enabled(firmware)
+    settled(firmware, before, before.stop())
+    before.close()
+    transport = link(firmware, seed=8)
+    pass_time(firmware, transport, 1.0)
+    return transport
+
+
+@provokes(DriverReason.HOST_SILENT, DriverState.STOPPED)
+def provoke_host_silent(firmware, latch):
+    transport = enabled(firmware)
+    for _ in range(800):  # and nobody polls
+        firmware.tick()
+    pass_time(firmware, transport, 0.2)
+    return transport
+
+
+@provokes(DriverReason.LIMIT, DriverState.STOPPED)
+def provoke_limit(firmware, latch):
+    transport = link(firmware)
+    firmware.order("place 0.0101")  # [m]: no way leads home from there
+    pass_time(firmware, transport, 0.5)
+    assert settled(firmware, transport, transport.enable()).failure
+    return transport
+
+
+@provokes(DriverReason.SUPPLY, DriverState.STOPPED)
+def provoke_supply(firmware, latch):
+    transport = enabled(firmware)
+    firmware.order("fault 8")
+    pass_time(firmware, transport, 0.2)
+    return transport
+
+
+@provokes(DriverReason.HARDWARE, DriverState.STOPPED)
+def provoke_hardware(firmware, latch):
+    transport = enabled(firmware)
+    firmware.order("fault 24")  # a failing supply may be its doing
+    pass_time(firmware, transport, 0.2)
+    return transport
+
+
+@provokes(DriverReason.HEAT, DriverState.STOPPED)
+def provoke_heat(firmware, latch):
+    firmware.options = "0.005", "20"  # quicker than the table, which as a whole is allowed
+    firmware.reset()
+    transport = enabled(firmware)
+    transport.send(shaking(0.002), 50)
+    pass_time(firmware, transport, 1.5)
+    return transport
+
+
+@provokes(DriverReason.FOLLOWING, DriverState.STOPPED)
+def provoke_following(firmware, latch):
+    transport = enabled(firmware)
+    transport.send(shaking(0.008), 50)
+    pass_time(firmware, transport, 0.5)
+    firmware.order("jam 1")
+    pass_time(firmware, transport, 0.5)
+    return transport
+
+
+@provokes(DriverReason.DEVICE_RESET, DriverState.STOPPED)
+def provoke_device_reset(firmware, latch):
+    transport = enabled(firmware)
+    firmware.order("reset")
+    pass_time(firmware, transport, 2.0)
+    return transport
+
+
+@provokes(DriverReason.NO_ANSWER, DriverState.ERROR)
+def provoke_no_answer(firmware, latch):
+    transport = enabled(firmware)
+    firmware.loss = 1.0
+    pass_time(firmware, transport, 1.0)
+    return transport
+
+
+@provokes(DriverReason.NO_TELEMETRY, DriverState.ERROR)
+def provoke_no_telemetry(firmware, latch):
+    transport = enabled(firmware)
+    read, reader = firmware.read, Reader()
+
+    def read_without(size: int) -> bytes:
+        nonlocal reader
+        reader, packets = reader.fed(read(size))
+        kept = [data for data in packets if not isinstance(parse(data).message, Telemetry)]
+        return b"".join(map(frame, kept))
+
+    firmware.read = read_without
+    pass_time(firmware, transport, 0.7)
+    return transport
+
+
+@provokes(DriverReason.PORT, DriverState.ERROR)
+def provoke_port(firmware, latch):
+    transport = enabled(firmware)
+    firmware.cut = True
+    pass_time(firmware, transport, 0.5)
+    return transport
+
+
+@provokes(DriverReason.WRONG_DEVICE, DriverState.ERROR)
+def provoke_wrong_device(firmware, latch):
+    limits = replace(RIG.limits, stroke_m=0.02)
+    transport = SerialTransport(firmware.opened, lambda: firmware.now, 7, limits=limits)
+    transport.open()
+    pass_time(firmware, transport, 0.5)
+    return transport
+
+
+@provokes(DriverReason.DEFECT, DriverState.ERROR)
+def provoke_defect(firmware, latch):
+    transport = enabled(firmware)
+
+    def poll() -> list[Measured]:
+        raise RuntimeError("a defect")
+
+    transport.poll = poll
+    thread = TransportThread(transport, latch, lambda error: None)
+    thread.poll()
+    return thread
+
+
+@provokes(DriverReason.STOP_UNANSWERED, DriverState.ERROR)
+def provoke_stop_unanswered(firmware, latch):
+    transport = enabled(firmware)
+    firmware.loss = 1.0
+    latch.close(DriverReason.EMERGENCY_STOP)
+    latch.unanswered = not settled(firmware, transport, transport.stop()).done
+    pass_time(firmware, transport, 1.0)
+    return transport
+
+
+OTHERS = {DriverReason.OTHER: "test_trajectory_relay.py"}
+"""Provoked there: no transport of ours has it."""
+
+
+@pytest.mark.parametrize(
+    "reason", [r for r in DriverReason if r not in OTHERS], ids=lambda reason: reason.name
+)
+def test_every_reason_of_the_driver_can_be_provoked(firmware, reason):
+    latch = Latch()
+    state, provoke = PROVOKE[reason]
+    motors = provoke(firmware, latch)
+    report = motors.report if isinstance(motors, TransportThread) else motors.report()
+    status = driver_status(True, latch, report, calibrating=False)
+    assert (status.state, status.reason) == (state, reason), status
+    assert status.text.startswith(state.name.lower())

@@ -10,8 +10,10 @@ import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_driver.setpoints import MotorTable, prepare
-from plate_driver.transports import Condition
+from plate_driver.status import LOOK, driver_status
+from plate_driver.transports import Condition, Latch
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "plate_trajectory_controller"
 RIG = load_rig()
@@ -95,7 +97,11 @@ def check(rig: Controller) -> None:
 def test_nothing_moves_before_an_enable(rig):
     assert rig.relay.report().condition is Condition.GONE
     rig.run(0.1)
-    assert rig.relay.report().condition is Condition.OFF
+    report = rig.relay.report()
+    assert report.condition is Condition.OFF
+    assert driver_status(True, Latch(), report, calibrating=False) == DriverStatus(
+        DriverState.STOPPED, DriverReason.OTHER, f"stopped: {report.text}; {LOOK}"
+    )
     with pytest.raises(CycleError, match="the motors are off"):
         rig.relay.send(shaking(0.001), 3)
     rig.run(0.2)

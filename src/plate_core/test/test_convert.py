@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError, Parts, PlateCycle, PlateError, Wanted, load_rig
+from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.rig import Lens, to_image
 
 pytest.importorskip("rclpy")
@@ -15,6 +16,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from plate_core.ros import convert
+from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 from plate_interfaces.msg import Part
 
 RIG = load_rig()
@@ -75,6 +77,28 @@ def test_parts_there_and_back():
     for name in ("force", "tolerance", "torque"):
         np.testing.assert_allclose(getattr(back, name), getattr(sent, name), atol=1e-12)
     assert back.period == sent.period
+
+
+def test_driver_status_there_and_back():
+    for state in DriverState:
+        for reason in DriverReason:
+            status = DriverStatus(state, reason, "why", 1_234_567_890_123_456_789)
+            msg = over_the_wire(convert.driver_status_to_msg(status, STAMP))
+            assert msg.header.stamp == STAMP
+            assert convert.msg_to_driver_status(msg) == status
+
+
+@pytest.mark.parametrize("name", ["state", "reason"])
+def test_a_wrong_driver_status_is_refused(name):
+    most = {"state": 8, "reason": 18}[name]
+    with pytest.raises(PlateError, match=f"driver_status: {name} is 200, allowed: 0 to {most}"):
+        convert.msg_to_driver_status(DriverStatusMsg(**{name: 200}))
+
+
+def test_codes_of_the_driver_are_those_of_the_message():
+    constants = {name: getattr(DriverStatusMsg, name) for name in dir(DriverStatusMsg)}
+    codes = {name: code for name, code in constants.items() if type(code) is int}
+    assert codes == {each.name: int(each) for each in (*DriverState, *DriverReason)}
 
 
 def test_seen_parts_there_and_back():

@@ -389,10 +389,11 @@ def test_services_stop_disable_and_enable(peer):
     enable = peer.node.create_client(SetBool, "enable")
     assert peer.until(lambda: peer.told[-1:] == ["ready"])
     stamp = LAST_STAMP
-    for call, state in (
-        (lambda: peer.call(stop, Trigger.Request()), EMERGENCY),
-        (lambda: peer.call(cut, Trigger.Request()), CUT),
-        (lambda: peer.call(enable, SetBool.Request(data=False)), OFF),
+    off = SetBool.Request(data=False)
+    for call, state, reason in (
+        (lambda: peer.call(stop, Trigger.Request()), EMERGENCY, DriverStatus.EMERGENCY_STOP),
+        (lambda: peer.call(cut, Trigger.Request()), CUT, DriverStatus.POWER_CUT),
+        (lambda: peer.call(enable, off), OFF, DriverStatus.SWITCHED_OFF),
     ):
         stamp += MS
         peer.send(shaking(0.0005), stamp)
@@ -400,6 +401,7 @@ def test_services_stop_disable_and_enable(peer):
         assert call().success
         assert at_rest(peer.answer(stamp, count=2))
         assert peer.until(lambda s=state: peer.told[-1] == s)
+        assert peer.statuses[-1].reason == reason
         count = len(peer.setpoints)
         peer.send(shaking(0.0005), stamp + 1)
         assert not peer.until(lambda n=count: len(peer.setpoints) > n, seconds=0.5)
