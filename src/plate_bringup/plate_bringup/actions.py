@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -35,7 +36,7 @@ COMMON = {
     "one_process": "all nodes in one process, not each in its own",
     "autostart": "false: somebody else configures and activates the nodes",
     "record": "all messages into a bag (MCAP), by ros2 bag",
-    "namespace": "of all nodes and topics",
+    "namespace": "of all nodes and topics, and of the frames in /tf",
 }
 SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
@@ -93,10 +94,19 @@ def arguments_of(hardware: bool) -> dict[str, str]:
     return (HARDWARE if hardware else SIMULATED) | COMMON
 
 
-def check_names(hardware: bool, names: Iterable[str]) -> None:
-    """Refuse mistyped arguments, and those of the other launch file.
+def check_names(hardware: bool, names: Iterable[str], words: Sequence[str]) -> None:
+    """Refuse arguments that are not ours.
 
-    Other names are left alone: a launch file that includes ours hands on its own arguments too.
+    A launch file that includes ours hands on its own arguments too. So unless ours is the one that
+    the command line names, only those are refused that are like one of ours, or of the other file.
+
+    Parameters
+    ----------
+    hardware : bool
+    names : iterable of str
+        Of all arguments.
+    words : sequence of str
+        Of the command line.
 
     Raises
     ------
@@ -104,13 +114,16 @@ def check_names(hardware: bool, names: Iterable[str]) -> None:
         Naming the argument, and those that there are.
     """
     known, other = arguments_of(hardware), arguments_of(not hardware)
+    files = ("hardware.launch.py", "closed_loop.launch.py")
+    ours = any(Path(word).name == files[not hardware] for word in words)
+    typed = {word.partition(":=")[0] for word in words if ":=" in word} if ours else set()
     for name in names:
         if name in known:
             continue
         hint = did_you_mean(name, known, MISTYPED)
         if name in other:
-            hint = f", of {'closed_loop' if hardware else 'hardware'}.launch.py"
-        if hint:
+            hint = f", of {files[hardware]}"
+        if hint or name in typed:
             raise GraphError(f"launch argument is {name!r}{hint}, allowed: {', '.join(known)}")
 
 
@@ -123,14 +136,17 @@ def start(hardware: bool, context: Any) -> list[Any]:
         If an argument is mistyped, or there is no such file of parameters: ROS would go on without
         it.
     """
-    check_names(hardware, context.launch_configurations)
+    check_names(hardware, context.launch_configurations, sys.argv)
     known = arguments_of(hardware)
     given = {n: text for n, text in context.launch_configurations.items() if text and n in known}
     values = {name: read(given[name]) for name, read in OPTIONS.items() if name in given}
     if "scenario" in given and not {"rig_file", "params_file"} & given.keys():
         values["rig_file"] = load_scenario(given["scenario"]).rig
-    if "namespace" in given:  # two plates have two simulated devices
-        values["link"] = RunOptions.link + "_" + given["namespace"].strip("/").replace("/", "_")
+    apart: list[dict[str, Any]] = []
+    if "namespace" in given:  # two plates have two simulated devices, and frames of their own
+        own = given["namespace"].strip("/")
+        values["link"] = RunOptions.link + "_" + own.replace("/", "_")
+        apart = [{"frame_prefix": f"{own}/"}]
     options = RunOptions(
         **{"transport": "serial" if hardware else "sim", "hardware": hardware} | values
     )
@@ -149,7 +165,7 @@ def start(hardware: bool, context: Any) -> list[Any]:
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
             on_exit=partial(_end, name, last_words),
-            **program | {"parameters": [*map(str, files), program["parameters"], *waiting]},
+            **program | {"parameters": [*apart, *map(str, files), program["parameters"], *waiting]},
         )
         listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
         actions.append(RegisterEventHandler(listen))

@@ -128,6 +128,22 @@ def test_mistyped_arguments_are_refused(stand_in, file, name, words):
         started(file, **{name: "x"})
 
 
+def test_on_our_command_line_every_argument_is_ours(stand_in, monkeypatch):
+    words = ["ros2", "launch", "plate_bringup", "closed_loop.launch.py", "rig:=desk"]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(GraphError, match=r"^launch argument is 'rig', allowed: scenario, .*rig_fi"):
+        started("closed_loop", rig="desk")
+    monkeypatch.setattr(sys, "argv", ["ros2", "launch", "mine.launch.py", "rig:=desk"])
+    assert list(started("closed_loop", rig="desk")[0]) == NAMES
+
+
+def test_a_namespace_is_one_of_frames_too(stand_in):
+    nodes, _ = started("closed_loop", namespace="/left/")
+    assert {node.parameters[0]["frame_prefix"] for node in nodes.values()} == {"left/"}
+    nodes, _ = started("closed_loop", namespace="left", one_process="true")
+    assert [node.parameters[0] for node in nodes.values()] == [{"frame_prefix": "left/"}]
+
+
 def test_arguments_of_a_launch_file_that_includes_ours_do_no_harm(stand_in):
     nodes, _ = started("closed_loop", use_rviz="true", config_file="x", scenario="sort_6")
     assert list(nodes) == NAMES

@@ -14,20 +14,25 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import PlateError, load_rig
-from plate_core.rig import doubts
+from plate_core.rig import doubts, home_pose
 from plate_core.ros import (
     CAMERA,
     DATA,
     IMAGE,
+    LATCHED,
+    TRANSFORMS,
     NodeOptions,
     SafeLifecycleNode,
     array_to_image,
+    camera_to_msg,
     compiling,
     parameter,
     parts_to_msg,
+    plate_to_msg,
     pose_to_msg,
     run_node,
     scene_to_msg,
@@ -36,7 +41,16 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
 from plate_interfaces.msg import Parts
 
-from .camera import LENS_MODELS, Lens, decode, decode_file, load_lens, read_pictures, rig_of_picture
+from .camera import (
+    LENS_MODELS,
+    Lens,
+    decode,
+    decode_file,
+    load_lens,
+    read_pictures,
+    rig_lens,
+    rig_of_picture,
+)
 from .detection import DetectorOptions
 from .drawing import ARROW_S, draw_detections
 from .errors import CalibrationError, ImageError
@@ -141,7 +155,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     """Lifecycle node `detector`: finds parts, and the plate if it has markers, in camera images.
 
     Subscribes image_raw (or image_raw/compressed), camera_info.
-    Publishes parts, plate_pose (with markers), detections_image, markers, diagnostics.
+    Publishes parts, plate_pose (with markers), detections_image, markers, diagnostics; in /tf plate
+    in plate_home, in /tf_static camera_optical_frame, if the lens is known.
     Service ~/reset: forget all parts, and find the plate again.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
@@ -174,6 +189,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._parts = self.managed_publisher(Parts, "parts", DATA)
         if self._rig.fiducials is not None:
             self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)
+        self._transforms = self.managed_publisher(TFMessage, "/tf", TRANSFORMS)
+        self._cameras = self.managed_publisher(TFMessage, "/tf_static", LATCHED)
         self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         if values.source == "file":
@@ -200,6 +217,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         )
         self._tally, self._reported_at = Tally(), time.monotonic()
         self._images = self._refused = 0
+        if self._location is None:
+            self._place_camera()
 
     def _on_image(self, msg: Image) -> None:
         size_px, big = (msg.width, msg.height), bool(msg.is_bigendian)
@@ -274,6 +293,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
+        pose = HOME if self._location is None else self._location.pose
+        if pose is not None:
+            self._transforms.publish(plate_to_msg(pose, stamp))
         if self._drawings.get_subscription_count():
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
@@ -309,14 +331,24 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
 
     def _find_plate(self, location: PlateLocation, image: np.ndarray, stamp: Time) -> np.ndarray:
         """Find the plate by its markers; returns the image without them."""
+        found = location.home is None
         location, self._vision, image = follow_plate(location, self._vision, image)
         self._location = location
+        if found:
+            self._place_camera()
         if location.pose is not None:
             self._poses.publish(pose_to_msg(location.pose, stamp))
         if location.problem:
             self._warn(location.problem)
             self._tally.problem = location.problem
         return image
+
+    def _place_camera(self) -> None:
+        """Publish where the camera is, if its lens is known."""
+        lens = self._lens or rig_lens(self._rig)
+        if lens is not None:
+            pose = home_pose(self._vision.calibration.image_from_home, lens.matrix)
+            self._cameras.publish(camera_to_msg(*pose, self.get_clock().now().to_msg()))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget all parts, and where home is: numbers begin at 1 again with the next image."""
@@ -373,6 +405,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._vision = make_vision(self._rig, self._vision.options, lens)
             self._lens = lens
             self._location = self._unknown_location()
+            if self._location is None:
+                self._place_camera()
         except PlateError as error:
             self.get_logger().warning(f"camera_info ignored: {error}")
 

@@ -14,12 +14,23 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from scipy.spatial.transform import Rotation  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from plate_core import PlateError, config_path  # noqa: E402
-from plate_core.ros import DATA, IMAGE, array_to_image, msg_to_parts, start_nodes, to_time  # noqa: E402
+from plate_core import PlateError, config_path, load_rig  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    DATA,
+    IMAGE,
+    LATCHED,
+    TRANSFORMS,
+    array_to_image,
+    msg_to_parts,
+    start_nodes,
+    to_time,
+)
 from plate_interfaces.msg import Parts  # noqa: E402
 from plate_vision.node import DetectorNode, lens_of  # noqa: E402
 
@@ -365,6 +376,73 @@ def test_plate_with_markers(make_plate, marked_rig, draw, rng):
         graph.images.publish(image(plate.take([0.008, 0, 0], rng), 3.2))
         graph.until(lambda: len(poses) > 3)
         assert abs(poses[-1].pose.position.x) < 1e-4  # home is found anew
+    finally:
+        graph.close()
+
+
+def heard_transforms(graph, qos, topic, count):
+    """The newest of `count` transforms, to be called before they are published."""
+    heard = []
+    graph.probe.create_subscription(TFMessage, topic, heard.append, qos)
+    graph.until(lambda: graph.detector.count_subscribers(topic))
+
+    def newest():
+        graph.until(lambda: len(heard) >= count)
+        (transform,) = heard[-1].transforms
+        return transform
+
+    return newest
+
+
+def test_frames_without_markers(draw, rng):
+    """The camera where the default rig's corners and lens have it, for whoever comes later; the
+    plate at home; all names with the prefix."""
+    graph = Graph(frame_prefix="left/")
+    try:
+        camera = heard_transforms(graph, LATCHED, "/tf_static", 1)()
+        plate = heard_transforms(graph, TRANSFORMS, "/tf", 1)
+        answer = graph.answer(image(draw(CENTRE_PX, LABEL, rng, radius=7.9), 7.0))
+        assert answer.header.frame_id == plate().header.frame_id == "left/plate_home"
+        assert (plate().header.stamp, plate().child_frame_id) == (answer.header.stamp, "left/plate")
+        assert (plate().transform.translation.x, plate().transform.rotation.w) == (0, 1)
+        assert camera.header.frame_id == "left/plate_home"
+        assert camera.child_frame_id == "left/camera_optical_frame"
+        rotation, translation = inverse(camera.transform)
+        rig = load_rig()
+        corners, lens = np.column_stack([rig.plate.corners, np.zeros(4)]), rig.camera.lens
+        seen = cv2.projectPoints(
+            corners, cv2.Rodrigues(rotation)[0], translation, lens.matrix, np.array(lens.distortion)
+        )[0][:, 0]
+        assert np.abs(seen - rig.camera.corners_px).max() < 0.02
+    finally:
+        graph.close()
+
+
+def inverse(transform):
+    """Rotation and translation of the parent in the child's frame."""
+    q, t = transform.rotation, transform.translation
+    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
+    return rotation, -rotation @ [t.x, t.y, t.z]
+
+
+def test_frames_with_markers(make_plate, marked_rig, rng):
+    """Camera and plate are found in the image: the plate as turned as it is, the camera leaning as
+    it does, though the rig file knows neither."""
+    plate = make_plate(lean=(0.02, -0.03, 0.01))
+    graph = Graph(rig_file=marked_rig)
+    try:
+        camera = heard_transforms(graph, LATCHED, "/tf_static", 1)
+        moving = heard_transforms(graph, TRANSFORMS, "/tf", 2)
+        for k, pose in enumerate([(0.0, 0.0, 0.0), (0.001, -0.0015, 0.01)]):
+            graph.answer(image(plate.take(pose, rng), 2.0 + 0.2 * k))
+        rotation, translation = inverse(camera().transform)
+        assert np.abs(rotation - plate.rotation).max() < 3e-3
+        assert np.abs(translation - plate.translation).max() < 3e-3
+        found = moving().transform
+        assert np.allclose(
+            [found.translation.x, found.translation.y, 2 * found.rotation.z],
+            [0.001, -0.0015, 0.01], atol=2e-4,
+        )  # fmt: skip
     finally:
         graph.close()
 

@@ -9,6 +9,7 @@ from .fiducials import Fiducials
 from .frames import (
     camera_pose,
     fit_homography,
+    home_pose,
     homography,
     part_radius_px,
     project,
@@ -58,6 +59,7 @@ __all__ = [
     "default_rig_path",
     "doubts",
     "fit_homography",
+    "home_pose",
     "homography",
     "load_rig",
     "mass_matrix",

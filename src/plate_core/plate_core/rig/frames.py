@@ -114,17 +114,7 @@ def part_radius_px(rig: Rig) -> float:
 
 
 def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return where plate_home is in the camera's frame (x to the right, y down, z ahead).
-
-    The rigid pose that is nearest to the homography: K [r1 r2 t] up to scale. Corners measured to
-    a pixel fit it to about a pixel.
-
-    Returns
-    -------
-    rotation : (3, 3)
-        Its columns are the axes of plate_home.
-    translation : (3,)
-        Its origin [m].
+    """Return where plate_home is in the camera's frame, by the rig's corners and lens: `home_pose`.
 
     Raises
     ------
@@ -134,7 +124,31 @@ def camera_pose(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     lens = rig.camera.lens
     if lens is None:
         raise RigError("camera: focal_px and centre_px are missing: its pose is not known")
-    columns = np.linalg.solve(lens.matrix, homography(rig))
+    return home_pose(homography(rig), lens.matrix)
+
+
+def home_pose(image_from_home: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where plate_home is in the camera's frame (x to the right, y down, z ahead).
+
+    The rigid pose that is nearest to the homography: K [r1 r2 t] up to scale. Corners measured to
+    a pixel fit it to about a pixel.
+
+    Parameters
+    ----------
+    image_from_home : (3, 3)
+        Homography from plate_home [m] to the straight image [px].
+    matrix : (3, 3)
+        The camera matrix K [px].
+
+    Returns
+    -------
+    rotation : (3, 3)
+        Its columns are the axes of plate_home.
+    translation : (3,)
+        Its origin [m].
+    """
+    columns = np.linalg.solve(matrix, image_from_home)
+    columns *= np.sign(columns[2, 2])  # the origin is ahead of the camera
     left, size, right = np.linalg.svd(columns[:, :2], full_matrices=False)
     axes = left @ right
     rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])

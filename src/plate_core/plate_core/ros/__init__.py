@@ -26,12 +26,13 @@ from .convert import (
     wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
+from .frames import camera_to_msg, plate_to_msg
 from .goals import ACTIONS, goal_to_scenario, scenario_to_goal
 from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
-from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST
+from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, TRANSFORMS
 from .unlocked import UnlockedSubscription
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "IMAGE",
     "LATCHED",
     "NEWEST",
+    "TRANSFORMS",
     "Diagnostics",
     "NodeOptions",
     "Report",
@@ -50,6 +52,7 @@ __all__ = [
     "UnlockedSubscription",
     "array_to_image",
     "camera_to_info",
+    "camera_to_msg",
     "centres_to_msg",
     "compiling",
     "cycle_to_msg",
@@ -70,6 +73,7 @@ __all__ = [
     "nanoseconds",
     "parameter",
     "parts_to_msg",
+    "plate_to_msg",
     "pose_to_msg",
     "run_node",
     "run_nodes",

@@ -21,8 +21,8 @@ from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
 from ..parts import Parts, Wanted, part_class
 from ..rig import Camera, Rig
+from .frames import CAMERA_FRAME, FRAME
 
-FRAME = "plate_home"
 PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
 
@@ -285,7 +285,7 @@ def msg_to_knots(
 
 def array_to_image(image: np.ndarray, stamp: Time, encoding: str = "mono8") -> Image:
     """Return a uint8 image (H, W) or (H, W, 3) as a message."""
-    msg = Image(header=Header(stamp=stamp, frame_id="camera"))
+    msg = Image(header=Header(stamp=stamp, frame_id=CAMERA_FRAME))
     msg.height, msg.width = int(image.shape[0]), int(image.shape[1])
     msg.encoding = encoding
     msg.step = msg.width * CHANNELS[encoding]

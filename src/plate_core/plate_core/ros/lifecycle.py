@@ -17,6 +17,7 @@ from rclpy.timer import Timer
 from ..errors import PlateError
 from ..status import Finding, Level
 from .diagnostics import Diagnostics
+from .frames import add_prefix
 from .params import Spec, declare, follow, parameter
 from .qos import CALLS
 
@@ -28,6 +29,9 @@ class NodeOptions:
     """Parameters that all nodes of the loop have."""
 
     rig_file: str = parameter("", "Rig file (YAML); empty: the default rig.")
+    frame_prefix: str = parameter(
+        "", "Before the names of frames (plate_home, ...): two plates in one tf tree, as left/."
+    )
     autostart: bool = parameter(
         True, "Configure and activate at start; false: somebody else does it.", fixed=True
     )
@@ -127,8 +131,17 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         self._kept += [(destroy, thing) for thing in things]
 
     def managed_publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        """Return a publisher that is silent unless the node is active."""
+        """Return a publisher that is silent unless the node is active; to the names of our frames
+        it adds the prefix."""
         publisher = self.create_lifecycle_publisher(kind, topic, qos)
+        prefix, publish = self.options.frame_prefix, publisher.publish
+
+        def publish_prefixed(msg: Any) -> None:
+            add_prefix(msg, prefix)
+            publish(msg)
+
+        if prefix:
+            publisher.publish = publish_prefixed
         self.keep(self.destroy_lifecycle_publisher, publisher)
         return publisher
 

@@ -14,7 +14,8 @@ from ..colours import FORCE, PLATE, TURNING, VELOCITY, Colour, class_colour, par
 from ..motion import PlateCycle
 from ..parts import Parts, Wanted, part_class
 from ..rig import Rig
-from .convert import FRAME, pose_to_msg
+from .convert import pose_to_msg
+from .frames import FRAME
 
 LIFETIME_S = 1.0
 """What is not drawn again goes after this time [s]."""

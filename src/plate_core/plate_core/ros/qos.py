@@ -50,3 +50,11 @@ CALLS = QoSProfile(
 )
 """Services and their clients: with ROS's own depth of 10, of 100 stops at once 90 get no answer. A
 client needs it too, for the answers to all of them pass through its queue."""
+
+TRANSFORMS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""/tf, as tf2_ros has it; /tf_static is latched."""
