@@ -225,10 +225,12 @@ class Estimator:
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
-        taken = frames.instant if log.reported else t
+        taken, unsure = (frames.instant, frames.deviation) if log.reported else (t, 0.0)
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
-        latency = hypotheses.update(log, parts, taken, delay, self.friction_accel, COAST)
+        latency = hypotheses.update(
+            log, parts, taken, unsure, delay, self.friction_accel, COAST
+        )
         return replace(
             self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd
         )

@@ -22,14 +22,14 @@ FIRST_INTERVAL_S = 1.5e-3
 SCATTER_FRAMES = 30
 """Frames over which the scatter is found."""
 
-DROPPED = 0.002
+DROPPED = 0.005
 """Probability of a dropped image that is assumed."""
+
+GIVEN_UP = 12.0
+"""Hypotheses about dropped images this much less likely than the best are given up [log]."""
 
 ACQUIRE = 12
 """Stamps from which the first interval is found; until then a stamp is believed."""
-
-SURE = 4.0
-"""A mean this many standard deviations off tells that a dropped image was overlooked."""
 
 IRREGULAR = 6.0
 """Stamps this many standard deviations off are not of a regular camera: the clock begins anew."""
@@ -50,23 +50,49 @@ class FrameClock:
     ----------
     stamps : tuple of float
         The last images' [s], as many as are needed to begin.
-    instant, interval : float
-        When the last image was taken, by the regular clock of the camera; distance of frames [s].
+    frame : (H,)
+        Hypotheses: by how many frames the last image is a later one than is believed.
+    log_likelihood : (H,)
+        Of each, less the greatest.
+    time : (H, 2)
+        When the last image was taken, by the regular clock of the camera, and the distance of
+        frames [s].
     covariance : (2, 2)
         Of both [s2]; infinite as long as they are not known.
     scatter : float
         Standard deviation of the stamps [s].
-    late, count : float, int
-        By how much the last stamps were later than expected, on average [s]; how many they were.
     """
 
     stamps: tuple[float, ...] = ()
-    instant: float = -np.inf
-    interval: float = np.nan
+    frame: np.ndarray = field(default_factory=lambda: np.zeros(1, int))
+    log_likelihood: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    time: np.ndarray = field(default_factory=lambda: np.array([[-np.inf, np.nan]]))
     covariance: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.inf))
     scatter: float = FIRST_S
-    late: float = 0.0
-    count: int = 0
+
+    @classmethod
+    def at(cls, stamp: float) -> FrameClock:
+        """Return a clock that has seen one image."""
+        return cls((stamp,), time=np.array([[stamp, np.nan]]))
+
+    @property
+    def instant(self) -> float:
+        """When the last image was taken [s]."""
+        return float(self.time[np.argmax(self.log_likelihood), 0])
+
+    @property
+    def interval(self) -> float:
+        """Distance of frames [s]; NaN as long as it is not known."""
+        return float(self.time[np.argmax(self.log_likelihood), 1])
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of `instant` [s]: that of a stamp as long as frames are not known."""
+        if not np.isfinite(self.interval):
+            return self.scatter
+        likely = np.exp(self.log_likelihood)
+        doubt = likely @ (self.time[:, 0] - self.instant) ** 2 / np.sum(likely)
+        return float(np.sqrt(self.covariance[0, 0] + doubt))
 
     @property
     def rate(self) -> float:
@@ -79,56 +105,58 @@ class FrameClock:
     def tick(self, stamp: float) -> FrameClock:
         """Take in the next stamp [s]."""
         if not self.stamps or not 0 < stamp - self.stamps[-1] < LONGEST_S:
-            return FrameClock((stamp,), stamp)
+            return FrameClock.at(stamp)
         stamps = (*self.stamps, stamp)[-ACQUIRE:]
         if len(stamps) < ACQUIRE:
-            return replace(self, stamps=stamps, instant=stamp)
+            return replace(FrameClock.at(stamp), stamps=stamps)
         interval = float(np.median(np.diff(stamps)))
         if np.isfinite(self.interval):
             if abs(interval - self.interval) > OTHER * self.interval + 2 * self.scatter:
-                return FrameClock((stamp,), stamp)
+                return FrameClock.at(stamp)
             clock = self._next(stamp)
-            return replace(clock, stamps=stamps) if np.isfinite(clock.interval) else clock
-        covariance = np.diag([FIRST_S**2, FIRST_INTERVAL_S**2])
-        clock = FrameClock(stamps, stamps[0], interval, covariance)
-        for each in stamps[1:]:
-            clock = clock._next(each)
-            if not np.isfinite(clock.interval):
-                return clock
-        return replace(clock, stamps=stamps)
+        else:
+            covariance = np.diag([FIRST_S**2, FIRST_INTERVAL_S**2])
+            clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
+            for each in stamps[1:]:
+                clock = clock._next(each)
+        return replace(clock, stamps=stamps) if np.isfinite(clock.interval) else clock
 
     def _next(self, stamp: float) -> FrameClock:
-        """Take in a stamp when the interval is known; it is unknown again if that does not fit."""
-        count = self._frames_since(stamp)
-        move = np.array([[1.0, count], [0.0, 1.0]])
-        noise = count * np.diag([WANDER_S**2, DRIFT_S**2])
-        covariance = move @ self.covariance @ move.T + noise
-        expected = self.instant + count * self.interval
-        late, variance = stamp - expected, covariance[0, 0] + self.scatter**2
-        if late**2 > IRREGULAR**2 * variance:
-            return FrameClock((stamp,), stamp)
-        gain = covariance[:, 0] / variance
-        covariance = covariance - np.outer(gain, covariance[0])
-        instant, interval = np.array([expected, self.interval]) + gain * late
-        square = self.scatter**2 * (1 + (late**2 / variance - 1) / SCATTER_FRAMES)
-        number = self.count + 1
-        mean = self.late + (late - self.late) / number
-        # As many as tell half an interval from the scatter: then their mean begins anew.
-        enough = number >= max(4, (2 * SURE * self.scatter / interval) ** 2)
-        if enough:
-            if abs(mean) > interval / 2:  # a drop was overlooked, or one seen that was none
-                instant += interval * np.sign(mean)
-            number, mean = 0, 0.0
-        return FrameClock(
-            (stamp,), float(instant), float(interval), (covariance + covariance.T) / 2,
-            max(float(np.sqrt(square)), LEAST_S), mean, number,
-        )  # fmt: skip
+        """Take in a stamp when the interval is known; it is unknown again if that does not fit.
 
-    def _frames_since(self, stamp: float) -> int:
-        """Return the likeliest number of frames since the last image: dropped ones are rare."""
-        step = stamp - self.instant
-        most = max(int(np.ceil(step / self.interval)), 1)
-        count = np.arange(max(most - 2, 1), most + 1)
-        spread = self.covariance[0, 0] + count**2 * self.covariance[1, 1] + self.scatter**2
-        doubt = (step - count * self.interval) ** 2 / (2 * spread)
-        return int(count[np.argmin(doubt - count * np.log(DROPPED))])
+        An image is of the frame after the last image's, or of a later one if some were dropped. One
+        late stamp does not tell, but the next ones do: hypotheses about the frame's number each
+        have a filter of their own. Of two that agree on the number the likelier remains (Viterbi).
+        """
+        if not np.isfinite(self.interval):
+            return FrameClock.at(stamp)
+        most = int(np.ceil(np.max((stamp - self.time[:, 0]) / self.time[:, 1]))) + 1
+        count = np.arange(1, max(most, 1) + 1)
+        late = stamp - self.time[:, :1] - self.time[:, 1:] * count
+        (one, both), (_, interval) = self.covariance
+        spread = one + 2 * count * both + count**2 * interval + self.scatter**2
+        likely = self.log_likelihood[:, None] + (count - 1) * np.log(DROPPED)
+        likely = likely - (late**2 / spread + np.log(spread)) / 2
+        frame = self.frame[:, None] + count
+        numbers = np.unique(frame[likely > np.max(likely) - GIVEN_UP])
+        picked = [int(np.argmax(np.where(frame == number, likely, -np.inf))) for number in numbers]
+        before, after = np.unravel_index(picked, likely.shape)
+        likely, late = likely[before, after], late[before, after]
+        best = int(np.argmax(likely))
+        step = int(count[after[best]])
+        move = np.array([[1.0, step], [0.0, 1.0]])
+        covariance = move @ self.covariance @ move.T
+        covariance += step * np.diag([WANDER_S**2, DRIFT_S**2])
+        variance = covariance[0, 0] + self.scatter**2
+        square = late[best] ** 2 / variance
+        if square > IRREGULAR**2:
+            return FrameClock.at(stamp)
+        gain = covariance[:, 0] / variance
+        time = self.time[before].copy()
+        time[:, 0] += count[after] * time[:, 1]
+        time += late[:, None] * gain
+        scatter = self.scatter * np.sqrt(1 + (square - 1) / SCATTER_FRAMES)
+        return FrameClock(
+            (stamp,), numbers - numbers[best], likely - likely[best], time,
+            covariance - np.outer(gain, covariance[0]), max(float(scatter), LEAST_S),
+        )  # fmt: skip

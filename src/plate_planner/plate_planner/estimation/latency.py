@@ -30,7 +30,8 @@ LONGEST_S = 0.5
 
 FEWEST_IMAGES, CLEAR, BETTER = 4, 8.0, 4.0
 """Latencies are given up after so many images at the least, once they are less likely than the best
-by so much [log]: model and noise are not quite as assumed. It takes less to believe another one."""
+by so much [log]: model and noise are not quite as assumed. It takes less to believe another one,
+and the first image of a plate in motion may tell it."""
 
 SOON_IMAGES = 4
 """Of images at the starts of cycles, after which believing another latency takes more and more."""
@@ -128,16 +129,18 @@ class LatencyHypotheses:
         log: CycleLog,
         parts: Parts,
         t: float,
+        unsure: float,
         delay: np.ndarray,
         friction_accel: float,
         most: int,
     ) -> LatencyHypotheses:
-        """Take in the parts of an image with stamp t [s], each seen `delay` (P,) [s] later than the
-        middle of the image; the rest as in `StateEstimate.update`."""
+        """Take in the parts of an image with stamp t [s], which is off by `unsure` [s] or more
+        (standard deviation); each part is seen `delay` (P,) [s] later than the middle of the image;
+        the rest as in `StateEstimate.update`."""
         time = t - self.latencies[:, None] + delay
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
         fading = np.exp(-max(t - self.latency - last, 0.0) / MEMORY_S)
-        jitter = self.jitter.deviation
+        jitter = max(self.jitter.deviation, unsure)
         estimate, fit = self.estimate.update(log, parts, time, friction_accel, most, jitter)
         moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
         if not moved:
@@ -150,7 +153,7 @@ class LatencyHypotheses:
             misfit=self.misfit + (float(fit.square[self.best]) - self.misfit) / MISFIT_IMAGES,
             jitter=self._jitter(fit),
         )
-        if len(self.latencies) == 1 or seen.images < FEWEST_IMAGES:
+        if len(self.latencies) == 1:
             return seen
         if self.found and seen.misfit > MISFIT:
             return replace(LatencyHypotheses.of(None), jitter=self.jitter)
@@ -164,7 +167,8 @@ class LatencyHypotheses:
         at_end = best == len(STEPS) - 1 or (best == 0 and self.latencies[0] > 0)
         given_up = middle if at_end else np.abs(STEPS - STEPS[best]) > 1
         other = at_end or step > FINE_S or best != middle
-        if other and likely[best] - np.max(likely[given_up]) > CLEAR:
+        enough = seen.images >= FEWEST_IMAGES
+        if enough and other and likely[best] - np.max(likely[given_up]) > CLEAR:
             step = min(2 * step, COARSE_S) if at_end else max(step / 2, FINE_S)
             return seen._around(best, step, log, friction_accel)
         return replace(seen, best=best)
