@@ -358,6 +358,18 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     assert memory.scaling[1] == 1.0
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_little_is_asked_as_long_as_the_age_of_images_is_unknown(known):
+    scenario = load_scenario("follow_2")
+    plant, follower = Plant(scenario), Follower(scenario.task, RIG)
+    seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))
+    wrong, short = seen.position + 0.01, np.zeros(2)
+    now = Situation(seen, 0.0, T, T, True, known, wrong, short, True)
+    _, found = follower.assess(None, now)
+    speed = np.hypot(*found.request.low.T)
+    assert np.all(speed > 0.04) if known else np.all(speed <= 0.3 * 0.04 + 1e-9)
+
+
 def test_a_lack_that_does_not_pass_never_stops_the_references():
     scenario = load_scenario("follow_2")
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)

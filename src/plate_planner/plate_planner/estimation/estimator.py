@@ -228,9 +228,7 @@ class Estimator:
         taken, unsure = (frames.instant, frames.deviation) if log.reported else (t, 0.0)
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
-        latency = hypotheses.update(
-            log, parts, taken, unsure, delay, self.friction_accel, COAST
-        )
+        latency = hypotheses.update(log, parts, taken, unsure, delay, self.friction_accel, COAST)
         return replace(
             self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd
         )

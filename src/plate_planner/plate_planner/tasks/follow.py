@@ -396,13 +396,15 @@ class Follower(TaskRules):
         ]
         low, high = (np.column_stack(ends) for ends in zip(*intervals, strict=True))
         path, part = matched_rows(memory.match, now.parts)
+        # What is predicted by images of unknown age may be wrong by more than the parts have moved.
+        scaling = 1.0 if now.latency_known else memory.scaling[1]
         low[part] = high[part] = pd_drift(
             now.predicted[part],
             self.reference(memory, now.start)[path],
             self.reference(memory, now.start + now.period)[path],
             now.period,
             self.options.kp,
-            SPEED_RATIO_MAX * self._speeds[path],
+            SPEED_RATIO_MAX * scaling * self._speeds[path],
         )
         return DriftRequest(low, high)
 
