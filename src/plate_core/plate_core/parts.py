@@ -11,6 +11,9 @@ from .errors import PlateError
 CYCLE_S = 0.1
 """Length of a cycle where none is given [s]."""
 
+MOST_PARTS = 100
+"""In a scenario, and in one request: a thousand keep the solver busy for three seconds."""
+
 
 @dataclass(frozen=True)
 class Parts:

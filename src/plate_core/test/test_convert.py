@@ -203,6 +203,10 @@ def test_wrong_cycles(change, message):
             "white_2 has torque_min .*-9, al",
         ),
         (lambda m: setattr(m, "period_s", 0.0), "period_s is 0, allowed: above 0"),
+        (
+            lambda m: setattr(m, "forces", m.forces[:1] * 101),
+            "part_forces: 101 parts, allowed: at most 100",
+        ),
         (lambda m: setattr(m, "period_s", float("nan")), "period_s is nan, allowed: above 0"),
     ],
 )

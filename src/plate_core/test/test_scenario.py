@@ -289,6 +289,15 @@ def test_regions_of_two_classes_have_no_area_in_common(tmp_path, rig, black, gre
     assert f"share {shared_cm2:.3g} cm2" in str(info.value)
 
 
+def test_a_hundred_parts_in_all_are_allowed(rig):
+    scenario = load_scenario("sort_4")
+    black, grey = scenario.parts
+    whole = replace(scenario, parts=(replace(black, count=60), replace(grey, count=40)))
+    check_scenario(whole, rig)
+    with pytest.raises(ScenarioError, match="parts: 101, allowed: at most 100 in all"):
+        check_scenario(replace(whole, parts=(black, replace(grey, count=99))), rig)
+
+
 def test_a_missing_or_broken_file_is_one_line(tmp_path):
     with pytest.raises(ScenarioError, match="no such file"):
         load_scenario(tmp_path / "nowhere.yaml")
@@ -340,9 +349,9 @@ def test_given_and_scattered_parts_mix_in_the_order_of_the_file(tmp_path, rig):
 
 
 def test_too_many_parts_are_refused(tmp_path, rig):
-    scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 100")))
+    scenario = load_scenario(write(tmp_path, SORT.replace("count: 2", "count: 90")))
     large = replace(rig, parts=replace(rig.parts, radius_m=0.025))
-    with pytest.raises(ScenarioError, match=r"count: 100 to scatter, allowed: \d\d; .* 25 mm rad"):
+    with pytest.raises(ScenarioError, match=r"count: 90 to scatter, allowed: \d\d; .* 25 mm rad"):
         start_positions(scenario, large, np.random.default_rng(0))
 
 

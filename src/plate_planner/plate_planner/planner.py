@@ -21,6 +21,7 @@ from .supervision import (
     LastSeen,
     Phase,
     Progress,
+    Reason,
     TaskLimits,
     TaskState,
     begin,
@@ -36,6 +37,10 @@ from .tasks import Assessment, DriftRequest, Situation, TaskOptions, TaskRules, 
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
+
+LONGEST_GAP_S = 10.0
+"""Between the stamps of two images of a running task [s]. Silence so long ends it anyway: such a
+gap is a clock that was set."""
 
 
 @dataclass(frozen=True)
@@ -166,9 +171,18 @@ class Planner:
         return replace(state, estimator=state.estimator.started(cycle, begin), due=due)
 
     def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
-        """Take in the parts of one image, as vision saw them, and its stamp [s]."""
-        if state.estimator.clock.went_back(t) and state.task.phase is Phase.RUNNING:
+        """Take in the parts of one image, as vision saw them, and its stamp [s].
+
+        A running task begins again if time was put back, and ends if it was put on.
+        """
+        clock = state.estimator.clock
+        if state.task.phase is not Phase.RUNNING or clock.stamp is None:
+            pass
+        elif clock.went_back(t):
             state = self.start(state)
+        elif t - clock.stamp > LONGEST_GAP_S:
+            gap = f"no parts for {t - clock.stamp:.0f} s by the stamps of the images"
+            state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
         return replace(state, estimator=state.estimator.update(parts, t))
 
     def plan(

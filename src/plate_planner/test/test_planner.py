@@ -9,6 +9,7 @@ from plant import RIG, Plant, T, ready, run, without
 from plate_core import Parts, PlateCycle, ScenarioError, part_class
 from plate_core.tasks import Bin, Side, SortTask, load_scenario
 from plate_planner import Planner
+from plate_planner.supervision import Phase, Reason
 
 
 @pytest.mark.parametrize("name", ["sort_4", "sort_6", "sort_8", "sort_10"])
@@ -237,6 +238,20 @@ def test_time_going_back_begins_a_running_task_again():
     _, _, progress = run(planner, fresh, t=0.0, state=state)
     assert progress.phase == "done"
     assert progress.rms_error_m < 1e-9
+
+
+def test_time_put_on_ends_a_running_task():
+    scenario = load_scenario("follow_2")
+    plant, planner = Plant(scenario), Planner(RIG, scenario)
+    state, _, _ = run(planner, plant, cycles=50, t=1000.0)
+    late, asked, progress = planner.plan(state, plant.seen(), 1e9)
+    assert (late.task.reason, len(asked.parts)) == (Reason.NO_PARTS, 0)
+    assert progress.text == (
+        "aborted after 4.9 s: no parts for 999998995 s by the stamps of the images: is the "
+        "camera's clock set?"
+    )
+    _, _, progress = planner.plan(state, plant.seen(), state.estimator.stamp + 9.9)
+    assert progress.phase is not Phase.ABORTED
 
 
 def test_time_going_back_leaves_a_finished_task_finished():

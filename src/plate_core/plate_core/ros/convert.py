@@ -19,7 +19,7 @@ from plate_interfaces.msg import Parts as PartsMsg
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import Parts, Wanted, part_class
+from ..parts import MOST_PARTS, Parts, Wanted, part_class
 from ..rig import Camera, Rig
 from .frames import CAMERA_FRAME, FRAME
 
@@ -133,9 +133,12 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     Raises
     ------
     PlateError
-        If a name is given twice, a value is not finite or beyond `MOST` (the ends of an interval
-        may be infinite), an interval ends before it begins, or the period is not above 0.
+        If there are more than `MOST_PARTS`, a name is given twice, a value is not finite or beyond
+        `MOST` (the ends of an interval may be infinite), an interval ends before it begins, or the
+        period is not above 0.
     """
+    if len(msg.forces) > MOST_PARTS:
+        raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MOST_PARTS}")
     ids = tuple(force.id for force in msg.forces)
     if ids and not 0 < msg.period_s <= MOST:
         raise PlateError(f"part_forces: period_s is {msg.period_s:g}, allowed: above 0")

@@ -11,6 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..errors import PlateError, ScenarioError, did_you_mean
+from ..parts import MOST_PARTS
 from ..rig import Rig, rig_names
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
@@ -334,7 +335,8 @@ def _one_each(
 
 
 def check_scenario(scenario: Scenario, rig: Rig) -> None:
-    """Refuse a scenario whose positions, paths, regions or places do not fit on this rig's plate.
+    """Refuse a scenario of too many parts, or whose positions, paths, regions or places do not fit
+    on this rig's plate.
 
     Raises
     ------
@@ -343,6 +345,10 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         for a part's centre; or two points too near each other, or two regions that overlap.
     """
     task, radius = scenario.task, rig.parts.radius_m
+    if scenario.count > MOST_PARTS:
+        raise ScenarioError(
+            f"{scenario.where}: parts: {scenario.count}, allowed: at most {MOST_PARTS} in all"
+        )
     room = rig.plate.half - radius
     placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
     goals = _goals(task)
