@@ -82,16 +82,18 @@ class Thinned:
 
 @dataclass(frozen=True)
 class Health:
-    """What a node said of itself last: level and message of its diagnostics, and when they came."""
+    """What a node said of itself last: level and message of its diagnostics, when they came, and
+    whether it compiled."""
 
     level: Level
     message: str
     at: float
+    compiled: bool
 
     @property
     def compiles(self) -> bool:
         """Whether it compiles, and so cannot answer yet."""
-        return self.message.startswith(COMPILING) and time.monotonic() - self.at < FRESH_S
+        return self.compiled and time.monotonic() - self.at < FRESH_S
 
 
 @dataclass
@@ -227,10 +229,13 @@ class Observer:
 
     def _on_report(self, msg: DiagnosticArray) -> None:
         stamp = nanoseconds(msg.header.stamp)
-        for node, level, message, values in msg_to_reports(msg):
-            if values:  # a node that compiles has none yet
-                self.record.reports[node].append((stamp, {"message": message, **values}))
-            self.record.health[node] = Health(level, message, time.monotonic())
+        for report in msg_to_reports(msg):
+            if report.values and not report.compiles:
+                values = {"message": report.message, **report.values}
+                self.record.reports[report.node].append((stamp, values))
+            self.record.health[report.node] = Health(
+                report.level, report.message, time.monotonic(), report.compiles
+            )
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""

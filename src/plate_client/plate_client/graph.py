@@ -99,11 +99,12 @@ class Graph(Services):
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
         self._until(lambda: bool(self._seen()), NOBODY_S)
-        health = self._health() if self._seen() else {}
+        reports = self._reports() if self._seen() else {}
         if not self._seen() and not self._said:
             raise PlateError(nobody())
         lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
-        return "\n".join([*lines, *(f"  {name}: {text}" for name, text in health.items())])
+        lines += [f"  {name}: {said.level.name}, {said.message}" for name, said in reports.items()]
+        return "\n".join(lines)
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:

@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.node import Node
@@ -17,6 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
 from plate_core import PlateError, config_path
+
+if TYPE_CHECKING:
+    from plate_core.ros import Report
 
 NOBODY_S, FOUND_S, ANSWER_S = 1.0, 3.0, 15.0
 """Longest waits: for any node to be seen, for a service to be found, for its answer [s]."""
@@ -112,23 +115,21 @@ class Services:
         here = self._seen()
         if not here:
             return f"no service {service}: {nobody()}"
-        from plate_core.status import COMPILING
-
-        health = self._health()
-        busy = [f"{name} is {text}" for name, text in health.items() if COMPILING in text]
+        reports = self._reports().items()
+        busy = [f"{name} is {report.message}" for name, report in reports if report.compiles]
         return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
 
-    def _health(self) -> dict[str, str]:
+    def _reports(self) -> dict[str, Report]:
         """Return what each node says of itself, by its name."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         from plate_core.ros import DATA, msg_to_reports
 
-        said: dict[str, str] = {}
+        said: dict[str, Report] = {}
 
         def on_message(msg: DiagnosticArray) -> None:
             for report in msg_to_reports(msg):
-                said[report.node] = f"{report.level.name}, {report.message}"
+                said[report.node] = report
 
         heard = self.node.create_subscription(DiagnosticArray, "diagnostics", on_message, DATA)
         self._until(lambda: False, REPORT_S)

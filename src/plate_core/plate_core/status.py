@@ -23,7 +23,7 @@ short enough for a task to end within 2 s of the fault."""
 
 
 COMPILING = "compiling kernels"
-"""How the message of a node begins that cannot answer yet, since it compiles."""
+"""What a node does that cannot answer yet, in words."""
 
 
 class Level(IntEnum):

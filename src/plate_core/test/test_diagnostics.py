@@ -104,6 +104,8 @@ def test_a_node_that_compiles_says_so(talker, monkeypatch, capfd):
     (status,) = heard[-1].status
     assert (status.name, int.from_bytes(status.level)) == ("/diagnostics_test/talker", Level.WARN)
     assert re.match(f"{COMPILING} for [0-9]+ s ", status.message)
+    (report,) = msg_to_reports(heard[-1])
+    assert report.compiles
     log = capfd.readouterr().err
     assert log.count(COMPILING) == 1  # diagnostics each second, the log not as often
     assert "compiled within" in log

@@ -113,7 +113,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._transport: TransportThread | None = None
         self._making = threading.Lock()
         self._experiment: Experiment | None = None
-        self._outcome = ""  # of the last calibration
+        self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
         self._reported: dict[str, str] = {}  # values of the last diagnostics
@@ -358,7 +358,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         if status.state not in (DriverState.READY, DriverState.CALIBRATING):
             self._ready_since = now
             if self._experiment is not None:
-                self._calibrated(f"failed: {status.text}", now)
+                self._calibrated(f"failed: {status.text}", now, failed=True)
             if self._guard.table is not None:
                 self._halted()
             return
@@ -387,7 +387,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         else:
             try:
                 check_writable(self.options.calibration_file)
-                self._outcome = ""
+                self._outcome, self._failed = "", False
                 self._begin_experiment(transport, Calibration.start(self._rig), self._now())
                 response.success, response.message = True, "see driver_status and diagnostics"
             except PlateError as error:
@@ -422,14 +422,14 @@ class DriverNode(SafeLifecycleNode[Options]):
                 return
             save_response(self.options.calibration_file, calibration.response)
             text = f"done: {self.options.calibration_file}, used from the next configure on"
+            self._calibrated(text, now, failed=False)
         except PlateError as error:
-            text = f"failed: {error}"
-        self._calibrated(text, now)
+            self._calibrated(f"failed: {error}", now, failed=True)
 
-    def _calibrated(self, text: str, now: float) -> None:
+    def _calibrated(self, text: str, now: float, failed: bool) -> None:
         """End a calibration."""
-        self._outcome = text
-        if text.startswith("failed"):
+        self._outcome, self._failed = text, failed
+        if failed:
             self.get_logger().error(f"calibration {text}")
         else:
             self.get_logger().info(f"calibration {text}")
@@ -471,7 +471,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def _find(self, now: float) -> Finding:
         """Return how well the driver is, and why."""
         lasting = [str(self.failure)] if self.failure is not None else []
-        if self._outcome.startswith("failed"):
+        if self._failed:
             lasting.append(f"calibration {self._outcome}")
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")

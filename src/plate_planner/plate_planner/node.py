@@ -324,8 +324,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = self._wake()
-        for node, level, message, _ in msg_to_reports(msg):
-            self._inputs = self._inputs.heard_node(now, node, level, message)
+        for report in msg_to_reports(msg):
+            self._inputs = self._inputs.heard_node(
+                now, report.node, report.level, report.message, report.compiles
+            )
 
     # Whether the task can go on
 

@@ -10,7 +10,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 
 from action_msgs.msg import GoalStatus  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
@@ -316,6 +316,7 @@ def test_a_goal_is_refused_with_the_reason(graph):
     text = "sort is not started: no parts yet: does the detector run, does the camera?"
     assert graph.refused() == (not_ready, text)
     busy = DiagnosticStatus(name="/a/solver", message="compiling kernels for 3 s")
+    busy.values = [KeyValue(key="compiling_s", value="3")]
     graph.others.publish(DiagnosticArray(status=[busy]))
     graph.until(lambda: "solver" in graph.planner._inputs.reports)
     text = "sort is not started: the solver is compiling kernels for 3 s"

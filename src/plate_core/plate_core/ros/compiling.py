@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from ..status import COMPILING
+from .diagnostics import COMPILING_S
 from .qos import DATA
 
 QUIET_S = 3.0
@@ -37,6 +38,7 @@ def compiling(node: Node) -> Iterator[None]:
         while not over.wait(pause_s):
             pause_s, now = TELL_S, time.monotonic() - began
             status.message = f"{COMPILING} for {now:.0f} s (at the first start: a minute or two)"
+            status.values = [KeyValue(key=COMPILING_S, value=f"{now:.0f}")]
             msg = DiagnosticArray(status=[status])
             msg.header.stamp = node.get_clock().now().to_msg()
             publisher.publish(msg)

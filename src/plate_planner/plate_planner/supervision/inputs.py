@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from plate_core.driver_status import DriverState, DriverStatus
-from plate_core.status import COMPILING, Finding, Input, Level
+from plate_core.status import Finding, Input, Level
 
 from .phase import Failure, Reason
 
@@ -37,11 +37,13 @@ each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
 
 @dataclass(frozen=True)
 class Report:
-    """The newest diagnostics of a node: when they came, their level and message."""
+    """The newest diagnostics of a node: when they came, their level and message, and whether it
+    compiles."""
 
     at: float
     level: Level
     message: str
+    compiles: bool
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,13 @@ class Inputs:
             enabled_again=now if again else self.enabled_again,
         )
 
-    def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
+    def heard_node(
+        self, now: float, name: str, level: Level, message: str, compiles: bool
+    ) -> Inputs:
         """Take in diagnostics of a node; those of nodes outside the loop do not count."""
         if name not in LOOP:
             return self
-        return replace(self, reports={**self.reports, name: Report(now, level, message)})
+        return replace(self, reports={**self.reports, name: Report(now, level, message, compiles)})
 
     # What follows
 
@@ -146,8 +150,7 @@ class Inputs:
     def compiling(self, now: float) -> str:
         """Say that a node of the loop compiles, so that no task can be started yet; or nothing."""
         for name, report in self.reports.items():
-            fresh = now - report.at <= REPORT_TIMEOUT_S
-            if fresh and report.message.startswith(COMPILING):
+            if report.compiles and now - report.at <= REPORT_TIMEOUT_S:
                 return f"the {name} is {report.message}"
         return ""
 
