@@ -79,6 +79,18 @@ def test_parts_there_and_back():
     assert back.period == sent.period
 
 
+def test_how_well_parts_were_seen_is_told():
+    parts = Parts.make(("black_1", "black_2"), np.zeros((2, 2)))
+    quality = np.array([[1e-5, 0.02, 0.9], [np.nan, 0.02, np.nan]])
+    known, unknown = over_the_wire(convert.parts_to_msg(parts, STAMP, quality=quality)).parts
+    np.testing.assert_allclose(
+        known.covariance.reshape(3, 3), np.diag([1e-10, 1e-10, 4e-4]), rtol=1e-12
+    )
+    assert (known.confidence, unknown.confidence, unknown.covariance[0]) == (0.9, -1, -1)
+    untold = over_the_wire(convert.parts_to_msg(parts, STAMP)).parts[0]
+    assert (untold.confidence, untold.covariance[0]) == (-1, -1)
+
+
 def test_driver_status_there_and_back():
     for state in DriverState:
         for reason in DriverReason:

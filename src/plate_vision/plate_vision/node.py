@@ -292,7 +292,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if problem:
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
-        self._parts.publish(parts_to_msg(self._tracker.parts, stamp))
+        self._parts.publish(parts_to_msg(self._tracker.parts, stamp, quality=self._tracker.quality))
         pose = HOME if self._location is None else self._location.pose
         if pose is not None:
             self._transforms.publish(plate_to_msg(pose, stamp))

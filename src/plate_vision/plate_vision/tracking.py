@@ -14,6 +14,9 @@ from plate_core import Parts
 
 from .errors import TrackError, check_ranges
 
+UNKNOWN = (math.nan, math.nan, math.nan)
+"""The quality of what was seen nobody knows how well."""
+
 
 @dataclass(frozen=True)
 class TrackerOptions:
@@ -70,6 +73,8 @@ class Track:
         Images in which it was seen.
     turns : tuple of (stamp [s], angle [rad])
         The same for its angle, which does not jump by whole turns.
+    quality : tuple of 3 float
+        How well it was seen last, see `Tracker.quality`.
     """
 
     label: str
@@ -78,6 +83,7 @@ class Track:
     missed: int = 0
     hits: int = 0
     turns: tuple[tuple[float, float], ...] = ()
+    quality: tuple[float, ...] = UNKNOWN
 
     @property
     def id(self) -> str:
@@ -117,7 +123,10 @@ class Track:
         time = min(stamp - last, reach / max(math.hypot(vx, vy), 1e-12))
         return x + vx * time, y + vy * time
 
-    def extended(self, stamp: float, position: np.ndarray, angle: float, keep: int) -> Track:
+    def extended(
+        self, stamp: float, position: np.ndarray, angle: float, keep: int,
+        quality: tuple[float, ...] = UNKNOWN,
+    ) -> Track:  # fmt: skip
         """Return the track with one more position (2,) [m] and angle [rad]; the last `keep` are
         kept."""
         point = (stamp, float(position[0]), float(position[1]))
@@ -128,6 +137,7 @@ class Track:
             (*self.history, point)[-keep:],
             hits=self.hits + 1,
             turns=(*self.turns, turn)[-keep:],
+            quality=quality,
         )
 
 
@@ -159,7 +169,7 @@ class Tracker:
     @property
     def parts(self) -> Parts:
         """The parts seen in the last image that are confirmed."""
-        seen = [track for track in self.found if track.number]
+        seen = self._seen
         return Parts.make(
             tuple(track.id for track in seen),
             position=np.array([track.position for track in seen]),
@@ -167,6 +177,17 @@ class Tracker:
             angle=np.array([track.angle for track in seen]),
             spin=np.array([track.spin for track in seen]),
         )
+
+    @property
+    def quality(self) -> np.ndarray:
+        """How well each of `parts` was seen (M, 3): standard deviations of its place along each
+        axis [m] and of its angle [rad], and how much it looks like a part, 0 to 1; NaN: not
+        known."""
+        return np.array([track.quality for track in self._seen]).reshape(-1, 3)
+
+    @property
+    def _seen(self) -> list[Track]:
+        return [track for track in self.found if track.number]
 
 
 def found_text(tracker: Tracker) -> str:
@@ -184,6 +205,7 @@ def update(
     position: np.ndarray,
     label: Sequence[str] | np.ndarray,
     angle: np.ndarray | None = None,
+    quality: np.ndarray | None = None,
 ) -> Tracker:
     """Take in what was found in one image.
 
@@ -202,6 +224,8 @@ def update(
         Classes.
     angle : (M,), optional
         Angles [rad, plate_home]; zero if left out.
+    quality : (M, 3), optional
+        How well they were seen, see `Tracker.quality`; not known if left out.
 
     Returns
     -------
@@ -214,6 +238,7 @@ def update(
     """
     position, labels = _checked(stamp, position, label)
     angles = np.zeros(len(labels)) if angle is None else np.asarray(angle, dtype=float)
+    how_well = [UNKNOWN] * len(labels) if quality is None else [*map(tuple, quality.tolist())]
     stamp = float(stamp)
     if tracker.stamp is not None and stamp == tracker.stamp:
         return tracker
@@ -226,12 +251,13 @@ def update(
     for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
         if found >= 0:
             is_new[found] = False
-            tracks.append(track.extended(stamp, position[found], float(angles[found]), keep))
+            turn, well = float(angles[found]), how_well[found]
+            tracks.append(track.extended(stamp, position[found], turn, keep, well))
         elif track.number and track.missed < options.max_missed:
             tracks.append(replace(track, missed=track.missed + 1))
     for i in np.flatnonzero(is_new):
         new = Track(labels[i], 0, ())
-        tracks.append(new.extended(stamp, position[i], float(angles[i]), keep))
+        tracks.append(new.extended(stamp, position[i], float(angles[i]), keep, how_well[i]))
     confirm = options.confirm if tracker.last_number else 1
     tracks, numbers = _number(tracks, tracker.last_number, confirm)
     return Tracker(options, stamp, tuple(tracks), numbers)

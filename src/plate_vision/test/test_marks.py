@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from plate_vision import DetectorOptions, detect
+from plate_core import load_rig
+from plate_vision import DetectorOptions, Tracker, detect, make_vision, observe
 
 RADIUS_PX = 8.0
 OPTIONS = DetectorOptions(radius_px=RADIUS_PX)
@@ -59,6 +60,18 @@ def test_a_mark_tells_the_angle_and_leaves_the_centre_alone(draw, corners_px, rn
     assert np.degrees(np.max(turned)) < 3
     assert np.degrees(np.median(turned)) < 0.7
     assert np.sqrt(np.mean(np.square(off))) < 0.05  # 0.03 without marks
+
+
+def test_marks_scatter_as_it_says(draw, rng):
+    vision = make_vision(load_rig())
+    centre, label, angle = scattered(rng)
+    tracker = observe(
+        vision, Tracker(), draw(centre, label, rng, extra=marks(centre, label, angle)), 0.0
+    )
+    gap = tracker.parts.position[:, None] - vision.calibration.to_home(centre)
+    nearest = np.argmin(np.hypot(*np.moveaxis(gap, 2, 0)), axis=1)
+    error = np.remainder(tracker.parts.angle - angle[nearest] + np.pi, 2 * np.pi) - np.pi
+    assert 1 / 3 < np.sqrt(np.mean(np.square(error / tracker.quality[:, 1]))) < 3
 
 
 def test_discs_without_a_mark_have_no_angle(draw, corners_px, rng):

@@ -5,7 +5,7 @@ import pytest
 
 from plate_core import load_rig
 from plate_vision import DetectorOptions, ImageError, Tracker, make_vision, observe
-from plate_vision.vision import three_discs
+from plate_vision.vision import ANY_ANGLE, three_discs
 
 DT = 0.05
 
@@ -60,6 +60,41 @@ def test_another_size_is_refused(vision, draw, rng, shape):
     tracker = observe(vision, Tracker(), draw([], [], rng), 0.0)
     with pytest.raises(ImageError, match=r"size is .* allowed: 640 x 480 px"):
         observe(vision, tracker, np.full(shape, 200, np.uint8), DT)
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("gap_px", [0.0, 20.0])
+def test_parts_scatter_as_it_says(vision, draw, rng, noise, gap_px):
+    """Within a factor of three, whatever the light: 48 parts, in pairs that touch or do not."""
+    grid = np.stack(np.meshgrid(np.linspace(80, 560, 8), (150.0, 240.0, 330.0)), axis=-1)
+    centre = grid.reshape(-1, 2) + rng.uniform(-3, 3, (24, 2))
+    label = rng.choice(["black", "grey"], 24)
+    turn = rng.uniform(-np.pi, np.pi, len(centre))
+    half = (vision.options.radius_px + gap_px / 2) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    centre, label = np.concatenate([centre + half, centre - half]), np.concatenate([label] * 2)
+    radius = vision.options.radius_px
+    seen = [
+        observe(vision, Tracker(), draw(centre, label, rng, radius=radius, noise=noise), 0.0)
+        for _ in range(4)
+    ]
+    true = vision.calibration.to_home(centre)
+    shares = []
+    for tracker in seen:
+        gap = tracker.parts.position[:, None] - true
+        nearest = np.argmin(np.hypot(*np.moveaxis(gap, 2, 0)), axis=1)
+        error = gap[np.arange(len(nearest)), nearest]
+        shares.append(error / tracker.quality[:, :1])
+    assert 1 / 3 < np.sqrt(np.mean(np.square(shares))) < 3
+    assert np.all(seen[0].quality[:, 1] == ANY_ANGLE)
+    assert np.all((seen[0].quality[:, 2] > 0.5) & (seen[0].quality[:, 2] <= 1))
+
+
+def test_how_a_part_over_the_edge_scatters_is_not_known(vision, draw, rng):
+    corner = vision.region.outline_px.reshape(-1, 2).mean(axis=0)
+    edge = [corner[0], float(vision.region.outline_px[..., 1].max()) - 3.0]
+    tracker = observe(vision, Tracker(), draw([edge], ["black"], rng), 0.0)
+    assert len(tracker.parts) == 1
+    assert np.isnan(tracker.quality[0, 0])
 
 
 def test_drift_of_still_parts_is_small(draw, rng):

@@ -81,15 +81,37 @@ def msg_to_driver_status(msg: DriverStatusMsg) -> DriverStatus:
     )
 
 
-def parts_to_msg(parts: Parts, stamp: Time, source: int = Part.SEEN) -> PartsMsg:
-    """Return parts as a message; `source` says how all of them were measured."""
+def parts_to_msg(
+    parts: Parts, stamp: Time, source: int = Part.SEEN, quality: np.ndarray | None = None
+) -> PartsMsg:
+    """Return parts as a message.
+
+    Parameters
+    ----------
+    parts : Parts
+    stamp : Time
+        Of the image.
+    source : int
+        How all of them were measured.
+    quality : (M, 3), optional
+        Standard deviations of place, along each axis [m], and angle [rad], and the confidence that
+        it is a part [-]; NaN: not known.
+    """
     msg = PartsMsg(header=Header(stamp=stamp, frame_id=FRAME))
+    if quality is None:
+        quality = np.full((len(parts), 3), np.nan)
+    covariance = np.zeros((len(parts), 9))
+    covariance[:, [0, 4, 8]] = quality[:, [0, 0, 1]] ** 2
+    covariance[~np.all(np.isfinite(covariance), axis=1)] = NO_COVARIANCE
+    confidence = np.nan_to_num(quality[:, 2], nan=UNKNOWN).tolist()
     msg.parts = [
         Part(
             **dict(zip(STATE, row, strict=True)), id=name, type=part_class(name),
-            confidence=UNKNOWN, covariance=NO_COVARIANCE, source=source,
+            confidence=sure, covariance=spread, source=source,
         )
-        for name, row in zip(parts.ids, _state(parts), strict=True)
+        for name, row, sure, spread in zip(
+            parts.ids, _state(parts), confidence, covariance, strict=True
+        )
     ]  # fmt: skip
     return msg
 
