@@ -45,6 +45,12 @@ def arguments() -> argparse.Namespace:
     )
     add("--seed", type=int, default=0, help="where parts are scattered, image noise (0)")
     add("--lockstep", action="store_true", help="as fast as it goes: simulated time waits for all")
+    add(
+        "--image-rate",
+        type=float,
+        default=0.0,
+        help="images a second of a simulated camera that runs free (0: one at each cycle's start)",
+    )
     add("--one-process", action="store_true", help="all nodes in one process")
     add("--domain", type=int, help="ROS domain, 0 to 101 (a free one; with a port ROS_DOMAIN_ID)")
     add("--out", type=Path, help="folder of results (out/demo-TIME_SCENARIO; out/demo links to it)")

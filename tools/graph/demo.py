@@ -31,6 +31,7 @@ from plate_core.tasks import (
 )
 from plate_driver.transports import check_transport, open_port
 from plate_planner import Planner
+from plate_sim.world import RANGES
 from plate_solver import METHODS
 
 from .domains import own_domain
@@ -125,6 +126,10 @@ def checked(args: argparse.Namespace) -> Plan:
     check_transport(args.transport, args.port or "of the simulated device")
     if args.lockstep and args.transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
+    low, high = RANGES["image_rate"]
+    if not low <= args.image_rate <= high or (args.image_rate and args.lockstep):
+        allowed = "0 with --lockstep" if args.lockstep else f"{low:g} to {high:g}"
+        raise PlateError(f"image rate is {args.image_rate:g}, allowed: {allowed}")
     if args.port and args.transport == "sim":
         raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
@@ -141,6 +146,7 @@ def checked(args: argparse.Namespace) -> Plan:
         port=args.port,
         link=str((out / "device").absolute()),
         lockstep=args.lockstep,
+        image_rate=args.image_rate,
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,

@@ -42,6 +42,7 @@ SIMULATED = {
     "scenario": "parts on the plate: name in config/scenarios, or path of a .yaml file",
     "lockstep": "the simulator waits for every answer",
     "rate": "simulated seconds per second",
+    "image_rate": "images a second of a camera that runs free; 0: one at the start of each cycle",
 }
 HARDWARE = {
     "port": "serial port of the motor controller",
@@ -61,7 +62,7 @@ CHOICES = {
 
 OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "scenario": str, "method": str, "seed": int, "transport": str, "rig_file": str,
-    "lockstep": "true".__eq__, "rate": float, "port": str,
+    "lockstep": "true".__eq__, "rate": float, "image_rate": float, "port": str,
 }  # fmt: skip
 """Arguments that are options of a run, and how they are read."""
 

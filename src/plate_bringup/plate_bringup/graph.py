@@ -17,7 +17,7 @@ JUDGING = ("simulator", "detector", "planner", "solver")
 """Nodes with the parameter input_timeout_s."""
 
 OWN = {
-    "simulator": ("scenario", "seed", "lockstep", "rate"),
+    "simulator": ("scenario", "seed", "lockstep", "rate", "image_rate"),
     "device": ("seed",),
     "planner": ("lockstep",),
     "solver": ("method", "seed"),
@@ -114,6 +114,8 @@ class RunOptions:
         The simulator waits for every answer; time is the simulator's.
     rate : float
         Simulated seconds per wall second; other than 1, time is the simulator's.
+    image_rate : float
+        Images of a simulated camera that runs free [1/s]; 0: one at the start of each cycle.
     rig_file : str
         To all nodes; empty: the default rig.
     autostart : bool
@@ -131,6 +133,7 @@ class RunOptions:
     link: str = "/tmp/plate_device"
     lockstep: bool = False
     rate: float = 1.0
+    image_rate: float = 0.0
     rig_file: str = ""
     autostart: bool = True
     one_process: bool = False
@@ -176,6 +179,8 @@ class RunOptions:
             values["link"] = self.link
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
+        if node.name == "planner" and self.image_rate > 0:
+            values["camera_triggered"] = False
         if self.rig_file:
             values["rig_file"] = self.rig_file
         if self.lockstep or self.rate != 1:

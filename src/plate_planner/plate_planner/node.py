@@ -8,10 +8,11 @@ answers, the driver, or what another node of the loop says in its `diagnostics` 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
 from std_msgs.msg import Header
@@ -19,7 +20,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError, Wanted, load_rig
 from plate_core.ros import (
     ACTIONS,
     DATA,
@@ -54,6 +55,9 @@ WATCH_PERIOD_S = 0.1
 WARN_PERIOD_S = 2.0
 """Least time between two equal warnings [s]."""
 
+IDLE_S = 1.0
+"""Period of the alarm while no answer is due [s]."""
+
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
@@ -77,6 +81,10 @@ class PlannerParameters(NodeOptions):
     preempt: bool = parameter(
         False, "A goal that comes while a task runs: true ends that task, false is refused.",
         live=True,
+    )  # fmt: skip
+    camera_triggered: bool = parameter(
+        True, "Whether images are taken at the starts of cycles; false: at any time, and "
+        "cycle_started says when cycles begin.",
     )  # fmt: skip
     lockstep: bool = parameter(
         False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
@@ -177,7 +185,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     """Node `planner`: does tasks; says for each image which mean force it wants on each part.
 
     Actions sort_parts, follow_paths, assemble_parts, pose_parts. Service stop ends the task.
-    Subscribes parts, plate_cycle, driver_status, diagnostics.
+    Subscribes parts, plate_cycle, driver_status, diagnostics; cycle_started, unless images are taken
+    at the starts of cycles: then each image is answered, else each cycle a while before its end.
     Publishes part_forces, task_status, markers, diagnostics.
     """
 
@@ -201,6 +210,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
         self.managed_subscription(Parts, "parts", self._on_parts, NEWEST)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        if not options.camera_triggered:
+            self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
+            self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.managed_service(Trigger, "stop", self._on_stop)
@@ -219,12 +231,16 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._idle = Estimator.of(self._rig, core.default_period, core.image_age_s)
         self._run = None
         self._start_timeout_s = max(options.start_timeout_s, options.input_timeout_s)
+        self._answer_s = core.answer_s
         self._asked_ns: int | None = None  # stamp of the last part_forces
         self._open = False  # whether plate_cycle has not answered them yet
         self._asked = False  # whether a goal has come
         self._early: Parts | None = None  # parts that came too early, in lockstep
         self._refused = self._reported = ""
-        self._inputs = Inputs.none_yet(time.monotonic(), options.input_timeout_s)
+        self._inputs = Inputs.none_yet(
+            time.monotonic(), options.input_timeout_s, options.camera_triggered
+        )
+        self._due = False  # whether an answer is due at the alarm
         self._publish_status()
 
     def rest(self) -> None:
@@ -242,8 +258,11 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         now = self._wake()
         self._stamp = stamp = msg.header.stamp
         self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
-        self._early = msg
-        self._go_on()
+        if self.options.camera_triggered:
+            self._early = msg
+            self._go_on()
+        else:
+            self._see(msg)
 
     def _go_on(self) -> None:
         """Plan what came, unless it is too early.
@@ -258,6 +277,51 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if not (self.options.lockstep and next_one and (self._open or not self._asked)):
             self._early = None
             self._plan(msg)
+
+    def _see(self, msg: Parts) -> None:
+        """Take in the parts of an image that a camera took at any time."""
+        run, stamp = self._run, seconds(msg.header.stamp)
+        try:
+            parts = msg_to_parts(msg)
+        except PlateError as error:
+            self._warn(str(error))
+            return
+        if run is None:
+            self._idle = self._idle.update(parts, stamp)
+        else:
+            run.state = run.planner.see(run.state, parts, stamp)
+
+    def _on_started(self, msg: JointTrajectory) -> None:
+        """Take in that the plate has begun a cycle, and see to it that the next one is answered."""
+        now = self._wake()
+        self._inputs = self._inputs.heard_start(now)
+        try:
+            cycle = msg_to_cycle(msg)
+        except PlateError as error:
+            self._warn(str(error))
+            return
+        begin, run = seconds(msg.header.stamp), self._run
+        if run is None:
+            self._idle = self._idle.started(cycle, begin)
+        else:
+            run.state = run.planner.started(run.state, cycle, begin)
+        self._began = msg.header.stamp
+        wait = max(cycle.period - self._answer_s, 0.0) - (self._arrival(begin) - begin)
+        self._alarm.timer_period_ns = max(1, round(1e9 * wait))
+        self._alarm.reset()
+        self._due = True
+
+    def _on_due(self) -> None:
+        """Answer the cycle that runs."""
+        self._alarm.timer_period_ns = round(1e9 * IDLE_S)
+        due, self._due = self._due, False
+        if not due:
+            return
+        self._wake()
+        if self._run is None:
+            self._ask(wanted_to_msg(NOTHING, self._began))
+        else:
+            self._answer(self._run, self._began, lambda run: run.planner.answer(run.state))
 
     def _plan(self, msg: Parts) -> None:
         """Answer the parts of an image."""
@@ -274,8 +338,14 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
                 self._idle = self._idle.update(parts, seconds(stamp))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
+        self._answer(run, stamp, lambda run: run.planner.plan(run.state, parts, seconds(stamp)))
+
+    def _answer(
+        self, run: Run, stamp: Time, plan: Callable[[Run], tuple[PlannerState, Wanted, Progress]]
+    ) -> None:
+        """Ask for what the task wants in the next cycle."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
-        run.state, wanted, run.progress = run.planner.plan(run.state, parts, seconds(stamp))
+        run.state, wanted, run.progress = plan(run)
         if self._stood_still():
             wanted = NOTHING  # these parts are long gone from where they were
         self._ask(wanted_to_msg(wanted, stamp))
@@ -430,6 +500,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._inputs.compiling(now)
             or self._inputs.driver_problem(now)
             or self._inputs.parts_problem(now, self._publisher_count)
+            or self._inputs.starts_problem(now)
         )
         if problem:
             return Failure(Reason.NOT_READY, f"{scenario.name} is not started: {problem}")
@@ -517,8 +588,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         findings = self._inputs.findings(now, self._publisher_count)
         if self._refused:
             findings.append(Finding(Level.WARN, self._refused))
-        if self._estimator.image_problem:
-            findings.append(Finding(Level.WARN, self._estimator.image_problem))
+        problem = self._estimator.image_problem
+        if problem:
+            way = "; set camera_triggered false" if self.options.camera_triggered else ""
+            findings.append(Finding(Level.WARN, problem + way))
         found = worst(findings, "")
         if self._run is None:
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))

@@ -24,6 +24,7 @@ from plate_core.ros import (
     array_to_image,
     camera_to_info,
     compiling,
+    cycle_to_msg,
     msg_to_knots,
     msg_to_motors,
     nanoseconds,
@@ -52,6 +53,9 @@ REPEAT_PERIOD_S = 1.0
 
 SHORTEST_NS = 20_000_000
 """Stretches of the device's motion that are shorter have no image of their own [ns]."""
+
+GAP_NS = 1_000_000
+"""Stretches that are further apart do not follow each other [ns]."""
 
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
@@ -99,6 +103,12 @@ class Options(NodeOptions):
     latency: float = _disturbance(
         "latency", "Age of an image when it is published and stamped [s]."
     )
+    image_rate: float = _disturbance(
+        "image_rate", "Images of a camera that runs free [1/s]; 0: one at the start of each cycle."
+    )
+    stamp_jitter: float = _disturbance(
+        "stamp_jitter", "Standard deviation of the stamps of a camera that runs free [s]."
+    )
     blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.")
     missed_images: float = _disturbance(
         "missed_images", "Share of images that are never published."
@@ -133,15 +143,18 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     """Lifecycle node `simulator`: plays motor tables, moves the parts, takes the camera's images.
 
     Subscribes motor_setpoints (or, driven by the device, motor_motion).
-    Publishes image_raw, camera_info, diagnostics, ground_truth and, unless in real time, /clock.
+    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, unless in real
+    time, /clock.
     Service ~/reset: put the parts down anew.
 
     `ground_truth` (parts on the plate with true names, angles, velocities and spins) is for judging
     a run: no stage may subscribe to it.
 
-    Cycle k begins at t_k with the newest table; then image k is taken, stamp t_k, and the parts
-    are moved to t_k+1. Driven by the device it is the device's clock that counts: the parts follow
-    each stretch of `motor_motion` when it has been played, and an image is taken at its end.
+    Cycle k begins at t_k with the newest table: `cycle_started` has it, as the plate plays it, with
+    the stamp t_k. Then image k is taken, stamp t_k, and the parts are moved to t_k+1; with
+    `image_rate` above 0 images are taken at any time instead. Driven by the device it is the
+    device's clock that counts, and the driver tells what has started: the parts follow each stretch
+    of `motor_motion` when it has been played, and an image is taken at its end.
     In real time the next cycle begins on schedule; in lockstep as soon as a
     table with the stamp of image k has come, or at once if image k is missed: there will be none.
     While the node is not active plate, parts and simulated time stand still.
@@ -169,6 +182,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
             raise PlateError("driven_by is 'device' with lockstep or rate, allowed: in real time")
+        if options.image_rate > 0 and options.lockstep:
+            raise PlateError(
+                f"image_rate is {options.image_rate:g} with lockstep, allowed: 0, an image at the "
+                "start of each cycle"
+            )
         self._next_ns = START_NS  # when the next cycle begins
         self._compile()
         self._connect()
@@ -185,8 +203,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._input = Input(what, topic, question, options.input_timeout_s, time.monotonic())
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
-        self._time_ns = self._next_ns
+        self._time_ns = self._moved_ns = self._next_ns
         self._due_ns = time.monotonic_ns()  # the same on the wall
+        self._aim(self._next_ns)
         if not self._driven:
             self._begin_cycle()
 
@@ -210,6 +229,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._images = self.managed_publisher(Image, "image_raw", IMAGE)
         self._infos = self.managed_publisher(CameraInfo, "camera_info", IMAGE)
         self._truths = self.managed_publisher(PartsMsg, "ground_truth", DATA)
+        if not self._driven:
+            self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
         if self._simulated_time:
             self._clocks = self.managed_publisher(ClockMsg, "/clock", DATA)
         if self._driven:
@@ -230,43 +251,90 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         """Begin the next cycle; in lockstep also those after it until one has an image."""
         while not self._run_cycle() and self.options.lockstep:
             pass
-        if not self.options.lockstep:
-            self._set_alarm()
 
     def _run_cycle(self) -> bool:
-        """Choose a cycle's table, take its image, move the parts to its end.
+        """Choose a cycle's table, take its image, move the parts to what comes next.
 
         Returns whether there was an image.
         """
-        self._time_ns = self._next_ns
+        self._time_ns = self._moved_ns = self._next_ns
         options = self.options
         self._playback = next_playback(
             self._playback, self._newest, options.hold_cycles, options.idle_period
         )
         self._newest = None
-        seen = self._take_image()
-        period_ns = round(self._playback.cycle.period * 1e9)
+        cycle = self._playback.cycle
+        if self._starts.get_subscription_count():
+            self._starts.publish(cycle_to_msg(cycle, to_time(self._time_ns)))
+        seen = self._shot is None and self._take_image(self._time_ns)
+        self._publish_truth()
+        period_ns = round(cycle.period * 1e9)
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
-        self._simulation.run(self._playback.cycle)
         self._count["cycles"] += 1
         self._count["held cycles"] += self._playback.repeats > 0
-        self._count["missed images"] += not seen
+        self._count["missed images"] += self._shot is None and not seen
+        self._advance()
         return seen
 
-    def _set_alarm(self) -> None:
-        self._alarm.timer_period_ns = max(1, self._due_ns - time.monotonic_ns())
-        self._alarm.reset()
+    def _advance(self) -> None:
+        """Move the parts to when an image is delivered, or to the cycle's end, and wait for it."""
+        cycle, end_ns = self._playback.cycle, self._next_ns
+        if self._shot is not None and self._delivered_ns < end_ns:
+            end_ns = self._delivered_ns
+        self._move(cycle, end_ns)
+        if not self.options.lockstep:
+            wait_ns = round((self._next_ns - end_ns) / self.options.rate)
+            self._alarm.timer_period_ns = max(1, self._due_ns - wait_ns - time.monotonic_ns())
+            self._alarm.reset()
+
+    def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
+        """Move the parts on, through a part of what began at `_time_ns`."""
+        begin, end = (1e-9 * (t - self._time_ns) for t in (self._moved_ns, end_ns))
+        if begin == 0 and end_ns == self._next_ns:
+            self._simulation.run(motion)
+        elif end > begin:
+            self._simulation.run(PlateMotion.piece(motion, begin, min(end, motion.period)))
+        self._moved_ns = max(end_ns, self._moved_ns)
 
     def _on_alarm(self) -> None:
+        if self._moved_ns < self._next_ns:
+            self._shoot()
+            self._advance()
+            return
         behind_ns = time.monotonic_ns() - self._due_ns
         if behind_ns > (self._next_ns - self._time_ns) / self.options.rate:
             # More than a cycle late: the plate has waited at home, so go on from now.
             self._due_ns += behind_ns
-            self._next_ns += 0 if self._simulated_time else behind_ns
+            if not self._simulated_time:
+                self._next_ns += behind_ns
+                self._aim(self._next_ns)
             self._count["late cycles"] += 1
             self._tally.late += 1
         self._begin_cycle()
+
+    def _aim(self, begin_ns: int) -> None:
+        """Have a camera that runs free take its images from `begin_ns` on."""
+        self._shot = None
+        if self.options.image_rate > 0:
+            self._shots = self._simulation.shots(0.0)
+            self._shots_ns = begin_ns
+            self._shot = next(self._shots)
+
+    @property
+    def _delivered_ns(self) -> int:
+        """When the next image of a camera that runs free is delivered [ns]."""
+        assert self._shot is not None
+        return self._shots_ns + round(1e9 * self._shot.delivered)
+
+    def _shoot(self) -> None:
+        """Deliver the image that is due."""
+        shot = self._shot
+        assert shot is not None
+        age = 1e-9 * (self._moved_ns - self._shots_ns) - shot.middle
+        seen = self._take_image(self._shots_ns + round(1e9 * shot.stamp), age)
+        self._count["missed images"] += not seen
+        self._shot = next(self._shots)
 
     def _publish_clock(self) -> None:
         ahead_ns = (self._due_ns - time.monotonic_ns()) * self.options.rate
@@ -316,12 +384,24 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 f"motor motion refused, the parts stay: {error}", throttle_duration_sec=QUIET_S
             )
             return
-        end_ns = nanoseconds(msg.header.stamp) + round(motion.period * 1e9)
-        self._simulation.run(motion)
+        begin_ns = nanoseconds(msg.header.stamp)
+        end_ns = begin_ns + round(motion.period * 1e9)
         self._count["cycles"] += 1
-        if end_ns - self._time_ns >= SHORTEST_NS:
-            self._time_ns = end_ns
-            self._count["missed images"] += not self._take_image()
+        if self._shot is None:
+            self._simulation.run(motion)
+            if end_ns - self._time_ns >= SHORTEST_NS:
+                self._time_ns = end_ns
+                self._count["missed images"] += not self._take_image(end_ns)
+                self._publish_truth()
+            return
+        if abs(begin_ns - self._next_ns) > GAP_NS:
+            self._aim(begin_ns)
+        self._time_ns, self._moved_ns, self._next_ns = begin_ns, begin_ns, end_ns
+        self._publish_truth()
+        while self._delivered_ns < end_ns:
+            self._move(motion, self._delivered_ns)
+            self._shoot()
+        self._move(motion, end_ns)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Put the parts on the plate anew, as the next seed will have it."""
@@ -332,26 +412,29 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     # Messages
 
-    def _take_image(self) -> bool:
-        """Publish image and truth; returns whether there is an image."""
-        stamp, state = to_time(self._time_ns), self._simulation.state
-        pixels = self._simulation.capture()
+    def _take_image(self, stamp_ns: int, age: float | None = None) -> bool:
+        """Publish the image that is delivered now, see `Simulation.capture`; returns whether there
+        is one."""
+        stamp, pixels = to_time(stamp_ns), self._simulation.capture(age)
         if pixels is not None:
             self._image = array_to_image(pixels, stamp)
             self._publish_image()
-        elif self._simulated_time:
+        elif self._simulated_time and self._shot is None:
             self._clocks.publish(ClockMsg(clock=stamp))
+        return pixels is not None
+
+    def _publish_truth(self) -> None:
+        state = self._simulation.state
         on = state.on_plate
         ids = tuple(name for name, there in zip(state.ids, on, strict=True) if there)
         truth = Parts.make(
             ids, state.position[on], state.velocity[on], angle=state.angle[on], spin=state.spin[on]
         )
-        self._truths.publish(parts_to_msg(truth, stamp, Part.SIMULATED))
-        return pixels is not None
+        self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
     def _publish_image(self) -> None:
         """Publish the last image; in lockstep again and again until it is answered."""
-        if self._simulated_time:
+        if self._simulated_time and self._shot is None:
             self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
         self._images.publish(self._image)
         self._infos.publish(camera_to_info(self._rig.camera, self._image.header))

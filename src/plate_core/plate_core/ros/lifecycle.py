@@ -169,15 +169,18 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         service = self.create_service(kind, name, callback, qos_profile=CALLS)
         self.keep(self.destroy_service, service)
 
-    def managed_timer(self, period_s: float, tick: Callable[[], None]) -> Timer:
-        """Have `tick` called every so often while the node is active, by the steady clock."""
+    def managed_timer(
+        self, period_s: float, tick: Callable[[], None], clock: Clock | None = None
+    ) -> Timer:
+        """Have `tick` called every so often while the node is active, by the steady clock if no
+        other one is given."""
 
         def callback() -> None:
             if self.active:
                 tick()
 
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(period_s, callback, clock=steady)
+        clock = clock or Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(period_s, callback, clock=clock)
         self.keep(self.destroy_timer, timer)
         return timer
 

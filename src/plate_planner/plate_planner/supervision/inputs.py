@@ -70,6 +70,8 @@ class Inputs:
         When that was heard to change: the motors were stopped meanwhile, even if nothing else told.
     reports : mapping of str to Report
         Diagnostics by node.
+    starts : Input or None
+        Starts of cycles, where they have to be reported.
     """
 
     parts: Input
@@ -82,13 +84,17 @@ class Inputs:
     enabled_ns: int | None = None
     enabled_again: float | None = None
     reports: Mapping[str, Report] = field(default_factory=dict)
+    starts: Input | None = None
 
     @classmethod
-    def none_yet(cls, now: float, timeout_s: float) -> Inputs:
-        """Return what has been heard at the start: nothing."""
+    def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
+        """Return what has been heard at the start: nothing. Unless the camera is triggered at the
+        starts of cycles, these have to be reported."""
         parts = Input("parts", "parts", "does the detector run, does the camera?", timeout_s, now)
         driver = Input("driver_status", "driver_status", "does the driver run?", timeout_s, now)
-        return cls(parts, driver, now)
+        question = "does the driver, or the simulator, report them?"
+        starts = Input("start of a cycle", "cycle_started", question, timeout_s, now)
+        return cls(parts, driver, now, starts=None if triggered else starts)
 
     # What is heard
 
@@ -97,6 +103,10 @@ class Inputs:
         if stamp_ns == self.stamp:
             return self
         return replace(self, parts=self.parts.heard(now), stamp=stamp_ns)
+
+    def heard_start(self, now: float) -> Inputs:
+        """Take in that a cycle has begun."""
+        return self if self.starts is None else replace(self, starts=self.starts.heard(now))
 
     def asked(self, now: float) -> Inputs:
         """Take in that part_forces have been published."""
@@ -171,6 +181,15 @@ class Inputs:
             return self._no_parts(now, self.parts.silence(now), publishers)
         return ""
 
+    def starts_problem(self, now: float) -> str:
+        """Say why no task can be started without starts of cycles; empty if one can."""
+        if self.starts is None:
+            return ""
+        gone = self.starts.gone(now)
+        if gone is None and self.starts.came is None:
+            return f"no start of a cycle yet: {self.starts.question}"
+        return gone.message if gone is not None else ""
+
     def problem(
         self, now: float, began: float, period: float, publishers: Callable[[str], int]
     ) -> Failure | None:
@@ -219,6 +238,9 @@ class Inputs:
                 return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s: {why}")
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
+        if self.starts is not None and min(self.starts.silence(now), now - began) > timeout:
+            text = self.starts_problem(now) or f"no {self.starts.what} on {self.starts.topic}"
+            return Failure(Reason.NO_CYCLE, text)
         name = self._cut_off(now, began, period)
         if not name:
             return None
@@ -258,7 +280,8 @@ class Inputs:
         driver = self.driver.gone(now)
         if driver is None and self.driver_problem(now):
             driver = Finding(Level.WARN, self.driver_problem(now))
-        return [parts, driver]
+        starts = None if self.starts is None else self.starts.gone(now)
+        return [parts, driver, starts]
 
     def stood_still(self, now: float, period: float) -> Failure | None:
         """Say that the planner itself has stood still for longer than its inputs may; or None.
@@ -276,7 +299,10 @@ class Inputs:
             replace(each, since=now, came=None if each.came is None else now)
             for each in (self.parts, self.driver)
         )
-        return replace(self, parts=parts, driver=driver, ran=now, unanswered=None, reports={})
+        starts = self.starts and replace(self.starts, since=now, came=None)
+        return replace(
+            self, parts=parts, driver=driver, ran=now, unanswered=None, reports={}, starts=starts
+        )
 
     def _no_parts(self, now: float, silence: float, publishers: Callable[[str], int]) -> str:
         return f"no parts for {silence:.1f} s: {self._blame_for_parts(now, publishers)}"
