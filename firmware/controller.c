@@ -68,12 +68,14 @@ static float told(float value) { return isfinite(value) ? value : 0; }
 
 static void tell_state(Controller *c)
 {
-    uint8_t fields[64], *at = put_u64(fields, c->now_us);
+    uint8_t fields[72], *at = put_u64(fields, c->now_us);
     *at++ = c->state;
     *at++ = c->faults;
     at = put_u16(at, c->stops);
+    const Table *table = &c->tables[c->playing];
     bool moving = c->state == STATE_PLAYING || (c->state == STATE_BRAKING && !c->going_home);
-    at = put_u16(at, moving ? c->tables[c->playing].id : 0);
+    at = put_u16(at, moving ? table->id : 0);
+    at = put_u32(at, moving && !table->streams ? motion_into(c) : 0);
     at = put_u16(at, c->waiting ? c->tables[!c->playing].id : 0);
     at = put_u16(at, c->reader.refused);
     float hottest = c->heat[0];

@@ -73,8 +73,7 @@ static void take_over(Controller *c)
     c->played = 0;
 }
 
-/* How far into the table it is [TICK_S]. */
-static uint32_t into(const Controller *c)
+uint32_t motion_into(const Controller *c)
 {
     return c->time - table_knot(&c->tables[c->playing], 0)->ticks;
 }
@@ -84,7 +83,7 @@ static bool runs_dry(const Controller *c, uint32_t dt)
 {
     const Table *table = &c->tables[c->playing];
     return c->state == STATE_PLAYING && table->streams && !table_rests(table) &&
-           into(c) + dt + BRAKE_TICKS / 2 > table_period(table);
+           motion_into(c) + dt + BRAKE_TICKS / 2 > table_period(table);
 }
 
 /* Let the table's time pass: take over, begin again or end where it is beyond the table's end.
@@ -92,7 +91,7 @@ static bool runs_dry(const Controller *c, uint32_t dt)
 static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];
-    uint32_t left = table_period(table) - into(c);
+    uint32_t left = table_period(table) - motion_into(c);
     if (step < left) {
         c->time += step;
     } else if (table->streams) { /* it ends at rest */
@@ -136,7 +135,7 @@ static void play(Controller *c, uint32_t dt, Setpoint *at)
         c->brake = end;
     }
     pass(c, step);
-    table_at(&c->tables[c->playing], into(c), at);
+    table_at(&c->tables[c->playing], motion_into(c), at);
     if (c->state == STATE_READY)
         rate = 0;
     for (int m = 0; m < MOTORS; m++) {

@@ -18,6 +18,9 @@ void motion_brake(Controller *c, uint8_t faults);
 /* Current on: find home if it is not known, then go there. */
 void motion_enable(Controller *c);
 
+/* How far into the table that plays it is [TICK_S]. */
+uint32_t motion_into(const Controller *c);
+
 /* Let `dt_us`, at most MOST_TICK_US, pass; returns whether there is a setpoint to command. */
 bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at);
 

@@ -24,6 +24,7 @@ from device_orders import (
 
 from plate_core import load_rig  # fmt: skip
 from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Begin,
     Commit,
     Enable,
@@ -133,7 +134,7 @@ def drawn_orders(rng: np.random.Generator) -> list[bytes | float | str]:
             orders.append(whole if rng.random() < 0.8 else spoilt(rng, whole))
             number += len(frames)
         elif kind == "simple":
-            some = [Home(), Stop(0), Stop(1), Hello(2, 77), Hello(2, 78), Hello(9, 1)]
+            some = [Home(), Stop(0), Stop(1), Hello(VERSION, 77), Hello(VERSION, 78), Hello(9, 1)]
             message = some[int(rng.integers(len(some)))]
             orders.append(say(number - int(rng.integers(0, 40)), message))
         elif kind == "enable":  # sooner or later it names the present stop

@@ -68,7 +68,7 @@ def test_bytes_are_those_of_the_document(device):
     assert done.refused == 0
     [told] = [p.message for p in done.said if isinstance(p.message, Capabilities)]
     limits = (float(np.float32(0.01)), 1.0, 100.0, 200.0, 100.0, float(np.float32(0.003)))
-    assert told == Capabilities(2, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
+    assert told == Capabilities(VERSION, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
     assert done.answers() == {
         3: Status.DONE, 4: Status.DONE, 5: Status.DONE, 6: Status.DONE,
         256: Status.DONE, 257: Status.DONE, 258: Status.WRONG_STATE,

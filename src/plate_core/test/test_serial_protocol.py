@@ -57,7 +57,7 @@ KNOTS = (
 SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
 LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0, 0.003)
 SAID = [
-    Packet(1, Hello(2, 0x12345678)),
+    Packet(1, Hello(3, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
     Packet(3, Enable(0xCAFE)),
     Packet(4, Stop(0)),
@@ -66,14 +66,24 @@ SAID = [
     Packet(256, Begin(7, 3, table_crc(KNOTS))),
     Packet(257, Knots(7, 0, KNOTS)),
     Packet(258, Commit(7, 5)),
-    Packet(1, Capabilities(2, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
+    Packet(1, Capabilities(3, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
     Packet(2, Acknowledgement(258, Status.DONE)),
     Packet(3, Acknowledgement(258, Status.JUMP)),
     Packet(4, Pulse(1_500_000_000, 2_000_000)),
     Packet(
         5,
         Telemetry(
-            2_000_500, State.PLAYING, Fault.NONE, 0xCAFF, 7, 8, 1, *SHAKEN, 0.25, *f32(1e-4, 0.125)
+            2_000_500,
+            State.PLAYING,
+            Fault.NONE,
+            0xCAFF,
+            7,
+            2_500_000,
+            8,
+            1,
+            *SHAKEN,
+            0.25,
+            *f32(1e-4, 0.125),
         ),
     ),
 ]
@@ -130,7 +140,7 @@ messages = st.one_of(
     st.builds(
         Telemetry,
         u("Q"), st.sampled_from(State), st.integers(0, 255).map(Fault), u("H"), u("H"),
-        u("H"), u("H"), four, four, floats, floats, floats,
+        u("I"), u("H"), u("H"), four, four, floats, floats, floats,
     ),
 )  # fmt: skip
 packets = st.builds(Packet, u("H"), messages)

@@ -8,6 +8,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -16,7 +17,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import CycleError, PlateError, load_rig
+from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.motion import motor_state
 from plate_core.ros import (
@@ -26,6 +27,7 @@ from plate_core.ros import (
     NodeOptions,
     SafeLifecycleNode,
     UnlockedSubscription,
+    cycle_to_msg,
     msg_to_cycle,
     nanoseconds,
     parameter,
@@ -65,6 +67,15 @@ QUIET_S = 2.0
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""
 
+REST_CYCLE_S = 0.1
+"""Length of a cycle while the motors rest [s]."""
+
+MOTIONS_KEPT = 8
+"""Cycles that were sent and may run, or wait: a few."""
+
+SAME_START = 0.5
+"""Starts of a table less than this fraction of a cycle apart are one: clocks are not quite one."""
+
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
 
@@ -96,7 +107,8 @@ class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
     Subscribes plate_cycle.
-    Publishes motor_setpoints and motor_states while active, driver_status and diagnostics always.
+    Publishes motor_setpoints, motor_states and, for motors that play whole cycles, cycle_started
+    while active, driver_status and diagnostics always.
     Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate.
 
     What must work whatever messages do has its own participant, node (`driver_safety`) and threads,
@@ -149,6 +161,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._states = self.managed_publisher(JointState, "motor_states", DATA)
         with self._making:
             self._transport = self._start_transport()
+        if self._transport.motors and self._transport.calibrates:
+            self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
         self._cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
         self.keep(UnlockedSubscription.destroy, self._cycles)
@@ -164,6 +178,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
+        self._begun, self._began, self._lasts_until = 0, -np.inf, time.monotonic()
+        self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
         transport = self._transport
         if transport is not None and not transport.motors:
             if self._latch.reason:
@@ -308,6 +324,7 @@ class DriverNode(SafeLifecycleNode[Options]):
                 now = max(now, 1e-9 * stamp_ns)
             guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, now)
             self._send(transport, guard, number)
+            self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
         except PlateError as error:
             self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
@@ -339,6 +356,29 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._experiment = None
         self._guard = self._guard.resting(self._now())
 
+    def _note_start(self, measured: Measured) -> None:
+        """Say that the motors have begun a cycle; again and again that they rest, while they do."""
+        transport = self._transport
+        if not self.active or transport is None or not transport.calibrates:
+            return
+        cycle, began = PlateCycle.rest(REST_CYCLE_S), self._lasts_until
+        if measured.table:
+            if measured.playing is None:
+                return
+            table, began = measured.playing, measured.began
+            cycle = self._motions.get(table.stamp_ns, table.cycle)
+            again = measured.table == self._begun
+            if again and began - self._began < SAME_START * cycle.period:
+                return
+        elif measured.time < began:
+            return
+        self._begun, self._began = measured.table, began
+        self._lasts_until = max(began + cycle.period, measured.time)
+        if self._starts.get_subscription_count():
+            age_ns = max(0, round(1e9 * (time.monotonic() - began)))
+            stamp = to_time(max(0, self.get_clock().now().nanoseconds - age_ns))
+            self._starts.publish(cycle_to_msg(cycle, stamp))
+
     def _watch(self) -> None:
         """Take note of what the motors do, and what goes wrong."""
         transport = self._transport
@@ -346,6 +386,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         for measured in transport.measured():
             self._measured = measured
+            self._note_start(measured)
             if self._experiment is not None:
                 self._experiment = self._experiment.with_sample(measured)
         for trouble in transport.troubles():

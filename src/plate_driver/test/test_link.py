@@ -7,6 +7,7 @@ import pytest
 
 from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -50,12 +51,12 @@ def gone(reason: DriverReason, text: str) -> Report:
 
 
 def told(state: State, faults: Fault = Fault.NONE, waiting: int = 0, stop: int = 77) -> Packet:
-    return Packet(0, Telemetry(0, state, faults, stop, 0, waiting, 0, REST, REST, 0.0, 0.0, 0.0))
+    return Packet(0, Telemetry(0, state, faults, stop, 0, 0, waiting, 0, REST, REST, 0.0, 0.0, 0.0))
 
 
 def capabilities(**changes) -> Packet:
     values = {
-        "version": 2, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
+        "version": VERSION, "session": 5, "boot": 1, "motors": 4, "max_knots": 512, "window": 8,
         "watchdog_ms": 250, "stroke_m": 0.01, "speed": 1.0, "accel": 100.0, "force": 200.0,
         "continuous_force": 60.0, "following_m": 0.003, "hold_ms": 10_000,
     }  # fmt: skip
@@ -86,7 +87,7 @@ def test_hello_is_repeated_and_given_up():
         link, packets = link.due(now)
         sent += [(now, p) for p in packets]
         now += 0.001
-    assert {p.message for _, p in sent} == {Hello(2, 5)}
+    assert {p.message for _, p in sent} == {Hello(VERSION, 5)}
     waits = [b - a for (a, _), (b, _) in itertools.pairwise(sent)]
     assert waits[: GREETING_TRIES - 1] == pytest.approx([ANSWER_S] * (GREETING_TRIES - 1), abs=2e-3)
     assert waits[GREETING_TRIES:] == pytest.approx(
@@ -242,7 +243,7 @@ def test_stop_overtakes_everything():
     assert said(packets) == [Stop(0)]
     # Even a greeting, which goes on after it.
     link, packets = Link.begun(5, 0.0).stopping(True).due(0.0)
-    assert said(packets) == [Stop(1), Hello(2, 5)]
+    assert said(packets) == [Stop(1), Hello(VERSION, 5)]
 
 
 def test_a_stop_asked_for_twice_is_one_and_the_stronger_one_stays():
@@ -265,8 +266,8 @@ def test_home_is_a_command():
     ("packet", "failed"),
     [
         (
-            capabilities(version=3),
-            gone(WRONG_DEVICE, "device speaks version 3 for 4 motors, allowed: version 2 for 4"),
+            capabilities(version=2),
+            gone(WRONG_DEVICE, "device speaks version 2 for 4 motors, allowed: version 3 for 4"),
         ),
         (capabilities(boot=2), gone(DEVICE_RESET, "device was reset")),
         (

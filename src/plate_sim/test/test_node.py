@@ -161,7 +161,7 @@ def test_the_truth_has_angles_and_spins():
         count = len(simulation.state.ids)
         angle, spin = np.linspace(-1, 1, count), np.linspace(0, 0.05, count)
         simulation.state = replace(simulation.state, angle=angle, spin=spin)
-        loop.simulator._take_image()
+        loop.simulator._publish_truth()
         assert loop.spin(lambda: len(loop.truths) >= 2)
         truth = loop.truths[-1]
         assert msg_to_parts(truth).angle == pytest.approx(angle)

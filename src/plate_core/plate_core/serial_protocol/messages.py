@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import FrameError
 
-VERSION = 2
+VERSION = 3
 MOTORS = 4
 TICK_S = 1e-8
 """Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
@@ -187,6 +187,7 @@ class Telemetry:
     faults: Fault = field(metadata=_wire("B", kind=Fault))
     stop: int = field(metadata=_wire("H"))  # number of the present, or else of the last, stop
     table: int = field(metadata=_wire("H"))  # that plays; 0: none
+    ticks: int = field(metadata=_wire("I"))  # of a table that plays, since this time began [TICK_S]
     waiting: int = field(metadata=_wire("H"))  # that is to be taken over; 0: none
     refused: int = field(metadata=_wire("H"))  # damaged frames, modulo 2^16
     position: tuple[float, ...] = field(metadata=_wire("f", MOTORS))

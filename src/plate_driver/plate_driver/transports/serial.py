@@ -14,6 +14,7 @@ from plate_core import CycleError, FrameError, PlateError
 from plate_core.driver_status import DriverReason
 from plate_core.rig import Limits
 from plate_core.serial_protocol import (
+    TICK_S,
     Capabilities,
     Enable,
     Fault,
@@ -41,6 +42,9 @@ PIECES = 64
 
 REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 """Waits between attempts to begin anew [s]; the last one from then on."""
+
+SENT_KEPT = 8
+"""Tables that were sent and may play, or wait: a few."""
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
@@ -198,6 +202,7 @@ class SerialTransport:
         self._request: Order | None = None  # an enable or a home
         self._cut = False
         self._table = 0
+        self._sent: dict[int, MotorTable] = {}
         self._failures = 0
         self._reopen_at = 0.0
         self._gone = NO_ANSWER
@@ -249,6 +254,8 @@ class SerialTransport:
         repeats = plays(repeats, self.hold_s, table.cycle.period)
         if not self._streams:
             self._table = self._table % 65_535 + 1
+            self._sent[self._table] = table
+            self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
             self._link = self._link.uploading(self._table, knots(table), repeats)
         elif self._streamed is not None and not self._streamed.ended:
             self._streamed = self._streamed.followed_by(refined(table), repeats)
@@ -272,7 +279,7 @@ class SerialTransport:
                 telemetry = self._heard(data, now)
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
-                    measured.append(_measured(telemetry, min(when, now)))
+                    measured.append(self._measured(telemetry, min(when, now)))
             self._settle_orders()
             self._feed_stream(now)
             link, due = self._link.due(now)
@@ -477,6 +484,14 @@ class SerialTransport:
         if why:
             self._note(why)
 
+    def _measured(self, telemetry: Telemetry, time: float) -> Measured:
+        """Return what the sensors said at a time of ours [s]."""
+        return Measured(
+            time, telemetry.device_us * 1e-6, telemetry.table,
+            telemetry.position, telemetry.acceleration,
+            self._sent.get(telemetry.table), time - telemetry.ticks * TICK_S,
+        )  # fmt: skip
+
     def _following(self, telemetry: Telemetry) -> str:
         device = self._link.device
         if not telemetry.faults & Fault.FOLLOWING or device is None:
@@ -574,8 +589,3 @@ def differing(device: Capabilities, limits: Limits) -> str:
 
 def _refused(status: Status) -> str:
     return REFUSED.get(status, f"the device answers: {status.name.lower().replace('_', ' ')}")
-
-
-def _measured(telemetry: Telemetry, time: float) -> Measured:
-    device_s, table = telemetry.device_us * 1e-6, telemetry.table
-    return Measured(time, device_s, table, telemetry.position, telemetry.acceleration)

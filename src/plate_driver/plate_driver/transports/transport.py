@@ -76,6 +76,10 @@ class Measured:
         Number of the table that plays; 0: none.
     position, acceleration : tuple of 4 float
         [m], [m/s2].
+    playing : MotorTable or None
+        The table that plays, where it is known.
+    began : float
+        When this play of it began, on the context's clock [s].
     """
 
     time: float
@@ -83,6 +87,8 @@ class Measured:
     table: int
     position: tuple[float, ...]
     acceleration: tuple[float, ...]
+    playing: MotorTable | None = None
+    began: float = float("nan")
 
 
 class Order:

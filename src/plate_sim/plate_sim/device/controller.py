@@ -326,12 +326,14 @@ class Device:
         )
         finite = np.where(np.isfinite(self.measured), self.measured, np.float32(0))
         position, accel = (tuple(row) for row in finite.tolist())
+        playing = motion.playing if moving else None
         return Telemetry(
             self.now_us,
             motion.state,
             motion.faults,
             motion.stops,
-            motion.playing.table if moving and motion.playing is not None else 0,
+            0 if playing is None else playing.table,
+            0 if playing is None or isinstance(playing, Stream) else motion.time,
             motion.waiting.table if motion.waiting is not None else 0,
             self.reader.refused % 2**16,
             position,
