@@ -288,6 +288,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return
         if run is None:
             self._idle = self._idle.update(parts, stamp)
+            if self._inputs.starts_problem(time.monotonic()):  # the loop goes on without the motors
+                self._ask(wanted_to_msg(NOTHING, msg.header.stamp))
         else:
             run.state = run.planner.see(run.state, parts, stamp)
 
