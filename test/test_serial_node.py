@@ -25,7 +25,14 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_core.ros import DATA, LATCHED, cycle_to_msg, nanoseconds, to_time  # noqa: E402
+from plate_core.ros import (  # noqa: E402
+    DATA,
+    LATCHED,
+    cycle_to_msg,
+    msg_to_cycle,
+    nanoseconds,
+    to_time,
+)
 from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
@@ -135,9 +142,11 @@ class Bench:
         self.status = DriverStatus()
         self.states: list[JointState] = []
         self.setpoints: list[JointTrajectory] = []
+        self.starts: list[JointTrajectory] = []
         self.reports: list[DiagnosticStatus] = []
         listen = self.node.create_subscription
         listen(DriverStatus, "driver_status", self.on_status, LATCHED)
+        listen(JointTrajectory, "cycle_started", self.starts.append, DATA)
         listen(JointState, "motor_states", self.states.append, DATA)
         listen(JointTrajectory, "motor_setpoints", self.setpoints.append, DATA)
         listen(DiagnosticArray, "diagnostics", lambda m: self.reports.append(m.status[0]), DATA)
@@ -267,6 +276,14 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
     assert 5e-4 < board.travel < 2e-3
+    # Starts of cycles: of rest before, one after the other, and of what was sent.
+    assert bench.until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 2)
+    begins = np.array([nanoseconds(s.header.stamp) for s in bench.starts])
+    moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
+    assert np.all(np.diff(begins) > 0)
+    assert not moved[0]
+    steps = np.diff(begins[moved]) * 1e-9 / PERIOD
+    assert np.all(np.abs(steps - np.round(steps)) < 0.1), steps
     assert nanoseconds(bench.setpoints[-1].header.stamp) <= bench.stamp
     # Without cycles the plate rests by itself, with current; the driver says so: it is no fault.
     assert bench.until(lambda: board.state is State.READY)

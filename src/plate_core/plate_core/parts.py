@@ -95,6 +95,9 @@ class Wanted:
         Mean torque over a cycle [N m]; zero where any turning will do.
     period : float
         Length of that cycle, T [s]: a force F changes the drift of a part by F T/m.
+    start : (M, 4) or None
+        Where each part is when that cycle begins, and its velocity then [m, m/s]; None: not known,
+        `parts` are as an image showed them, and the solver predicts it.
     """
 
     parts: Parts
@@ -102,6 +105,7 @@ class Wanted:
     tolerance: np.ndarray
     torque: np.ndarray
     period: float
+    start: np.ndarray | None = None
 
     @classmethod
     def make(
@@ -111,6 +115,7 @@ class Wanted:
         tolerance: np.ndarray | None = None,
         torque: np.ndarray | None = None,
         period: float = CYCLE_S,
+        start: np.ndarray | None = None,
     ) -> Wanted:
         """Build it; what is missing is zero, but for the period.
 
@@ -126,6 +131,7 @@ class Wanted:
             _filled("tolerance", tolerance, pair),
             _filled("torque", torque, single),
             period,
+            None if start is None else _filled("start", start, (len(parts), 4)),
         )
 
 

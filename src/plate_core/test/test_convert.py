@@ -11,6 +11,7 @@ from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.rig import Lens, to_image
 
 pytest.importorskip("rclpy")
+from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
@@ -89,6 +90,18 @@ def test_how_well_parts_were_seen_is_told():
     assert (known.confidence, unknown.confidence, unknown.covariance[0]) == (0.9, -1, -1)
     untold = over_the_wire(convert.parts_to_msg(parts, STAMP)).parts[0]
     assert (untold.confidence, untold.covariance[0]) == (-1, -1)
+
+
+def test_forces_with_the_state_at_the_start():
+    sent = wanted()
+    state = np.arange(4.0 * len(sent.parts)).reshape(-1, 4)
+    start = Time(sec=5)
+    msg = over_the_wire(convert.wanted_to_msg(replace(sent, start=state), STAMP, start))
+    assert (msg.at_start, msg.start) == (True, start)
+    back = convert.msg_to_wanted(msg)
+    np.testing.assert_array_equal(back.start, state)
+    np.testing.assert_array_equal(back.parts.position, state[:, :2])
+    np.testing.assert_allclose(back.parts.velocity, sent.parts.velocity, atol=1e-12)
 
 
 def test_driver_status_there_and_back():

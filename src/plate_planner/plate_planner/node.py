@@ -39,6 +39,7 @@ from plate_core.ros import (
     parameter,
     run_node,
     seconds,
+    to_time,
     wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
@@ -185,8 +186,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     """Node `planner`: does tasks; says for each image which mean force it wants on each part.
 
     Actions sort_parts, follow_paths, assemble_parts, pose_parts. Service stop ends the task.
-    Subscribes parts, plate_cycle, driver_status, diagnostics; cycle_started, unless images are taken
-    at the starts of cycles: then each image is answered, else each cycle a while before its end.
+    Subscribes parts, plate_cycle, driver_status, diagnostics, and, unless images are taken at the
+    starts of cycles, cycle_started: then each cycle is answered a while before its end, else each
+    image.
     Publishes part_forces, task_status, markers, diagnostics.
     """
 
@@ -350,7 +352,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         run.state, wanted, run.progress = plan(run)
         if self._stood_still():
             wanted = NOTHING  # these parts are long gone from where they were
-        self._ask(wanted_to_msg(wanted, stamp))
+        start = to_time(round(1e9 * run.state.estimator.next_start))
+        self._ask(wanted_to_msg(wanted, stamp, start))
         if self._markers.get_subscription_count():
             self._markers.publish(forces_to_msg(self._rig, wanted, stamp))
         self._follow_up()

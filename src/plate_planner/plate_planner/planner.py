@@ -304,8 +304,9 @@ class Planner:
         request = request.less(estimator.bias.along(axes))
         force, tolerance = request.force(parts.velocity, self.rig, period)
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
+        start = estimator.start_of(parts) if self.rules.estimated and torque is None else None
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
-        return state, Wanted.make(parts, force, tolerance, torque, period)
+        return state, Wanted.make(parts, force, tolerance, torque, period, start)
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

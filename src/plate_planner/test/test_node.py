@@ -25,6 +25,7 @@ from plate_core.ros import (  # noqa: E402
     LATCHED,
     cycle_to_msg,
     msg_to_wanted,
+    nanoseconds,
     parts_to_msg,
     scenario_to_goal,
     start_nodes,
@@ -181,6 +182,14 @@ class Graph:
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.01)
 
+    def image_alone(self, k):
+        """Show the parts of an image that is not answered, and wait a little."""
+        stamp = to_time(round(1e9 * (101.0 + 0.1 * k)))
+        self.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
+        end = time.monotonic() + 0.05
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.01)
+
     def stop(self):
         self.until(self.stopper.service_is_ready)
         future = self.stopper.call_async(Trigger.Request())
@@ -220,6 +229,42 @@ def graph():
     yield make
     for item in made:
         item.close()
+
+
+def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
+    graph = graph(camera_triggered=False)
+    starts = graph.probe.create_publisher(JointTrajectory, "cycle_started", DATA)
+    graph.until(starts.get_subscription_count)
+    began = []
+
+    def shown(k):
+        """Images in mid-cycle, and a cycle that begins, of which nothing is asked in between."""
+        for t in (100.03, 100.07):
+            stamp = to_time(round(1e9 * (t + 0.1 * k)))
+            graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
+        stamp = to_time(round(1e9 * (100.1 + 0.1 * k)))
+        count = len(graph.forces)
+        starts.publish(cycle_to_msg(PlateCycle.rest(0.1), stamp))
+        graph.until(lambda: len(graph.forces) > count)
+        began.append(stamp)
+
+    graph.image(100.0, APART)  # answered, so that the loop goes on before any cycle begins
+    assert "no start of a cycle yet" in graph.refused(SORT_4)[1]
+    shown(0)
+    handle = graph.send(SORT_4)
+    graph.forces.clear()
+    began.clear()
+    for k in range(1, 8):
+        shown(k)
+    assert [msg.header.stamp for msg in graph.forces] == began
+    assert not graph.forces[0].forces or graph.forces[0].at_start
+    asked = graph.forces[-1]
+    assert len(asked.forces) == 4
+    assert asked.at_start
+    assert nanoseconds(asked.start) == nanoseconds(began[-1]) + 100_000_000
+    status = graph.until_ended(handle, graph.image_alone)
+    assert status.reason == TaskStatus.NO_CYCLE
+    assert "cycle_started" in status.text
 
 
 def test_a_task_from_goal_to_done(graph):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import PlateCycle, load_rig
+from plate_core import PlateCycle, PlateError, load_rig
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -25,6 +25,7 @@ from plate_core.ros import (
     DATA,
     image_to_array,
     motors_to_msg,
+    msg_to_cycle,
     msg_to_parts,
     nanoseconds,
     start_nodes,
@@ -245,6 +246,52 @@ def test_real_time_goes_on_without_answers():
 def test_real_time_takes_tables_as_they_come():
     with Loop(good, idle_period=0.03) as loop:
         assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
+
+
+def test_a_camera_that_runs_free_takes_images_at_any_time():
+    options = {"image_rate": 40.0, "latency": 0.02, "stamp_jitter": 0.001, "seed": 5}
+    with Loop(scenario="sort_4", **options) as loop:
+        starts = []
+        loop.ear.create_subscription(JointTrajectory, "cycle_started", starts.append, DATA)
+        assert loop.spin(lambda: len(starts) >= 2)
+        loop.images.clear()
+        assert loop.spin(lambda: len(loop.images) >= 25)
+        begins = [nanoseconds(msg.header.stamp) for msg in starts]
+        assert set(np.diff(begins)) == {100_000_000}
+        steps = np.diff(loop.stamps)
+        assert np.all(steps > 0)
+        assert abs(np.median(steps) * 1e-6 - 25) < 3
+        phases = {(stamp - begins[0]) % 100_000_000 // 10_000_000 for stamp in loop.stamps}
+        assert len(phases) >= 4  # all over the cycle
+        assert not msg_to_cycle(starts[-1]).knot_pose.any()
+        ends = (loop.tables, loop.simulator._starts)
+        assert loop.spin(lambda: all(end.get_subscription_count() for end in ends))
+        loop.tables.publish(motors_to_msg(RIG, push(), to_time(0)))
+        assert loop.spin(lambda: msg_to_cycle(starts[-1]).knot_pose.any())
+        assert np.allclose(msg_to_cycle(starts[-1]).knot_pose, push().knot_pose, atol=1e-12)
+
+
+def test_in_lockstep_no_camera_runs_free():
+    rclpy.init(args=["--ros-args", "-p", "lockstep:=true", "-p", "image_rate:=30.0"])
+    node = SimulatorNode()
+    with pytest.raises(PlateError, match="image_rate is 30 with lockstep, allowed: 0"):
+        start_nodes(node)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_driven_by_the_device_a_camera_may_run_free_too():
+    options = {"driven_by": "device", "image_rate": 25.0, "seed": 2}
+    with Loop(scenario="sort_4", **options) as loop:
+        motions = loop.ear.create_publisher(JointTrajectory, "motor_motion", DATA)
+        assert loop.spin(lambda: motions.get_subscription_count() == 1)
+        assert loop.spin(lambda: loop.simulator._images.get_subscription_count() == 1)
+        start = loop.simulator._time_ns + 1_000_000_000
+        for k in range(4):  # of 50 ms, with an image each 40 ms
+            motions.publish(motors_to_msg(RIG, push(), to_time(start + k * 50_000_000)))
+            assert loop.spin(lambda k=k: len(loop.stamps) > k)
+        assert np.all(np.abs(np.diff(loop.stamps) - 40_000_000) <= 1000)
+        assert start <= loop.stamps[0] < start + 40_000_000
 
 
 def test_driven_by_the_device_the_parts_follow_what_was_played():

@@ -183,7 +183,9 @@ class Controller:
         known = parts.friction_limit / self._rig.parts.mass_kg
         friction = np.where(known > 0, known, self._rig.friction.accel)
         turns = self._turns(wanted, period)
-        if running is not None and turns is not None:
+        if wanted.start is not None:
+            position, velocity = wanted.start[:, :2], wanted.start[:, 2:]
+        elif running is not None and turns is not None:
             position, velocity, _, spin = end_disc(
                 position, start, turns.spin, *finely_sampled(running), friction, turns.points
             )

@@ -27,7 +27,10 @@ PLATE_JOINTS = ["x", "y", "theta"]
 CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3}
 
 STATE = ("x", "y", "angle", "vx", "vy", "spin")
-"""Fields of Part and PartForce."""
+"""Fields of Part."""
+
+START = ("x", "y", "angle", "vx", "vy", "drift_x", "drift_y", "drift_spin", "friction_limit")
+"""Fields of PartForce."""
 
 INTERVALS = (
     "force_x_min", "force_x_max", "force_y_min", "force_y_max", "torque_min", "torque_max",
@@ -130,21 +133,30 @@ def msg_to_parts(msg: PartsMsg) -> Parts:
     return Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin)
 
 
-def wanted_to_msg(wanted: Wanted, stamp: Time) -> PartForces:
-    """Return what is wanted of parts as a message; `stamp` is that of the image it answers."""
-    msg = PartForces(header=Header(stamp=stamp, frame_id=FRAME), period_s=float(wanted.period))
+def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> PartForces:
+    """Return what is wanted of parts as a message; `stamp` is that of the image or cycle that it
+    answers, and the answer begins at `start`, if that is known."""
+    parts, at_start = wanted.parts, wanted.start is not None
+    msg = PartForces(
+        header=Header(stamp=stamp, frame_id=FRAME), start=start or Time(), at_start=at_start,
+        period_s=float(wanted.period),
+    )  # fmt: skip
+    state = wanted.start
+    if state is None:
+        state = np.hstack([parts.position, np.zeros((len(parts), 2))])
     low, high = wanted.force - wanted.tolerance, wanted.force + wanted.tolerance
     turned = np.where(wanted.torque == 0, np.inf, 0.0)  # without: any turning will do
     rows = np.column_stack(
-        [low[:, 0], high[:, 0], low[:, 1], high[:, 1], wanted.torque - turned,
-         wanted.torque + turned, wanted.parts.friction_limit]
+        [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
+         low[:, 0], high[:, 0], low[:, 1], high[:, 1], wanted.torque - turned,
+         wanted.torque + turned]
     ).tolist()  # fmt: skip
     msg.forces = [
         PartForce(
-            **dict(zip((*STATE, *INTERVALS, "friction_limit"), (*state, *row), strict=True)),
+            **dict(zip((*START, *INTERVALS), row, strict=True)),
             id=name, friction_limit_stddev=UNKNOWN,
         )
-        for name, state, row in zip(wanted.parts.ids, _state(wanted.parts), rows, strict=True)
+        for name, row in zip(parts.ids, rows, strict=True)
     ]  # fmt: skip
     return msg
 
@@ -164,7 +176,7 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     ids = tuple(force.id for force in msg.forces)
     if ids and not 0 < msg.period_s <= MOST:
         raise PlateError(f"part_forces: period_s is {msg.period_s:g}, allowed: above 0")
-    rows = _checked("part_forces", ids, msg.forces, (*STATE, "friction_limit"))
+    rows = _checked("part_forces", ids, msg.forces, START)
     ends = np.array([[getattr(f, key) for key in INTERVALS] for f in msg.forces], dtype=float)
     ends = ends.reshape(-1, 6)
     wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # so where one is NaN
@@ -178,13 +190,14 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     asked = np.all(np.isfinite(ends[:, 4:]), axis=1)
     low, high = np.clip(ends[:, 0::2], -MOST, MOST), np.clip(ends[:, 1::2], -MOST, MOST)
     middle, tolerance = (low + high) / 2, (high - low) / 2
-    x, y, angle, vx, vy, spin, friction = rows.T
+    parts = Parts.make(ids, rows[:, :2], rows[:, 5:7], rows[:, 2], rows[:, 7], rows[:, 8])
     return Wanted.make(
-        Parts.make(ids, np.column_stack([x, y]), np.column_stack([vx, vy]), angle, spin, friction),
+        parts,
         middle[:, :2],
         tolerance[:, :2],
         np.where(asked, middle[:, 2], 0.0),
         float(msg.period_s),
+        rows[:, [0, 1, 3, 4]] if msg.at_start else None,
     )
 
 

@@ -315,12 +315,17 @@ class Estimator:
 
         As they were asked to, as long as the plate's motion is not known.
         """
+        start = self.start_of(parts)
+        return self.as_asked(parts) if start is None else start[:, :2]
+
+    def start_of(self, parts: Parts) -> np.ndarray | None:
+        """Where parts will be then, and their velocity (M, 4) [m, m/s]; None as long as the plate's
+        motion is not known."""
         if not self.log.known:
-            return self.as_asked(parts)
+            return None
         row = rows_of(parts.ids, self.ids)
         time = self.latency.estimate.time[self.latency.best][row]
-        end = propagate(self.log, self.mean[row], time, self.log.end, self.friction_accel)
-        return end[:, :2]
+        return propagate(self.log, self.mean[row], time, self.log.end, self.friction_accel)[:, :4]
 
     def as_asked(self, parts: Parts) -> np.ndarray:
         """Where parts would be (M, 2) [m] then, if they did as they were asked."""
