@@ -14,6 +14,7 @@ import numpy as np
 from harness import ROOT
 from plate_core import FrameError
 from plate_core.serial_protocol import (
+    VERSION,
     Acknowledgement,
     Begin,
     Capabilities,
@@ -80,11 +81,11 @@ def orders(number: int, stop: int = 0) -> list[bytes]:
 def reports() -> list[bytes]:
     """What a device says, as frames."""
     said: list[Message] = [
-        Capabilities(2, 5, 1, 4, 512, 8, 250, 0.01, 1.0, 100.0, 200.0, 100.0, 0.003, 10_000),
+        Capabilities(VERSION, 5, 1, 4, 512, 8, 250, 0.01, 1.0, 100.0, 200.0, 100.0, 0.003, 10_000),
         Pulse(1, 2),
         *(Acknowledgement(number, status) for number in range(3) for status in Status),
         *(
-            Telemetry(9, state, Fault.NONE, 7, 1, 2, 0, ZERO, ZERO, 0.5, 1e-4, 0.1)
+            Telemetry(9, state, Fault.NONE, 7, 1, 3, 2, 0, ZERO, ZERO, 0.5, 1e-4, 0.1)
             for state in State
         ),
     ]

@@ -87,6 +87,10 @@ class PlannerParameters(NodeOptions):
         True, "Whether images are taken at the starts of cycles; false: at any time, and "
         "cycle_started says when cycles begin.",
     )  # fmt: skip
+    answer_s: float = parameter(
+        PlannerOptions.answer_s, "Unless the camera is triggered: time from an answer to the next "
+        "cycle [s], for solver, driver and line; a serial line needs 0.09", 0.01, 1.0,
+    )  # fmt: skip
     lockstep: bool = parameter(
         False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
         "one before, the second one when there is a goal; so a seed repeats a run",
@@ -158,6 +162,7 @@ class PlannerParameters(NodeOptions):
             follow=FollowOptions(kp=self.kp, observer_gain=self.observer_gain),
             assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
+            answer_s=self.answer_s,
             start_timeout_s=self.start_timeout_s,
             unseen_timeout_s=self.unseen_timeout_s,
             stuck_timeout_s=self.stuck_timeout_s,
