@@ -23,7 +23,7 @@ from report.forces import (
     rotations,
     rotations_rows,
 )  # fmt: skip
-from report.loop import control, crowds, shaking, tracking
+from report.loop import cameras, control, crowds, shaking, tracking
 from report.model import model, model_rows
 from report.page import write_report
 from report.results import read_facts, write_results
@@ -60,6 +60,7 @@ CHARTS: tuple[Entry, ...] = (
     of_table(vision, "vision"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
+    Entry("cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)),
     Entry("shaking", shaking, lambda data: table(data, "sizing", "ratio"), ("sizing",)),
     Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
     Entry("cost", cost, cost_rows, ("stages", "sim")),

@@ -5,8 +5,9 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Chart, Row, by, column, parts
-from report.panels import Panel, Panels
+from report.panels import FAINT, LIMIT, OURS, SECOND, Panel, Panels
 from report.solver import METHODS
+from tasks.free_running import ALLOWED_MM
 
 COUNT_COLOURS = ("#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#8a6d00", "#b02a37")
 SPEEDS = (2, 5, 10, 20, 40, 80, 160, 320, 1000)
@@ -103,6 +104,52 @@ def control(rows: list[Row]) -> Chart:
         "Method B, at most 24 iterations and 3 restarts: in the loop a cycle starts next to its "
         "solution and seldom needs them; fewer iterations lose accuracy.",
         panels,
+    )  # fmt: skip
+
+
+CAMERAS = {
+    "image_rate": ("Rate", "images a second", 1.0, True),
+    "exposure_s": ("Exposure", "exposure [ms]", 1e3, False),
+    "latency": ("Latency", "latency [ms]", 1e3, False),
+    "stamp_jitter": ("Scatter of stamps", "standard deviation of the stamps [ms]", 1e3, False),
+}
+"""What is changed of a camera -> title, label, unit, and whether the axis is logarithmic."""
+
+
+def cameras(rows: list[Row]) -> Chart:
+    """Return the tracking error against what a camera that runs free is like."""
+    panels, borders = Panels(), []
+    triggered = next(r for r in rows if r["changed"] == "triggered")
+    for changed, (title, label, unit, log) in CAMERAS.items():
+        mine = [r for r in rows if r["changed"] == changed]
+        x = [unit * r["value"] for r in mine]
+        panel = panels.add(
+            title, Axis(label, log, ticks=tuple(x) if log else ()),
+            Axis("tracking error, RMS [mm]", log=True),
+        )  # fmt: skip
+        well = [all_well(r) for r in mine]
+        for name, key, colour, line in (
+            ("median", "rms_mm", OURS, "-"), ("worst run", "worst_rms_mm", FAINT, ":"),
+        ):  # fmt: skip
+            panel.points(
+                name, x, column(mine, key), colour, "o", line, hollow=[not one for one in well],
+                notes=[f"{r['succeeded']} ended well" for r in mine],
+            )  # fmt: skip
+        panel.rule("allowed", y=ALLOWED_MM, colour=LIMIT)
+        panel.rule("triggered", y=triggered["rms_mm"], colour=SECOND)
+        good = [value for value, r in zip(x, mine, strict=True) if r["kept"]]
+        ends = f"{min(good):g} to {max(good):g}" if good else "none"
+        borders.append(f"{label.replace(' [ms]', '')} {ends}{' ms' * (unit > 1)}")
+    usual = next(r for r in rows if r["changed"] == "image_rate" and r["value"] == 30)
+    return Chart(
+        "cameras", "", "Cameras that run free: which are good enough",
+        "Two parts along rectangles at 40 mm/s, uneven friction, 10 ms of exposure, 30 images a "
+        "second, 40 ms late, stamps that scatter by 5 ms, one of these changed at a time; the "
+        "planner knows none of them. Hollow: not all runs ended well. A camera is good for the "
+        f"task below the red line, {ALLOWED_MM:g} mm (median of the runs), if all end well.",
+        f"{shown(usual['rms_mm'])} mm at 30 images a second, {shown(triggered['rms_mm'])} mm with "
+        f"a triggered camera. Good for it, of what was tried: {'; '.join(borders)}.",
+        "", panels,
     )  # fmt: skip
 
 

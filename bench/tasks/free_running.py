@@ -1,8 +1,8 @@
-"""Cameras that run free: the tracking error against rate, exposure and latency of the images.
+"""Cameras that run free: the tracking error against rate, exposure, latency and scatter of images.
 
-Two parts at 40 mm/s, stamps that scatter, uneven friction; the planner knows neither the latency
-nor the scatter. A run has failed where it ends badly or errs more than `ALLOWED_MM`: one value of
-the camera is changed at a time, until the border is passed.
+Two parts at 40 mm/s, uneven friction; the planner knows neither the latency nor the scatter of the
+stamps. A camera is good for the task where all runs end well and the median of their errors is at
+most `ALLOWED_MM`: one value of it is changed at a time, until the border is passed.
 """
 
 from __future__ import annotations
@@ -13,52 +13,61 @@ from plate_core import load_rig
 from tasks.runs import UNEVEN, runs_of, summed
 
 USUAL = {"image_rate": 30.0, "exposure_s": 0.01, "latency": 0.04, "stamp_jitter": 0.005}
-"""The camera where nothing else is said; 0 images a second: triggered."""
+"""The camera where nothing else is said."""
 
 VALUES = {
-    "image_rate": (0.0, 5.0, 7.5, 10.0, 15.0, 30.0, 60.0, 120.0),
-    "exposure_s": (0.001, 0.005, 0.01, 0.02, 0.033),
-    "latency": (0.0, 0.02, 0.04, 0.08, 0.12, 0.16),
-    "stamp_jitter": (0.0, 0.002, 0.005, 0.01, 0.02),
+    "image_rate": (5.0, 7.5, 10.0, 12.0, 15.0, 20.0, 30.0, 60.0, 120.0),
+    "exposure_s": (0.001, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03),
+    "latency": (0.0, 0.02, 0.04, 0.08, 0.12, 0.16, 0.24),
+    "stamp_jitter": (0.0, 0.002, 0.005, 0.01, 0.015, 0.02),
 }
 """What is changed, and to what."""
 
-TRIGGERED = {"image_rate": 0.0, "exposure_s": 0.001, "latency": 0.0, "stamp_jitter": 0.0}
-"""What free cameras are compared with."""
+TRIGGERED = {"exposure_s": 0.001}
+"""What free cameras are compared with: an image at the start of each cycle, with a true stamp."""
 
 ALLOWED_MM = 0.2
 """Root mean square error up to which a camera is good for the task [mm]."""
 
-SEEDS = 2
+FIRST_SEED, SEEDS = 82000, 5
+"""Nothing was tuned on these seeds."""
 
 COLUMNS = {
     "changed": "changed", "value": "to", "succeeded": "succeeded",
     "rms_mm": "RMS error, median [mm]",
-    "worst_rms_mm": "of the worst run [mm]", "pace": "pace", "kept": "kept",
+    "worst_rms_mm": "of the worst run [mm]", "pace": "pace", "kept": "good for it",
 }  # fmt: skip
 
 
 def measure(quick: bool) -> Result:
     """Follow two rectangles with one camera after the other."""
     cache = Cache.of(__name__)
-    values = {"image_rate": (0.0, 30.0)} if quick else VALUES
-    kinds = [(changed, value) for changed, many in values.items() for value in many]
-    cases = {
-        f"{changed} {value:g} {seed}": (Setup("follow_2", seed), settings(changed, value))
-        for changed, value in kinds
-        for seed in range(SEEDS)
+    values = {"image_rate": (30.0,)} if quick else VALUES
+    cameras = {("triggered", 0.0): TRIGGERED} | {
+        (changed, value): USUAL | {changed: value}
+        for changed, many in values.items()
+        for value in many
     }
+    seeds = range(FIRST_SEED, FIRST_SEED + SEEDS)
+    cases = {
+        f"{camera} {seed}": (
+            Setup("follow_2", seed), UNEVEN | {key: f"{value:g}" for key, value in camera.items()}
+        )
+        for camera in cameras.values()
+        for seed in seeds
+    }  # fmt: skip
     with processes() as pool:
-        done = iter(runs_of(pool, cache, load_rig(), cases))
+        done = dict(zip(cases, runs_of(pool, cache, load_rig(), cases), strict=True))
     rows = []
-    for changed, value in kinds:
-        row = {"changed": changed, "value": value, **summed([next(done) for _ in range(SEEDS)])}
-        rows.append({key: row.get(key) for key in COLUMNS} | {"kept": kept(row)})
+    for (changed, value), camera in cameras.items():
+        found = summed(done[f"{camera} {seed}"] for seed in seeds)
+        row = {"changed": changed, "value": value, **found, "kept": kept(found)}
+        rows.append({key: row.get(key) for key in COLUMNS})
     note = ", ".join(f"{key} {value:g}" for key, value in USUAL.items())
     return Result(
         [Table("cameras", "Cameras that run free", COLUMNS, rows, f"Where not changed: {note}.")],
         [
-            f"{changed}: kept at "
+            f"{changed}: good for it at "
             + ", ".join(
                 f"{row['value']:g}" for row in rows if row["changed"] == changed and row["kept"]
             )
@@ -67,14 +76,6 @@ def measure(quick: bool) -> Result:
     )
 
 
-def settings(changed: str, value: float) -> dict[str, str]:
-    """Return the settings of `bench/closed_loop.py` for one camera."""
-    camera = USUAL | {changed: value}
-    return UNEVEN | {
-        key: str(each) for key, each in (camera if camera["image_rate"] else TRIGGERED).items()
-    }
-
-
-def kept(row: dict[str, object]) -> bool:
+def kept(found: dict[str, object]) -> bool:
     """Whether all runs of a camera ended well and kept the error."""
-    return row["good"] == row["runs"] and float(str(row["rms_mm"])) <= ALLOWED_MM
+    return found["good"] == found["runs"] and float(str(found["rms_mm"])) <= ALLOWED_MM

@@ -28,7 +28,7 @@ COARSE_S, FINE_S = 0.025, 0.5e-3
 LONGEST_S = 0.5
 """No image is taken to be older [s]."""
 
-FEWEST_IMAGES, CLEAR, BETTER = 4, 8.0, 4.0
+FEWEST_IMAGES, CLEAR, BETTER = 4, 12.0, 4.0
 """Latencies are given up after so many images at the least, once they are less likely than the best
 by so much [log]: model and noise are not quite as assumed. It takes less to believe another one,
 and the first image of a plate in motion may tell it."""
