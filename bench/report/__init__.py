@@ -60,7 +60,9 @@ CHARTS: tuple[Entry, ...] = (
     of_table(vision, "vision"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),
-    Entry("cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)),
+    Entry(
+        "cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)
+    ),
     Entry("shaking", shaking, lambda data: table(data, "sizing", "ratio"), ("sizing",)),
     Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
     Entry("cost", cost, cost_rows, ("stages", "sim")),

@@ -213,7 +213,7 @@ class Planner:
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
         """Say what is asked of the parts in the next cycle; see `plan`."""
         estimator = state.estimator
-        there = estimator.parts if self.rules.estimated else estimator.seen
+        there = estimator.parts if self._estimated(estimator) else estimator.seen
         present = self._on_plate(there)
         last = self._last_seen(state.last, there, estimator.stamp)
         state = replace(state, last=last, due=np.inf)
@@ -223,6 +223,10 @@ class Planner:
             state, wanted = self._ask(state, present, found.request, found.torque)
         progress = self._progress(state, len(present), found)
         return replace(state, answer=(wanted, progress)), wanted, progress
+
+    def _estimated(self, estimator: Estimator) -> bool:
+        """Whether to plan on estimated parts: images of mid-cycle show where no cycle starts."""
+        return self.rules.estimated or estimator.log.reported
 
     def _on_plate(self, parts: Parts) -> Parts:
         """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
@@ -270,7 +274,8 @@ class Planner:
             estimator = replace(estimator, bias=DriftBias())
         axes = rules.bias_axes(state.memory, parts, estimator.stamp - estimator.period / 2)
         limit = rules.bias_limit(state.memory, parts, estimator.period)
-        predicted = estimator.predict(parts) if rules.estimated else estimator.as_asked(parts)
+        estimated = self._estimated(estimator)
+        predicted = estimator.predict(parts) if estimated else estimator.as_asked(parts)
         return estimator.observe(parts, predicted, axes, rules.bias_gain, limit)
 
     def _situation(

@@ -322,6 +322,21 @@ def test_the_first_images_in_motion_already_tell_of_the_latency():
     assert np.median(errors) < 0.2e-3
 
 
+def test_angles_are_those_between_cycles():
+    """The part swings with the plate, and turns by 0.05 rad in a cycle."""
+    estimator, angles = Estimator.of(RIG, T, 0.0), []
+    for k in range(12):
+        estimator = estimator.started(PlateCycle.rest(T), k * T)
+        for t in k * T + np.arange(0.01, T, 0.016):
+            swing = 0.4 * np.sin(np.pi * (t / T % 1)) ** 4
+            seen = Parts.make(("black_1",), np.zeros((1, 2)), angle=np.array([0.5 * t + swing]))
+            estimator = estimator.update(seen, t)
+        angles.append((estimator.parts.angle[0] - 0.5 * k * T, estimator.parts.spin[0]))
+    off, spin = np.array(angles[3:]).T
+    assert np.abs(off).max() < 0.02
+    assert spin == pytest.approx(np.full(len(spin), 0.5), abs=0.2)
+
+
 def test_it_says_when_images_do_not_come_as_they_should():
     world, none = World(2, 1.0), Estimator.of(RIG, T, 0.0)
     for rate, problem in ((10.0, ""), (5.0, ""), (30.0, "30 images a second and 10 cycles")):

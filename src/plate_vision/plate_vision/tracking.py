@@ -117,11 +117,17 @@ class Track:
         return (angle1 - angle0) / (t1 - t0)
 
     def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
-        """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m]."""
-        last, x, y = self.history[-1]
-        vx, vy = self.velocity
-        time = min(stamp - last, reach / max(math.hypot(vx, vy), 1e-12))
-        return x + vx * time, y + vy * time
+        """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m].
+
+        Stamps of a camera that runs free scatter, and two may be next to each other: since then it
+        has moved no further than its last way in each image, and once more.
+        """
+        (first, x0, y0), (last, x, y) = self.history[0], self.history[-1]
+        if last == first:
+            return x, y
+        ways = min((stamp - last) / (last - first), self.missed + 2)
+        ways = min(ways, reach / max(math.hypot(x - x0, y - y0), 1e-12))
+        return x + (x - x0) * ways, y + (y - y0) * ways
 
     def extended(
         self, stamp: float, position: np.ndarray, angle: float, keep: int,

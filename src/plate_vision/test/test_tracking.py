@@ -191,6 +191,13 @@ def test_velocity_with_uneven_stamps():
             assert np.allclose(tracker.parts.velocity, [[0.02, 0]])
 
 
+def test_two_stamps_next_to_each_other_do_not_throw_a_part_far_ahead():
+    tracker = Tracker()
+    for stamp, x in ((1.0, 0.0), (1.0001, 0.003), (1.02, 0.004), (1.033, 0.002)):
+        tracker = update(tracker, stamp, [[x, 0.0]], ["grey"])
+        assert tracker.parts.ids == ("grey_1",)
+
+
 def test_same_stamp_gives_the_same_answer():
     tracker = update(Tracker(), 1.0, [[0.0, 0.0]], ["grey"])
     tracker = update(tracker, 1.05, [[0.001, 0.0]], ["grey"])

@@ -23,6 +23,9 @@ FRESH = 1.5
 SAME_LATENCY_S = 2e-3
 """Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
 
+SAME_START = 0.5
+"""Starts of cycles that are nearer to each other are one [period]."""
+
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
 
@@ -150,6 +153,54 @@ class DriftBias:
 
 
 @dataclass(frozen=True)
+class Turning:
+    """How parts are turned, by a camera that runs free: from the image nearest to each cycle's
+    start, when the plate hardly moves.
+
+    Attributes
+    ----------
+    ids : tuple of str
+    angle, spin : (M,)
+        Orientation [rad] then, and turning since the image of a cycle before [rad/s].
+    time : float
+        When that image was taken [s].
+    start : float
+        The start of a cycle that it is nearest to [s].
+    last : Turning or None
+        The same of the cycle before.
+    """
+
+    ids: tuple[str, ...] = ()
+    angle: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    spin: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    time: float = 0.0
+    start: float = -np.inf
+    last: Turning | None = None
+
+    def update(self, log: CycleLog, parts: Parts, time: float) -> Turning:
+        """Take in an image that was taken at a time [s]."""
+        starts = np.array([*(begin for begin, _ in log.runs), log.end])
+        start = float(starts[np.argmin(np.abs(starts - time))])
+        same = abs(start - self.start) < SAME_START * log.period
+        if same and abs(time - start) >= abs(self.time - self.start):
+            return self
+        last = self.last if same else replace(self, last=None)
+        spin = np.zeros(len(parts))
+        if last is not None and 0 < time - last.time < FRESH * log.period:
+            row = rows_of(parts.ids, last.ids)
+            turned = parts.angle - np.append(last.angle, 0.0)[row]
+            turned = (turned + np.pi) % (2 * np.pi) - np.pi
+            spin = np.where(row >= 0, turned / max(time - last.time, SHORTEST_S), 0.0)
+        return Turning(parts.ids, parts.angle, spin, time, start, last)
+
+    def of(self, ids: tuple[str, ...], t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return angle (K,) [rad] at a time [s], and spin (K,) [rad/s], of parts; 0 of others."""
+        row = rows_of(ids, self.ids)
+        spin = np.append(self.spin, 0.0)[row]
+        return np.append(self.angle, 0.0)[row] + spin * (t - self.time), spin
+
+
+@dataclass(frozen=True)
 class Estimator:
     """The parts as last seen, and the plate's motion since.
 
@@ -168,6 +219,8 @@ class Estimator:
         What parts are taken to do as long as the plate's motion is not known.
     odd : int
         Images in a row that did not come a whole number of cycles after the one before.
+    turning : Turning
+        How parts are turned, if starts of cycles are reported.
     before, before_stamp : Parts, float
         The parts as they were said at the last answer, and when that was [s].
     bias : DriftBias
@@ -182,6 +235,7 @@ class Estimator:
     seen: Parts = NOBODY
     request: LastRequest = field(default_factory=LastRequest)
     odd: int = 0
+    turning: Turning = field(default_factory=Turning)
     before: Parts = NOBODY
     before_stamp: float = -np.inf
     bias: DriftBias = field(default_factory=DriftBias)
@@ -229,9 +283,13 @@ class Estimator:
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
         latency = hypotheses.update(log, parts, taken, unsure, delay, self.friction_accel, COAST)
+        turning = self.turning
+        if log.reported:
+            turning = turning.update(log, parts, taken - latency.latency)
         return replace(
-            self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd
-        )
+            self, clock=clock, frames=frames, seen=parts, log=log, latency=latency, odd=odd,
+            turning=turning,
+        )  # fmt: skip
 
     @property
     def image_rate(self) -> float:
@@ -298,7 +356,8 @@ class Estimator:
         estimate, best = self.latency.estimate, self.latency.best
         place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
         grip = self.rig.force_unit * self.friction
-        return Parts.make(estimate.ids, place, self._drift(place), friction_limit=grip)
+        angle, spin = self.turning.of(estimate.ids, self.stamp)
+        return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
 
     def _drift(self, place: np.ndarray) -> np.ndarray:
         """Drift (M, 2) [m/s] of the parts that are at `place` (M, 2) [m] at the stamp: since the
