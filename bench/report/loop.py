@@ -116,6 +116,10 @@ CAMERAS = {
 """What is changed of a camera -> title, label, unit, and whether the axis is logarithmic."""
 
 
+RATES = (5, 7.5, 10, 15, 30, 60, 120)
+"""Of images [1/s], that are written at the axis."""
+
+
 def cameras(rows: list[Row]) -> Chart:
     """Return the tracking error against what a camera that runs free is like."""
     panels, borders = Panels(), []
@@ -124,7 +128,7 @@ def cameras(rows: list[Row]) -> Chart:
         mine = [r for r in rows if r["changed"] == changed]
         x = [unit * r["value"] for r in mine]
         panel = panels.add(
-            title, Axis(label, log, ticks=tuple(x) if log else ()),
+            title, Axis(label, log, ticks=RATES if log else ()),
             Axis("tracking error, RMS [mm]", log=True),
         )  # fmt: skip
         well = [all_well(r) for r in mine]
