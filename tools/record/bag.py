@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ament_index_python.packages import get_package_share_directory
+from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from plate_core import PlateError
 
@@ -76,18 +77,54 @@ class Recorder:
             if topic in self._heard or not publishers or kinds[0] not in self._types.types:
                 continue
             self._heard.add(topic)
-            offered = publishers[0].qos_profile
-            qos = QoSProfile(
-                depth=DEPTH, reliability=offered.reliability, durability=offered.durability
-            )
+            offered = [publisher.qos_profile for publisher in publishers]
             package, _, name = kinds[0].split("/")
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            self._node.create_subscription(kind, topic, self._write(topic, kinds[0]), qos, raw=True)
+            write = self._write(topic, kinds[0], offered)
+            self._node.create_subscription(kind, topic, write, wanted(offered), raw=True)
 
-    def _write(self, topic: str, kind: str) -> Callable[[bytes], None]:
-        connection = self._writer.add_connection(topic, kind, typestore=self._types)
+    def _write(
+        self, topic: str, kind: str, offered: Sequence[QoSProfile]
+    ) -> Callable[[bytes], None]:
+        connection = self._writer.add_connection(
+            topic, kind, typestore=self._types, offered_qos_profiles=[_kept(qos) for qos in offered]
+        )
 
         def write(data: bytes) -> None:
             self._writer.write(connection, time.time_ns(), bytes(data))
 
         return write
+
+
+def wanted(offered: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the quality of service that connects to all publishers of a topic, and asks for what
+    all of them offer: what is latched is heard though it was said before."""
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _kept(qos: QoSProfile) -> Any:
+    """Return a publisher's quality of service as the bag has it: who plays it publishes alike."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    def time(duration: Duration) -> QosTime:
+        return QosTime(*divmod(duration.nanoseconds, 1_000_000_000))
+
+    return Qos(
+        QosHistory[qos.history.name], qos.depth, QosReliability[qos.reliability.name],
+        QosDurability[qos.durability.name], time(qos.deadline), time(qos.lifespan),
+        QosLiveliness[qos.liveliness.name], time(qos.liveliness_lease_duration),
+        qos.avoid_ros_namespace_conventions,
+    )  # fmt: skip
