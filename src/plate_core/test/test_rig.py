@@ -144,6 +144,7 @@ def test_fiducials(data, load):
     [
         ("side_m is 0", {"side_m": 0}),
         ("dictionary is 5", {"dictionary": 5}),
+        ("dictionary is '4X4', allowed: one of 4X4_50, 4X4_100", {"dictionary": "4X4"}),
         ("2 markers, allowed: 4 to 16", {"centre_m": {"marker_0": [0, 0], "marker_1": [1, 1]}}),
         ("allowed: marker_0", {"centre_m": {f"m{i}": [i, i] for i in range(4)}}),
         ("allowed: 2 numbers", {"centre_m": {f"marker_{i}": [i] for i in range(4)}}),

@@ -3,7 +3,7 @@ means (docs/reference.md)."""
 
 from __future__ import annotations
 
-from ..yaml_fields import Key, Number, Numbers, Section, Table, Text, Whole
+from ..yaml_fields import Choice, Key, Number, Numbers, Section, Table, Whole
 
 FAR_M = 10.0
 """No coordinate is greater [m]."""
@@ -56,11 +56,18 @@ CAMERA = Section(
     ),
 )  # fmt: skip
 
+DICTIONARIES = (
+    *(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "ARUCO_ORIGINAL", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11",
+    "ARUCO_MIP_36H12",
+)  # fmt: skip
+"""Sets of markers, by OpenCV's names without DICT_; older versions lack the last."""
+
 FIDUCIALS = Section(
     "fiducials (may be left out)",
     "Markers on the plate: the camera finds plate_home by them, in place of `corners_px`.",
     (
-        Key("dictionary", Text(), "Set of ArUco markers, by OpenCV's name without DICT_: 4X4_50."),
+        Key("dictionary", Choice(DICTIONARIES), "Set of ArUco markers, by OpenCV's name."),
         Key("side_m", Number(0.001, 1), "Side of a marker's black square."),
         Key(
             "centre_m", Table("for each of 4 to 16 markers [x, y], as marker_0: [0.1, 0.1]"),
