@@ -29,6 +29,10 @@ UNTIMED_S = 30.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
 
 
+SERIAL_ANSWER_S = 0.09
+"""The planner's answer_s with a serial line, on which a table takes its time [s]."""
+
+
 class GraphError(PlateError):
     """The list of nodes is wrong, or a node does not do its part."""
 
@@ -181,6 +185,8 @@ class RunOptions:
             values["driven_by"] = "device"
         if node.name == "planner" and self.image_rate > 0:
             values["camera_triggered"] = False
+            if self.transport == "serial":
+                values["answer_s"] = SERIAL_ANSWER_S
         if self.rig_file:
             values["rig_file"] = self.rig_file
         if self.lockstep or self.rate != 1:

@@ -215,7 +215,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
-        self.managed_subscription(Parts, "parts", self._on_parts, NEWEST)
+        # Of a triggered camera the newest image is answered; of others each one tells something.
+        newest = NEWEST if options.camera_triggered else DATA
+        self.managed_subscription(Parts, "parts", self._on_parts, newest)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         if not options.camera_triggered:
             self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)

@@ -8,6 +8,7 @@ from plate_core.kernels import kernel
 from plate_planner.estimation.cycle_log import CycleLog
 from plate_planner.estimation.estimator import COAST, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
+from plate_planner.estimation.frame_clock import FrameClock
 
 RIG = load_rig()
 ACCEL, MASS = RIG.friction.accel, RIG.parts.mass_kg
@@ -102,6 +103,18 @@ def test_it_finds_out_how_old_images_are(age):
         errors.append(np.abs(estimator.parts.position - truth).max())
     assert estimator.latency.latency == pytest.approx(age, abs=1e-3)
     assert np.median(errors[24:]) < 0.1e-3
+
+
+def test_a_clock_of_frames_does_not_run_away():
+    """Of a camera that drops every third image, irregularly timed: stamps stay believed."""
+    rng = np.random.default_rng(0)
+    clock = FrameClock()
+    for k in range(3000):
+        if rng.random() < 0.3:
+            continue
+        stamp = 100 + k / 30 + 0.002 * rng.standard_normal()
+        clock = clock.tick(stamp)
+        assert abs(clock.instant - stamp) < 0.3
 
 
 def test_its_error_is_as_large_as_it_says():

@@ -4,7 +4,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 IMAGE = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
-    depth=2,
+    depth=4,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
@@ -12,7 +12,7 @@ IMAGE = QoSProfile(
 
 CAMERA = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
-    depth=2,
+    depth=4,
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )

@@ -38,6 +38,9 @@ OTHER = 0.3
 """It does so too where the last stamps are this fraction further apart than expected, or nearer;
 what the median of so few may be off by chance comes on top."""
 
+WIDEST = 2.0
+"""Scatter of the stamps [intervals] from which on the clock begins anew, too."""
+
 LONGEST_S = 1.0
 """Time without images after which it begins anew [s]."""
 
@@ -119,7 +122,10 @@ class FrameClock:
             clock = replace(self, time=np.array([[stamps[0], interval]]), covariance=covariance)
             for each in stamps[1:]:
                 clock = clock._next(each)
-        return replace(clock, stamps=stamps) if np.isfinite(clock.interval) else clock
+        # Stamps that scatter more tell nothing of when frames were.
+        if not clock.scatter <= WIDEST * clock.interval:
+            return FrameClock.at(stamp)
+        return replace(clock, stamps=stamps)
 
     def _next(self, stamp: float) -> FrameClock:
         """Take in a stamp when the interval is known; it is unknown again if that does not fit.
