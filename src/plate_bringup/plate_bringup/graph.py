@@ -183,7 +183,8 @@ class RunOptions:
             values["link"] = self.link
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
-        if node.name == "planner" and self.image_rate > 0:
+        serial = self.transport == "serial" and not self.hardware  # that has a file of its own
+        if node.name == "planner" and (self.image_rate > 0 or serial):
             values["camera_triggered"] = False
             if self.transport == "serial":
                 values["answer_s"] = SERIAL_ANSWER_S

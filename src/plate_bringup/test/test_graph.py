@@ -3,6 +3,7 @@
 import pytest
 
 from plate_bringup import GraphError, RunOptions, load_graph
+from plate_bringup.graph import SERIAL_ANSWER_S
 from plate_core import PlateError
 
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
@@ -47,6 +48,19 @@ def test_each_transport_has_its_nodes():
     given = {node.name: options.parameters(node) for node in listed}
     assert given["driver"]["port"] == given["device"]["link"] == "/tmp/x"
     assert given["simulator"]["driven_by"] == "device"
+
+
+def test_a_camera_may_run_free_and_over_a_serial_line_starts_are_reported():
+    def planner(**options):
+        return RunOptions(**options).parameters(GRAPH["planner"])
+
+    assert "camera_triggered" not in planner()
+    assert planner(image_rate=30.0)["camera_triggered"] is False
+    assert "answer_s" not in planner(image_rate=30.0)
+    assert planner(transport="serial") == {
+        "camera_triggered": False, "answer_s": SERIAL_ANSWER_S, "lockstep": False,
+    }  # fmt: skip
+    assert RunOptions(image_rate=30.0).parameters(GRAPH["simulator"])["image_rate"] == 30
 
 
 def test_on_hardware_nothing_stands_in_for_it():
