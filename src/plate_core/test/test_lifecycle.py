@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 
 import pytest
@@ -90,11 +91,12 @@ class Peer:
         self.reports.append((int.from_bytes(status.level), status.message, len(status.values)))
 
     def until(self, true, longest_s=LONGEST_S):
-        for _ in range(round(longest_s / 0.01)):
+        end = time.monotonic() + longest_s  # a spin may be over at once
+        while time.monotonic() < end:
             if true():
                 return True
             self.executor.spin_once(timeout_sec=0.01)
-        return False
+        return bool(true())
 
     def call(self, client, request):
         assert self.until(client.service_is_ready)
