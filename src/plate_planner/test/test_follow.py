@@ -8,7 +8,7 @@ import pytest
 from plant import MASS, RIG, Plant, T, ready, run
 from scipy.integrate import solve_ivp
 
-from plate_core import Parts
+from plate_core import Parts, ScenarioError
 from plate_core.tasks import PathTask, load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.estimation import LastRequest
@@ -255,6 +255,13 @@ def test_what_is_too_fast_is_said_with_the_speed_that_would_do(speed, accel, sai
     assert bool(doubts) == bool(said)
     assert said in "".join(doubts)
     assert ("shakes too little" in "".join(planner.doubts())) == (accel == 10.0)
+
+
+def test_a_path_that_takes_longer_than_the_time_limit_is_refused():
+    scenario = replace(load_scenario("follow_2"), time_limit_s=10.0)
+    with pytest.raises(ScenarioError, match=r"paths: number 1 takes 14 s .* at most time_limit_s"):
+        Planner(RIG, scenario)
+    Planner(RIG, replace(scenario, time_limit_s=14.1))
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core import Parts, Rig
-from plate_core.tasks import AssembleTask, FollowTask
+from plate_core import Parts, Rig, ScenarioError
+from plate_core.tasks import AssembleTask, FollowTask, Scenario
 
 from .assemble import Assembler
 from .path import PolygonPath
@@ -263,6 +263,16 @@ class Follower(TaskRules):
         starts = tuple(path.waypoint[0] for path in self.task.paths)
         near = max(SLOW_FROM * self.task.max_error_m, LEAD_TO_M)
         return Assembler(AssembleTask(tuple(self._labels), starts, near, 0.0), self.rig)
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse a path that takes longer at its speed than the scenario's time limit."""
+        k = int(np.argmax([path.duration for path in self.paths]))
+        takes, limit = self.paths[k].duration, scenario.time_limit_s
+        if takes > limit:
+            raise ScenarioError(
+                f"{scenario.where}: task: paths: number {k + 1} takes {takes:.3g} s at its speed, "
+                f"allowed: at most time_limit_s, which is {limit:g}"
+            )
 
     def doubts(self) -> tuple[str, ...]:
         """Say that paths are faster than was ever kept, or than any motion of the plate allows."""
