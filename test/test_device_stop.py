@@ -181,7 +181,8 @@ def test_repeated_and_old_commands_start_nothing(device):
 
 
 def test_without_a_session_nothing_moves(device):
-    done = run(device, say(1, Enable(BOOT)), say(2, Hello(VERSION + 1, 9)), say(3, Enable(BOOT)), 0.5)
+    other = say(2, Hello(VERSION + 1, 9))
+    done = run(device, say(1, Enable(BOOT)), other, say(3, Enable(BOOT)), 0.5)
     assert (done.state, done.switched) == (State.OFF, [])
     assert done.answers() == {1: Status.NO_SESSION, 3: Status.NO_SESSION}
 

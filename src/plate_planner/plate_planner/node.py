@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionServer, CancelResponse
@@ -20,7 +21,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from plate_core import PlateError, Wanted, load_rig
+from plate_core import PlateCycle, PlateError, Wanted, load_rig
 from plate_core.ros import (
     ACTIONS,
     DATA,
@@ -45,7 +46,7 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
 from plate_interfaces.msg import DriverStatus, PartForces, Parts, TaskProgress, TaskStatus
 
-from .estimation import Estimator, warm_up
+from .estimation import PERIOD_RANGE_S, SNAP, Estimator, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
 from .supervision import STOP, Failure, Inputs, Phase, Progress, Reason
 from .tasks import AssembleOptions, FollowOptions, SortOptions
@@ -58,6 +59,10 @@ WARN_PERIOD_S = 2.0
 
 IDLE_S = 1.0
 """Period of the alarm while no answer is due [s]."""
+
+SAME_TIME_S = 3.0
+"""Longest time between the stamps of an image and of a cycle's start [s]: longer than images may
+fail."""
 
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
@@ -249,6 +254,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._inputs = Inputs.none_yet(
             time.monotonic(), options.input_timeout_s, options.camera_triggered
         )
+        self._start = -np.inf, PlateCycle.rest(core.default_period)  # of the last cycle
         self._due = False  # whether an answer is due at the alarm
         self._publish_status()
 
@@ -305,19 +311,25 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_started(self, msg: JointTrajectory) -> None:
         """Take in that the plate has begun a cycle, and see to it that the next one is answered."""
         now = self._wake()
-        self._inputs = self._inputs.heard_start(now)
+        begin, run = seconds(msg.header.stamp), self._run
         try:
             cycle = msg_to_cycle(msg)
+            check_start(cycle, begin, self._estimator.clock.stamp)
         except PlateError as error:
             self._warn(str(error))
             return
-        begin, run = seconds(msg.header.stamp), self._run
+        last, was = self._start
+        same = 0 <= begin - last < SNAP * cycle.period
+        if same and np.array_equal(cycle.knot_pose, was.knot_pose):
+            return  # told once more: it must not put off the answer
+        self._start = begin, cycle
+        self._inputs = self._inputs.heard_start(now)
         if run is None:
             self._idle = self._idle.started(cycle, begin)
         else:
             run.state = run.planner.started(run.state, cycle, begin)
         self._began = msg.header.stamp
-        wait = max(cycle.period - self._answer_s, 0.0) - (self._arrival(begin) - begin)
+        wait = max(cycle.period - self._answer_s, 0.0) - max(self._arrival(begin) - begin, 0.0)
         self._alarm.timer_period_ns = max(1, round(1e9 * wait))
         self._alarm.reset()
         self._due = True
@@ -633,6 +645,26 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _warn(self, text: str) -> None:
         self._refused = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+
+
+def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
+    """Refuse a start of a cycle at `begin` [s] that cannot be; the last image's stamp is `image`.
+
+    Raises
+    ------
+    PlateError
+        If the period is none, or image and start are of clocks that differ.
+    """
+    low, high = PERIOD_RANGE_S
+    if not low <= cycle.period <= high:
+        raise PlateError(
+            f"cycle_started: period is {cycle.period:g} s, allowed: {low:g} to {high:g}"
+        )
+    if image is not None and abs(begin - image) > SAME_TIME_S:
+        raise PlateError(
+            f"cycle_started: stamp is {begin - image:.1f} s after that of the last image, allowed: "
+            f"{SAME_TIME_S:g} s at most before or after; are all clocks set?"
+        )
 
 
 def progress_to_msg(progress: Progress) -> TaskProgress:

@@ -364,3 +364,9 @@ def test_it_says_when_images_do_not_come_as_they_should():
     assert estimator.image_problem == "7 images a second, allowed: 10 or more, one in each cycle"
     *_, (estimator, _) = run_free(15.0, 0.0, 0.0)
     assert not estimator.image_problem
+
+
+def test_a_reported_cycle_that_none_could_play_is_ignored():
+    log = CycleLog().started(PlateCycle.rest(T), 1.8e9)
+    assert log.started(PlateCycle.rest(1e-9), 1.8e9 + 1) is log
+    assert log.advance(1.8e9 + 1.02).end > 1.8e9 + 1

@@ -262,7 +262,19 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     assert len(asked.forces) == 4
     assert asked.at_start
     assert nanoseconds(asked.start) == nanoseconds(began[-1]) + 100_000_000
+    # Starts that cannot be are no starts, and the same start again puts no answer off.
+    wrong = [
+        (PlateCycle.rest(0.1), 1100.0),
+        (PlateCycle.rest(0.1), 5.0),
+        (PlateCycle.rest(1e-9), 101),
+    ]
+    for cycle, t in wrong:
+        starts.publish(cycle_to_msg(cycle, to_time(round(1e9 * t))))
+    for _ in range(20):
+        starts.publish(cycle_to_msg(PlateCycle.rest(0.1), began[-1]))
+    count = len(graph.forces)
     status = graph.until_ended(handle, graph.image_alone)
+    assert len(graph.forces) == count
     assert status.reason == TaskStatus.NO_CYCLE
     assert "cycle_started" in status.text
 

@@ -3,6 +3,7 @@
 `Estimator` is the door: it takes in the images' parts and the cycles sent to the plate.
 """
 
+from .cycle_log import PERIOD_RANGE_S, SNAP
 from .estimator import DriftBias, Estimator, LastRequest, rows_of, warm_up
 
-__all__ = ["DriftBias", "Estimator", "LastRequest", "rows_of", "warm_up"]
+__all__ = ["PERIOD_RANGE_S", "SNAP", "DriftBias", "Estimator", "LastRequest", "rows_of", "warm_up"]

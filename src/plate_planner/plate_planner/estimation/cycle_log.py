@@ -78,6 +78,8 @@ class CycleLog:
 
     def started(self, cycle: PlateCycle, begin: float) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]."""
+        if cycle.period < SHORTEST_S:
+            return self
         if self.runs and begin < self.begin - MEMORY_S:
             return CycleLog(((begin, cycle),), None, True)  # time began anew
         before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)

@@ -230,6 +230,10 @@ class Inputs:
         if self.enabled_again is not None and self.enabled_again > began:
             why = "driver: the motors were stopped and enabled again"
             return Failure(Reason.DRIVER_STOPPED, why)
+        silent = self.starts is not None and min(self.starts.silence(now), now - began)
+        if self.starts is not None and silent > max(self.starts.timeout_s, CYCLES * period):
+            # What the others miss then, they miss because of it.
+            return Failure(Reason.NO_CYCLE, self.starts_problem(now))
         silence = min(self.parts.silence(now), now - began)
         if self.unanswered is not None:  # a simulator in lockstep shows nothing new until then
             silence, question = now - max(self.unanswered, began), "does the solver run?"
@@ -238,9 +242,6 @@ class Inputs:
                 return Failure(Reason.NO_CYCLE, f"no plate_cycle for {silence:.1f} s: {why}")
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
-        if self.starts is not None and min(self.starts.silence(now), now - began) > timeout:
-            text = self.starts_problem(now) or f"no {self.starts.what} on {self.starts.topic}"
-            return Failure(Reason.NO_CYCLE, text)
         name = self._cut_off(now, began, period)
         if not name:
             return None
