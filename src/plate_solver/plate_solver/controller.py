@@ -184,7 +184,9 @@ class Controller:
         friction = np.where(known > 0, known, self._rig.friction.accel)
         turns = self._turns(wanted, period)
         if wanted.start is not None:
-            position, velocity = wanted.start[:, :2], wanted.start[:, 2:]
+            # Contiguous: numba would compile everything again for views.
+            states = np.ascontiguousarray(wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2))
+            position, velocity = states
         elif running is not None and turns is not None:
             position, velocity, _, spin = end_disc(
                 position, start, turns.spin, *finely_sampled(running), friction, turns.points

@@ -8,6 +8,7 @@ from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS
+from plate_solver.maps.stick_slip import end_state
 
 METHOD = pytest.mark.parametrize("method", ["sinusoids", "rotations"])
 
@@ -227,3 +228,19 @@ def test_tolerance_is_freedom(rig, scene):
                     steps[tolerance] += loop.answer.solution.iterations
                     assert np.max(np.abs(loop.drift - wanted)) < tolerance + 0.003
     assert steps[0.002] < 0.8 * steps[0.0]
+
+
+def test_a_state_at_the_start_is_taken_over_and_needs_no_kernel_of_its_own(rig):
+    """As messages bring it; what numba compiles in mid-task would end the task."""
+    parts = Parts.make(("a", "b"), np.array([[0.1, 0.04], [-0.1, 0.0]]))
+    force = np.full((2, 2), 1e-3)
+    controller = Controller(rig)
+    controller.answer(Wanted.make(parts, force), None)
+    before = len(end_state.signatures)
+    state = np.array([[0.05, 0.0, 0.01, 0.0], [-0.15, 0.02, 0.0, -0.01]])
+    rows = np.hstack([np.zeros((2, 3)), state])[:, [3, 4, 5, 6]]
+    answer = controller.answer(Wanted.make(parts, force, start=rows), PlateCycle.rest(0.1))
+    assert len(end_state.signatures) == before
+    run = simulate(answer.cycle, state[:, :2].copy(), state[:, 2:].copy(), rig.friction.mu)
+    predicted = np.asarray(answer.solution.predicted)[:4].reshape(2, 2).T
+    np.testing.assert_allclose(run.position[-1], predicted, atol=2e-4)

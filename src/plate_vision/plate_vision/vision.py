@@ -24,6 +24,9 @@ HOME = np.zeros(3)
 BRIGHT, DARK = 200, 30
 """Grey levels of a plate and of parts that everything is compiled for."""
 
+CLUMP = 4
+"""Half the side of a dark square for which the search in clumps is compiled [part radii]."""
+
 EDGE_POINTS = 8
 """Points by which every bent edge of the plate is known: twice what its polynomial needs."""
 
@@ -190,8 +193,13 @@ def follow_plate(
 
 
 def warm_up(vision: Vision) -> None:
-    """Compile what parts need, also such as touch, before the first image comes."""
-    observe(vision, Tracker(), three_discs(vision), 0.0)
+    """Compile what parts need, also many that touch, before the first image comes."""
+    image = three_discs(vision)
+    observe(vision, Tracker(), image, 0.0)
+    x, y = np.rint(np.mean(vision.region.outline_px, axis=0)).astype(int)
+    half = round(CLUMP * vision.options.radius_px)
+    image[y - half : y + half, x - half : x + half] = DARK
+    observe(vision, Tracker(), image, 0.0)
 
 
 def three_discs(vision: Vision) -> np.ndarray:
