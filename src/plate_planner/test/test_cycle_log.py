@@ -116,3 +116,9 @@ def test_reports_say_what_runs_wherever_images_are():
 def test_reports_that_go_back_begin_anew():
     log = CycleLog().started(SHORT, 9.0).started(LONG, 2.0)
     assert names(log) == [(2.0, "long")]
+
+
+def test_a_reported_cycle_that_none_could_play_is_ignored():
+    log = CycleLog().started(SHORT, 1.8e9)
+    assert log.started(PlateCycle.rest(1e-9), 1.8e9 + 1) is log
+    assert log.advance(1.8e9 + 1.02).end > 1.8e9 + 1

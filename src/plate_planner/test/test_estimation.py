@@ -8,7 +8,6 @@ from plate_core.kernels import kernel
 from plate_planner.estimation.cycle_log import CycleLog
 from plate_planner.estimation.estimator import COAST, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
-from plate_planner.estimation.frame_clock import FrameClock
 
 RIG = load_rig()
 ACCEL, MASS = RIG.friction.accel, RIG.parts.mass_kg
@@ -103,18 +102,6 @@ def test_it_finds_out_how_old_images_are(age):
         errors.append(np.abs(estimator.parts.position - truth).max())
     assert estimator.latency.latency == pytest.approx(age, abs=1e-3)
     assert np.median(errors[24:]) < 0.1e-3
-
-
-def test_a_clock_of_frames_does_not_run_away():
-    """Of a camera that drops every third image, irregularly timed: stamps stay believed."""
-    rng = np.random.default_rng(0)
-    clock = FrameClock()
-    for k in range(3000):
-        if rng.random() < 0.3:
-            continue
-        stamp = 100 + k / 30 + 0.002 * rng.standard_normal()
-        clock = clock.tick(stamp)
-        assert abs(clock.instant - stamp) < 0.3
 
 
 def test_its_error_is_as_large_as_it_says():
@@ -364,9 +351,3 @@ def test_it_says_when_images_do_not_come_as_they_should():
     assert estimator.image_problem == "7 images a second, allowed: 10 or more, one in each cycle"
     *_, (estimator, _) = run_free(15.0, 0.0, 0.0)
     assert not estimator.image_problem
-
-
-def test_a_reported_cycle_that_none_could_play_is_ignored():
-    log = CycleLog().started(PlateCycle.rest(T), 1.8e9)
-    assert log.started(PlateCycle.rest(1e-9), 1.8e9 + 1) is log
-    assert log.advance(1.8e9 + 1.02).end > 1.8e9 + 1

@@ -81,3 +81,15 @@ def test_another_rate_is_found():
         clock = clock.tick(stamp)
     assert clock.rate == pytest.approx(17, rel=1e-2)
     assert clock.instant == pytest.approx(stamps[-1], abs=2e-3)
+
+
+def test_a_clock_of_frames_does_not_run_away():
+    """Of a camera that drops every third image, irregularly timed: stamps stay believed."""
+    rng = np.random.default_rng(0)
+    clock = FrameClock()
+    for k in range(3000):
+        if rng.random() < 0.3:
+            continue
+        stamp = 100 + k / 30 + 0.002 * rng.standard_normal()
+        clock = clock.tick(stamp)
+        assert abs(clock.instant - stamp) < 0.3

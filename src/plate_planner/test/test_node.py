@@ -2,7 +2,6 @@
 
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,224 +10,23 @@ rclpy = pytest.importorskip("rclpy")
 
 from action_msgs.msg import GoalStatus  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
-from rclpy.action import ActionClient  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from planner_graph import APART, ERROR, IDS, NOT_READY, READY, SORT_4, SORTED, Graph, stale  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from plate_core import Parts, PlateCycle, PlateError, load_rig  # noqa: E402
 from plate_core.ros import (  # noqa: E402
-    ACTIONS,
     DATA,
-    LATCHED,
     cycle_to_msg,
     msg_to_wanted,
     nanoseconds,
     parts_to_msg,
     scenario_to_goal,
-    start_nodes,
     to_time,
 )
 from plate_core.tasks import load_scenario  # noqa: E402
-from plate_interfaces.msg import DriverStatus, PartForces, TaskStatus  # noqa: E402
-from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
-from plate_planner.node import STATES, PlannerNode  # noqa: E402
-from plate_planner.supervision import Reason  # noqa: E402
-
-IDS = ("black_1", "black_2", "grey_1", "grey_2")
-APART = np.array([[-0.05, -0.05], [-0.05, 0.05], [0.05, -0.05], [0.05, 0.05]])
-SORTED = APART * [4.5, 1.0]
-SORT_4 = load_scenario("sort_4")
-READY = DriverStatus(state=DriverStatus.READY, text="ready")
-NOT_READY = [
-    DriverStatus(state=DriverStatus.STOPPED, text="stopped: emergency stop; look at the rig"),
-    DriverStatus(state=DriverStatus.DISABLED, text="disabled"),
-    DriverStatus(state=DriverStatus.BRAKING, text="braking: heat"),
-    DriverStatus(state=DriverStatus.INACTIVE, text="inactive"),
-    DriverStatus(state=DriverStatus.CALIBRATING, text="calibrating"),
-]
-ERROR = DriverStatus(state=DriverStatus.ERROR, text="error: the device does not answer")
-
-
-class Graph:
-    """The planner and a probe that speaks to it: also as the driver, whose status is said again and
-    again while there is one, and as the solver, while `answering`; and as a client."""
-
-    def __init__(self, driver=READY, **parameters):
-        args = ["--ros-args", "-r", "__ns:=/planner_test"]
-        for name, value in parameters.items():
-            args += ["-p", f"{name}:={value}"]
-        rclpy.init(args=args)
-        try:
-            self.planner = PlannerNode()
-            start_nodes(self.planner)
-        except BaseException:
-            rclpy.try_shutdown()
-            raise
-        self.probe = rclpy.create_node("probe")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.planner)
-        self.executor.add_node(self.probe)
-        self.forces, self.states, self.diagnostics = [], [], []
-        self.driver, self.answering, self.cycle = driver, True, PlateCycle.rest(0.1)
-        self.parts = self.probe.create_publisher(PartsMsg, "parts", DATA)
-        listen = self.probe.create_subscription
-        self.drivers = self.probe.create_publisher(DriverStatus, "driver_status", LATCHED)
-        self.cycles = self.probe.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        self.others = self.probe.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        self.probe.create_timer(0.2, self.say)
-        listen(PartForces, "part_forces", self.on_forces, DATA)
-        self.statuses = []
-        listen(TaskStatus, "task_status", self.on_status, LATCHED)
-        listen(DiagnosticArray, "diagnostics", self.on_diagnostics, DATA)
-        self.stopper = self.probe.create_client(Trigger, "stop")
-        self.actions = {
-            name: ActionClient(self.probe, kind, name) for name, kind in ACTIONS.items()
-        }
-        self.feedback = []
-        # The latched state arrives on its own, which shows that the two have found each other.
-        self.until(lambda: self.states and self.parts.get_subscription_count())
-        self.until(lambda: self.planner.count_subscribers("part_forces"))
-        self.until(lambda: not driver or self.planner._inputs.driver_status)
-
-    def say(self):
-        if self.driver:
-            self.drivers.publish(self.driver)
-
-    def driver_text(self):
-        """What the planner has heard of the driver."""
-        status = self.planner._inputs.driver_status
-        return None if status is None else status.text
-
-    def on_status(self, msg):
-        self.statuses.append(msg)
-        if not self.states or msg.text != self.states[-1]:
-            self.states.append(msg.text)
-
-    def send(self, scenario=SORT_4, action=None):
-        """Send a goal; returns its handle once it is accepted."""
-        name, goal = scenario_to_goal(scenario) if action is None else action
-        self.until(self.actions[name].server_is_ready)
-        future = self.actions[name].send_goal_async(
-            goal, feedback_callback=lambda msg: self.feedback.append(msg.feedback.progress)
-        )
-        self.until(future.done)
-        assert future.result().accepted
-        return future.result()
-
-    def result(self, handle):
-        """The end of a goal: status of the action, and what the planner says of the task."""
-        future = handle.get_result_async()
-        self.until(future.done)
-        return future.result().status, future.result().result.status
-
-    def refused(self, *goal):
-        """Send a goal that does not begin; returns the reason, in a word and in a sentence."""
-        status, task = self.result(self.send(*goal))
-        assert (status, task.state) == (GoalStatus.STATUS_ABORTED, TaskStatus.ABORTED)
-        return task.reason, task.text
-
-    def on_forces(self, msg):
-        self.forces.append(msg)
-        if self.answering:
-            self.answer()
-
-    def answer(self):
-        """As the solver does."""
-        self.cycles.publish(cycle_to_msg(self.cycle, self.forces[-1].header.stamp))
-
-    def on_diagnostics(self, msg):
-        if msg.status[0].name.endswith("planner"):
-            self.diagnostics.append(msg)
-
-    def report(self):
-        """The next diagnostics: level and message."""
-        count = len(self.diagnostics)
-        self.until(lambda: len(self.diagnostics) > count)
-        status = self.diagnostics[-1].status[0]
-        return status.level, status.message
-
-    def begin(self, stamp_s=0.0, scenario=SORT_4):
-        """Start, and show all parts until the task has begun."""
-        self.image(stamp_s, APART)
-        handle = self.send(scenario)
-        self.until(lambda: self.states[-1] == "running")
-        for k in (1, 2):
-            self.image(stamp_s + 0.1 * k, APART)
-        return handle
-
-    def until(self, true):
-        for _ in range(2000):
-            if true():
-                return
-            self.executor.spin_once(timeout_sec=0.01)
-        raise AssertionError("it did not come")
-
-    def until_ended(self, handle, step):
-        """Go on until a goal has its result, step 3 first; returns its last status."""
-        future = handle.get_result_async()
-        for k in range(3, 200):
-            if future.done():
-                return future.result().result.status
-            step(k)
-        raise AssertionError(f"it did not end: {self.states}")
-
-    def image_and_pause(self, k):
-        """Show the parts of image k, and wait a little."""
-        self.image(0.1 * k, APART)
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
-
-    def image_alone(self, k):
-        """Show the parts of an image that is not answered, and wait a little."""
-        stamp = to_time(round(1e9 * (101.0 + 0.1 * k)))
-        self.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
-
-    def stop(self):
-        self.until(self.stopper.service_is_ready)
-        future = self.stopper.call_async(Trigger.Request())
-        self.until(future.done)
-        return future.result()
-
-    def image(self, stamp_s, position, ids=IDS):
-        """Publish parts and return the planner's answer."""
-        count = len(self.forces)
-        stamp = to_time(round(stamp_s * 1e9))
-        self.parts.publish(parts_to_msg(Parts.make(ids, position), stamp))
-        self.until(lambda: len(self.forces) > count)
-        assert self.forces[-1].header.stamp == stamp
-        return msg_to_wanted(self.forces[-1])
-
-    def close(self):
-        if self.planner.active:
-            self.planner.trigger_deactivate()
-        for _ in range(10):  # the result of a goal that ends with it
-            self.executor.spin_once(timeout_sec=0.01)
-        self.executor.shutdown()
-        self.probe.destroy_node()
-        self.planner.destroy_node()
-        rclpy.try_shutdown()
-
-
-@pytest.fixture
-def graph():
-    made = []
-
-    def make(**parameters):
-        while made:
-            made.pop().close()
-        made.append(Graph(**parameters))
-        return made[-1]
-
-    yield make
-    for item in made:
-        item.close()
+from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 
 def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
@@ -403,185 +201,6 @@ def test_a_planner_that_is_deactivated_ends_the_task_and_takes_no_goal(graph):
     graph.begin(1.0)
 
 
-PROVOKE = {}
-"""By reason: a function that takes one which makes a `Graph`, has a task end for this reason, and
-returns the goal's last status."""
-
-
-def provokes(reason):
-    def keep(provoke):
-        PROVOKE[reason] = provoke
-        return provoke
-
-    return keep
-
-
-@provokes(Reason.NONE)
-def provoke_none(make):
-    graph = make()
-    handle = graph.begin()
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, SORTED))
-
-
-@provokes(Reason.TIME_LIMIT)
-def provoke_time_limit(make):
-    graph = make()
-    handle = graph.begin(scenario=replace(SORT_4, time_limit_s=1.0))
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART))
-
-
-@provokes(Reason.NO_PROGRESS)
-def provoke_no_progress(make):
-    graph = make(stuck_timeout_s=1.0)
-    handle = graph.begin()
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART))
-
-
-@provokes(Reason.TOO_FAR_OFF)
-def provoke_too_far_off(make):
-    graph, ids = make(), ("black_1", "black_2")
-    start = np.array([[-0.22, -0.06], [0.09, 0.08]])
-    graph.image(0.0, start, ids)
-    handle = graph.send(load_scenario("follow_2"))
-    for k in (1, 2, 3):
-        graph.image(0.1 * k, start, ids)
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, start + [0.04, 0], ids))
-
-
-@provokes(Reason.PART_LEFT)
-def provoke_part_left(make):
-    graph = make(unseen_timeout_s=0.1)
-    graph.answering = False  # else the planner carries the part on
-    handle = graph.begin()
-    graph.image(0.3, [*APART[:3], [0.297, 0.0]])
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART[:3], IDS[:3]))
-
-
-@provokes(Reason.PART_UNSEEN)
-def provoke_part_unseen(make):
-    graph = make(unseen_timeout_s=0.1)
-    graph.answering = False
-    handle = graph.begin()
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART[:3], IDS[:3]))
-
-
-@provokes(Reason.PARTS_MISSING)
-def provoke_parts_missing(make):
-    graph = make(start_timeout_s=0.3, input_timeout_s=0.3)
-    graph.image(0.0, APART[:3], IDS[:3])
-    handle = graph.send()
-    return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART[:3], IDS[:3]))
-
-
-@provokes(Reason.CANCELED)
-def provoke_canceled(make):
-    graph = make()
-    handle = graph.begin()
-    handle.cancel_goal_async()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.PREEMPTED)
-def provoke_preempted(make):
-    graph = make(preempt=True)
-    handle = graph.begin()
-    graph.send()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.STOPPED)
-def provoke_stopped(make):
-    graph = make()
-    handle = graph.begin()
-    graph.stop()
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.NO_PARTS)
-def provoke_no_parts(make):
-    graph = make(input_timeout_s=0.5)
-    return graph.result(graph.begin())[1]
-
-
-@provokes(Reason.NO_CYCLE)
-def provoke_no_cycle(make):
-    graph = make(input_timeout_s=0.5)
-    handle = graph.begin()
-    graph.answering = False
-    return graph.until_ended(handle, graph.image_and_pause)
-
-
-@provokes(Reason.NO_DRIVER)
-def provoke_no_driver(make):
-    graph = make(input_timeout_s=0.5)
-    handle = graph.begin()
-    graph.driver = None
-    return graph.until_ended(handle, graph.image_and_pause)
-
-
-@provokes(Reason.DRIVER_STOPPED)
-def provoke_driver_stopped(make):
-    graph = make()
-    handle = graph.begin()
-    graph.driver = NOT_READY[0]
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.CUT_OFF)
-def provoke_cut_off(make):
-    graph = make(input_timeout_s=0.5)
-    handle = graph.begin()
-
-    def go_on(k):
-        graph.others.publish(stale("simulator", "no motor table for 1.5 s"))
-        graph.image_and_pause(k)
-
-    return graph.until_ended(handle, go_on)
-
-
-@provokes(Reason.STOOD_STILL)
-def provoke_stood_still(make):
-    graph = make(input_timeout_s=0.5)
-    handle = graph.begin()
-    time.sleep(1.0)
-    return graph.result(handle)[1]
-
-
-@provokes(Reason.INVALID_GOAL)
-def provoke_invalid_goal(make):
-    name, goal = scenario_to_goal(SORT_4)
-    goal.regions = []
-    graph = make()
-    return graph.result(graph.send(None, (name, goal)))[1]
-
-
-@provokes(Reason.NOT_READY)
-def provoke_not_ready(make):
-    graph = make(driver=None)
-    return graph.result(graph.send())[1]
-
-
-@provokes(Reason.BUSY)
-def provoke_busy(make):
-    graph = make()
-    graph.begin()
-    return graph.result(graph.send())[1]
-
-
-@pytest.mark.parametrize("reason", Reason, ids=lambda reason: reason.name)
-def test_every_reason_can_be_provoked(graph, reason):
-    task = PROVOKE[reason](graph)
-    assert (Reason(task.reason), bool(task.text)) == (reason, True)
-
-
-def test_reasons_and_states_are_those_of_the_message():
-    codes = {
-        name: code for name in dir(TaskStatus) if type(code := getattr(TaskStatus, name)) is int
-    }
-    states = {phase.name: code for phase, code in STATES.items()}
-    assert codes == {reason.name: int(reason) for reason in Reason} | states
-
-
 @pytest.mark.parametrize("status", NOT_READY, ids=lambda status: status.text)
 def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     graph = graph()
@@ -624,11 +243,6 @@ def test_a_driver_status_that_is_none_is_refused(graph):
         graph.drivers.publish(wrong)
     graph.until(lambda: "driver_status: reason is 200, allowed: 0 to 18" in graph.report()[1])
     assert graph.states[-1] == "running"
-
-
-def stale(name, message):
-    status = DiagnosticStatus(level=DiagnosticStatus.STALE, name=f"/a/{name}", message=message)
-    return DiagnosticArray(status=[status])
 
 
 class Silenced(Graph):

@@ -395,7 +395,7 @@ def heard_transforms(graph, qos, topic, count):
 
 
 def test_frames_without_markers(draw, rng):
-    """The camera where the default rig's corners and lens have it, for whoever comes later; the
+    """The camera where the default rig's corners and lens have it, for those who come later; the
     plate at home; all names with the prefix."""
     graph = Graph(frame_prefix="left/")
     try:
