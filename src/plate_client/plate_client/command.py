@@ -77,14 +77,14 @@ def _arguments() -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, help=argparse.SUPPRESS)
     for name, what in (SERVICES | OTHERS).items():
         one = commands.add_parser(name, description=what)
-        if name in ("get", "set", "params"):
-            one.add_argument("node", nargs="?" if name == "params" else None, metavar="NODE")
+        if name in ("get", "set", "params"):  # what is missing is said with the nodes there are
+            one.add_argument("node", nargs="?", metavar="NODE")
         if name in ("get", "set"):
-            one.add_argument("name", metavar="NAME")
+            one.add_argument("name", nargs="?", metavar="NAME")
         if name == "goal":
             one.add_argument("scenario", metavar="SCENARIO")
         if name == "set":
-            one.add_argument("value", metavar="VALUE")
+            one.add_argument("value", nargs="?", metavar="VALUE")
         one.add_argument("--namespace", default="", help="of the nodes")
     words = sys.argv[1:]
     if words and words[0] not in (*SERVICES, *OTHERS, "-h", "--help"):

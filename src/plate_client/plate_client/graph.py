@@ -54,10 +54,10 @@ class Graph(Services):
             case "params":
                 return "\n".join(self._list(name) for name in self._nodes(args.node))
             case "get":
-                (node,) = self._nodes(args.node)
+                node = self._node(args, "node", "name")
                 return str(self._get(node, args.name))
             case "set":
-                (node,) = self._nodes(args.node)
+                node = self._node(args, "node", "name", "value")
                 return self._set(node, args.name, args.value)
             case _:
                 return super().run(args)
@@ -66,9 +66,7 @@ class Graph(Services):
 
     def _do(self, scenario: Scenario) -> str:
         """Do a task, and show how it gets on; returns the last status in words."""
-        self._until(lambda: bool(self._seen()), NOBODY_S)
-        if not self._seen():
-            raise PlateError(nobody())
+        self._find_nodes()
         plate = PlateClient(self.node, self._until)
         task = plate.start(scenario)
         try:
@@ -85,8 +83,9 @@ class Graph(Services):
 
     def _cancel_all(self) -> str:
         """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
+        self._find_nodes()
         count = sum(
-            len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request(), True)
+            len(self._call(CancelGoal, f"{name}/_action/cancel_goal", CancelGoal.Request())
                 .goals_canceling)
             for name in ACTIONS
         )  # fmt: skip
@@ -115,18 +114,30 @@ class Graph(Services):
     # Parameters
 
     def _nodes(self, name: str | None) -> list[str]:
-        """Return the node of a name, or all."""
-        self._until(lambda: bool(self._seen()), NOBODY_S)
-        if self._seen():
-            self._until(lambda: name in self._seen(), NOBODY_S)
+        """Return the node of a name, or all.
+
+        Raises
+        ------
+        PlateError
+            If it does not run: names those that do.
+        """
+        self._find_nodes()
+        self._until(lambda: name in self._seen(), NOBODY_S)
         here = self._seen()
-        if not here:
-            raise PlateError(nobody())
         if name is None:
             return here
         if name not in here:
-            raise PlateError(f"node is {name!r}{did_you_mean(name, here)}, here: {', '.join(here)}")
+            hint, listed = did_you_mean(name, here), ", ".join(here)
+            raise PlateError(f"no node {name!r} runs{hint}, nodes that do: {listed}")
         return [name]
+
+    def _node(self, args: argparse.Namespace, *words: str) -> str:
+        """Return the node that is meant; all these words are needed."""
+        if any(getattr(args, word) is None for word in words):
+            usage, listed = " ".join(words).upper(), ", ".join(self._nodes(None))
+            raise PlateError(f"{args.command} needs {usage}, nodes here: {listed}")
+        (node,) = self._nodes(args.node)
+        return node
 
     def _names(self, node: str) -> list[str]:
         answer = self._call(ListParameters, f"{node}/list_parameters", ListParameters.Request())

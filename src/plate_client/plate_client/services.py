@@ -119,6 +119,17 @@ class Services:
         busy = [f"{name} is {report.message}" for name, report in reports if report.compiles]
         return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
 
+    def _find_nodes(self) -> None:
+        """Wait until a node of our namespace is seen.
+
+        Raises
+        ------
+        PlateError
+            If none is.
+        """
+        if not self._until(lambda: bool(self._seen()), NOBODY_S):
+            raise PlateError(nobody())
+
     def _reports(self) -> dict[str, Report]:
         """Return what each node says of itself, by its name."""
         from diagnostic_msgs.msg import DiagnosticArray

@@ -105,7 +105,11 @@ def test_parameters(graph):
         (("talker", "gain", "["), r"talker gain is '\[', allowed: a float"),
         (("talker", "seed", "4"), r"talker refuses: .*read-only"),
         (("talker", "gian", "1"), r"talker has no parameter 'gian' \(did you mean gain\?\)"),
-        (("talk", "gain", "1"), r"node is 'talk' \(did you mean talker\?\), here: talker"),
+        (
+            ("talk", "gain", "1"),
+            r"no node 'talk' runs \(did you mean talker\?\), nodes that do: talker",
+        ),
+        (("gain", "1"), r"set needs NODE NAME VALUE, nodes here: talker"),
     ],
 )
 def test_what_is_refused(graph, words, message):
@@ -131,9 +135,10 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch
 def test_nobody_is_there(graph):
     alone = Graph("/nowhere")
     try:
-        for command in ("home", "state", "params"):
-            with pytest.raises(PlateError, match="no graph runs in ROS domain"):
+        for command in ("home", "state", "params", "cancel", "set"):
+            with pytest.raises(PlateError, match="no graph runs in ROS domain") as refused:
                 asked(alone, command)
+            assert "cut the power" not in str(refused.value)  # nothing was to be stopped
     finally:
         alone.node.destroy_node()
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
