@@ -201,7 +201,7 @@ build_packages() {
 }
 
 exec 9< tools/setup.sh
-flock 9 # two commands started together: the second one waits
+flock -n 9 || { say "waiting for another set-up of this folder to end"; flock 9; }
 mkdir -p log
 touch log/COLCON_IGNORE
 scratch=$(mktemp -d)
