@@ -170,7 +170,7 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
     @contextmanager
     def running(plan):
-        yield SimpleNamespace(nodes=[], observer=None, begin=lambda: None)
+        yield SimpleNamespace(nodes=[], observer=None, begin=lambda waiting: None)
         raise Interrupted(signal.SIGINT)
 
     monkeypatch.setattr(module, "running", running)

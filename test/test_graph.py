@@ -27,6 +27,7 @@ from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
 from plate_core.ros import IMAGE, array_to_image, msg_to_motors, nanoseconds, to_time
 from plate_core.tasks import load_scenario
+from plate_interfaces.msg import DriverStatus, TaskStatus
 from plate_sim.camera import Camera, part_greys
 from plate_sim.world import WorldState
 
@@ -212,6 +213,27 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
         observer.change_state("simulator", "activate")
         assert observer.until(lambda: record.truth, 30)
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
+
+
+@pytest.mark.alone
+def test_a_task_does_not_begin_after_a_stop_by_somebody_else(tmp_path):
+    """Else an enable would clear an emergency stop that a person has made."""
+    link = str(tmp_path / "device")
+    options = RunOptions(scenario="sort_4", transport="serial", autostart=False, link=link)
+    with session(options, tmp_path, pictures=False) as graph:
+        observer, record = graph.observer, graph.observer.record
+        observer.trigger("stop")
+        assert observer.until(lambda: record.status.reason == TaskStatus.STOPPED, 10)
+        with pytest.raises(GraphError, match="before the task began: somebody called"):
+            graph.begin()
+        assert not record.ready
+        record.status = None
+        observer.change_state("driver", "configure")
+        observer.trigger("emergency_stop")
+        assert observer.until(lambda: record.driver.reason == DriverStatus.EMERGENCY_STOP, 10)
+        with pytest.raises(GraphError, match="began, driver: inactive: emergency stop; look at"):
+            graph.begin()
+    assert record.tables == []
 
 
 def test_all_nodes_in_one_process_sort_parts(tmp_path):

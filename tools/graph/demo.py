@@ -208,7 +208,9 @@ def run(plan: Plan) -> int:
             )
             try:
                 with recording(plan, graph.observer):
-                    graph.begin()
+                    line = StatusLine(WAITING_S)
+                    graph.begin(line.show)
+                    line.end()
                     watch(plan, graph.observer)
             except (Interrupted, PlateError) as stopped:
                 problem = stopped

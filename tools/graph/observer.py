@@ -56,6 +56,11 @@ ACCEPTED_S = 5.0
 """Longest wait until a task may be started [s]: the planner hears of the driver and of images when
 we do, or a little later."""
 
+PERSONS = (
+    DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT, DriverStatus.STOP_UNANSWERED,
+)  # fmt: skip
+"""Stops by somebody who saw a danger."""
+
 SETTLE_S = 0.5
 """Time in which all images of parts that were put elsewhere are answered [s]."""
 
@@ -336,6 +341,8 @@ class Observer:
                     f"{COMPILING}, at the first start a minute or two: {', '.join(busy)}"
                     f" | {now - began:.0f} s"
                 )
+            else:
+                waiting(f"waiting for the answer to the first image | {now - began:.0f} s")
             told = bool(names) and all(name in health for name in names)
             allowed_s = min(timeout_s, ANSWERED_S) if told else timeout_s
             if now - since > allowed_s:
@@ -380,6 +387,20 @@ class Observer:
         said = health[node].message if node in health else "nothing"
         raise GraphError(f"{transition} refused, {node} says: {said}")
 
+    def check_not_stopped(self) -> None:
+        """Refuse to begin where somebody has stopped motors or task: that is theirs to undo.
+
+        Raises
+        ------
+        GraphError
+            Says what was stopped.
+        """
+        driver, task = self.record.driver, self.record.status
+        if driver is not None and driver.reason in PERSONS:
+            raise GraphError(f"stopped before the task began, driver: {driver.text}")
+        if task is not None and (task.state, task.reason) == (TaskStatus.IDLE, TaskStatus.STOPPED):
+            raise GraphError("stopped before the task began: somebody called the service stop")
+
     def enable(self) -> None:
         """Set the motors free, as a person does who has looked at the rig; returns when they are.
 
@@ -395,20 +416,29 @@ class Observer:
             raise GraphError(f"enable refused: {answer.message}")
         self.await_ready()
 
-    def await_ready(self) -> None:
-        """Wait until the driver says that it is ready.
+    def await_ready(self, waiting: Callable[[str], None] = lambda _: None) -> None:
+        """Wait until the driver says that it is ready; `waiting` is called with what it says.
 
         Raises
         ------
         GraphError
             If it does not in time: what it says instead.
         """
-        if not self.until(lambda: self.record.ready, READY_S):
+        end = time.monotonic() + READY_S
+        while not self.until(lambda: self.record.ready, LOOK_S):
             said = "nothing" if self.record.driver is None else self.record.driver.text
-            raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
+            if time.monotonic() > end:
+                raise GraphError(f"the driver is not ready within {READY_S:g} s, it says: {said}")
+            waiting(f"waiting for the driver, it says: {said}")
 
-    def start(self, scenario: Scenario, ready_timeout_s: float = ACCEPTED_S) -> Task:
-        """Send the goal of a scenario; for a moment it may still be refused.
+    def start(
+        self,
+        scenario: Scenario,
+        ready_timeout_s: float = ACCEPTED_S,
+        waiting: Callable[[str], None] = lambda _: None,
+    ) -> Task:
+        """Send the goal of a scenario; for a moment it may still be refused: then `waiting` is
+        called with the reason.
 
         Raises
         ------
@@ -416,12 +446,12 @@ class Observer:
             If it is refused for longer: why.
         """
         if ready_timeout_s:
-            self.await_ready()
+            self.await_ready(waiting)
         if self._client is None:
             self._client = PlateClient(self.node, self.until)
         self.record.status = None
         try:
-            return self._client.start(scenario, ready_timeout_s)
+            return self._client.start(scenario, ready_timeout_s, waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
 

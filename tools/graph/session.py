@@ -51,19 +51,28 @@ class Session:
         """Set the plate free: activate the driver and, where there are motors, enable them.
 
         The caller stands for the person who enables.
+
+        Raises
+        ------
+        GraphError
+            If somebody has stopped the plate meanwhile, or the driver refuses.
         """
+        self.observer.check_not_stopped()
         self.observer.activate_driver()
+        self.observer.check_not_stopped()  # by anyone: an enable would clear that
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors may move.", flush=True)
             self.observer.enable()
 
-    def begin(self) -> None:
-        """Set the plate free and start the task.
+    def begin(self, waiting: Callable[[str], None] = lambda _: None) -> None:
+        """Set the plate free and start the task; `waiting` is called with what is waited for.
 
         In lockstep the planner waits for the goal at the second image: the task begins with it.
         """
         self.free()
-        self.observer.start(self.scenario)
+        self.observer.await_ready(waiting)
+        self.observer.check_not_stopped()
+        self.observer.start(self.scenario, waiting=waiting)
 
 
 @contextmanager

@@ -162,8 +162,9 @@ class PlateClient:
         """Whether there is an action of this name."""
         return bool(self._clients[name].server_is_ready())
 
-    def send(self, task: Scenario | Any) -> Task:
-        """Send a scenario, or a goal of one of the actions, and return at once.
+    def send(self, task: Scenario | Any, waiting: Callable[[str], None] = lambda why: None) -> Task:
+        """Send a scenario, or a goal of one of the actions, and return at once; `waiting` is called
+        with why not yet, while the planner is looked for.
 
         Raises
         ------
@@ -175,8 +176,11 @@ class PlateClient:
         else:
             name, goal = next(n for n, kind in ACTIONS.items() if isinstance(task, kind.Goal)), task
         client = self._clients[name]
-        if not self._until(client.server_is_ready, FOUND_S):
-            raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
+        end = time.monotonic() + FOUND_S
+        while not self._until(client.server_is_ready, AGAIN_S):
+            if time.monotonic() > end:
+                raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
+            waiting(f"no action {name} yet: the planner offers it when it is configured")
         sent = Task(name)
         client.send_goal_async(goal, feedback_callback=sent._on_feedback).add_done_callback(
             sent._on_answer
@@ -204,8 +208,14 @@ class PlateClient:
         assert task.status is not None
         return task.status
 
-    def start(self, scenario: Scenario | Any, ready_timeout_s: float = FOUND_S) -> Task:
-        """Send a goal; again, while the graph is not ready for it, for so long [s].
+    def start(
+        self,
+        scenario: Scenario | Any,
+        ready_timeout_s: float = FOUND_S,
+        waiting: Callable[[str], None] = lambda why: None,
+    ) -> Task:
+        """Send a goal; again, while the graph is not ready for it, for so long [s]: then `waiting`
+        is called with the reason, again and again.
 
         Raises
         ------
@@ -214,7 +224,7 @@ class PlateClient:
         """
         end = time.monotonic() + ready_timeout_s
         while True:
-            task = self.send(scenario)
+            task = self.send(scenario, waiting)
             try:
                 self._until(task.has_begun, FOUND_S)
             except KeyboardInterrupt:  # nobody else knows of the task
@@ -223,6 +233,7 @@ class PlateClient:
                 return task
             if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:
                 raise TaskError(task.status)
+            waiting(str(task.status.text))
             self._until(lambda: False, AGAIN_S)
 
     def run(self, scenario: Scenario | Any, timeout_s: float = float("inf")) -> TaskStatus:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,14 +14,18 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from plate_core import PlateError, did_you_mean
 from plate_core.ros import ACTIONS, LATCHED
+from plate_core.status import COMPILING
 from plate_core.tasks import Scenario, load_scenario
 from plate_interfaces.msg import DriverStatus, TaskStatus
 
-from .client import PlateClient, TaskError
-from .services import NOBODY_S, Services, nobody
+from .client import PlateClient, Task, TaskError
+from .services import NOBODY_S, Services, compiling, nobody
 
-PROGRESS_S = 2.0
-"""Between two lines on how a task gets on [s]."""
+PROGRESS_S, WAITING_S = 2.0, 5.0
+"""Between two lines on how a task gets on, and on what it waits for [s]."""
+
+AT_FIRST_S = 0.5
+"""A wait that is shorter is not worth a line [s]."""
 
 
 class Graph(Services):
@@ -68,7 +73,7 @@ class Graph(Services):
         """Do a task, and show how it gets on; returns the last status in words."""
         self._find_nodes()
         plate = PlateClient(self.node, self._until)
-        task = plate.start(scenario)
+        task = self._start(plate, scenario)
         try:
             while not self._until(lambda: task.ended, PROGRESS_S):
                 at = task.progress
@@ -80,6 +85,30 @@ class Graph(Services):
         if status.state != TaskStatus.DONE:
             raise TaskError(status)
         return str(status.text)
+
+    def _start(self, plate: PlateClient, scenario: Scenario) -> Task:
+        """Send the goal of a task, again as long as nodes compile, and say what is waited for."""
+        began, next_s = time.monotonic(), AT_FIRST_S
+
+        def waiting(why: str) -> None:
+            nonlocal next_s
+            waited_s = time.monotonic() - began
+            if waited_s >= next_s:
+                next_s = waited_s + WAITING_S
+                busy = ", ".join(report.node for report in compiling(said))
+                why = f"{COMPILING}, at the first start a minute or two: {busy}" if busy else why
+                print(f"  {waited_s:.0f} s: {why}", flush=True)
+
+        with self._listening() as said:
+            while True:
+                try:
+                    return plate.start(scenario, waiting=waiting)
+                except PlateError as refusal:
+                    last = isinstance(refusal, TaskError) and (
+                        refusal.status.reason != TaskStatus.NOT_READY
+                    )
+                    if last or not compiling(said):
+                        raise
 
     def _cancel_all(self) -> str:
         """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
@@ -98,12 +127,18 @@ class Graph(Services):
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
         self._until(lambda: bool(self._seen()), NOBODY_S)
-        reports = self._reports() if self._seen() else {}
+        with self._listening() as said:
+            if self._seen():
+                self._hear_all(said)
+            silent = self._silent(said)
         if not self._seen() and not self._said:
             raise PlateError(nobody())
         lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
-        lines += [f"  {name}: {said.level.name}, {said.message}" for name, said in reports.items()]
-        return "\n".join(lines)
+        nodes = {name: f"{each.level.name}, {each.message}" for name, (_, each) in said.items()}
+        nodes |= dict.fromkeys(silent, "nothing heard: it starts, or hangs")
+        if compiling(said) or silent:
+            lines.append("not all nodes are ready yet: what others miss may be because of that")
+        return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:

@@ -6,7 +6,8 @@ import argparse
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +22,21 @@ from plate_core import PlateError, config_path
 if TYPE_CHECKING:
     from plate_core.ros import Report
 
+    Said = dict[str, tuple[float, Report]]
+    """When each node said what of itself last [s, steady clock]."""
+
 NOBODY_S, FOUND_S, ANSWER_S = 1.0, 3.0, 15.0
 """Longest waits: for any node to be seen, for a service to be found, for its answer [s]."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
 """These are tried for longer, also where nobody is seen."""
 
-REPORT_S, LATE_S = 1.2, 2.0
-"""What nodes say of themselves once a second is listened to for so long, and for so much longer
-where some of those that are known have said nothing yet [s]."""
+REPORT_S, LATE_S = 2.0, 2.0
+"""What nodes say of themselves once a second is listened to for so long, until all are found, and
+for so much longer where some of them have said nothing yet [s]."""
+
+FRESH_S = 2.5
+"""What a node has said counts for so long [s]."""
 
 CALLS = QoSProfile(depth=1000)
 """As in plate_core.ros, which takes too long to import."""
@@ -115,8 +122,9 @@ class Services:
         here = self._seen()
         if not here:
             return f"no service {service}: {nobody()}"
-        reports = self._reports().items()
-        busy = [f"{name} is {report.message}" for name, report in reports if report.compiles]
+        with self._listening() as said:
+            self._hear_all(said)
+            busy = [f"{report.node} is {report.message}" for report in compiling(said)]
         return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
 
     def _find_nodes(self) -> None:
@@ -130,23 +138,34 @@ class Services:
         if not self._until(lambda: bool(self._seen()), NOBODY_S):
             raise PlateError(nobody())
 
-    def _reports(self) -> dict[str, Report]:
-        """Return what each node says of itself, by its name."""
+    @contextmanager
+    def _listening(self) -> Iterator[Said]:
+        """Listen to what nodes say of themselves."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         from plate_core.ros import DATA, msg_to_reports
 
-        said: dict[str, Report] = {}
+        said: Said = {}
 
         def on_message(msg: DiagnosticArray) -> None:
             for report in msg_to_reports(msg):
-                said[report.node] = report
+                said[report.node] = time.monotonic(), report
 
         heard = self.node.create_subscription(DiagnosticArray, "diagnostics", on_message, DATA)
-        self._until(lambda: False, REPORT_S)
-        self._until(lambda: len(said) >= self.node.count_publishers("diagnostics"), LATE_S)
+        yield said
         self.node.destroy_subscription(heard)
-        return said
+
+    def _hear_all(self, said: Said) -> None:
+        """Wait until all nodes have said how they are, but for those that do not."""
+        self._until(lambda: False, REPORT_S)
+        self._until(lambda: not self._silent(said), LATE_S)
+
+    def _silent(self, said: Said) -> list[str]:
+        """Return the nodes that have diagnostics, but have said nothing yet: they start, or
+        hang."""
+        topic = self.node.resolve_topic_name("diagnostics")
+        there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
+        return sorted(there & set(self._seen()) - said.keys())
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes of our namespace."""
@@ -165,6 +184,12 @@ class Services:
                 return False
             rclpy.spin_once(self.node, timeout_sec=0.02)
         return True
+
+
+def compiling(said: Said) -> list[Report]:
+    """Return what the nodes say that compile."""
+    now = time.monotonic()
+    return [report for at, report in said.values() if report.compiles and now - at < FRESH_S]
 
 
 def nobody() -> str:

@@ -11,14 +11,16 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
+from plate_client.client import TaskError  # noqa: E402
 from plate_client.command import main  # noqa: E402
 from plate_client.graph import Graph  # noqa: E402
 from plate_client.services import domains_in_use  # noqa: E402
 from plate_core import PlateError  # noqa: E402
-from plate_core.ros import LATCHED, declare, follow, parameter  # noqa: E402
+from plate_core.ros import DATA, LATCHED, declare, follow, parameter  # noqa: E402
 from plate_interfaces.msg import TaskStatus  # noqa: E402
 
 NAMESPACE = f"/command_test_{os.getpid()}"
@@ -81,6 +83,58 @@ def test_services_and_state(graph):
         "driver_status: nothing heard",
         "task_status: idle",
     ]
+
+
+@pytest.fixture
+def compiling():
+    """A node `solver` that says that it compiles, and a node `mute` that says nothing yet."""
+    context, over = rclpy.Context(), threading.Event()
+    rclpy.init(context=context)
+    nodes = [rclpy.create_node(n, context=context, namespace=NAMESPACE) for n in ("solver", "mute")]
+    publisher, _ = (node.create_publisher(DiagnosticArray, "diagnostics", DATA) for node in nodes)
+    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="solver", message="compiling")
+    status.values = [KeyValue(key="compiling_s", value="4")]
+
+    def tell():
+        while not over.wait(0.1):
+            publisher.publish(DiagnosticArray(status=[status]))
+
+    thread = threading.Thread(target=tell)
+    thread.start()
+    yield
+    over.set()
+    thread.join(10)
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def test_state_while_nodes_start(graph, compiling):
+    graph._until(lambda: {"mute", "solver"} <= set(graph._seen()), 20)
+    assert asked(graph, "state").splitlines()[2:] == [
+        "not all nodes are ready yet: what others miss may be because of that",
+        "  mute: nothing heard: it starts, or hangs",
+        "  solver: WARN, compiling",
+    ]
+
+
+def test_a_goal_waits_for_nodes_that_compile_and_says_so(graph, compiling, monkeypatch, capsys):
+    """The planner refuses a goal until they have; other refusals end it."""
+    refusals = [TaskStatus.NOT_READY, TaskStatus.NOT_READY, TaskStatus.INVALID_GOAL]
+
+    class Plate:
+        def start(self, scenario, waiting):
+            graph._until(lambda: False, 0.5)
+            status = TaskStatus(reason=refusals.pop(0), text="sort is not started")
+            waiting(status.text)
+            raise TaskError(status)
+
+    monkeypatch.setattr("plate_client.graph.AT_FIRST_S", 0.0)
+    with pytest.raises(TaskError):
+        graph._start(Plate(), None)
+    assert refusals == []
+    said = "s: compiling kernels, at the first start a minute or two: solver"
+    assert said in capsys.readouterr().out
 
 
 def test_parameters(graph):

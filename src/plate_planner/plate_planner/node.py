@@ -552,9 +552,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         run = self._run
         was = "idle" if run is None else run.state.task.text
         self._end(STOP)
-        if run is not None and run.state.task.text == was:  # it had ended: that is acknowledged
-            self._idle, self._run, self._reported = run.state.estimator, None, ""
-            self._publish_status()
+        if run is None or run.state.task.text == was:  # nothing ran: an end is acknowledged
+            self._idle, self._run, self._reported = self._estimator, None, ""
+            self._statuses.publish(TaskStatus(text="idle", reason=int(Reason.STOPPED)))
         self._go_on()
         response.success = True
         response.message = f"stopped, was {was}"

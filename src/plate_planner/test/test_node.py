@@ -157,6 +157,26 @@ def test_stop_says_what_was_stopped(graph):
     graph.until(lambda: graph.states[-1] == "idle")
 
 
+def test_a_stop_when_no_task_runs_is_told(graph):
+    graph = graph()
+    assert graph.stop().message == "stopped, was idle"
+    graph.until(lambda: graph.statuses[-1].reason == TaskStatus.STOPPED)
+    assert graph.statuses[-1].state == TaskStatus.IDLE
+    graph.begin()
+    assert graph.statuses[-1].reason == TaskStatus.NONE
+
+
+def test_parts_that_wait_for_a_node_that_compiles(graph):
+    graph = graph(input_timeout_s=0.3)
+    busy = DiagnosticStatus(name="/a/simulator", message="compiling kernels for 3 s")
+    busy.values = [KeyValue(key="compiling_s", value="3")]
+    other = DiagnosticStatus(name="/a/detector", message="no image yet: does the camera run?")
+    graph.others.publish(DiagnosticArray(status=[busy, other]))
+    graph.until(lambda: "detector" in graph.planner._inputs.reports)
+    text = "idle; no parts yet: the simulator is compiling kernels for 3 s"
+    assert graph.report() == (DiagnosticStatus.STALE, text)
+
+
 def test_a_goal_is_refused_with_the_reason(graph):
     graph = graph(driver=None)
     refused = graph.refused()

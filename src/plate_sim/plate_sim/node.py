@@ -172,7 +172,6 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
-        self._simulation = self._scattered()
         self._usage = NO_USE
         self._count = {
             "cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0,
@@ -218,10 +217,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def _compile(self) -> None:
-        """Have everything compiled before time starts."""
-        state = self._simulation.state
-        angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
+        """Put the parts on the plate, and have everything compiled before time starts."""
         with compiling(self):
+            self._simulation = self._scattered()
+            state = self._simulation.state
+            angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
             run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
             Camera(self._rig).render(state.position, angle, rng)
 

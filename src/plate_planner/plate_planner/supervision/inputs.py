@@ -6,7 +6,7 @@ still can make an input look fresh.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from plate_core.driver_status import DriverState, DriverStatus
@@ -157,10 +157,11 @@ class Inputs:
             return f"no driver_status yet: {self.driver.question}"
         return "" if self._driver_ready else self._driver_text
 
-    def compiling(self, now: float) -> str:
-        """Say that a node of the loop compiles, so that no task can be started yet; or nothing."""
-        for name, report in self.reports.items():
-            if report.compiles and now - report.at <= REPORT_TIMEOUT_S:
+    def compiling(self, now: float, names: Sequence[str] = LOOP) -> str:
+        """Say that one of these nodes compiles, so that no task can be started yet; or nothing."""
+        for name in names:
+            report = self.reports.get(name)
+            if report and report.compiles and now - report.at <= REPORT_TIMEOUT_S:
                 return f"the {name} is {report.message}"
         return ""
 
@@ -315,6 +316,9 @@ class Inputs:
         self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
     ) -> str:
         """Say why nothing comes on a topic of a node, or ask a question if it is not known."""
+        before = (node, "device", "simulator") if node == "detector" else (node,)
+        if busy := self.compiling(now, before):
+            return busy
         if not publishers(topic):
             return f"nobody publishes them, does the {node} run?"
         report = self.reports.get(node)
