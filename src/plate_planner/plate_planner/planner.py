@@ -156,7 +156,8 @@ class Planner:
 
     def stop(self, state: PlannerState, why: Failure = STOP) -> PlannerState:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
-        return replace(state, task=stopped(state.task, state.estimator.clock.stamp, why))
+        stamp = state.estimator.stamp
+        return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
 
     def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
         """Take in a cycle that the solver sent, and when [s, the time of the stamps].

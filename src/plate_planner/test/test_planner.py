@@ -71,6 +71,23 @@ def test_it_assembles(seed):
     assert len(asked.parts) == 0
 
 
+def test_the_time_of_a_task_is_that_of_the_cycles_not_of_wrong_stamps():
+    """Images of a camera that runs free, whose stamps jump back by 1000 s in mid-task."""
+    scenario = load_scenario("sort_4")
+    planner = Planner(RIG, scenario)
+    x = np.array([[-0.05, -0.05], [-0.05, 0.05], [0.05, -0.05], [0.05, 0.05]])
+    parts = Parts.make(("black_1", "black_2", "grey_1", "grey_2"), x)
+    state = planner.start(planner.initial())
+    for k in range(6):
+        begin = 2000.0 + k * T
+        state = planner.started(state, PlateCycle.rest(T), begin)
+        state = planner.see(state, parts, begin + T / 2 - (1000.0 if k == 4 else 0.0))
+        state, _, progress = planner.answer(state)
+        assert progress.time_s >= 0.0
+    assert state.task.reason is Reason.NO_PARTS
+    assert state.task.text.startswith("aborted after 0.1 s: no parts for 1000 s by the stamps of")
+
+
 BINS = {
     "black": Bin(((-0.2, -0.12), (-0.08, -0.12), (-0.14, 0.02))),
     "grey": Bin(((0.05, 0.02), (0.15, 0.02), (0.15, 0.12), (0.05, 0.12))),

@@ -80,7 +80,8 @@ class Failure(NamedTuple):
 
 @dataclass(frozen=True)
 class TaskLimits:
-    """When to give up, and when to call it done, all in seconds of the images' time.
+    """When to give up, and when to call it done, all in seconds of the time of the cycles' starts,
+    or of the images where they are taken at these.
 
     Attributes
     ----------
@@ -154,14 +155,14 @@ class TaskState:
             return self.phase.value
         time = ""
         if self.began is not None and self.ended is not None:
-            time = f" after {self.ended - self.began:.1f} s"
+            time = f" after {self.elapsed(self.ended):.1f} s"
         return f"{self.phase.value}{time}" + (f": {self.detail}" if self.detail else "")
 
     def elapsed(self, t: float) -> float:
-        """Time [s] since the task began, until `t` or its end."""
+        """Time [s] since the task began, until `t` or its end; 0 where a clock was put back."""
         if self.began is None:
             return 0.0
-        return (t if self.ended is None else self.ended) - self.began
+        return max(0.0, (t if self.ended is None else self.ended) - self.began)
 
 
 def missing_parts(scenario: Scenario, known: tuple[str, ...], parts: Parts) -> tuple[str, ...]:
