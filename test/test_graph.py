@@ -4,6 +4,8 @@ import contextlib
 import signal
 import socket
 import time
+from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +27,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import load_rig
-from plate_core.ros import IMAGE, array_to_image, msg_to_motors, nanoseconds, to_time
+from plate_core.ros import IMAGE, NodeOptions, array_to_image, msg_to_motors, nanoseconds, to_time
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import DriverStatus, TaskStatus
 from plate_sim.camera import Camera, part_greys
-from plate_sim.world import WorldState
+from plate_sim.world import Disturbances, WorldState
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
@@ -46,15 +48,41 @@ def at_rest(cycle):
     return not np.any(cycle.knot_pose) and not np.any(cycle.knot_twist)
 
 
+def given(file):
+    """Parameters in a file of config/, by node."""
+    text = (ROOT / "config" / file).read_text(encoding="utf-8")
+    return {k.rsplit("/", 1)[-1]: v["ros__parameters"] for k, v in yaml.safe_load(text).items()}
+
+
+def declared(name):
+    """Default of each parameter of a node."""
+    module = import_module(GRAPH[name].component.rsplit(".", 1)[0])
+    kinds = [k for k in vars(module).values() if isinstance(k, type) and issubclass(k, NodeOptions)]
+    (kind,) = (k for k in kinds if k is not NodeOptions)
+    return {item.name: item.default for item in fields(kind)}
+
+
+def test_the_files_of_parameters_say_what_the_nodes_do():
+    """Defaults as declared; all that disturbs; what the planner has to know of a camera."""
+    named = given("nodes.yaml")
+    assert list(named) == NAMES
+    for name, values in named.items():
+        defaults = declared(name)
+        assert values == {key: defaults.get(key) for key in values}, name
+    disturbances = {item.name for item in fields(Disturbances)}
+    assert disturbances <= named["simulator"].keys()
+    for name, values in given("hardware.yaml").items():
+        assert values.keys() <= declared(name).keys()
+        if name == "planner":
+            assert values.keys() <= named[name].keys()
+
+
 def check_parameters(graph):
-    """Parameters of the file, and those that a run gives, are parameters of the nodes."""
-    file = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text(encoding="utf-8"))
-    given = {key.rsplit("/", 1)[-1]: values["ros__parameters"] for key, values in file.items()}
-    assert list(given) == NAMES
+    """Nodes have the parameters that they declare, and those that a run gives."""
     for name in NAMES:
         call = ListParameters, f"{name}/list_parameters", ListParameters.Request()
         known = set(graph.observer.call(*call).result.names)
-        assert set(given[name]) <= known
+        assert declared(name).keys() <= known
         assert set(graph.options.parameters(GRAPH[name])) <= known
 
 
