@@ -13,12 +13,14 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness import ROOT, is_done, optional, read, run_all
+from harness import ROOT, folder_made, is_done, optional, read, run_all
 
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     args = arguments()
+    if not folder_made(args.out):
+        return 2
     for name in ("plotly", "kaleido", "pandas", "tabulate"):
         if optional(name) is None:
             told = f"error: {name} is not installed: pip install -r requirements-bench.txt"

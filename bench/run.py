@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from harness import LONG, MEASUREMENTS, ROOT, run_all, text_table
+from harness import LONG, MEASUREMENTS, ROOT, folder_made, run_all, text_table
 from plate_core import did_you_mean
 
 
@@ -22,6 +22,8 @@ def main() -> int:
         allowed = ", ".join(MEASUREMENTS)
         hint = did_you_mean(unknown[0], MEASUREMENTS)
         print(f"error: measurement is {unknown[0]!r}{hint}, allowed: {allowed}", file=sys.stderr)
+        return 2
+    if not folder_made(args.out):
         return 2
     names = args.names or [name for name in MEASUREMENTS if args.quick or name not in LONG]
     run_all(names, args.quick, args.out)

@@ -164,6 +164,7 @@ def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
         (closed_loop, ["--scenario", "sort_3"], ("'sort_3'", "allowed", "sort_10")),
         (closed_loop, ["--set", "colour=blue"], ("'colour'", "allowed", "method")),
         (closed_loop, ["--set", "noise"], ("'noise'", "allowed", "key=value")),
+        (closed_loop, ["--set", "noise=-5"], ("noise is -5", "allowed: 0 to 50")),
         (closed_loop, ["--planner", "mine.py"], ("'mine.py'", "allowed", "OwnPlanner")),
         (closed_loop, ["--planner", closed_loop.__file__], ("no class OwnPlanner",)),
         (closed_loop, ["--seeds", "3:3"], ("'3:3'", "allowed", "A < B")),
@@ -171,6 +172,7 @@ def test_without_dask_it_is_told_how_to_get_it(refusal, monkeypatch):
         (closed_loop, ["--json", "/dev/null/rows.json"], ("/dev/null",)),
         (closed_loop, ["--workers", "2", "--scheduler", "x"], ("--scheduler", "not allowed")),
         (run, ["simulator"], ("'simulator'", "allowed", "closed_loop")),
+        (run, ["sim", "--out", "/proc/x"], ("out is /proc/x", "allowed: a folder")),
     ],
 )
 def test_wrong_arguments_are_refused_in_one_line(refusal, program, arguments, words):

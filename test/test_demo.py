@@ -184,6 +184,15 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
     assert concluded == [None]
 
 
+def test_a_folder_that_cannot_be_made_is_said_before_anything_starts(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", "/proc/x"])
+    assert run(arguments()) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.startswith("demo: out is /proc/x: No such file")
+    assert errors.endswith(", allowed: a folder that can be made\n")
+
+
 @pytest.mark.parametrize(
     ("rig", "title"),
     [("desk", "rig desk"), ("my/rig.yaml", "rig.yaml"), ("/a/my_plate.yml", "my_plate.yml")],

@@ -51,7 +51,7 @@ from plate_planner import (
 from plate_planner.tasks import Assembler, Follower, Poser, Sorter
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion, Playback, next_playback
-from plate_sim.world import NONE, Disturbances, Simulation, WorldState
+from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
 from plate_solver import METHODS, Answer, Controller
 from plate_vision import Tracker, make_vision, observe
 
@@ -66,6 +66,11 @@ MOMENT_S = 1e-6
 
 CAMERA = ("exposure_s", "readout_s")
 """Facts of the rig's camera that a setting replaces."""
+
+NUMBERS = {
+    **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
+}  # fmt: skip
+"""Settings of `Setup` itself that are numbers, and what is allowed."""
 
 HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
@@ -131,8 +136,8 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
         try:
             if key == "method":
                 setup = replace(setup, method=_method(text))
-            elif key in ("noise", "mu_scale", "image_age_s", *CAMERA):
-                setup = replace(setup, **{key: float(text)})  # type: ignore[arg-type]
+            elif key in NUMBERS:
+                setup = replace(setup, **{key: _number(key, float(text))})  # type: ignore[arg-type]
             elif key in EFFORT:
                 setup = replace(setup, effort={**setup.effort, key: int(text)})
             elif key == "blur":
@@ -146,7 +151,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             else:
                 raise KeyError(key)
         except KeyError:
-            known = ["method", "noise", "mu_scale", "image_age_s", *CAMERA, *EFFORT]
+            known = ["method", *NUMBERS, *EFFORT]
             kinds = (Disturbances, SortOptions, FollowOptions)
             known += [f.name for kind in kinds for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
@@ -158,6 +163,13 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
     planner = replace(setup.planner, sort=sort, follow=follow)
     return replace(setup, disturbances=world, planner=planner)
+
+
+def _number(key: str, value: float) -> float:
+    low, high = NUMBERS[key]
+    if not low <= value <= high:
+        raise PlateError(f"setting {key} is {value:g}, allowed: {low:g} to {high:g}")
+    return value
 
 
 def _flag(key: str, text: str) -> bool:

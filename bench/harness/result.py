@@ -8,6 +8,7 @@ import math
 import os
 import platform
 import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -100,6 +101,17 @@ def commit() -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return ""
+
+
+def folder_made(path: Path) -> bool:
+    """Make a folder for results; if that cannot be done, say so and return False."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        why = f"{problem.strerror}, allowed: a folder that can be made"
+        print(f"error: out is {path}: {why}", file=sys.stderr)
+        return False
+    return True
 
 
 def write(

@@ -89,6 +89,7 @@ def demo(args: argparse.Namespace) -> int:
     """Check the arguments, run, and return the exit code of tools/demo.py."""
     try:
         plan = checked(args)
+        clear(plan.out)
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
@@ -180,14 +181,13 @@ def own_folder(scenario: str) -> Path:
         except FileExistsError:
             continue
         except OSError as problem:
-            raise PlateError(f"out is {path}: {problem}") from None
+            raise unmade(path, problem) from None
         return path
 
 
 def run(plan: Plan) -> int:
     """Run the task from start to end."""
     began = time.monotonic()
-    clear(plan.out)
     names = [node.name for node in plan.options.nodes(load_graph())]
     print(
         f"{plan.scenario.description} Method: {plan.options.method}. "
@@ -337,7 +337,13 @@ def clear(out: Path) -> None:
         if out.parent == LAST.parent and out.name.startswith(LAST.name + "-"):
             point(LAST, out)
     except OSError as problem:
-        raise PlateError(f"out is {out}: {problem}") from None
+        raise unmade(out, problem) from None
+
+
+def unmade(folder: Path, problem: OSError) -> PlateError:
+    """Say that a folder of results cannot be used."""
+    why = problem.strerror or problem
+    return PlateError(f"out is {folder}: {why}, allowed: a folder that can be made")
 
 
 def point(link: Path, folder: Path) -> None:

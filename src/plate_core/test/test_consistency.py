@@ -33,6 +33,7 @@ IMPOSSIBLE = [
     (("parts", "radius_m"), 0.08, r"radius_m is 0.08 on a plate whose shorter side is 0.3 m, allo"),
     (("limits", "force_n"), 2.0, r"force_n is 2, which moves a plate of 2 kg by 2 m/s2 .* 2.45 or"),
     (("limits", "stroke_m"), 3e-5, r"stroke_m is 3e-05 m: at 40 Hz, .* that is 1.89 m/s2, and par"),
+    (("limits", "following_error_m"), 1e-9, r"is 1e-09, allowed: 0 \(not watched\), or 1e-05"),
     (("limits", "speed_mps"), 0.005, r"speed_mps is 0.005 m/s: at 40 Hz, .* that is 1.26 m/s2, an"),
 ]
 WARNINGS = [

@@ -56,7 +56,8 @@ def test_missing_config_file_is_named():
 
 
 SPOILT = [
-    (("plate", "length_m"), -1, r"plate: length_m is -1, allowed: a number from 0\.01 to 10"),
+    (("plate", "length_m"), -1, r"plate: length_m is -1, allowed: a number from 0\.05 to 10"),
+    (("plate", "width_m"), 0.02, r"plate: width_m is 0\.02, allowed: a number from 0\.05 to 10"),
     (("plate", "width_m"), "wide", "plate: width_m is 'wide', allowed: a number"),
     (("plate", "mass_kg"), True, "plate: mass_kg is True, allowed: a number"),
     (("plate", "mass_kg"), float("nan"), "plate: mass_kg is nan, allowed: a number"),

@@ -40,7 +40,7 @@ from plate_interfaces.msg import Parts as PartsMsg
 
 from .camera import NOISE, Camera
 from .plate import PlateMotion, Playback, check_table, next_playback
-from .world import RANGES, Disturbances, Simulation, run_cycle
+from .world import RANGES, WORLD_RANGES, Disturbances, Simulation, run_cycle
 
 START_NS = 1_000_000_000
 """Simulated time of the first image [ns]: a zero stamp would mean "no time"."""
@@ -80,8 +80,12 @@ class Options(NodeOptions):
     )  # fmt: skip
     lockstep: bool = parameter(False, "Wait for the answer to each image, as fast as they come.")
     rate: float = parameter(1.0, "Simulated seconds per wall second, if not lockstep.", 0.01, 100)
-    noise: float = parameter(NOISE, "Standard deviation of the image noise [grey values].", 0, 50)
-    mu_scale: float = parameter(1.0, "True friction over the rig file's.", 0.1, 10)
+    noise: float = parameter(
+        NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"]
+    )
+    mu_scale: float = parameter(
+        1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"]
+    )
     hold_cycles: int = parameter(5, "Repetitions of a table when no new one comes.", 0, 1000)
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from plate_core import PlateCycle, load_rig
+from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.rig import Suspension, row_delay, to_image
 from plate_core.tasks import load_scenario
 from plate_sim import Camera, Disturbances, PlateMotion, Simulation, part_greys, simulate
@@ -28,6 +28,12 @@ def blank(simulation, rig=RIG, noise=0.0):
     camera = Camera(rig, noise)
     grey = part_greys([name.split("_")[0] for name in simulation.state.ids])
     return lambda position, pose: camera.render(position, grey, np.random.default_rng(0), pose=pose)
+
+
+@pytest.mark.parametrize("setting", [{"noise": -5.0}, {"noise": np.nan}, {"mu_scale": 0.0}])
+def test_a_setting_out_of_range_is_refused(setting):
+    with pytest.raises(PlateError, match=f"{next(iter(setting))} is .*, allowed: 0"):
+        Simulation(RIG, SORT_4, **setting)
 
 
 def gap(one, other):

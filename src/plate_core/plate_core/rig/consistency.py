@@ -31,6 +31,9 @@ parts 15 ended well at 5, 17 at 6, 20 at 7, 19 at 8, 20 at 10 (docs/hardware.md)
 CYCLE_HZ = (5.0, 40.0)
 """Lowest and highest frequency in the solvers' cycles: one wave in 0.2 s, four in 0.1 s."""
 
+LEAST_FOLLOWING_M = 1e-5
+"""Following error below which every motor would be at fault [m]: no drive is better than this."""
+
 OUTSIDE, BESIDE = 0.5, 0.1
 """How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
 from where on there is a warning."""
@@ -128,6 +131,13 @@ def _limits(rig: Rig) -> Iterator[Doubt]:
             "limits",
             f"limits: Gamma is {rig.gamma:.3g} (by {rig.reach.limit}), advised: {LEAST_GAMMA:g} or "
             "more: the plate shakes too little, tasks take long or fail",
+        )
+    if 0 < limits.following_error_m < LEAST_FOLLOWING_M:
+        yield Doubt(
+            "limits",
+            f"limits: following_error_m is {limits.following_error_m:g}, allowed: 0 (not watched), "
+            f"or {LEAST_FOLLOWING_M:g} and more",
+            True,
         )
     if limits.continuous_force > limits.force:
         yield Doubt(

@@ -23,8 +23,8 @@ from .suspension import Suspension, read_suspension
 class Plate:
     """The plate: its sides along x and y at rest [m] and its mass [kg]."""
 
-    length_m: float = measured("length_m", 0.01, 10, "Side of the plate along x.")
-    width_m: float = measured("width_m", 0.01, 10, "Side of the plate along y.")
+    length_m: float = measured("length_m", 0.05, 10, "Side of the plate along x.")
+    width_m: float = measured("width_m", 0.05, 10, "Side of the plate along y.")
     mass_kg: float = measured(
         "mass_kg", 0.001, 1000, "Mass of the plate with all that moves with it."
     )

@@ -3,7 +3,7 @@ Public: the names below."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances
-from .simulation import Simulation
+from .simulation import WORLD_RANGES, Simulation
 from .state import WorldState
 from .step import record_cycle, run_cycle
 
@@ -11,6 +11,7 @@ __all__ = [
     "NONE",
     "RANGES",
     "STEP",
+    "WORLD_RANGES",
     "BodyTrajectory",
     "Disturbances",
     "Simulation",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig, part_class
+from plate_core import PlateCycle, PlateError, Rig, part_class
 from plate_core.rig import row_delay
 from plate_core.tasks import Scenario
 
@@ -24,6 +24,9 @@ from .step import record_cycle, run_cycle
 EXPOSURES, LONGEST_STEP_S = 5, 3e-3
 """Least number of times during an image at which parts and plate are looked up, and the greatest
 distance between two [s]: the plate turns round in no less than 20 ms."""
+
+WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
+"""Of a simulation: allowed values."""
 
 FINEST_STAMP_S = 1e-4
 """Least distance of two stamps [s]."""
@@ -60,6 +63,11 @@ class Simulation:
     mu_scale : float
         True friction over the rig's.
     contacts : Contacts
+
+    Raises
+    ------
+    PlateError
+        If noise or mu_scale is out of range.
     """
 
     def __init__(
@@ -73,6 +81,10 @@ class Simulation:
         mu_scale: float = 1.0,
         contacts: Contacts = INELASTIC,
     ) -> None:
+        for name, value in (("noise", noise), ("mu_scale", mu_scale)):
+            low, high = WORLD_RANGES[name]
+            if not low <= value <= high:
+                raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
         layout, self._pixel_rng, field, self._image_rng, self._part_rng, self._stamp_rng = (
             np.random.default_rng(seed).spawn(6)
         )
