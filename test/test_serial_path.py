@@ -23,6 +23,7 @@ from plate_core.serial_protocol import (
     frame,
     parse,
 )  # fmt: skip
+from plate_driver.cycle_starts import CycleStarts
 from plate_driver.setpoints import MotorTable, prepare
 from plate_driver.status import driver_status
 from plate_driver.transports import (
@@ -258,6 +259,13 @@ def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
         row = rows[np.argmin(np.abs(rows[:, 0] - (sample.device_s - TICK_S)))]
         np.testing.assert_allclose(sample.position, row[1:5], rtol=1e-6, atol=1e-12)
         assert abs(sample.time - sample.device_s) < 3e-3
+    starts, told = CycleStarts(firmware.now - 0.5), []
+    for sample in measured:
+        starts, start, problem = starts.heard(sample, PERIOD, firmware.now)
+        assert problem == ""
+        told += [] if start is None else [start]
+    np.testing.assert_allclose(np.diff(told), PERIOD, atol=4e-3)
+    assert len(told) in (round(0.5 / PERIOD), round(0.5 / PERIOD) + 1)
     # Eight times, then it rests by itself, with current; the host has said nothing for that.
     pass_time(firmware, transport, 1.0)
     assert firmware.states[-1] is State.READY

@@ -8,7 +8,6 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -38,6 +37,7 @@ from plate_core.ros import (
 from plate_core.status import INPUT_TIMEOUT_S, Finding
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
+from .cycle_starts import CycleStarts
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
@@ -67,14 +67,14 @@ QUIET_S = 2.0
 REST_S = 3.0
 """Longest wait for motors that brake, go home and lose their current [s]."""
 
+NO_START = "starts of cycles are not told where the device's ticks cannot be"
+"""What is said of a device that is wrong of how long a table has played."""
+
 REST_CYCLE_S = 0.1
 """Length of a cycle while the motors rest [s]."""
 
 MOTIONS_KEPT = 8
 """Cycles that were sent and may run, or wait: a few."""
-
-SAME_START = 0.5
-"""Starts of a table less than this fraction of a cycle apart are one: clocks are not quite one."""
 
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
@@ -178,7 +178,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
-        self._begun, self._began, self._lasts_until = 0, -np.inf, time.monotonic()
+        self._cycle_starts = CycleStarts(time.monotonic())
         self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
         transport = self._transport
         if transport is not None and not transport.motors:
@@ -361,21 +361,17 @@ class DriverNode(SafeLifecycleNode[Options]):
         transport = self._transport
         if not self.active or transport is None or not transport.calibrates:
             return
-        cycle, began = PlateCycle.rest(REST_CYCLE_S), self._lasts_until
-        if measured.table:
-            if measured.playing is None:
-                return
-            table, began = measured.playing, measured.began
+        cycle, now = PlateCycle.rest(REST_CYCLE_S), time.monotonic()
+        if measured.table and measured.playing is not None:
+            table = measured.playing
             cycle = self._motions.get(table.stamp_ns, table.cycle)
-            again = measured.table == self._begun
-            if again and began - self._began < SAME_START * cycle.period:
-                return
-        elif measured.time < began:
-            return
-        self._begun, self._began = measured.table, began
-        self._lasts_until = max(began + cycle.period, measured.time)
-        if self._starts.get_subscription_count():
-            age_ns = max(0, round(1e9 * (time.monotonic() - began)))
+        self._cycle_starts, began, problem = self._cycle_starts.heard(measured, cycle.period, now)
+        if problem:
+            self._guard = self._guard.noted(NO_START)
+            text = f"{NO_START}: table {measured.table} {problem}"
+            self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+        if began is not None and self._starts.get_subscription_count():
+            age_ns = max(0, round(1e9 * (now - began)))
             stamp = to_time(max(0, self.get_clock().now().nanoseconds - age_ns))
             self._starts.publish(cycle_to_msg(cycle, stamp))
 
