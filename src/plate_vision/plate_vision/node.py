@@ -155,8 +155,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     """Lifecycle node `detector`: finds parts, and the plate if it has markers, in camera images.
 
     Subscribes image_raw (or image_raw/compressed), camera_info.
-    Publishes parts, plate_pose (with markers), detections_image, markers, diagnostics; in /tf plate
-    in plate_home, in /tf_static camera_optical_frame, if the lens is known.
+    Publishes parts, detections_image, markers, diagnostics; with markers on the plate plate_pose,
+    and in /tf plate in plate_home; in /tf_static camera_optical_frame, if the lens is known.
     Service ~/reset: forget all parts, and find the plate again.
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
@@ -189,7 +189,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._parts = self.managed_publisher(Parts, "parts", DATA)
         if self._rig.fiducials is not None:
             self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)
-        self._transforms = self.managed_publisher(TFMessage, "/tf", TRANSFORMS)
+            self._transforms = self.managed_publisher(TFMessage, "/tf", TRANSFORMS)
         self._cameras = self.managed_publisher(TFMessage, "/tf_static", LATCHED)
         self._drawings = self.managed_publisher(Image, "detections_image", IMAGE)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
@@ -293,9 +293,6 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._warn(f"{source}: {problem}")
             self._tally.problem = problem
         self._parts.publish(parts_to_msg(self._tracker.parts, stamp, quality=self._tracker.quality))
-        pose = HOME if self._location is None else self._location.pose
-        if pose is not None:
-            self._transforms.publish(plate_to_msg(pose, stamp))
         if self._drawings.get_subscription_count():
             self._drawings.publish(array_to_image(self._draw(image), stamp, "bgr8"))
         if self._markers.get_subscription_count():
@@ -338,6 +335,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._place_camera()
         if location.pose is not None:
             self._poses.publish(pose_to_msg(location.pose, stamp))
+            self._transforms.publish(plate_to_msg(location.pose, stamp))
         if location.problem:
             self._warn(location.problem)
             self._tally.problem = location.problem
