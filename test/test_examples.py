@@ -32,7 +32,8 @@ def test_a_script_runs_and_draws(tmp_path, name):
         assert "success True" in done.stdout
 
 
-def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
+@pytest.mark.parametrize("image_rate", [0.0, pytest.param(30.0, marks=pytest.mark.alone)])
+def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
     pytest.importorskip("rclpy")
     from graph.observer import Observer
     from graph.processes import Processes, ros_environment
@@ -44,7 +45,9 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain):
     from plate_core.ros import msg_to_parts
     from plate_interfaces.msg import Parts
 
-    options = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
+    options = RunOptions(
+        scenario="sort_4", lockstep=not image_rate, image_rate=image_rate, autostart=False
+    )
     nodes = [node for node in load_graph() if node.name != "planner"]
     own = subprocess.Popen(
         [sys.executable, EXAMPLES / "own_planner.py"], env=os.environ | ros_environment(domain)
