@@ -69,7 +69,8 @@ if __name__ == "__main__":
         def __init__(self) -> None:
             super().__init__("planner")
             self._planner = OwnPlanner(load_rig())
-            self._start, self._images = None, []  # of the cycle to be answered; the last two
+            self._start = self._answered = None  # of the cycle that runs, of the last one answered
+            self._images = []  # the last two
             self._forces = self.create_publisher(PartForces, "part_forces", DATA)
             self.create_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
             self.create_subscription(PartsMsg, "parts", self._on_parts, DATA)
@@ -84,13 +85,16 @@ if __name__ == "__main__":
 
         def _answer(self) -> None:
             """Answer the cycle, as soon as there is an image from its start or later."""
-            if self._start is None or not self._images:
+            if not self._images:
                 return
-            off = [seconds(msg.header.stamp) - seconds(self._start) for msg in self._images]
-            if off[-1] >= 0:
+            newest = self._images[-1].header.stamp
+            start = newest if self._start is None else self._start  # nobody has told one yet
+            off = [seconds(msg.header.stamp) - seconds(start) for msg in self._images]
+            # An image of the start itself comes again where it is to be answered again.
+            if off[-1] == 0 or (off[-1] > 0 and start != self._answered):
                 parts = msg_to_parts(self._images[int(np.argmin(np.abs(off)))])
-                wanted = self._planner.plan(parts, seconds(self._start))
-                self._forces.publish(wanted_to_msg(wanted, self._start))
-                self._start = None
+                self._answered = start
+                wanted = self._planner.plan(parts, seconds(start))
+                self._forces.publish(wanted_to_msg(wanted, start))
 
     run_node(OwnPlannerNode)
