@@ -297,12 +297,21 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
             stop(c, false, FAULT_STOPPED);
         c->tables[!c->playing].id = 0;
         c->waiting = c->committing = c->stop_known = false;
+        c->trigger = (Trigger){0};
         c->session_open = true;
         c->session = session;
         c->answered = sequence;
         c->answer = STATUS_DONE;
     }
     tell_capabilities(c, session);
+}
+
+/* Whenever it comes: it moves nothing. */
+static void set_trigger(Controller *c, uint16_t sequence, const uint8_t *fields)
+{
+    c->trigger.phase = get_u16(fields);
+    c->trigger.pulse_ms = fields[2];
+    acknowledge(c, sequence, STATUS_DONE);
 }
 
 /* Done in order, and once. */
@@ -351,6 +360,7 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     case ENABLE: return size == 2;
     case HOME: return size == 0;
     case STOP: return size == 1 && fields[0] <= 1;
+    case TRIGGER: return size == 3 && fields[2] <= LONGEST_PULSE_MS;
     case BEGIN: return size == 8;
     case COMMIT: return size == 4;
     case KNOTS: break;
@@ -380,6 +390,8 @@ static void obey(Controller *c, size_t size, int *work)
         acknowledge(c, sequence, STATUS_NO_SESSION);
     else if (type == HEARTBEAT)
         tell_pulse(c, fields);
+    else if (type == TRIGGER)
+        set_trigger(c, sequence, fields);
     else if (type == KNOTS)
         fill(c, sequence, fields, size - HEADER_BYTES, work);
     else
@@ -479,6 +491,9 @@ void controller_tick(Controller *c)
         c->commanded = at;
     }
     c->follows = moves;
+    bool plays = c->state == STATE_PLAYING && !c->tables[c->playing].streams;
+    hal_trigger(trigger_step(&c->trigger, c->now_us, plays ? motion_into(c) : 0,
+                             plays ? table_period(&c->tables[c->playing]) : 0));
     uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);

@@ -4,6 +4,7 @@
 
 #include "frame.h"
 #include "table.h"
+#include "trigger.h"
 
 /* What a tick does at most, whatever the host sends; the rest waits. */
 #define TICK_BYTES 128 /* that are read */
@@ -32,6 +33,7 @@ typedef struct {
     uint16_t stop_sequence;
     bool stop_now;
     uint64_t now_us, heard_us, told_us, enabled_us;
+    Trigger trigger;
     Table tables[2];
     int playing;       /* index of the buffer that plays; the other one is the second buffer */
     bool waiting;      /* the second buffer is to be taken over */

@@ -42,6 +42,9 @@ void hal_measure(float position[MOTORS], float acceleration[MOTORS]);
    where the motors are from there. */
 bool hal_home(void);
 
+/* The camera's trigger line, high or low. Called once in a tick, after hal_command. */
+void hal_trigger(bool high);
+
 /* FAULT_SUPPLY, FAULT_HARDWARE or 0. Read once in a tick. */
 uint8_t hal_faults(void);
 

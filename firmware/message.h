@@ -5,11 +5,11 @@
 #include <stdint.h>
 #include <string.h>
 
-#define VERSION 3
+#define VERSION 4
 #define HEADER_BYTES 3
 
 enum {
-    HELLO = 0x01, HEARTBEAT, ENABLE, STOP, HOME,
+    HELLO = 0x01, HEARTBEAT, ENABLE, STOP, HOME, TRIGGER,
     BEGIN = 0x10, KNOTS, COMMIT,
     CAPABILITIES = 0x81, ACKNOWLEDGEMENT, PULSE, TELEMETRY
 };

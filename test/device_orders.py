@@ -55,6 +55,7 @@ class Run:
     refused: int
     stop: int
     switched: list[tuple[float, bool]]
+    line: list[tuple[int, bool]]  # when the camera's line has changed [us], and to what
 
     def answers(self) -> dict[int, Status]:
         found = [p.message for p in self.said if isinstance(p.message, Acknowledgement)]
@@ -96,6 +97,7 @@ def heard(stdout: str) -> Run:
         refused,
         stop,
         [(int(line[1]) * 1e-6, line[2] == "1") for line in output if line[0] == "drive"],
+        [(int(line[1]), line[2] == "1") for line in output if line[0] == "trigger"],
     )
 
 
@@ -174,7 +176,7 @@ class Twin:
         self._data, self._fault, self._late_us = b"", Fault.NONE, 0
         self._place = np.zeros((2, 4), np.float32)
         self._jammed, self._search, self._searched = False, 1, 0
-        self._shown = False
+        self._shown = self._high = False
 
     def obey(self, order: str) -> None:
         kind, _, value = order.partition(" ")
@@ -220,9 +222,12 @@ class Twin:
         on = device.motion.state is not State.OFF
         if on != self._shown:
             self.lines.append(f"drive {now_us} {on:d}")
+        high = device.trigger.high
+        if high != self._high:
+            self.lines.append(f"trigger {now_us} {high:d}")
         if at is not None and not self._jammed:
             self._place = at[::2]
-        self.device, self._shown = device, on
+        self.device, self._shown, self._high = device, on, high
 
 
 def twin(orders: str, *arguments: str) -> str:

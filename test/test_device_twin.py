@@ -38,6 +38,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Status,
     Stop,
     Telemetry,
+    Trigger,
 )
 from plate_sim.device import DeviceLimits, check_pieces, states_of
 
@@ -119,6 +120,8 @@ def drawn_orders(rng: np.random.Generator) -> list[bytes | float | str]:
     orders: list[bytes | float | str] = [] if rng.random() < 0.1 else [*READY]
     if rng.random() < 0.3:
         orders += [wrong_table(rng), 0.03, say(159, Commit(5, 1))]
+    if rng.random() < 0.7:
+        orders.append(say(199, Trigger(int(rng.integers(2**16)), int(rng.integers(9)))))
     number, beat, stops = 200, say(1, Heartbeat(7)), 0
     kinds = ("limits", "simple", "fault", "silence", "late", "jam", "enable", "stream", "reset")
     shares = (0.38, 0.17, 0.05, 0.05, 0.08, 0.04, 0.13, 0.07, 0.03)
@@ -186,7 +189,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     states: set[State] = set()
     statuses: set[Status] = set()
     faults = Fault.NONE
-    count = 0
+    count = pulses = 0
     for trial in range(60):
         orders = ordered(*drawn_orders(rng))
         heat = ["0.05", "20"] if trial % 5 == 0 else []
@@ -199,10 +202,12 @@ def test_twin_is_the_firmware_bit_by_bit(program):
             faults |= m.faults
         statuses |= set(done.answers().values())
         count += len(done.times)
+        pulses += len(done.line) // 2
     assert states == set(State)
     assert faults == ~Fault.LIMIT  # no setpoint was ever outside
     assert statuses >= set(Status) - {Status.TOO_LONG}
     assert count > 10_000  # setpoints, all bits alike
+    assert pulses > 500  # of the camera's line, all at the same ticks
 
 
 def test_checks_take_as_long_on_both(program):

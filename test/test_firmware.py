@@ -71,7 +71,7 @@ def test_bytes_are_those_of_the_document(device):
     assert told == Capabilities(VERSION, 0x12345678, 0xCAFE, 4, 512, 8, 250, *limits, 10_000)
     assert done.answers() == {
         3: Status.DONE, 4: Status.DONE, 5: Status.DONE, 6: Status.DONE,
-        256: Status.DONE, 257: Status.DONE, 258: Status.WRONG_STATE,
+        7: Status.DONE, 256: Status.DONE, 257: Status.DONE, 258: Status.WRONG_STATE,
     }  # fmt: skip
     assert done.stop == 0xCAFE + 2
     [pulse] = [p.message for p in done.said if isinstance(p.message, Pulse)]

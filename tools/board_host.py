@@ -57,7 +57,7 @@ PLAYED_TICKS = 300
 HOSTS = itertools.count(1)
 """Hosts so far."""
 
-VERSION = 3
+VERSION = 4
 """Of the protocol."""
 
 STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0

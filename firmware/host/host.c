@@ -13,7 +13,8 @@
    Arguments, if not those of the default rig: the time constant of the motors' heat [s], their
    continuous_force and their peak force [N], the following error that is a fault [m].
    Printed: `at US q1..q4 v1..v4 a1..a4` of each tick that commands, `drive US ON` when current is
-   switched, `tx HEX`, and after each `run` `state STATE FAULTS REFUSED STOP`. */
+   switched, `trigger US HIGH` when the camera's line changes, `tx HEX`, and after each `run` `state
+   STATE FAULTS REFUSED STOP`. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,7 +28,7 @@ static uint32_t boot = 0xCAFE;
 static uint8_t *input;
 static size_t input_size, input_at;
 static uint8_t faults;
-static bool on, jammed;
+static bool on, jammed, trigger;
 static int search = 1, searched;
 static float load;
 static float position[MOTORS], acceleration[MOTORS];
@@ -44,6 +45,8 @@ void hal_drive(bool wanted)
     on = wanted;
     searched = 0;
 }
+
+void hal_trigger(bool high) { trigger = high; }
 
 bool hal_idle(void) { return true; }
 
@@ -103,12 +106,15 @@ static void receive(const char *hex)
 
 static void tick(Controller *controller)
 {
-    static bool shown;
+    static bool shown, trigger_shown;
     now_us += TICK_US;
     controller_tick(controller);
     if (on != shown)
         printf("drive %llu %d\n", (unsigned long long)now_us, on);
+    if (trigger != trigger_shown)
+        printf("trigger %llu %d\n", (unsigned long long)now_us, trigger);
     shown = on;
+    trigger_shown = trigger;
 }
 
 /* Of config/rig.yaml: load is what plate_sim's device computes from plate and motors. */

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from plate_bringup import RunOptions, load_graph
+from plate_core import load_rig
 from plate_core.tasks import Scenario, load_scenario
 
 from .domains import own_domain
@@ -58,7 +59,8 @@ class Session:
             If somebody has stopped the plate meanwhile, or the driver refuses.
         """
         self.observer.check_not_stopped()
-        self.observer.activate_driver()
+        if not driver_triggers(self.options):
+            self.observer.activate_driver()
         self.observer.check_not_stopped()  # by anyone: an enable would clear that
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors may move.", flush=True)
@@ -73,6 +75,12 @@ class Session:
         self.observer.await_ready(waiting)
         self.observer.check_not_stopped()
         self.observer.start(self.scenario, waiting=waiting)
+
+
+def driver_triggers(options: RunOptions) -> bool:
+    """Tell whether the camera takes images only once the driver speaks with the motor controller,
+    which triggers it."""
+    return options.transport == "serial" and load_rig(options.rig_file).camera.trigger is not None
 
 
 @contextmanager
@@ -110,6 +118,9 @@ def session(
         Observer(domain, processes.check, pictures) as observer,
     ):
         seen = observer.await_nodes([node.name for node in nodes], START_S, waiting)
+        if driver_triggers(options):
+            observer.until(Path(options.port or options.link).exists, START_S)
+            observer.activate_driver()  # motors stay off until they are enabled
         if "simulator" not in seen:
             observer.await_camera(CAMERA_S)
         observer.await_answers(ANSWER_S, seen, waiting)

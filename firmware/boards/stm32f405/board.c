@@ -74,6 +74,8 @@ static void watchdog_start(void)
     IWDG_KR = IWDG_FEED;
 }
 
+void hal_trigger(bool high) { GPIOB->BSRR = BIT(high ? PIN_TRIGGER : PIN_TRIGGER + 16); }
+
 void hal_watchdog(void)
 {
     if (!(SCB_ICSR & ICSR_PENDSTSET)) /* on time: the next tick is not due yet */
@@ -125,6 +127,7 @@ __attribute__((noinline)) void idle(void) { __asm__ volatile("dsb\nwfi"); }
 int main(void)
 {
     RCC_AHB1ENR |= AHB1_GPIOA | AHB1_GPIOB | AHB1_GPIOC;
+    pin_mode(GPIOB, PIN_TRIGGER, 1);
     clock_start();
     motors_start(&LIMITS);
     boot = boot_number();

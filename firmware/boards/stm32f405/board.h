@@ -25,6 +25,7 @@
 #define PIN_SUPPLY 4         /* PA4: the motors' supply by a divider, channel 4 */
 #define PIN_BRIDGE_FAULT 6   /* PA6, TIM8's break: low is a fault; pulled up at the bridges */
 #define PIN_ENABLE 10        /* PB10: high lets the bridges drive; pulled down at the bridges */
+#define PIN_TRIGGER 1        /* PB1: the camera's trigger line; pulled down at the camera */
 #define PIN_DIRECTION 12     /* PB12 to PB15: high is positive force, motors 1 to 4 */
 #define PIN_HOME 0           /* PC0 to PC3: high where motor 1 to 4 is beyond home, q > 0 */
 #define PIN_PWM 6            /* PC6 to PC9, TIM8 */

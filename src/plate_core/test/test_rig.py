@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from plate_core import PlateError, RigError, config_path, load_rig
-from plate_core.rig import default_rig_path
+from plate_core.rig import CameraTrigger, default_rig_path
 
 
 @pytest.fixture(name="data")
@@ -71,6 +71,8 @@ SPOILT = [
     (("motors", "motor_5"), {}, "motors: got .*motor_5, allowed: motor_1, motor_2, motor_3"),
     (("motors",), {"motor_1": {}, "motor_2": {}}, r"^rig\.yaml: motors: got motor_1, motor_2, al"),
     (("camera", "width_px"), 640.5, "width_px is 640.5, allowed: a whole number from 16 to 16384"),
+    (("camera", "trigger_phase"), 1, "trigger_phase is 1, allowed: a number from 0 to 0.999"),
+    (("camera", "trigger_pulse_s"), 0.02, "trigger_phase is missing"),
     (("camera", "corners_px"), [[0, 0]] * 4, "allowed: four corners that span"),
     (("camera", "corners_px"), [[0, 0]] * 3, "corners_px is .*, allowed: 4 x 2 numbers"),
     (("camera", "focal_px"), [0, 900], "focal_px is .*, allowed: 2 numbers from 1 to"),
@@ -87,6 +89,15 @@ def test_wrong_values_are_refused(data, load, keys, value, message):
         place = place[key]
     place[keys[-1]] = value
     with pytest.raises(RigError, match=message):
+        load(data)
+
+
+def test_a_trigger_of_the_camera(data, load):
+    assert load(data).camera.trigger is None
+    data["camera"]["trigger_phase"] = 0.25
+    assert load(data).camera.trigger == CameraTrigger(0.25, 0.002)
+    data["camera"]["trigger_pulse_s"] = 0.0
+    with pytest.raises(RigError, match=r"trigger_pulse_s is 0\.0, allowed: a number from 0\.001"):
         load(data)
 
 

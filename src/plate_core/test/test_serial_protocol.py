@@ -32,6 +32,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Status,
     Stop,
     Telemetry,
+    Trigger,
     frame,
     newer,
     pack,
@@ -57,16 +58,17 @@ KNOTS = (
 SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
 LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0, 0.003)
 SAID = [
-    Packet(1, Hello(3, 0x12345678)),
+    Packet(1, Hello(4, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
     Packet(3, Enable(0xCAFE)),
     Packet(4, Stop(0)),
     Packet(5, Stop(1)),
     Packet(6, Home()),
+    Packet(7, Trigger(0x4000, 2)),
     Packet(256, Begin(7, 3, table_crc(KNOTS))),
     Packet(257, Knots(7, 0, KNOTS)),
     Packet(258, Commit(7, 5)),
-    Packet(1, Capabilities(3, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
+    Packet(1, Capabilities(4, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
     Packet(2, Acknowledgement(258, Status.DONE)),
     Packet(3, Acknowledgement(258, Status.JUMP)),
     Packet(4, Pulse(1_500_000_000, 2_000_000)),
@@ -123,6 +125,7 @@ messages = st.one_of(
     st.builds(Enable, u("H")),
     st.builds(Stop, st.integers(0, 1)),
     st.just(Home()),
+    st.builds(Trigger, u("H"), st.integers(0, 8)),
     st.builds(Begin, u("H"), u("H"), u("I")),
     st.builds(
         Knots,
@@ -243,9 +246,10 @@ def test_endless_frame_does_not_fill_memory():
     ("packet", "message"),
     [
         (b"\1", "packet has 1 bytes"),
-        (b"\x06\0\0", "packet type is 0x06, allowed: 0x1, "),
+        (b"\x07\0\0", "packet type is 0x07, allowed: 0x1, "),
         (b"\3\0\0\0", "Enable has 1 bytes, allowed: 2"),
         (b"\4\0\0\2", r"Stop.now is 2, which is no \(0, 1\)"),
+        (b"\6\0\0\0\0\x09", r"Trigger.pulse_ms is 9, which is no \(0, 1, .*, 8\)"),
         (b"\x82\0\0\0\0\x0c", "Acknowledgement.status is 12"),
         (b"\x11\0\0\0\0\0\0", "Knots has 4 bytes, allowed: 4 [+] 1 to 4 times 52"),
         (b"\x11\0\0" + bytes(4) + bytes(5 * 52), "Knots has 264 bytes"),

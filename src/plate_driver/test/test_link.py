@@ -26,6 +26,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Status,
     Stop,
     Telemetry,
+    Trigger,
 )
 from plate_driver.transports import Condition, Report
 from plate_driver.transports.line import ANSWER_S, frame_bytes
@@ -246,6 +247,18 @@ def test_stop_overtakes_everything():
     assert said(packets) == [Stop(1), Hello(VERSION, 5)]
 
 
+def test_the_trigger_follows_the_greeting_and_no_stop_forgets_it():
+    trigger = Trigger(100, 2)
+    link, first = Link.begun(5, 0.0, trigger=trigger).due(0.0)
+    assert said(first) == [Hello(VERSION, 5)]
+    link = link.heard(capabilities(), 0.0).heard(told(State.PLAYING), 0.0)
+    link, packets = link.uploading(1, KNOTS[:4], 1).stopping().due(0.01)
+    assert said(packets) == [Stop(0), trigger]
+    link, later = done(link, packets, 0.02).due(0.5)
+    assert said(later) == []
+    assert link.refusal == ""
+
+
 def test_a_stop_asked_for_twice_is_one_and_the_stronger_one_stays():
     link, first = met(State.PLAYING).stopping().due(0.01)
     link, again = link.stopping().due(0.011)
@@ -267,7 +280,7 @@ def test_home_is_a_command():
     [
         (
             capabilities(version=2),
-            gone(WRONG_DEVICE, "device speaks version 2 for 4 motors, allowed: version 3 for 4"),
+            gone(WRONG_DEVICE, "device speaks version 2 for 4 motors, allowed: version 4 for 4"),
         ),
         (capabilities(boot=2), gone(DEVICE_RESET, "device was reset")),
         (

@@ -46,6 +46,16 @@ def test_time_that_begins_anew():
     assert log.sent is None
 
 
+def test_an_image_of_a_trigger_line_belongs_to_the_last_pulse_before_its_stamp():
+    wave = np.sin(np.pi * np.arange(10) / 10) ** 4
+    moving = PlateCycle.from_samples(0.1, 1e-3 * wave[:, None] * [1, 0, 0])
+    log = CycleLog().started(SHORT, 0.9).started(moving, 1.0).started(moving, 1.1)
+    for stamp, taken in ((1.03, 1.03), (1.06, 1.03), (1.104, 1.03), (1.106, 1.13), (1.19, 1.13)):
+        assert log.triggered(stamp, 0.3) == pytest.approx(taken)
+    assert log.triggered(1.18, 0.0) == pytest.approx(1.2)  # its start is not reported yet
+    assert log.triggered(0.95, 0.3) == 0.95  # at rest it is all the same
+
+
 def test_pieces_cover_the_time_asked_for():
     log = CycleLog().hear(SHORT, 0.0).advance(0.1).hear(LONG, 0.1).advance(0.2)
     pieces = list(log.between(0.05, 0.35))

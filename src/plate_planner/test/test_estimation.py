@@ -1,10 +1,13 @@
 """The filter against parts that are moved by another method: explicit steps, 12 times finer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from plate_core import Parts, PlateCycle, load_rig
 from plate_core.kernels import kernel
+from plate_core.rig import CameraTrigger
 from plate_planner.estimation.cycle_log import CycleLog
 from plate_planner.estimation.estimator import COAST, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
@@ -294,6 +297,27 @@ def test_images_of_any_time_tell_places_and_latency(rate, latency):
     assert estimator.latency.latency == pytest.approx(latency, abs=1.5e-3)
     assert np.median(errors[20:]) < 0.1e-3
     assert estimator.frames.rate == pytest.approx(rate, rel=0.01)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.45])
+@pytest.mark.parametrize("latency", [0.0, 0.06])
+def test_images_of_a_trigger_line_need_no_search_for_their_latency(phase, latency):
+    """Stamps are late by any time, and scatter; the line tells when images were taken."""
+    rig = replace(RIG, camera=replace(RIG.camera, trigger=CameraTrigger(phase)))
+    world, rng = World(4, 1.1), np.random.default_rng(0)
+    estimator, cycle, errors = Estimator.of(rig, T, None), PlateCycle.rest(T), []
+    for k in range(20):
+        estimator = estimator.started(cycle, k * T)
+        if k:
+            errors.append(np.abs(estimator.parts.position - world.place).max())
+        world.run(cycle)
+        taken = (k + phase) * T
+        seen = world.seen((k + 1) * T - taken - rig.camera.exposure_s / 2)
+        estimator = estimator.update(seen, taken + latency + 3e-3 * rng.standard_normal())
+        cycle = shaken(world.rng)
+    assert max(errors[1:]) < 0.2e-3
+    assert np.median(errors[5:]) < 0.05e-3
+    assert estimator.latency.latency == 0.0
 
 
 def test_a_camera_that_gets_slower_is_followed():

@@ -11,6 +11,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -146,7 +147,8 @@ class Tally:
 class SimulatorNode(SafeLifecycleNode[Options]):
     """Lifecycle node `simulator`: plays motor tables, moves the parts, takes the camera's images.
 
-    Subscribes motor_setpoints (or, driven by the device, motor_motion).
+    Subscribes motor_setpoints (or, driven by the device, motor_motion and, where the rig has the
+    motor controller trigger the camera, camera_trigger).
     Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, unless in real
     time, /clock.
     Service ~/reset: put the parts down anew.
@@ -158,7 +160,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     the stamp t_k. Then image k is taken, stamp t_k, and the parts are moved to t_k+1; with
     `image_rate` above 0 images are taken at any time instead. Driven by the device it is the
     device's clock that counts, and the driver tells what has started: the parts follow each stretch
-    of `motor_motion` when it has been played, and an image is taken at its end.
+    of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
+    controller triggers the camera, at each pulse.
     In real time the next cycle begins on schedule; in lockstep as soon as a
     table with the stamp of image k has come, or at once if image k is missed: there will be none.
     While the node is not active plate, parts and simulated time stand still.
@@ -190,6 +193,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 f"image_rate is {options.image_rate:g} with lockstep, allowed: 0, an image at the "
                 "start of each cycle"
             )
+        self._by_line = self._driven and self._rig.camera.trigger is not None
         self._next_ns = START_NS  # when the next cycle begins
         self._compile()
         self._connect()
@@ -207,6 +211,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if not self._simulated_time:
             self._next_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
         self._time_ns = self._moved_ns = self._next_ns
+        self._pulse_ns = 0  # of the camera's line, that has no image yet
         self._due_ns = time.monotonic_ns()  # the same on the wall
         self._aim(self._next_ns)
         if not self._driven:
@@ -239,6 +244,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._clocks = self.managed_publisher(ClockMsg, "/clock", DATA)
         if self._driven:
             self.managed_subscription(JointTrajectory, "motor_motion", self._on_motion, DATA)
+            if self._by_line:
+                self.managed_subscription(Header, "camera_trigger", self._on_pulse, DATA)
         else:
             self.managed_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
         self.managed_service(Trigger, "~/reset", self._on_reset)
@@ -393,10 +400,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._count["cycles"] += 1
         if self._shot is None:
             self._simulation.run(motion)
-            if end_ns - self._time_ns >= SHORTEST_NS:
-                self._time_ns = end_ns
-                self._count["missed images"] += not self._take_image(end_ns)
-                self._publish_truth()
+            self._moved_ns = end_ns
+            if not self._by_line or abs(end_ns - self._pulse_ns) <= GAP_NS:
+                self._expose(end_ns)
             return
         if abs(begin_ns - self._next_ns) > GAP_NS:
             self._aim(begin_ns)
@@ -406,6 +412,19 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._move(motion, self._delivered_ns)
             self._shoot()
         self._move(motion, end_ns)
+
+    def _on_pulse(self, msg: Header) -> None:
+        """Take an image now, or when the motion up to the pulse has come."""
+        self._pulse_ns = nanoseconds(msg.stamp)
+        if abs(self._moved_ns - self._pulse_ns) <= GAP_NS:
+            self._expose(self._pulse_ns)
+
+    def _expose(self, now_ns: int) -> None:
+        """Take an image of a plate that the device drives, unless the last one was just before."""
+        if now_ns - self._time_ns >= SHORTEST_NS:
+            self._time_ns = now_ns
+            self._count["missed images"] += not self._take_image(now_ns)
+            self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Put the parts on the plate anew, as the next seed will have it."""

@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
-from plate_core import PlateCycle, PlateError, load_rig
+from plate_core import PlateCycle, PlateError, config_path, load_rig
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -17,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -322,3 +324,30 @@ def test_driven_by_the_device_the_parts_follow_what_was_played():
         assert np.max(np.abs(second - first)) > 1e-5
         assert loop.simulator._count["refused tables"] == 1
         assert loop.simulator._count["cycles"] == 3
+
+
+def test_driven_by_the_device_its_pulses_trigger_the_camera(tmp_path):
+    rig = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
+    rig["camera"]["trigger_phase"] = 0.4
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(rig, sort_keys=False), encoding="utf-8")
+    with Loop(scenario="sort_4", driven_by="device", rig_file=str(file), seed=2) as loop:
+        motions = loop.ear.create_publisher(JointTrajectory, "motor_motion", DATA)
+        pulses = loop.ear.create_publisher(Header, "camera_trigger", DATA)
+        ends = (motions, pulses, loop.simulator._truths, loop.simulator._images)
+        assert loop.spin(lambda: all(end.get_subscription_count() == 1 for end in ends))
+        start = loop.simulator._time_ns + 1_000_000_000
+        end = start + 50_000_000
+
+        def pulse(at: int) -> None:
+            pulses.publish(Header(stamp=to_time(at)))
+
+        motions.publish(motors_to_msg(RIG, push(), to_time(start)))
+        assert loop.spin(lambda: loop.simulator._count["cycles"] == 1)
+        pulse(end)
+        assert loop.spin(lambda: len(loop.images) == 1)
+        pulse(end + 50_000_000)  # before the motion up to it
+        loop.spin(lambda: False, 0.2)
+        motions.publish(motors_to_msg(RIG, push(), to_time(end)))
+        assert loop.spin(lambda: len(loop.images) == 2)
+        assert loop.stamps == [end, end + 50_000_000]

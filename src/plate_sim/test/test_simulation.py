@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
-from plate_core.rig import Suspension, row_delay, to_image
+from plate_core.rig import CameraTrigger, Suspension, row_delay, to_image
 from plate_core.tasks import load_scenario
 from plate_sim import Camera, Disturbances, PlateMotion, Simulation, part_greys, simulate
 from plate_sim.camera import PLATE
@@ -251,3 +251,9 @@ def test_images_come_at_their_rate_in_the_order_of_their_stamps():
     assert np.all(np.diff(stamp) > 0)
     assert np.mean(stamp - middle) == pytest.approx(0.03, abs=5e-4)
     assert np.std(stamp - middle) == pytest.approx(0.005, rel=0.1)
+
+
+def test_a_camera_that_is_triggered_does_not_run_free():
+    rig = replace(RIG, camera=replace(RIG.camera, trigger=CameraTrigger(0.5)))
+    with pytest.raises(PlateError, match="image_rate is 30 with a trigger_phase, allowed: 0"):
+        Simulation(rig, SORT_4, 1, Disturbances(image_rate=30.0))

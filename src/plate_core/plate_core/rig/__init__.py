@@ -24,6 +24,7 @@ from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .rig import (
     SECTIONS,
     Camera,
+    CameraTrigger,
     Friction,
     Limits,
     Motor,
@@ -44,6 +45,7 @@ __all__ = [
     "PEAK_OVER_RMS",
     "SECTIONS",
     "Camera",
+    "CameraTrigger",
     "Doubt",
     "Fiducials",
     "Friction",

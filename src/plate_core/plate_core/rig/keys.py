@@ -38,6 +38,14 @@ CAMERA = Section(
             "than the first; 0 with a global one.", 0.0,
         ),
         Key(
+            "trigger_phase", Number(0, 0.999), "The motor controller triggers the camera at this "
+            "fraction of each cycle.", None, "the camera runs free",
+        ),
+        Key(
+            "trigger_pulse_s", Number(0.001, 0.008), "Length of the trigger's pulse, in whole ms.",
+            0.002,
+        ),
+        Key(
             "corners_px", Numbers((4, 2), -16384, 32768), "Images of the plate's corners at rest, "
             "as seen: (-x,-y), (+x,-y), (+x,+y), (-x,+y).",
         ),

@@ -138,10 +138,20 @@ class Motor:
 
 
 @dataclass(frozen=True)
+class CameraTrigger:
+    """The line by which the motor controller triggers the camera: at which fraction of each cycle,
+    and for how long it is high [s]."""
+
+    phase: float
+    pulse_s: float = 0.002
+
+
+@dataclass(frozen=True)
 class Camera:
     """The camera: image size [px], exposure [s], image points of the plate's corners at rest
     (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated; and
-    by how much its last row is exposed later than its first [s]."""
+    by how much its last row is exposed later than its first [s]; and what triggers it, if that is
+    the motor controller."""
 
     width_px: int
     height_px: int
@@ -149,6 +159,7 @@ class Camera:
     corners_px: tuple[tuple[float, float], ...]
     lens: Lens | None = None
     readout_s: float = 0.0
+    trigger: CameraTrigger | None = None
 
 
 @dataclass(frozen=True)
@@ -320,9 +331,17 @@ def _camera(fields: Fields) -> Camera:
         readout_s=fields.value(keys.CAMERA["readout_s"]),
         corners_px=tuple((float(a), float(b)) for a, b in corners),
         lens=_lens(fields, width, height),
+        trigger=_trigger(fields),
     )
     fields.finish()
     return camera
+
+
+def _trigger(fields: Fields) -> CameraTrigger | None:
+    if not any(fields.has(key) for key in ("trigger_phase", "trigger_pulse_s")):
+        return None
+    phase = fields.value(required(keys.CAMERA["trigger_phase"]))
+    return CameraTrigger(phase, fields.value(keys.CAMERA["trigger_pulse_s"]))
 
 
 def _lens(fields: Fields, width: int, height: int) -> Lens | None:

@@ -12,13 +12,16 @@ from typing import Any
 
 from ..errors import FrameError
 
-VERSION = 3
+VERSION = 4
 MOTORS = 4
 TICK_S = 1e-8
 """Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
 
 KNOTS_PER_MESSAGE = 4
 """As many as fit into a packet."""
+
+LONGEST_PULSE_MS = 8
+"""Of the camera's trigger line: less than the shortest table, so that it falls between two."""
 
 HEADER = struct.Struct("<BH")
 
@@ -117,6 +120,15 @@ class Home:
 
 
 @dataclass(frozen=True)
+class Trigger:
+    """Host: give the camera a pulse at this phase of a table [1/65536 of its period], so long [ms];
+    0: none."""
+
+    phase: int = field(metadata=_wire("H"))
+    pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(LONGEST_PULSE_MS + 1))))
+
+
+@dataclass(frozen=True)
 class Begin:
     """Host: a table comes for the second buffer; its knots and their CRC-32."""
 
@@ -198,7 +210,7 @@ class Telemetry:
 
 
 Message = (
-    Hello | Heartbeat | Enable | Stop | Home | Begin | Knots | Commit
+    Hello | Heartbeat | Enable | Stop | Home | Trigger | Begin | Knots | Commit
     | Capabilities | Acknowledgement | Pulse | Telemetry
 )  # fmt: skip
 
@@ -208,6 +220,7 @@ TYPES: dict[int, type] = {
     0x03: Enable,
     0x04: Stop,
     0x05: Home,
+    0x06: Trigger,
     0x10: Begin,
     0x11: Knots,
     0x12: Commit,

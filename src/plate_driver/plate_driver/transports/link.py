@@ -26,6 +26,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
+    Trigger,
     table_crc,
 )
 
@@ -176,12 +177,16 @@ class Link:
     retries: int = 0
 
     @classmethod
-    def begun(cls, session: int, now: float, baud: float = float("inf")) -> Link:
-        """Return a link that is about to say hello, over a line of so many bits a second."""
+    def begun(
+        cls, session: int, now: float, baud: float = float("inf"), trigger: Trigger | None = None
+    ) -> Link:
+        """Return a link that is about to say hello, over a line of so many bits a second, and then
+        when the camera is to be triggered."""
         # Numbers begin elsewhere in each session, so that no answer to an older one fits.
         number = session * SCATTER % 2**16
         link = cls(session, now, LineModel(baud), sequence=number)
-        return link._asked(Hello(VERSION, session))
+        link = link._asked(Hello(VERSION, session))
+        return link if trigger is None else link._asked(trigger)
 
     @property
     def busy(self) -> bool:
@@ -217,10 +222,10 @@ class Link:
     def stopping(self, now: bool = False) -> Link:
         """Return the link that wants the plate to brake, or to lose its current `now`.
 
-        Whatever else was to be said is forgotten, an Enable above all. A stop that is on its way
-        already is sent again at once; a stronger one is not replaced by a weaker.
+        Whatever else was to be said is forgotten but the greeting, an Enable above all. A stop that
+        is on its way already is sent again at once; a stronger one is not replaced by a weaker.
         """
-        greeting = tuple(p for p in self.queue if isinstance(p.message, Hello))
+        greeting = tuple(p for p in self.queue if isinstance(p.message, Hello | Trigger))
         stops = [p for p in self.queue if isinstance(p.message, Stop)]
         bare = replace(self, queue=greeting, next_table=())
         if stops and isinstance(stops[0].message, Stop) and stops[0].message.now >= int(now):

@@ -12,7 +12,7 @@ import serial
 
 from plate_core import CycleError, FrameError, PlateError
 from plate_core.driver_status import DriverReason
-from plate_core.rig import Limits
+from plate_core.rig import CameraTrigger, Limits
 from plate_core.serial_protocol import (
     TICK_S,
     Capabilities,
@@ -25,6 +25,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
+    Trigger,
     frame,
     pack,
     parse,
@@ -147,8 +148,15 @@ def make_serial(context: TransportContext) -> SerialTransport:
     check_line(baud, float(values["longest_upload_s"]))
     return SerialTransport(
         lambda: open_port(port, baud), context.clock, context.seed, bool(values["streams"]), baud,
-        context.rig.limits,
+        context.rig.limits, trigger_message(context.rig.camera.trigger),
     )  # fmt: skip
+
+
+def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
+    """Return what the device is told of the camera's trigger; None: nothing."""
+    if trigger is None:
+        return None
+    return Trigger(int(trigger.phase * 2**16), round(trigger.pulse_s * 1e3))
 
 
 class SerialTransport:
@@ -171,6 +179,8 @@ class SerialTransport:
         Of the line [bit/s].
     limits : Limits, optional
         Of the rig: a device that keeps other ones is not enabled.
+    trigger : Trigger, optional
+        When the device is to trigger the camera; missing: never.
     """
 
     motors = True
@@ -183,8 +193,9 @@ class SerialTransport:
         streams: bool = False,
         baud: float = BAUD,
         limits: Limits | None = None,
+        trigger: Trigger | None = None,
     ) -> None:
-        self._limits = limits
+        self._limits, self._trigger = limits, trigger
         self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # and not enabled since
@@ -197,7 +208,7 @@ class SerialTransport:
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
         self._reader = Reader()
-        self._link = Link.begun(self._session, clock(), baud)
+        self._link = Link.begun(self._session, clock(), baud, trigger)
         self._stops: list[Order] = []
         self._request: Order | None = None  # an enable or a home
         self._cut = False
@@ -534,7 +545,7 @@ class SerialTransport:
     def _connect(self, port: Port) -> None:
         self._port, self._reader = port, Reader()
         self._session = (self._session + 1) % 2**32
-        self._link = Link.begun(self._session, self._clock(), self._baud)
+        self._link = Link.begun(self._session, self._clock(), self._baud, self._trigger)
         if self._stops:  # they are still wanted
             self._link = self._link.stopping(self._cut)
 

@@ -111,6 +111,20 @@ class CycleLog:
         kept = tuple(run for run in log.runs if run[0] + run[1].period > t - MEMORY_S)
         return replace(log, runs=kept)
 
+    def triggered(self, t: float, phase: float) -> float:
+        """Return when an image of stamp t [s] was taken [s], by a camera that is triggered at a
+        phase of each cycle.
+
+        Its stamp may be `SNAP` of a cycle early, and late by less than the rest of a cycle. Where
+        the plate rests the stamp is believed.
+        """
+        ahead = (self.end, self.runs[-1][1])  # the cycle that follows may not be reported yet
+        for begin, cycle in (ahead, *reversed(self.runs)):
+            taken = begin + phase * cycle.period
+            if taken <= t + SNAP * cycle.period:
+                return taken if cycle.knot_pose.any() else t
+        return t
+
     def _begin(self, t: float, same: PlateCycle | None) -> CycleLog:
         if self.sent is not None and self.sent[0] + HANDOVER_S <= t:
             return replace(self, runs=(*self.runs, (t, self.sent[1])), sent=None)

@@ -29,6 +29,9 @@ SAME_START = 0.5
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
 
+FEWER = 0.02
+"""By this fraction a rate of images may seem less than that of the cycles, and be the same."""
+
 ODD, ODD_IMAGES = 0.25, 20
 """So many images in a row that are this fraction of a cycle off a whole number of cycles apart are
 not of a camera that is triggered at the starts of cycles."""
@@ -267,7 +270,10 @@ class Estimator:
 
     def started(self, cycle: PlateCycle, begin: float) -> Estimator:
         """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
-        return replace(self, log=self.log.started(cycle, begin))
+        latency = self.latency
+        if self.rig.camera.trigger is not None and not self.log.reported:
+            latency = LatencyHypotheses.of(0.0)  # from now on it is known when images are taken
+        return replace(self, log=self.log.started(cycle, begin), latency=latency)
 
     def update(self, parts: Parts, t: float) -> Estimator:
         """Take in one image: its parts and its stamp [s]."""
@@ -280,6 +286,10 @@ class Estimator:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
         taken, unsure = (frames.instant, frames.deviation) if log.reported else (t, 0.0)
+        camera = self.rig.camera
+        if log.reported and camera.trigger is not None:
+            shown = camera.exposure_s + camera.readout_s
+            taken, unsure = log.triggered(t, camera.trigger.phase) + shown / 2, 0.0
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
         latency = hypotheses.update(log, parts, taken, unsure, delay, self.friction_accel, COAST)
@@ -302,7 +312,7 @@ class Estimator:
         if not self.log.known:
             return ""
         rate, cycles = self.image_rate, 1 / self.period
-        if self.log.reported and 0 < rate < cycles:
+        if self.log.reported and 0 < rate < (1 - FEWER) * cycles:
             return f"{rate:.3g} images a second, allowed: {cycles:.3g} or more, one in each cycle"
         if not self.log.reported and self.odd >= ODD_IMAGES:
             return (

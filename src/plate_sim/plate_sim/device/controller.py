@@ -31,6 +31,7 @@ from plate_core.serial_protocol import (
     Status,
     Stop,
     Telemetry,
+    Trigger,
     frame,
     newer,
     pack,
@@ -41,6 +42,7 @@ from .limits import BRAKE_ROOM, SLACK, DeviceLimits
 from .motion import BRAKE_TICKS, REST, ZERO, Motion
 from .piece import PIECE_WORK
 from .table import MAX_KNOTS, REST_M, REST_SPEED, PendingTable, Stream, changed
+from .trigger import TriggerLine
 
 WINDOW = 8
 """Messages of knots that may be on their way."""
@@ -132,6 +134,8 @@ class Device:
         Of the board, now.
     load : float
         Longest tick since the last telemetry, over its period, as the board tells; 0: unknown.
+    trigger : TriggerLine
+        The camera's.
     sent : int
         Messages so far.
     """
@@ -159,6 +163,7 @@ class Device:
     following_m: np.float32 = field(default_factory=np.float32)
     board: Fault = Fault.NONE
     load: float = 0.0
+    trigger: TriggerLine = field(default_factory=TriggerLine)
     sent: int = 0
 
     @classmethod
@@ -222,7 +227,7 @@ class Device:
         pending = device.pending if motion.playing is device.motion.playing else None  # taken over
         device = changed(
             device, motion=motion, heat=heat, heat_remainder=remainder, pending=pending,
-            follows=at is not None,
+            follows=at is not None, trigger=device._triggered(motion),
         )  # fmt: skip
         silent_us = now_us - device.telemetry_us  # a slow line carries less of it, but never none
         if silent_us >= TELEMETRY_US and (line_idle or silent_us >= MOST_TELEMETRY_US):
@@ -305,6 +310,13 @@ class Device:
         heat = self.heat + more
         return heat, more - (heat - self.heat)
 
+    def _triggered(self, motion: Motion) -> TriggerLine:
+        """Return the camera's line after the motion of this tick."""
+        table = motion.playing if motion.state is State.PLAYING else None
+        if table is None or isinstance(table, Stream):
+            return self.trigger.stepped(self.now_us, 0, 0)
+        return self.trigger.stepped(self.now_us, motion.time, table.period_ticks)
+
     # What it sends
 
     def _sent(self, message: Message) -> tuple[Device, bytes]:
@@ -362,6 +374,10 @@ class Device:
             device, sent = device._stopped(number, message.now)
         elif isinstance(message, Knots) or self.session is None:
             device, sent = device._sent(Acknowledgement(number, Status.NO_SESSION))
+        elif isinstance(message, Trigger):
+            line = changed(device.trigger, phase=message.phase, pulse_ms=message.pulse_ms)
+            answer = Acknowledgement(number, Status.DONE)
+            device, sent = changed(device, trigger=line)._sent(answer)
         elif isinstance(message, Heartbeat):
             device, sent = device._sent(Pulse(message.host_ns, device.now_us))
         else:
@@ -379,6 +395,7 @@ class Device:
             device = changed(
                 self, motion=changed(motion, waiting=None), pending=None, committing=None,
                 session=hello.session, answered=number, answer=Status.DONE, last_stop=None,
+                trigger=TriggerLine(),
             )  # fmt: skip
         return device._sent(device._capabilities(hello.session))
 

@@ -71,6 +71,8 @@ class Emulator:
         self._disconnected_until = self._booting_until = self._brown_out_until = 0.0
         self._search_us = round(homing_s * 1e6)
         self._jammed = False
+        self.triggered = False
+        """Whether the camera's line has risen in the last tick."""
 
     @property
     def now(self) -> float:
@@ -124,11 +126,12 @@ class Emulator:
             found = motion.searches and now_us - motion.enabled_us >= self._search_us
             idle = self.to_host.idle(now)
             self.device, sent, at = device.ticked(now_us, self._measured, came, faults, found, idle)
+        self.triggered = self.device.trigger.high and not device.trigger.high
         if self.connected:
             self.to_host.sent(sent, now)
         if self._commanded is not None:
             self._commanded(now, at)
-        segments = self._recorder.followed(now, self.device.motion, at)
+        segments = self._recorder.followed(now, self.device.motion, at, self.triggered)
         moved = self.plate[::2] if self._suspended is None else self._suspended.moved(self.plate)
         if not self._jammed:
             self._measured = moved.astype(np.float32)

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import load_rig
@@ -72,11 +74,13 @@ class DeviceNode(SafeLifecycleNode[Options]):
     """Lifecycle node `device`: a simulated motor controller on a serial port (pseudo-terminal), in
     real time.
 
-    Publishes motor_motion, diagnostics; speaks the serial protocol on the port `link`.
+    Publishes motor_motion, camera_trigger, diagnostics; speaks the serial protocol on the port
+    `link`.
 
     motor_motion is what the motors have done, segment by segment, stamped with its start: what the
-    simulated plate follows. The port is there once the node is configured; while it is not active
-    the device has no power, and afterwards it begins anew.
+    simulated plate follows. camera_trigger is stamped with the instant of each pulse for the
+    camera: a segment ends there, and is published before. The port is there once the node is
+    configured; while it is not active the device has no power, and afterwards it begins anew.
     """
 
     def __init__(self) -> None:
@@ -94,6 +98,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self.keep(PseudoTerminal.unplug, self._terminal)
         self._terminal.plug()
         self._motions = self.managed_publisher(JointTrajectory, "motor_motion", DATA)
+        self._pulses = self.managed_publisher(Header, "camera_trigger", DATA)
         self.managed_timer(SERVE_PERIOD_S, self._serve)
         self.get_logger().info(f"serial port: {options.link}")
 
@@ -129,13 +134,19 @@ class DeviceNode(SafeLifecycleNode[Options]):
         for _ in range(due // TICK_US):
             for segment in emulator.tick():
                 self._publish(segment)
+            if emulator.triggered:
+                self._pulses.publish(Header(stamp=self._stamp(emulator.now)))
         self._terminal.write(emulator.to_host.arrived(emulator.now))
 
     def _publish(self, segment: Segment) -> None:
         joints = [motor.name for motor in self._rig.motors]
-        stamp = to_time(self._begin_ns + round(segment.start * 1e9))
         q, qd, qdd = segment.motors.transpose(1, 0, 2)
+        stamp = self._stamp(segment.start)
         self._motions.publish(trajectory_to_msg(joints, segment.times, q, qd, qdd, stamp))
+
+    def _stamp(self, time_s: float) -> Time:
+        """Return the stamp of a time of the device's clock [s]."""
+        return to_time(self._begin_ns + round(time_s * 1e9))
 
     def _find(self, _: float) -> Finding:
         motion = self._emulator.device.motion

@@ -61,7 +61,8 @@ class Segment:
 class Recorder:
     """Follows a device tick by tick.
 
-    A segment ends where a table begins or begins again; while none plays, after `SEGMENT_S`.
+    A segment ends where a table begins or begins again; while none plays, after `SEGMENT_S`; and
+    where the camera is triggered.
     Without current the flexures bring the plate home.
     """
 
@@ -84,8 +85,11 @@ class Recorder:
         place, speed = (place + push * dt) * fade, (speed - COAST_RATE * push * dt) * fade
         return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
 
-    def followed(self, now: float, motion: Motion, at: np.ndarray | None) -> list[Segment]:
-        """Return the segments that have ended by `now` [s], when `at` was commanded."""
+    def followed(
+        self, now: float, motion: Motion, at: np.ndarray | None, triggered: bool = False
+    ) -> list[Segment]:
+        """Return the segments that have ended by `now` [s], when `at` was commanded and, maybe, the
+        camera triggered."""
         done = []
         table = motion.playing if motion.state is State.PLAYING else None
         if isinstance(table, Stream):
@@ -99,7 +103,7 @@ class Recorder:
         self._play = play
         state = self.coasted(now - self._ticks[-1][0]) if at is None else at.astype(float)
         self._ticks.append((now, state))
-        if self._whole is None and now - self._start >= SEGMENT_S:
+        if triggered or (self._whole is None and now - self._start >= SEGMENT_S):
             done += self._cut(now, None)
         return done
 

@@ -85,6 +85,11 @@ class Simulation:
             low, high = WORLD_RANGES[name]
             if not low <= value <= high:
                 raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
+        if disturbances.image_rate > 0 and rig.camera.trigger is not None:
+            raise PlateError(
+                f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
+                "as the rig file has the motor controller trigger the camera"
+            )
         layout, self._pixel_rng, field, self._image_rng, self._part_rng, self._stamp_rng = (
             np.random.default_rng(seed).spawn(6)
         )
@@ -160,7 +165,8 @@ class Simulation:
         """How much of the past an image may show [s]."""
         camera = self._rig.camera
         shown = camera.exposure_s + camera.readout_s
-        needed = self.disturbances.image_rate > 0 or camera.readout_s > 0
+        anytime = self.disturbances.image_rate > 0 or camera.trigger is not None
+        needed = anytime or camera.readout_s > 0
         return self.disturbances.latency + (shown if needed else 0.0)
 
     def _view(
