@@ -35,6 +35,7 @@ RIG = yaml.safe_load((ROOT / "config/rig.yaml").read_text("utf-8")) | {
         "motor_bandwidth_hz": 200,
     },
 }
+RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
 TASKS = {
     "sort": {

@@ -194,6 +194,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 "start of each cycle"
             )
         self._by_line = self._driven and self._rig.camera.trigger is not None
+        if self._by_line and options.latency > 0:
+            raise PlateError(
+                f"latency is {options.latency:g} with a trigger_phase, allowed: 0, images at once"
+            )
         self._next_ns = START_NS  # when the next cycle begins
         self._compile()
         self._connect()

@@ -326,12 +326,28 @@ def test_driven_by_the_device_the_parts_follow_what_was_played():
         assert loop.simulator._count["cycles"] == 3
 
 
-def test_driven_by_the_device_its_pulses_trigger_the_camera(tmp_path):
+@pytest.fixture(name="triggered")
+def _triggered(tmp_path):
+    """A rig file with a trigger of the camera."""
     rig = yaml.safe_load(config_path("rig.yaml").read_text(encoding="utf-8"))
     rig["camera"]["trigger_phase"] = 0.4
     file = tmp_path / "rig.yaml"
     file.write_text(yaml.safe_dump(rig, sort_keys=False), encoding="utf-8")
-    with Loop(scenario="sort_4", driven_by="device", rig_file=str(file), seed=2) as loop:
+    return str(file)
+
+
+def test_images_of_a_triggered_camera_are_not_late(triggered):
+    words = ["driven_by:=device", f"rig_file:={triggered}", "latency:=0.02"]
+    rclpy.init(args=["--ros-args", *(part for word in words for part in ("-p", word))])
+    node = SimulatorNode()
+    with pytest.raises(PlateError, match=r"latency is 0\.02 with a trigger_phase, allowed: 0"):
+        start_nodes(node)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_driven_by_the_device_its_pulses_trigger_the_camera(triggered):
+    with Loop(scenario="sort_4", driven_by="device", rig_file=triggered, seed=2) as loop:
         motions = loop.ear.create_publisher(JointTrajectory, "motor_motion", DATA)
         pulses = loop.ear.create_publisher(Header, "camera_trigger", DATA)
         ends = (motions, pulses, loop.simulator._truths, loop.simulator._images)
