@@ -73,6 +73,7 @@ def marked(mark):
         ),
         (["--port", "/dev/null"], "port is '/dev/null' with transport sim, allowed with it: no"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
+        (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],
 )

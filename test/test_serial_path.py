@@ -748,6 +748,13 @@ def provoke_wrong_device(firmware, latch):
     return transport
 
 
+def test_an_enable_says_that_the_device_speaks_another_version(firmware, monkeypatch):
+    monkeypatch.setattr("plate_driver.transports.link.VERSION", 9)
+    transport = link(firmware)
+    pass_time(firmware, transport, 0.5)
+    assert "for 4 motors, allowed: version 9 for 4" in transport.enable().failure
+
+
 @provokes(DriverReason.DEFECT, DriverState.ERROR)
 def provoke_defect(firmware, latch):
     transport = enabled(firmware)

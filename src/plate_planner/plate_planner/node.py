@@ -67,6 +67,12 @@ fail."""
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
+SINGLE = ("driver_status", "cycle_started")
+"""Topics that only one node may publish."""
+
+UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
+"""What ROS calls a node of which it knows no more yet than a topic."""
+
 STATES = {
     Phase.IDLE: TaskStatus.IDLE,
     Phase.RUNNING: TaskStatus.RUNNING,
@@ -458,7 +464,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
             why = Failure(Reason.PARTS_MISSING, text)
         if why is not None:
-            self._end(why)
+            text = "; ".join(filter(None, (why.text, self._rivals())))
+            self._end(Failure(why.reason, text))
 
     def _end(self, why: Failure) -> None:
         """End the running task, if there is one."""
@@ -474,6 +481,17 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _publisher_count(self, topic: str) -> int:
         """How many publish a topic, by the name that it has for us."""
         return self.count_publishers(self.resolve_topic_name(topic))
+
+    def _rivals(self) -> str:
+        """Say that several nodes publish what only one may; empty if none do."""
+        topics = ["driver_status"] if self.options.camera_triggered else SINGLE
+        for topic in topics:
+            found = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
+            # By name: of a node that was killed and started again there are two for a while.
+            names = sorted({each.node_name for each in found} - {UNKNOWN_NAME})
+            if len(names) > 1:
+                return f"{len(names)} nodes publish {topic} ({', '.join(names)}), allowed: one"
+        return ""
 
     # Goals
 
@@ -522,6 +540,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return Failure(Reason.BUSY, text)
         problem = (
             self._inputs.compiling(now)
+            or self._rivals()
             or self._inputs.driver_problem(now)
             or self._inputs.parts_problem(now, self._publisher_count)
             or self._inputs.starts_problem(now)
@@ -612,6 +631,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         findings = self._inputs.findings(now, self._publisher_count)
         if self._refused:
             findings.append(Finding(Level.WARN, self._refused))
+        if rivals := self._rivals():
+            findings.append(Finding(Level.WARN, rivals))
         problem = self._estimator.image_problem
         if problem:
             way = "; set camera_triggered false" if self.options.camera_triggered else ""

@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 from plate_core import Parts, PlateCycle, PlateError, load_rig  # noqa: E402
 from plate_core.ros import (  # noqa: E402
     DATA,
+    LATCHED,
     cycle_to_msg,
     msg_to_wanted,
     nanoseconds,
@@ -231,6 +232,22 @@ def test_a_driver_that_is_not_ready_ends_the_task_at_once(graph, status):
     assert graph.result(handle)[1].reason == TaskStatus.DRIVER_STOPPED
     assert graph.report() == (DiagnosticStatus.ERROR, f"{aborted}; driver: {status.text}")
     assert graph.image(0.5, APART).parts.ids == ()
+
+
+def test_a_second_driver_is_told_of_and_no_task_begins(graph):
+    graph = graph(input_timeout_s=30.0)
+    graph.image(0.0, APART)
+    other = rclpy.create_node("other_driver")
+    other.create_publisher(DriverStatus, graph.drivers.topic_name, LATCHED)
+    try:
+        text = "2 nodes publish driver_status (other_driver, probe), allowed: one"
+        graph.until(lambda: graph.planner._rivals())
+        assert graph.refused() == (TaskStatus.NOT_READY, f"sort is not started: {text}")
+        assert text in graph.report()[1]
+    finally:
+        other.destroy_node()
+    graph.until(lambda: not graph.planner._rivals())
+    graph.begin(0.1)
 
 
 def test_an_error_of_the_driver_may_pass_but_not_stay(graph):

@@ -28,6 +28,12 @@ def test_values_out_of_range_are_refused(name):
             Disturbances(**{name: value})
 
 
+def test_a_camera_that_is_too_slow_is_refused():
+    Disturbances(image_rate=1.0)
+    with pytest.raises(PlateError, match=r"image_rate is 0\.5, allowed: 0, or 1 to 200"):
+        Disturbances(image_rate=0.5)
+
+
 def test_both_tilts_together_are_a_tilt_too():
     Disturbances(tilt_x=0.4)
     with pytest.raises(PlateError, match="tilt"):

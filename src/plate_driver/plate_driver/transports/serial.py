@@ -387,8 +387,10 @@ class SerialTransport:
         order = self._ordered(READY_S)
         if self._unfit:
             return order.settle(self._unfit.text)
-        if self.report().condition is Condition.GONE or telemetry is None:
-            return order.settle(UNANSWERED)
+        report = self.report()
+        if report.condition is Condition.GONE or telemetry is None:
+            wrong = report.reason is DriverReason.WRONG_DEVICE
+            return order.settle(report.text if wrong else UNANSWERED)
         if self._stops or self._link.fresh_telemetry is None:  # which stop would it clear?
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:

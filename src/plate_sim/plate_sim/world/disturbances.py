@@ -23,6 +23,9 @@ RANGES: dict[str, tuple[float, float]] = {
 }
 """Allowed values."""
 
+SLOWEST_RATE = 1.0
+"""Of a camera that runs free [1/s]: the next image of a slower one is taken for missing."""
+
 
 @dataclass(frozen=True)
 class Disturbances:
@@ -79,6 +82,9 @@ class Disturbances:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise PlateError(f"{name} is {value!r}, allowed: {low:g} to {high:g}")
+        if 0 < self.image_rate < SLOWEST_RATE:
+            allowed = f"0, or {SLOWEST_RATE:g} to {RANGES['image_rate'][1]:g}"
+            raise PlateError(f"image_rate is {self.image_rate:g}, allowed: {allowed}")
         if not isinstance(self.blur, bool):
             raise PlateError(f"blur is {self.blur!r}, allowed: true or false")
         self.ground  # the two tilts together, too  # noqa: B018
