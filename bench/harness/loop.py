@@ -46,7 +46,6 @@ from plate_planner import (
     PlannerOptions,
     PlannerState,
     Progress,
-    SortOptions,
 )
 from plate_planner.tasks import Assembler, Follower, Poser, Sorter
 from plate_sim.camera import NOISE
@@ -124,14 +123,14 @@ class Setup:
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
     """Return the setup with settings `key=value` of the command line.
 
-    Keys are fields of `Setup`, `Disturbances`, `SortOptions` and `FollowOptions`, and `EFFORT`.
+    Keys are fields of `Setup`, `Disturbances` and `FollowOptions`, and `EFFORT`.
 
     Raises
     ------
     PlateError
         If a key is unknown or a value does not fit.
     """
-    sort, follow, world = setup.planner.sort, setup.planner.follow, setup.disturbances
+    follow, world = setup.planner.follow, setup.disturbances
     for key, text in settings.items():
         try:
             if key == "method":
@@ -144,15 +143,13 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
                 world = replace(world, blur=_flag(key, text))
             elif key in {f.name for f in fields(Disturbances)}:
                 world = replace(world, **{key: float(text)})  # type: ignore[arg-type]
-            elif key in {f.name for f in fields(SortOptions)}:
-                sort = replace(sort, **{key: float(text)})
             elif key in {f.name for f in fields(FollowOptions)}:
                 follow = replace(follow, **{key: float(text)})
             else:
                 raise KeyError(key)
         except KeyError:
             known = ["method", *NUMBERS, *EFFORT]
-            kinds = (Disturbances, SortOptions, FollowOptions)
+            kinds = (Disturbances, FollowOptions)
             known += [f.name for kind in kinds for f in fields(kind)]
             names = ", ".join(dict.fromkeys(known))
             hint = did_you_mean(key, known)
@@ -161,7 +158,7 @@ def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
             raise
         except ValueError:
             raise PlateError(f"setting {key} is {text!r}, allowed: a number") from None
-    planner = replace(setup.planner, sort=sort, follow=follow)
+    planner = replace(setup.planner, follow=follow)
     return replace(setup, disturbances=world, planner=planner)
 
 

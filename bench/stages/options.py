@@ -25,7 +25,7 @@ from plate_solver import (
     RotationSolver,
     SinusoidSolver,
 )
-from plate_solver.sinusoids import FINE_STEP, limited_sinusoids
+from plate_solver.sinusoids import limited_sinusoids
 from stages.scenes import scatter
 
 SEED = 50_000
@@ -192,7 +192,7 @@ class Peer:
 
     def __init__(self, rig: Rig, parts: int, own: bool, restarts: int) -> None:
         number, period = HARMONICS[parts], period_of(parts)
-        self._family = limited_sinusoids(number, period, FINE_STEP, Limits.of(rig), 1.0)
+        self._family = limited_sinusoids(number, period, Limits.of(rig), 1.0)
         self._own, self._restarts = own, restarts
 
     def answer(self, goal: Goal) -> PlateCycle:

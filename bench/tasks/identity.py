@@ -12,7 +12,6 @@ from harness import Result, Table
 from harness.loop import Moment, Setup, run
 from plate_core import Parts, load_rig, part_class
 from plate_core.tasks import load_scenario
-from plate_planner import PlannerOptions, SortOptions
 from plate_sim import Disturbances, Simulation
 from plate_sim.world import NONE
 from plate_vision import Tracker, make_vision, observe
@@ -22,9 +21,6 @@ FRAMES, DIRTY_FRAMES = 10_000, 2_000
 
 FIRST_SEED = 20_000
 """Of the sorts that are looked at; others than any that were tuned on."""
-
-CARELESS = PlannerOptions(sort=SortOptions(dodge=0.0))
-"""Parts do not dodge each other, so that they pass nearby and collide."""
 
 WORLDS = {
     "clean": NONE,
@@ -89,7 +85,7 @@ def sorts(disturbances: Disturbances, frames: int, first_seed: int) -> Iterator[
     """Yield whole runs of `sort_10` until there are enough images."""
     seed = first_seed
     while frames > 0:
-        moments = list(run(Setup("sort_10", seed, disturbances=disturbances, planner=CARELESS)))
+        moments = list(run(Setup("sort_10", seed, disturbances=disturbances)))
         yield moments[:frames]
         frames -= len(moments)
         seed += 1
@@ -148,8 +144,7 @@ def identity_table(rows: list[dict[str, Any]]) -> Table:
             "renamed": "new ids of known parts", "ghosts": "ids of nothing",
         },
         rows,
-        "sort_10 in the closed loop, image noise on, parts of 8 mm radius that collide and do "
-        "not dodge. Near "
+        "sort_10 in the closed loop, image noise on, parts of 8 mm radius. Near "
         "passes: pairs of one class and images in which their centres are within 2.5 radii.",
     )  # fmt: skip
 

@@ -6,7 +6,7 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
-from .parts import Parts, Wanted, part_class
+from .parts import Parts, Targets, Wanted, part_class
 from .rig import Rig, load_rig
 from .yaml_fields import config_path
 
@@ -19,6 +19,7 @@ __all__ = [
     "Rig",
     "RigError",
     "ScenarioError",
+    "Targets",
     "Wanted",
     "config_path",
     "did_you_mean",

@@ -80,6 +80,29 @@ class Parts:
 
 
 @dataclass(frozen=True)
+class Targets:
+    """Where M parts are to come, by one cycle or by many.
+
+    Each cycle is to be the one that leaves least of the squared weighted ways to the targets.
+
+    Attributes
+    ----------
+    low, high : (M, 2)
+        Anywhere between, along x and y, is as good [m, plate_home].
+    weight : (M, 2)
+        What a metre of way counts, beside one by which a part is too near to an edge or to another
+        part [-]; 0: nothing is asked.
+    clear_m : float
+        Least distance of the centres of any two parts [m].
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    weight: np.ndarray
+    clear_m: float = 0.0
+
+
+@dataclass(frozen=True)
 class Wanted:
     """What is wanted of parts over the next cycle.
 
@@ -98,6 +121,9 @@ class Wanted:
     start : (M, 4) or None
         Where each part is when that cycle begins, and its velocity then [m, m/s]; None: not known,
         `parts` are as an image showed them, and the solver predicts it.
+    targets : Targets or None
+        Where the parts are to come: asked in place of the forces, which then say which way that
+        leads them. None: forces are asked.
     """
 
     parts: Parts
@@ -106,6 +132,7 @@ class Wanted:
     torque: np.ndarray
     period: float
     start: np.ndarray | None = None
+    targets: Targets | None = None
 
     @classmethod
     def make(
@@ -116,6 +143,7 @@ class Wanted:
         torque: np.ndarray | None = None,
         period: float = CYCLE_S,
         start: np.ndarray | None = None,
+        targets: Targets | None = None,
     ) -> Wanted:
         """Build it; what is missing is zero, but for the period.
 
@@ -132,6 +160,7 @@ class Wanted:
             _filled("torque", torque, single),
             period,
             None if start is None else _filled("start", start, (len(parts), 4)),
+            targets,
         )
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core import CycleError, Parts, PlateCycle, PlateError, Wanted, load_rig
+from plate_core import CycleError, Parts, PlateCycle, PlateError, Targets, Wanted, load_rig
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.rig import Lens, to_image
 
@@ -102,6 +102,37 @@ def test_forces_with_the_state_at_the_start():
     np.testing.assert_array_equal(back.start, state)
     np.testing.assert_array_equal(back.parts.position, state[:, :2])
     np.testing.assert_allclose(back.parts.velocity, sent.parts.velocity, atol=1e-12)
+
+
+def test_targets_there_and_back():
+    low, width, weight = np.random.default_rng(3).uniform(0, 0.2, (3, 3, 2))
+    sent = replace(wanted(), targets=Targets(low, low + width, weight, 0.02))
+    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP))).targets
+    for name in ("low", "high", "weight"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(sent.targets, name))
+    assert back.clear_m == 0.02
+    assert convert.msg_to_wanted(convert.wanted_to_msg(wanted(), STAMP)).targets is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("target_x_min", np.nan, "black_1 has target_x_min nan and .*, allowed: min not above max"),
+        ("target_y_max", -1.0, "black_1 has target_y_min .* -1, allowed: min not above max"),
+        ("weight_x", -1.0, "weight is -1, allowed: at least 0"),
+        ("weight_y", np.inf, "black_1 has a value of inf, allowed: up to 1e.09"),
+    ],
+)
+def test_wrong_targets(name, value, message):
+    targets = Targets(np.zeros((3, 2)), np.ones((3, 2)), np.ones((3, 2)))
+    msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
+    setattr(msg.forces[0], name, value)
+    with pytest.raises(PlateError, match=message):
+        convert.msg_to_wanted(msg)
+    msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
+    msg.clear_m = -1.0
+    with pytest.raises(PlateError, match="clear_m is -1, allowed: at least 0"):
+        convert.msg_to_wanted(msg)
 
 
 def test_driver_status_there_and_back():

@@ -6,17 +6,15 @@ Chapters: `estimation` (where the parts are), `tasks` (what is asked of them) an
 
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
 from .supervision import Phase, Progress, TaskState
-from .tasks import AssembleOptions, FollowOptions, SortOptions
+from .tasks import FollowOptions
 
 __all__ = [
     "NOTHING",
-    "AssembleOptions",
     "FollowOptions",
     "Phase",
     "Planner",
     "PlannerOptions",
     "PlannerState",
     "Progress",
-    "SortOptions",
     "TaskState",
 ]

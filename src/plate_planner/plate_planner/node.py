@@ -49,7 +49,7 @@ from plate_interfaces.msg import DriverStatus, PartForces, Parts, TaskProgress, 
 from .estimation import PERIOD_RANGE_S, SNAP, Estimator, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
 from .supervision import STOP, Failure, Inputs, Phase, Progress, Reason
-from .tasks import AssembleOptions, FollowOptions, SortOptions
+from .tasks import FollowOptions
 
 WATCH_PERIOD_S = 0.1
 """Time between looks whether a running task can go on [s]."""
@@ -130,27 +130,6 @@ class PlannerParameters(NodeOptions):
     image_age_s: float = parameter(
         -1.0, "How old an image is at its stamp [s]; negative: found out", -1.0, 0.5
     )
-    drift_max: float = parameter(
-        SortOptions.drift_max,
-        "Sorting and assembling: drift asked of a part [m/s]",
-        0.0005,
-        0.2,
-        live=True,
-    )
-    wander: float = parameter(
-        SortOptions.wander,
-        "Sorting: drift allowed where none is asked [drift_max]",
-        0.0,
-        5.0,
-        live=True,
-    )
-    dodge: float = parameter(
-        SortOptions.dodge,
-        "Sorting: drift apart of parts that meet [drift_max]",
-        0.0,
-        2.0,
-        live=True,
-    )
     kp: float = parameter(
         FollowOptions.kp,
         "Following: fraction of the error corrected a cycle [-]",
@@ -169,9 +148,7 @@ class PlannerParameters(NodeOptions):
     def planner(self) -> PlannerOptions:
         """Return the core's options."""
         return PlannerOptions(
-            sort=SortOptions(drift_max=self.drift_max, wander=self.wander, dodge=self.dodge),
             follow=FollowOptions(kp=self.kp, observer_gain=self.observer_gain),
-            assemble=AssembleOptions(drift_max=self.drift_max),
             default_period=self.default_period,
             answer_s=self.answer_s,
             start_timeout_s=self.start_timeout_s,

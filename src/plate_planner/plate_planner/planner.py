@@ -312,7 +312,7 @@ class Planner:
         drift = parts.velocity + force * period / self.rig.parts.mass_kg
         start = estimator.start_of(parts) if self.rules.estimated and torque is None else None
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
-        return state, Wanted.make(parts, force, tolerance, torque, period, start)
+        return state, Wanted.make(parts, force, tolerance, torque, period, start, request.targets)
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

@@ -34,10 +34,17 @@ for other motions than the last one's relatives."""
 EXACT_MISS = 0.02
 """The same where a part has no slack at all: such a request is meant exactly."""
 
+EDGE_RADII = 3.0
+"""On their ways to targets parts keep so far from the plate's edges [part radii]."""
+
+COAST_S = 0.03
+"""Where they end counts as if they kept their last velocity for so long [s]: parts that end in a
+swing the right way are further than they look."""
+
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
-    "sinusoids": {"iterations": 24, "restarts": 3},
+    "sinusoids": {"iterations": 24, "restarts": 10},
 }
 """Most iterations from one start and most further starts: what suits a loop. More take longer, and
 buy little: see docs/results.md."""
@@ -135,9 +142,12 @@ class Controller:
         solver = self._solvers[self.method]
         period = solver.steering_period(len(parts), int(np.count_nonzero(wanted.torque)))
         goal = self._goal(wanted, running, period)
-        asked = goal.size
+        asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
+        rest = PlateCycle.rest(period)
+        if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
+            return Answer(rest, None, "all are where they are to come: plate at rest", 0.0, 0.0)
         for fraction in FRACTIONS:
             part = goal.times(fraction)
             good = max(missable * fraction * asked, DRIFT_TOLERANCE * period)
@@ -147,7 +157,6 @@ class Controller:
                 break
             solver.forget()
         else:
-            rest = PlateCycle.rest(period)
             message = "a part would leave the plate: one cycle at rest"
             solution = replace(
                 solution,
@@ -159,6 +168,8 @@ class Controller:
                 fraction=0.0,
             )
             return Answer(rest, solution, message, asked, asked, 0.0)
+        if goal.lasting:
+            return Answer(solution.cycle, solution, solution.message, 0.0, 0.0, fraction)
         if fraction < 1:
             solution = replace(
                 solution,
@@ -196,11 +207,26 @@ class Controller:
             position, velocity = after(running, parts.position, start, friction)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
+        radius, half = self._rig.parts.radius_m, self._rig.plate.half
+        if wanted.targets is not None:
+            targets = wanted.targets
+            return Goal(
+                position=position,
+                velocity=velocity,
+                displacement=(targets.low + targets.high) / 2 - position,
+                tolerance=(targets.high - targets.low) / 2,
+                friction_accel=friction,
+                lasting=True,
+                weight=targets.weight,
+                edge=half - EDGE_RADII * radius,
+                clear=targets.clear_m,
+                coast=COAST_S,
+            )
         gain = wanted.period / self._rig.parts.mass_kg
         displacement = (parts.velocity + gain * wanted.force) * period
         tolerance = gain * wanted.tolerance * period
         # What leads off the plate is not asked for, so it does not keep the others waiting.
-        edge = self._rig.plate.half - self._rig.parts.radius_m
+        edge = half - radius
         low = np.clip(displacement - tolerance, -edge - position, edge - position)
         high = np.clip(displacement + tolerance, -edge - position, edge - position)
         return Goal(

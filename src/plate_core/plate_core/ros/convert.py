@@ -19,7 +19,7 @@ from plate_interfaces.msg import Parts as PartsMsg
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import MOST_PARTS, Parts, Wanted, part_class
+from ..parts import MOST_PARTS, Parts, Targets, Wanted, part_class
 from ..rig import Camera, Rig
 from .frames import CAMERA_FRAME, FRAME
 
@@ -35,6 +35,10 @@ START = ("x", "y", "angle", "vx", "vy", "drift_x", "drift_y", "drift_spin", "fri
 INTERVALS = (
     "force_x_min", "force_x_max", "force_y_min", "force_y_max", "torque_min", "torque_max",
 )  # fmt: skip
+"""Fields of PartForce."""
+
+TARGETS = ("target_x_min", "target_x_max", "target_y_min", "target_y_max")
+WEIGHTS = ("weight_x", "weight_y")
 """Fields of PartForce."""
 
 UNKNOWN = -1.0
@@ -145,15 +149,23 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
     if state is None:
         state = np.hstack([parts.position, np.zeros((len(parts), 2))])
     low, high = wanted.force - wanted.tolerance, wanted.force + wanted.tolerance
+    to = wanted.targets
+    if to is None:
+        sought = np.zeros((len(parts), 6))
+    else:
+        msg.to_targets, msg.clear_m = True, float(to.clear_m)
+        sought = np.column_stack(
+            [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], to.weight]
+        )
     turned = np.where(wanted.torque == 0, np.inf, 0.0)  # without: any turning will do
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
          low[:, 0], high[:, 0], low[:, 1], high[:, 1], wanted.torque - turned,
-         wanted.torque + turned]
+         wanted.torque + turned, sought]
     ).tolist()  # fmt: skip
     msg.forces = [
         PartForce(
-            **dict(zip((*START, *INTERVALS), row, strict=True)),
+            **dict(zip((*START, *INTERVALS, *TARGETS, *WEIGHTS), row, strict=True)),
             id=name, friction_limit_stddev=UNKNOWN,
         )
         for name, row in zip(parts.ids, rows, strict=True)
@@ -177,16 +189,7 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     if ids and not 0 < msg.period_s <= MOST:
         raise PlateError(f"part_forces: period_s is {msg.period_s:g}, allowed: above 0")
     rows = _checked("part_forces", ids, msg.forces, START)
-    ends = np.array([[getattr(f, key) for key in INTERVALS] for f in msg.forces], dtype=float)
-    ends = ends.reshape(-1, 6)
-    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # so where one is NaN
-    if np.any(wrong):
-        row, column = np.argwhere(wrong)[0]
-        low, high = ends[row, 2 * column : 2 * column + 2]
-        raise PlateError(
-            f"part_forces: {ids[row]} has {INTERVALS[2 * column]} {low:g} and "
-            f"{INTERVALS[2 * column + 1]} {high:g}, allowed: min not above max"
-        )
+    ends = _intervals(ids, msg.forces, INTERVALS)
     asked = np.all(np.isfinite(ends[:, 4:]), axis=1)
     low, high = np.clip(ends[:, 0::2], -MOST, MOST), np.clip(ends[:, 1::2], -MOST, MOST)
     middle, tolerance = (low + high) / 2, (high - low) / 2
@@ -198,7 +201,35 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
         np.where(asked, middle[:, 2], 0.0),
         float(msg.period_s),
         rows[:, [0, 1, 3, 4]] if msg.at_start else None,
+        _targets(ids, msg) if msg.to_targets else None,
     )
+
+
+def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
+    """Return where a message wants parts to come, if that is sane."""
+    ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MOST, MOST)
+    weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
+    for name, least in (("weight", weight.min(initial=0.0)), ("clear_m", msg.clear_m)):
+        if not 0 <= least <= MOST:
+            raise PlateError(f"part_forces: {name} is {least:g}, allowed: at least 0")
+    return Targets(ends[:, 0::2], ends[:, 1::2], weight, float(msg.clear_m))
+
+
+def _intervals(
+    ids: tuple[str, ...], forces: Sequence[PartForce], keys: tuple[str, ...]
+) -> np.ndarray:
+    """Return the ends of intervals, fields `keys` (M, n), if none ends before it begins."""
+    ends = np.array([[getattr(each, key) for key in keys] for each in forces], dtype=float)
+    ends = ends.reshape(-1, len(keys))
+    wrong = ~(ends[:, 0::2] <= ends[:, 1::2])  # so where one is NaN
+    if np.any(wrong):
+        row, column = np.argwhere(wrong)[0]
+        low, high = ends[row, 2 * column : 2 * column + 2]
+        raise PlateError(
+            f"part_forces: {ids[row]} has {keys[2 * column]} {low:g} and "
+            f"{keys[2 * column + 1]} {high:g}, allowed: min not above max"
+        )
+    return ends
 
 
 def _state(parts: Parts) -> list[list[float]]:

@@ -11,15 +11,14 @@ from typing import assert_never
 from plate_core import Rig
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
 
-from .assemble import AssembleOptions, Assembler
+from .assemble import Assembler
 from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .pose import PoseMemory, Poser
-from .sort import Sorter, SortOptions
+from .sort import Sorter
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 __all__ = [
     "SLOWED",
-    "AssembleOptions",
     "Assembler",
     "Assessment",
     "DriftRequest",
@@ -29,7 +28,6 @@ __all__ = [
     "PoseMemory",
     "Poser",
     "Situation",
-    "SortOptions",
     "Sorter",
     "TaskOptions",
     "TaskRules",
@@ -42,20 +40,18 @@ __all__ = [
 class TaskOptions:
     """What can be tuned of each task."""
 
-    sort: SortOptions = field(default_factory=SortOptions)
     follow: FollowOptions = field(default_factory=FollowOptions)
-    assemble: AssembleOptions = field(default_factory=AssembleOptions)
 
 
 def rules_for(task: Task, rig: Rig, options: TaskOptions) -> TaskRules:
     """Return the rules of a task."""
     match task:
         case SortTask():
-            return Sorter(task, rig, options.sort)
+            return Sorter(task, rig)
         case FollowTask():
             return Follower(task, rig, options.follow)
         case AssembleTask():
-            return Assembler(task, rig, options.assemble)
+            return Assembler(task, rig)
         case PoseTask():
             return Poser(task, rig)
     assert_never(task)

@@ -1,26 +1,19 @@
-"""Assemble: which drift to ask of each part so that a pattern of places is filled."""
+"""Assemble: where each part is to go so that a pattern of places is filled."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core import Parts, Rig
+from plate_core import Parts, Rig, Targets
 from plate_core.tasks import AssembleTask
 
-from .targets import OVER, approach_drift, assign, hold_back, pass_by, speed_scaling
+from .targets import CLEAR, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 BAND = 0.3
 """Where a part may stay: a square of this half side round its place [tolerance]."""
-
-
-@dataclass(frozen=True)
-class AssembleOptions:
-    """Drift asked of the part with the longest way; up to `OVER` times this is welcome [m/s]."""
-
-    drift_max: float = 0.024
 
 
 @dataclass(frozen=True)
@@ -29,7 +22,6 @@ class Assembler(TaskRules):
 
     task: AssembleTask
     rig: Rig
-    options: AssembleOptions = field(default_factory=AssembleOptions)
 
     @property
     def hold_s(self) -> float:
@@ -43,7 +35,7 @@ class Assembler(TaskRules):
         worst = float(np.max(error, initial=0.0))
         count = int(np.sum(error <= self.task.tolerance_m))
         return None, Assessment(
-            request=self.request(now.parts, now.period),
+            request=self.request(now.parts),
             goal_met=count == len(self.task.place),
             count=count,
             distance=np.nan_to_num(distance),
@@ -58,34 +50,13 @@ class Assembler(TaskRules):
         aim, placed = self._aim(parts)
         return np.where(placed, np.hypot(*(parts.position - aim).T), np.nan)
 
-    def request(self, parts: Parts, period: float) -> DriftRequest:
-        """Return the drift wanted of each part.
-
-        Parameters
-        ----------
-        parts : Parts
-            Parts as seen, M of them; one without a place is only kept clear of the edges.
-        period : float
-            Length of a cycle [s]: the request acts one cycle after `parts` was seen.
-
-        Returns
-        -------
-        DriftRequest
-            Intervals (M, 2) [m/s, plate_home].
-        """
-        drift_max = self.options.drift_max
+    def request(self, parts: Parts) -> DriftRequest:
+        """Return the place of each part, as seen (M); one without is only kept on the plate."""
         aim, placed = self._aim(parts)
-        position = parts.position + period * parts.velocity
-        speed = drift_max * speed_scaling(self.distance(parts))
-        wanted = approach_drift(
-            position, aim, BAND * self.task.tolerance_m, speed, OVER * drift_max
-        )
-        free = ~placed[:, None]
-        wanted = DriftRequest(
-            np.where(free, -drift_max, wanted.low), np.where(free, drift_max, wanted.high)
-        )
-        wanted = pass_by(position, wanted, self.rig.parts.radius_m)
-        return hold_back(position, aim, self.rig.plate.half, wanted)
+        band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
+        weight = np.where(rows, way_weight(aim - parts.position), 0.0)
+        targets = Targets(aim - band, aim + band, weight, CLEAR * self.rig.parts.radius_m)
+        return DriftRequest.towards(parts.position, targets)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Place (M, 2) [m] of each part, its own where it has none, and whether it has one (M,)."""

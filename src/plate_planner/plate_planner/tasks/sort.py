@@ -1,49 +1,34 @@
-"""Sort: which drift to ask of each part so that every class ends in its region.
+"""Sort: where each part is to go so that every class ends in its region.
 
-Only what the task needs is asked: a part on its way may be faster than asked, a part that has
-arrived may stay anywhere in its region, and what the region leaves open is free until an edge or
-another part is near. What is not asked leaves the solver freedom, and with many parts it has none
-to waste.
+Only what the task needs is asked: a part may be anywhere in its region, and what the region leaves
+open is free. What is not asked leaves the solver freedom, and with many parts it has none to waste.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
-from plate_core import Parts, Rig, ScenarioError, part_class
+from plate_core import Parts, Rig, ScenarioError, Targets, part_class
 from plate_core.tasks import Bin, Scenario, Side, SortTask
 
-from .targets import (
-    APPROACH,
-    OVER,
-    approach_drift,
-    assign,
-    edges_first,
-    hold_back,
-    nearness,
-    pass_by,
-    speed_scaling,
-    stay_within,
-)
+from .targets import CLEAR, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
-CLOSING = 0.5
-"""Speed of approach at which parts begin to dodge [drift_max]."""
+MARGIN, END = 0.03, 0.85
+"""How far beyond the goal line parts are to go, and how much of a side or corner holds parts
+[fraction of the half length and width]."""
 
-MARGIN, END = 0.06, 0.85
-"""How far beyond the goal line parts are asked to go, and from where they are asked back from the
-ends of the plate [fraction of half length]."""
+LANE, LANE_M, LANE_AT = 0.2, 0.1, 0.25
+"""What a metre beside its lane counts for a part with a way as long as the second [m] or longer;
+and where lanes begin [fraction of the half width]."""
 
-EDGE = (0.70, 0.85)
-"""Where the edges along y begin to push back, and do so fully [fraction of half width]."""
-
-DODGE_REACH, DODGE_CLEAR = 5.0, 3.0
-"""Distance of centres along x at which parts begin to dodge, and along y at which they need not
-[part radii]."""
+SWITCH = 0.3
+"""The hand of a swirl changes if parts are on average so far on the wrong side [fraction of the
+half width]."""
 
 SLOT_SPACING, SLOT_CLEAR = 3.5, 1.25
 """Distance of neighbouring slots, and of slots from the bin's sides [part radii]."""
@@ -53,31 +38,11 @@ GRID_TRIES = 4
 
 
 @dataclass(frozen=True)
-class SortOptions:
-    """Drifts of the sorting rules.
-
-    Attributes
-    ----------
-    drift_max : float
-        Drift asked of the part with the longest way; up to `OVER` times this is welcome [m/s].
-    wander : float
-        Drift allowed where nothing is asked, in multiples of drift_max [-].
-    dodge : float
-        Drift along y asked of two parts about to run into each other, in drift_max [-]; 0: none.
-    """
-
-    drift_max: float = 0.024
-    wander: float = 0.6
-    dodge: float = 0.4
-
-
-@dataclass(frozen=True)
 class Sorter(TaskRules):
     """The rules of sorting for one task on one rig."""
 
     task: SortTask
     rig: Rig
-    options: SortOptions = field(default_factory=SortOptions)
 
     @property
     def hold_s(self) -> float:
@@ -118,17 +83,18 @@ class Sorter(TaskRules):
         """How many parts find room in a side or corner, in a square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
-        ends = np.maximum((END, EDGE[1]), goal + 2 * MARGIN)
+        ends = np.maximum(END, goal + 4 * MARGIN)
         beyond = np.array([region.x, region.y]) != 0
-        span = half * np.where(beyond, ends - goal, 2 * np.array((END, EDGE[1])))
+        span = half * np.where(beyond, ends - goal, 2 * END)
         return int(np.prod(1 + np.floor(span / wide + 1e-9)))
 
-    def assess(self, memory: None, now: Situation) -> tuple[None, Assessment]:
-        """Judge one image, and say what is wanted; nothing is remembered."""
+    def assess(self, memory: float | None, now: Situation) -> tuple[float, Assessment]:
+        """Judge one image, and say what is wanted; the hand of the swirl is remembered."""
         to_go = self.to_go(now.parts)
         count, distance = int(np.sum(to_go == 0)), np.nan_to_num(to_go)
-        return None, Assessment(
-            request=self.request(now.parts, now.period),
+        hand = self.hand(memory, now.parts)
+        return hand, Assessment(
+            request=self.request(now.parts, hand),
             goal_met=count == np.count_nonzero(~np.isnan(to_go)),
             count=count,
             distance=distance,
@@ -136,13 +102,9 @@ class Sorter(TaskRules):
             outcome=f"{count} of {len(to_go)} parts in their regions",
         )
 
-    def to_go(self, parts: Parts, sign: np.ndarray | None = None) -> np.ndarray:
-        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one.
-
-        `sign` (M, 2) are those of the sides, if other than where the parts belong in the end.
-        """
-        goal = self.task.goal_fraction * self.rig.plate.half
-        sign = self._signs(parts) if sign is None else sign
+    def to_go(self, parts: Parts) -> np.ndarray:
+        """How far each part (M,) is from its region [m]; 0 there, NaN for a class without one."""
+        sign, goal = self._signs(parts), self.task.goal_fraction * self.rig.plate.half
         short = np.where(sign != 0, np.maximum(goal - parts.position * sign, 0), 0)
         # On the line itself is not beyond it.
         on_line = np.any((sign != 0) & (parts.position * sign <= goal), axis=1)
@@ -154,88 +116,45 @@ class Sorter(TaskRules):
             result[rows] = np.where(inside(point, corner), 0, away)
         return result
 
-    def request(self, parts: Parts, period: float) -> DriftRequest:
-        """Return the drift wanted of each part.
+    def hand(self, before: float | None, parts: Parts) -> float:
+        """Return which way the parts are to swirl: 1 where those for the right pass above those for
+        the left, -1 where below. It changes only where the other way is much nearer."""
+        sign = self._signs(parts)
+        way = self._ways(parts, sign)[:, 0] * sign[:, 0]
+        above = float(np.sum(way * parts.position[:, 1])) / max(float(np.sum(np.abs(way))), 1e-9)
+        if before is None or above * before < -SWITCH * self.rig.plate.half[1]:
+            return 1.0 if above >= 0 else -1.0
+        return before
 
-        Parameters
-        ----------
-        parts : Parts
-            Parts as seen, M of them.
-        period : float
-            Length of a cycle [s]: the request acts one cycle after `parts` was seen.
-
-        Returns
-        -------
-        DriftRequest
-            Intervals (M, 2) [m/s, plate_home].
-        """
-        options = self.options
-        position = parts.position + period * parts.velocity
-        sign, half, goal = self._in_turn(parts), self.rig.plate.half, self.task.goal_fraction
-        ends = (END, EDGE[1])
-        speed = options.drift_max * speed_scaling(self.to_go(parts, sign))
-        axes = [
-            _along(position[:, k], sign[:, k], goal, half[k], ends[k], speed, options)
-            for k in range(2)
-        ]
-        # Parts dodge across the axis along which they are sorted; in a corner that is y by then.
-        across = np.where(sign[:, 1] != 0, 0, 1)
-        request = DriftRequest(
-            np.column_stack([low for low, _ in axes]), np.column_stack([high for _, high in axes])
-        )
-        dodged = [_dodge(position, axis, request, self.rig, options) for axis in range(2)]
-        for axis, (low, high) in enumerate(dodged):
-            request.low[:, axis] = np.where(across == axis, low, request.low[:, axis])
-            request.high[:, axis] = np.where(across == axis, high, request.high[:, axis])
-        request, aim = self._to_slots(parts, position, speed, request)
-        wander, fastest = options.wander * options.drift_max, OVER * options.drift_max
-        return edges_first(position, aim, half, request, wander, fastest)
-
-    def _to_slots(
-        self,
-        parts: Parts,
-        position: np.ndarray,
-        speed: np.ndarray,
-        request: DriftRequest,
-    ) -> tuple[DriftRequest, np.ndarray]:
-        """Replace what is asked of parts that belong in bins; returns their places (M, 2) [m], too,
-        0 for parts without."""
-        options, radius = self.options, self.rig.parts.radius_m
-        low, high, aim = request.low.copy(), request.high.copy(), position.copy()
-        binned = np.zeros(len(parts), dtype=bool)
+    def request(self, parts: Parts, hand: float) -> DriftRequest:
+        """Return where each part is to go, as seen (M), and the drift that leads there."""
+        sign, half = self._signs(parts), self.rig.plate.half
+        line = (self.task.goal_fraction + MARGIN) * half
+        way = self._ways(parts, sign)
+        low, high = np.where(sign > 0, line, -half), np.where(sign < 0, -line, half)
         for rows, corner, slot in self._binned(parts):
             mine = parts.take(rows)
             label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
-            room = outline_distance(place, corner).min() - radius
-            wanted = approach_drift(
-                position[rows], place, max(room, 0), speed[rows],
-                OVER * options.drift_max,
-            )  # fmt: skip
-            low[rows], high[rows], aim[rows], binned[rows] = wanted.low, wanted.high, place, True
-        if not np.any(binned):
-            return request, np.zeros_like(position)
-        wanted = pass_by(position, DriftRequest(low, high), radius)
-        wanted = hold_back(position, aim, self.rig.plate.half, wanted)
-        rows = binned[:, None]
-        request = DriftRequest(
-            np.where(rows, wanted.low, request.low), np.where(rows, wanted.high, request.high)
-        )
-        return request, np.where(rows, aim, 0.0)
+            room = max(float(outline_distance(place, corner).min()) - self.rig.parts.radius_m, 0.0)
+            low[rows], high[rows] = place - room, place + room
+            way[rows] = place - parts.position[rows]
+        asked = (low > -half) | (high < half)
+        weight = np.where(asked, way_weight(way), 0.0)
+        # Far from their sides, those for either keep to their half: so one swirl carries all.
+        lane = LANE * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0) * (sign[:, 1] == 0)
+        upper = hand * sign[:, 0] > 0
+        middle = LANE_AT * half[1]
+        low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
+        high[:, 1] = np.where((lane > 0) & ~upper, -middle, high[:, 1])
+        weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
+        clear = CLEAR * self.rig.parts.radius_m
+        return DriftRequest.towards(parts.position, Targets(low, high, weight, clear))
 
-    def _in_turn(self, parts: Parts) -> np.ndarray:
-        """Signs (M, 2) of the sides to which parts are to go now; 0 where they may be anywhere.
-
-        Those that belong in corners go along x first, and along y when all have come so far. Both
-        at once is more than a cycle has freedom for: 2 M requests of parts that are mixed. Once all
-        are at their ends, those at one end want the same, which is easy.
-        """
-        sign = self._signs(parts)
-        first = sign * [1, 0]
-        corner = np.all(sign != 0, axis=1)
-        if np.any(self.to_go(parts, first)[corner] > 0):
-            sign[corner] = first[corner]
-        return sign
+    def _ways(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
+        """Ways (M, 2) [m] to a little beyond the goal lines of sides (M, 2)."""
+        line = (self.task.goal_fraction + MARGIN) * self.rig.plate.half
+        return np.where(sign != 0, np.maximum(line - parts.position * sign, 0), 0)
 
     def _signs(self, parts: Parts) -> np.ndarray:
         """Signs (M, 2) of the sides where parts belong; 0 where they may be anywhere."""
@@ -253,73 +172,6 @@ class Sorter(TaskRules):
     def _bins(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
         return {k: (np.array(v.corner), slots(v, self.rig)) for k, v in bins.items()}
-
-
-def _along(
-    x: np.ndarray,
-    side: np.ndarray,
-    goal: float,
-    half: float,
-    end: float,
-    slowest: np.ndarray,
-    options: SortOptions,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of drift (M,) along one axis that leads into the band beyond the goal line.
-
-    Far from the band it is from `slowest` (M,) [m/s] to over drift_max towards the own side; inside
-    it, whatever does not lead out soon; beyond it, back.
-    """
-    speed, wander = options.drift_max, options.wander * options.drift_max
-    own = x * side  # grows towards the own side, for either side
-    inner = half * (goal + MARGIN)
-    outer = half * max(end, goal + 2 * MARGIN)
-    low = np.clip(APPROACH * (inner - own), -wander, slowest)
-    high = np.clip(APPROACH * (outer - own), -speed, OVER * speed)
-    low = np.minimum(low, high)
-    free_low, free_high = stay_within(x, half, *EDGE, speed, wander)
-    return (
-        np.where(side > 0, low, np.where(side < 0, -high, free_low)),
-        np.where(side > 0, high, np.where(side < 0, -low, free_high)),
-    )
-
-
-def _dodge(
-    position: np.ndarray,
-    across: int,
-    request: DriftRequest,
-    rig: Rig,
-    options: SortOptions,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Narrow the interval of drift along y of parts about to run into each other along x.
-
-    Of two parts that are asked towards each other, and nearly level in y, the upper one is sent
-    up, the lower one down (of two exactly level, the first in the list goes down). Parts on the
-    same way at different speeds are left alone. The nearer the edge, the less they are sent: the
-    edge comes first. With `across` 0, x and y change places.
-    """
-    drift_x = request.centre[:, 1 - across]
-    low, high = request.low[:, across], request.high[:, across]
-    position = position[:, ::-1] if across == 0 else position
-    radius, half = rig.parts.radius_m, rig.plate.half[across]
-    gap = position[None] - position[:, None]  # [i, j]: from i to j
-    approach = (drift_x[:, None] - drift_x[None]) * np.sign(gap[..., 0])
-    closing = np.clip(approach / options.drift_max - CLOSING, 0, 1)
-    # Over one radius from "far" to "near", so that a request does not jump.
-    near = np.clip(DODGE_REACH - np.abs(gap[..., 0]) / radius, 0, 1)
-    level = np.clip(DODGE_CLEAR - np.abs(gap[..., 1]) / radius, 0, 1)
-    index = np.arange(len(position))
-    level_order = np.sign(index[:, None] - index[None])
-    away = np.where(gap[..., 1] != 0, -np.sign(gap[..., 1]), level_order)
-    push = np.clip(np.sum(away * closing * near * level, axis=1), -1, 1)
-    push *= 1 - nearness(position[:, 1], half, *EDGE)
-    speed = options.dodge * options.drift_max
-    if speed == 0:
-        return low, high
-    up = low + np.maximum(push, 0) * np.maximum(speed - low, 0)
-    down = high - np.maximum(-push, 0) * np.maximum(high + speed, 0)
-    return np.where(push > 0, np.minimum(up, high), low), np.where(
-        push < 0, np.maximum(down, low), high
-    )
 
 
 def inside(point: np.ndarray, corner: np.ndarray) -> np.ndarray:

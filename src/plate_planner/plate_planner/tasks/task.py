@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from plate_core import Parts, Rig
+from plate_core import Parts, Rig, Targets
 from plate_core.tasks import Scenario
 
 NEARER_M = 0.002
@@ -20,12 +20,35 @@ BIAS_M = 5e-3
 """A part further from its prediction was pushed: as far as this it counts as drift bias [m]."""
 
 
+APPROACH = 1.5
+"""Drift towards a target, for each metre to go [1/s]."""
+
+DRIFT = 0.05
+"""At most [m/s]: as fast as many parts at once get on at best."""
+
+
 @dataclass(frozen=True)
 class DriftRequest:
-    """Any drift from `low` to `high`, each (M, 2) [m/s, plate_home], is as good as any other."""
+    """Any drift from `low` to `high`, each (M, 2) [m/s, plate_home], is as good as any other.
+
+    Attributes
+    ----------
+    targets : Targets or None
+        Where the drift is to lead the parts; then it only says which way that is.
+    """
 
     low: np.ndarray
     high: np.ndarray
+    targets: Targets | None = None
+
+    @classmethod
+    def towards(cls, position: np.ndarray, targets: Targets) -> DriftRequest:
+        """Ask parts at (M, 2) [m] for what leads to their targets."""
+        low, high = (
+            np.where(targets.weight > 0, np.clip(APPROACH * (end - position), -DRIFT, DRIFT), free)
+            for end, free in ((targets.low, -DRIFT), (targets.high, DRIFT))
+        )
+        return cls(low, high, targets)
 
     @property
     def centre(self) -> np.ndarray:
@@ -34,7 +57,7 @@ class DriftRequest:
 
     def less(self, bias: np.ndarray) -> DriftRequest:
         """Return what is left to ask for if parts have a drift of their own (M, 2) [m/s]."""
-        return DriftRequest(self.low - bias, self.high - bias)
+        return replace(self, low=self.low - bias, high=self.high - bias)
 
     def force(self, velocity: np.ndarray, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean force over a cycle that leads from the present drift to the wanted.

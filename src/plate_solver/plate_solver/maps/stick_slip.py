@@ -82,9 +82,10 @@ def end_state(
 @kernel(fastmath=True, error_model="numpy")
 def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
-    dt: np.ndarray, friction_accel: np.ndarray,
+    dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Return the derivatives of the positions of `end_state`: x of all parts, then y of all.
+    """Return the derivatives of the positions of `end_state`: x of all parts, then y of all; or of
+    where the parts would be if they kept their last velocity for `coast` [s].
 
     Returns
     -------
@@ -128,7 +129,8 @@ def end_state_gradient(
     for axis in range(2):
         first = axis * count
         # Adjoints of position (a) and velocity (b) at the end of step k.
-        ax[:], ay[:], bx[:], by[:] = 1.0 - axis, 1.0 * axis, 0.0, 0.0
+        ax[:], ay[:] = 1.0 - axis, 1.0 * axis
+        bx[:], by[:] = coast * ax, coast * ay
         for back in range(n):
             k = n - 1 - back
             h, w = dt[k], twist[k, 2]

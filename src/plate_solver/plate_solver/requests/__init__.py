@@ -3,6 +3,7 @@
 Public: `Goal` and `Solution` with `Status`; the rest serves the two methods.
 """
 
+from .ends import Ends, end_errors
 from .goal import Family, Goal, Turns, fit_goal, goal_solution
 from .partial import easiest_force, largest_fraction
 from .refinement import (
@@ -21,6 +22,7 @@ __all__ = [
     "MOST_ON_CYCLE",
     "REFINED_TOLERANCE",
     "REFINEMENTS",
+    "Ends",
     "Family",
     "Goal",
     "Request",
@@ -28,6 +30,7 @@ __all__ = [
     "Status",
     "Turns",
     "easiest_force",
+    "end_errors",
     "fit_goal",
     "force_solution",
     "goal_solution",

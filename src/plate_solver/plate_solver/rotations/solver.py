@@ -31,6 +31,9 @@ answer comes sooner, and fewer rotations have to fit in."""
 SETTLE = 0.05
 """Time in which shaking takes away a part's velocity, about [s]."""
 
+PUSH = 0.04
+"""Drift of the part that is to go first, in plans towards targets [m/s]."""
+
 CLOSURES = ("sequence", "strokes")
 ORDERS = ("auto", "nearest", "priority", "simulated")
 
@@ -254,7 +257,10 @@ class RotationSolver(MotionSolver):
         period = self.steering_period(len(goal.position))
         unit = 0.5 * period**2 * goal.friction_accel[:, None]
         push = goal.displacement - SETTLE * goal.velocity
-        force = np.sign(push) * np.maximum(np.abs(push) - 0.5 * goal.tolerance, 0.0) / unit
+        if goal.lasting:
+            push = goal.downhill(PUSH * period)
+        slack = 0.0 if goal.lasting else 0.5 * goal.tolerance
+        force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
         if goal.turns is not None:  # what turns a disc from rest by what is asked
             curl = goal.turns.wanted * 4 / (goal.friction_accel * period**2)

@@ -6,10 +6,9 @@ door.
 
 from .average import invert
 from .basis import STEPS_PER_HARMONIC, SinusoidBasis, SinusoidFamily, sinusoid_basis
-from .steer import FINE_STEP, limited_sinusoids
+from .steer import limited_sinusoids
 
 __all__ = [
-    "FINE_STEP",
     "STEPS_PER_HARMONIC",
     "SinusoidBasis",
     "SinusoidFamily",

@@ -1,32 +1,39 @@
-"""Sinusoids on the cycle map: search on coarse steps beyond the limits, then finely within them."""
+"""Sinusoids on the cycle map: descents from the last motion and from disturbances of the best."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from plate_core import PlateCycle
 
-from ..fit import Fit, basin_hopping
+from ..fit import Fit
 from ..limits import Limits
+from ..maps import finely_sampled
 from ..requests import Goal, fit_goal
 from .basis import STEPS_PER_HARMONIC, sinusoid_basis
+from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
-COARSE_STEP, FINE_STEP = 0.4e-3, 0.2e-3
-"""Longest steps [s] of the search and of the last corrections: friction acts by first-order steps,
-which miss 10 % of a drift at 1 ms, and at 0.4 ms still 10 % of a small one."""
+STEP = 0.4e-3
+"""Longest step of a search [s]: friction acts by first-order steps, which miss 10 % of a drift at
+1 ms; what they miss at the end is aimed at once more."""
 
 BEYOND = 1.3
 """Fraction of the limits that the search may use on its way."""
 
-CORRECTIONS = 6
-"""Most steps of the fine fit."""
+FRESH = 3
+"""Further motions drawn at random where a search knows of none to begin with."""
 
-MANY = 12
-"""Displacements wanted of six parts."""
+SPREAD = 0.15
+"""Size of a disturbance of the best motion so far, over that of this motion."""
 
-SPREAD = 0.7
-"""Size of a disturbance of what is known, over that of a random motion."""
+AIMS, CORRECTIONS = 2, 8
+"""Times that the best motion is corrected within the limits for what finer steps show, and most
+steps of each."""
+
+Descend = Callable[[Goal, np.ndarray, float, int], Fit]
 
 
 class SinusoidSteering:
@@ -36,15 +43,16 @@ class SinusoidSteering:
     ----------
     limits : Limits
     iterations : int
-        Most steps of a search.
+        Most steps of a descent.
     restarts : int
-        Most further starts with six parts or more; fewer get more, in the same time.
+        Most further descents.
     """
 
     def __init__(self, limits: Limits, iterations: int, restarts: int) -> None:
         self._limits = limits
         self._iterations, self._restarts = iterations, restarts
         self._warm: dict[tuple[int, float], np.ndarray] = {}
+        self._motions: dict[tuple[int, float], Motions] = {}
 
     def forget(self) -> None:
         """Forget the last motions."""
@@ -61,43 +69,63 @@ class SinusoidSteering:
     ) -> tuple[PlateCycle, int, float]:
         """Find a motion with `number` harmonics.
 
-        Returns the motion, the iterations of all starts, and the condition number of the
+        Returns the motion, the iterations of all descents, and the condition number of the
         displacements' derivatives.
 
-        The last solution is the first start; then come, in turns, disturbances of the best one and
-        motions drawn at random, until one misses less than `good_enough` [m, root mean square].
+        Descents begin at the last solution, or else at some motions drawn at random, and then at
+        disturbances of the best so far, until one misses less than `good_enough` [m, root mean
+        square].
         """
-        loose, count = (
-            limited_sinusoids(number, period, COARSE_STEP, self._limits, BEYOND),
-            goal.rows,
+        family = limited_sinusoids(number, period, self._limits, BEYOND)
+        to = self._descend(number, period, tolerance, goal)
+        known, enough = self._warm.get((number, period)), good_enough**2 * goal.rows
+        start = family.random(rng) if known is None else known
+        best = to(goal, start, BEYOND, self._iterations)
+        iterations = best.iterations
+        for index in range(self._restarts):
+            if best.cost <= enough:
+                break
+            if known is None and index < FRESH:
+                start = family.random(rng)
+            else:
+                size = SPREAD * np.sqrt(np.mean(best.parameters**2))
+                start = best.parameters + size * rng.normal(size=len(best.parameters))
+            found = to(goal, start, BEYOND, self._iterations)
+            iterations += found.iterations
+            best = found if found.cost < best.cost else best
+        last = to(goal, best.parameters, 1.0, CORRECTIONS)
+        strict = limited_sinusoids(number, period, self._limits, 1.0)
+        aim = goal
+        for _ in range(AIMS):
+            fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
+            off = fine - goal.end(*strict.samples(last.parameters))
+            aim = goal.shifted(-off)
+            last = to(aim, last.parameters, 1.0, CORRECTIONS)
+            iterations += last.iterations
+        self._warm[number, period] = last.parameters
+        asked = last.jacobian[: goal.rows]
+        asked = asked[np.any(asked != 0, axis=1)]
+        condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
+        return strict.cycle(last.parameters), iterations, condition
+
+    def _descend(self, number: int, period: float, tolerance: float, goal: Goal) -> Descend:
+        """Return what improves a motion."""
+        if goal.turns is not None:
+            return lambda aim, start, most, iterations: fit_goal(
+                aim, limited_sinusoids(number, period, self._limits, most), start, tolerance,
+                iterations,
+            )  # fmt: skip
+        if (number, period) not in self._motions:
+            basis = limited_sinusoids(number, period, self._limits, 1.0).basis
+            self._motions[number, period] = Motions.of(basis, self._limits)
+        motions = self._motions[number, period]
+        return lambda aim, start, most, iterations: descend(
+            Problem.of(aim, motions, most), start, tolerance, iterations
         )
 
-        def attempt(
-            _: None, start: np.ndarray, __: int, ___: float
-        ) -> tuple[Fit, float, int, bool]:
-            found = fit_goal(goal, loose, start, tolerance, self._iterations)
-            missed = found.error[:count]
-            return found, found.cost, found.iterations, missed @ missed <= good_enough**2 * count
 
-        def propose(_: None, __: int, near: Fit, fresh: bool) -> np.ndarray:
-            start = loose.random(rng)
-            return start if fresh else near.parameters + SPREAD * start
-
-        start = self._warm.get((number, period))
-        tries = 1 + self._restarts * max(1, MANY // count)
-        begin = loose.random(rng) if start is None else start
-        best, iterations, _ = basin_hopping(propose, attempt)(None, begin, tries, 1, False, 0)
-        strict = limited_sinusoids(number, period, FINE_STEP, self._limits, 1.0)
-        most = min(CORRECTIONS, self._iterations)
-        last = fit_goal(goal, strict, best.parameters, tolerance, most)
-        self._warm[number, period] = last.parameters
-        condition = last._replace(jacobian=last.jacobian[:count]).condition
-        return strict.cycle(last.parameters), iterations + last.iterations, condition
-
-
-def limited_sinusoids(
-    number: int, period: float, step: float, limits: Limits, most: float
-) -> LimitedSinusoids:
-    """Return the family that starts and ends at rest, in steps of at most `step` [s]."""
-    steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / step))
+def limited_sinusoids(number: int, period: float, limits: Limits, most: float) -> LimitedSinusoids:
+    """Return the family that starts and ends at rest, in steps of at most `STEP`."""
+    steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / STEP))
+    steps = -(-steps // BIN) * BIN
     return LimitedSinusoids(sinusoid_basis(number, period, True, steps), limits, most)

@@ -1,0 +1,77 @@
+"""Where parts are to be at the end of a cycle, and what it costs where they are not.
+
+A part that is outside the interval asked of it errs by how far, times its weight. So an exact drift
+is an interval without width and weight 1, and a region far away is one that counts little for each
+metre: then the parts with the longest ways come first. Beyond a wall, or too near to each other,
+each metre counts in full.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from plate_core.kernels import kernel
+
+
+class Ends(NamedTuple):
+    """What is asked of the places of M parts at the end of a cycle: x of all, then y of all.
+
+    Attributes
+    ----------
+    low, high : (2 M,)
+        Anywhere between is as good [m, plate_home]; infinite where all is.
+    weight : (2 M,)
+        What a metre beside it counts [-].
+    edge_low, edge_high : (2 M,)
+        Walls [m].
+    pair : (K, 2)
+        Rows of parts that may come near each other.
+    clear : float
+        Least distance of their centres [m].
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    weight: np.ndarray
+    edge_low: np.ndarray
+    edge_high: np.ndarray
+    pair: np.ndarray
+    clear: float
+
+
+@kernel(fastmath=False, error_model="numpy")
+def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors (R,) of places (2 M,) [m], and minus their derivatives (R, 2 M).
+
+    The first 2 M are those of the coordinates, then come pairs that are too near.
+    """
+    size = len(place)
+    count, rows = size // 2, size
+    error, slope = np.zeros(size + len(ends.pair)), np.zeros((size + len(ends.pair), size))
+    for j in range(size):
+        at = place[j]
+        if at < ends.low[j]:
+            error[j] += ends.weight[j] * (ends.low[j] - at)
+            slope[j, j] += ends.weight[j]
+        elif at > ends.high[j]:
+            error[j] += ends.weight[j] * (ends.high[j] - at)
+            slope[j, j] += ends.weight[j]
+        if at < ends.edge_low[j]:
+            error[j] += ends.edge_low[j] - at
+            slope[j, j] += 1
+        elif at > ends.edge_high[j]:
+            error[j] += ends.edge_high[j] - at
+            slope[j, j] += 1
+    for k in range(len(ends.pair)):
+        a, b = ends.pair[k, 0], ends.pair[k, 1]
+        dx, dy = place[b] - place[a], place[count + b] - place[count + a]
+        distance = max(sqrt(dx * dx + dy * dy), 1e-9)
+        if distance < ends.clear:
+            error[rows] = ends.clear - distance
+            slope[rows, b], slope[rows, a] = dx / distance, -dx / distance
+            slope[rows, count + b], slope[rows, count + a] = dy / distance, -dy / distance
+            rows += 1
+    return error[:rows].copy(), slope[:rows].copy()
