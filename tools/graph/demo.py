@@ -427,9 +427,8 @@ class Progress:
                 "planner", "parts_total"
             )
             done += f" parts {self._there}"
-        missed = 100 * float(record.last("solver", "missed_fraction", "0"))
+        to_go = 1e3 * float(record.last("planner", "to_go_m"))
         return (
-            f"{done} | {float(record.last('planner', 'time_s')):5.1f} s"
-            f" | force missed {missed:3.0f} %"
+            f"{done} | {float(record.last('planner', 'time_s')):5.1f} s | {to_go:4.0f} mm to go"
             f" | solve {float(record.last('solver', 'solve_ms_median', '0')):3.0f} ms"
         )

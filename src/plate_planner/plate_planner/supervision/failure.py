@@ -43,11 +43,10 @@ def loss_of(name: str, last: LastSeen | None, began: float, rig: Rig, count: int
     if edge > NEAR_EDGE * rig.parts.radius_m:
         text = f"{name} was seen last {where}, {1e3 * edge:.0f} mm from the edge; {LOOK}"
         return Failure(Reason.PART_UNSEEN, text)
-    more = ", fewer parts" if count > FEW else ""
+    more = " or fewer parts" if count > FEW else ""
     return Failure(
         Reason.PART_LEFT,
-        f"{name} left the plate {where}; starts and goals further from the edges{more} or less "
-        "drift_max would keep it",
+        f"{name} left the plate {where}; starts and goals further from the edges{more} would keep it",
     )
 
 
