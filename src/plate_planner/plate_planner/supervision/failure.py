@@ -46,7 +46,8 @@ def loss_of(name: str, last: LastSeen | None, began: float, rig: Rig, count: int
     more = " or fewer parts" if count > FEW else ""
     return Failure(
         Reason.PART_LEFT,
-        f"{name} left the plate {where}; starts and goals further from the edges{more} would keep it",
+        f"{name} left the plate {where}; starts and goals further from the edges{more} would "
+        "keep it",
     )
 
 
