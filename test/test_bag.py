@@ -111,7 +111,7 @@ def stamp_ns(msg):
 
 def same(name, answer, recorded):
     """Whether they are equal; of the planner's, which heard more of the first image than the bag
-    holds, whether all numbers are within 1e-5 (10 um, 10 uN)."""
+    holds, whether all numbers are within 1e-5 (10 um, 10 uN), or 0.1 %."""
     if name != "planner":
         return answer == recorded
     kinds = PartForce.get_fields_and_field_types()
@@ -121,7 +121,7 @@ def same(name, answer, recorded):
     ]
     ids = [[force.id for force in msg.forces] for msg in (answer, recorded)]
     heads = [(msg.header, msg.start, msg.at_start, msg.period_s) for msg in (answer, recorded)]
-    return (ids[0], heads[0]) == (ids[1], heads[1]) and np.allclose(*numbers, rtol=0, atol=1e-5)
+    return (ids[0], heads[0]) == (ids[1], heads[1]) and np.allclose(*numbers, rtol=1e-3, atol=1e-5)
 
 
 @pytest.fixture(scope="module")

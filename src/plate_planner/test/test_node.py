@@ -462,7 +462,7 @@ def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
     )
     assert ok.successful
     assert not bad.successful
-    assert "kp out of range Min: 0, Max: 2, value: 5" in bad.reason
+    assert "kp out of range Min: 0.0, Max: 2.0, value: 5.0" in bad.reason
     assert not fixed.successful
     assert graph.planner.options.planner().follow.kp == 0.4
 
