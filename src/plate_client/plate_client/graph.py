@@ -118,7 +118,7 @@ class Graph(Services):
                 .goals_canceling)
             for name in ACTIONS
         )  # fmt: skip
-        return f"{count} goals canceled"
+        return "no goal was running" if not count else "canceled"
 
     # State
 
