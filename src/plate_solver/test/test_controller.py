@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from plate_core import Parts, PlateCycle, PlateError, Wanted
+from plate_core import Parts, PlateCycle, PlateError, Targets, Wanted
 from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS
-from plate_solver.maps.stick_slip import end_state
+from plate_solver.maps.stick_slip import end_state, end_state_gradient
+from plate_solver.requests import end_errors
+from plate_solver.sinusoids.descent import descend
 
 METHOD = pytest.mark.parametrize("method", ["sinusoids", "rotations"])
 
@@ -244,3 +246,34 @@ def test_a_state_at_the_start_is_taken_over_and_needs_no_kernel_of_its_own(rig):
     run = simulate(answer.cycle, state[:, :2].copy(), state[:, 2:].copy(), rig.friction.mu)
     predicted = np.asarray(answer.solution.predicted)[:4].reshape(2, 2).T
     np.testing.assert_allclose(run.position[-1], predicted, atol=2e-4)
+
+
+@METHOD
+@pytest.mark.parametrize("count", [1, 2, 17])
+def test_any_number_of_parts_needs_no_kernel_of_its_own(rig, scene, method, count):
+    """With forces and with targets, alone or near each other: for the same types of arrays."""
+    controller = Controller(rig, method)
+    kernels = (descend, end_errors, end_state, end_state_gradient)
+    _, position = scene(0, 3)
+    parts = Parts.make(("a", "b", "c"), position)
+    controller.answer(Wanted.make(parts, np.full((3, 2), 1e-3)), None)
+    before = [len(kernel.signatures) for kernel in kernels]
+    position = 0.02 * np.column_stack([np.arange(count) - count / 2, np.zeros(count)])
+    parts = Parts.make(tuple(f"a_{i}" for i in range(count)), position)
+    aim = position + [0.03, 0.01]
+    for clear in (0.0, 0.019, 0.05):
+        targets = Targets(aim, aim, np.full((count, 2), 0.1), clear)
+        controller.answer(Wanted.make(parts, targets=targets), PlateCycle.rest(0.1))
+    controller.answer(Wanted.make(parts, np.full((count, 2), 1e-3)), PlateCycle.rest(0.1))
+    assert [len(kernel.signatures) for kernel in kernels] == before
+
+
+def test_a_search_that_is_hard_has_an_end(rig):
+    """A hundred parts on one spot, to keep a metre apart: beyond all use, and still answered."""
+    position = np.full((100, 2), 0.01)
+    parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)
+    aim = np.full((100, 2), 0.1)
+    wanted = Wanted.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
+    hard = Controller(rig, restarts=1000).answer(wanted, None)
+    assert usage(rig, hard.cycle).worst <= 1
+    assert hard.solution.iterations < 24 * 100

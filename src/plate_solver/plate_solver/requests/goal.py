@@ -124,7 +124,8 @@ class Goal:
         shape, middle = self.position.shape, self.position + self.displacement
 
         def flat(values: np.ndarray | float) -> np.ndarray:
-            return np.ascontiguousarray(np.broadcast_to(values, shape).T).ravel()
+            # A copy in any case: numba would compile everything again for what cannot be written.
+            return np.array(np.broadcast_to(values, shape).T, order="C").ravel()
 
         low, high = middle - self.tolerance, middle + self.tolerance
         edge = np.maximum(self.edge, np.maximum(low, -high))  # not where a part is to be beyond

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -28,6 +29,9 @@ FRESH = 3
 
 SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
+
+LONGEST_S = 0.1
+"""Processor time after which no further descent begins [s]: half a cycle of many parts."""
 
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
@@ -79,11 +83,11 @@ class SinusoidSteering:
         family = limited_sinusoids(number, period, self._limits, BEYOND)
         to = self._descend(number, period, tolerance, goal)
         known, enough = self._warm.get((number, period)), good_enough**2 * goal.rows
-        start = family.random(rng) if known is None else known
+        start, began = family.random(rng) if known is None else known, time.thread_time()
         best = to(goal, start, BEYOND, self._iterations)
         iterations = best.iterations
         for index in range(self._restarts):
-            if best.cost <= enough:
+            if best.cost <= enough or time.thread_time() - began > LONGEST_S:
                 break
             if known is None and index < FRESH:
                 start = family.random(rng)
