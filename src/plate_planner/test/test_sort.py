@@ -62,6 +62,11 @@ def test_far_parts_keep_to_their_lane_and_near_ones_do_not():
         assert (to.low[2, 1], to.high[2, 1]) == pytest.approx((-HALF[1], HALF[1]))
 
 
+def test_parts_that_all_go_to_one_side_need_no_lanes():
+    to = asked(("grey_1", "grey_2"), [(-0.5, 0.1), (-0.2, -0.1)]).targets
+    assert np.all(to.weight[:, 1] == 0)
+
+
 def test_the_hand_of_the_swirl_is_the_nearer_one_and_changes_only_for_a_reason():
     def parts(*heights):
         return Parts.make(("grey_1", "black_1"), fractions((-0.5, heights[0]), (0.5, heights[1])))

@@ -143,6 +143,8 @@ class Sorter(TaskRules):
         weight = np.where(asked, way_weight(way), 0.0)
         # Far from their sides, those for either keep to their half: so one swirl carries all.
         lane = LANE * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0) * (sign[:, 1] == 0)
+        if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
+            lane[:] = 0  # all go one way
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
