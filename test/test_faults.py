@@ -10,6 +10,8 @@ from graph.processes import Processes
 
 from plate_bringup import RunOptions, load_graph
 
+pytestmark = pytest.mark.alone  # sixteen parts in real time
+
 START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
 """Long enough for every timeout; shorter than in the tool, which measures when."""
