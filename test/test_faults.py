@@ -10,7 +10,7 @@ from graph.processes import Processes
 
 from plate_bringup import RunOptions, load_graph
 
-pytestmark = pytest.mark.alone  # sixteen parts in real time
+pytestmark = pytest.mark.alone  # in real time
 
 START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
@@ -27,7 +27,7 @@ EXPECTED = {
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
-    options = RunOptions(scenario="sort_16")
+    options = RunOptions(scenario="follow_2")
     graph = options.nodes(load_graph())
     with (
         Processes(graph, options, tmp_path, domain) as processes,
