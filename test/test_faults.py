@@ -27,7 +27,7 @@ EXPECTED = {
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
-    options = RunOptions(scenario="follow_2")
+    options = RunOptions(scenario="sort_8")
     graph = options.nodes(load_graph())
     with (
         Processes(graph, options, tmp_path, domain) as processes,

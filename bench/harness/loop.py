@@ -71,7 +71,7 @@ NUMBERS = {
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
 
-HOLD_CYCLES, IDLE_PERIOD = 5, 0.1
+HOLD_CYCLES, IDLE_PERIOD = 2, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
 node's."""
 

@@ -18,7 +18,7 @@ BAUDS = (57_600, 115_200, 230_400, 460_800, 921_600)
 LOST = (0.0, 0.01, 0.03, 0.05)
 DELAYS_S = (0.0, 0.02, 0.1)
 
-PIECES, HOLD_CYCLES = 64, 5
+PIECES, HOLD_CYCLES = 64, 2
 PLAY_S = 60.0
 """Time for which cycles come, one in each period [s]."""
 

@@ -24,6 +24,8 @@ from plate_core.ros import ACTIONS, scenario_to_goal
 from plate_core.tasks import Scenario
 from plate_interfaces.msg import TaskProgress, TaskStatus
 
+from .messages import spin_until
+
 FOUND_S = 5.0
 """Longest wait for the planner to be found [s]."""
 
@@ -32,8 +34,6 @@ GONE_S = 2.0
 
 CANCEL_S = 5.0
 """Longest wait until a task that was canceled has ended [s]."""
-
-POLL_S = 0.02
 
 AGAIN_S = 0.2
 """Between two tries of a goal for which the graph is not ready yet [s]."""
@@ -137,12 +137,7 @@ class PlateClient:
         executor.add_node(node)
 
         def until(true: Callable[[], bool], timeout_s: float) -> bool:
-            end = time.monotonic() + timeout_s
-            while not true():
-                if time.monotonic() > end:
-                    return False
-                executor.spin_once(timeout_sec=POLL_S)
-            return True
+            return spin_until(executor.spin_once, true, timeout_s)
 
         client = cls(node, until)
         try:
@@ -257,12 +252,9 @@ class PlateClient:
         return self.wait(task, CANCEL_S)
 
     def _spin_until(self, true: Callable[[], bool], timeout_s: float) -> bool:
-        end = time.monotonic() + timeout_s
-        while not true():
-            if time.monotonic() > end:
-                return False
-            rclpy.spin_once(self.node, timeout_sec=POLL_S)
-        return True
+        return spin_until(
+            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
+        )
 
 
 REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)

@@ -19,6 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from plate_core import PlateError, config_path
 
+from .messages import spin_until
+
 if TYPE_CHECKING:
     from plate_core.ros import Report
 
@@ -178,12 +180,9 @@ class Services:
         )
 
     def _until(self, true: Callable[[], bool], timeout_s: float) -> bool:
-        end = time.monotonic() + timeout_s
-        while not true():
-            if time.monotonic() > end:
-                return False
-            rclpy.spin_once(self.node, timeout_sec=0.02)
-        return True
+        return spin_until(
+            lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
+        )
 
 
 def compiling(said: Said) -> list[Report]:

@@ -87,7 +87,7 @@ class Options(NodeOptions):
     mu_scale: float = parameter(
         1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"]
     )
-    hold_cycles: int = parameter(5, "Repetitions of a table when no new one comes.", 0, 1000)
+    hold_cycles: int = parameter(2, "Repetitions of a table when no new one comes.", 0, 1000)
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no motion comes for longer [s].", 0.1, 3600.0
     )

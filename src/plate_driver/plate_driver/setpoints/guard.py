@@ -112,7 +112,7 @@ class Guard:
     """
 
     rig: Rig
-    hold_cycles: int = 5
+    hold_cycles: int = 2
     repeats: int = 1
     correction: Correction | None = None
     hold_s: float = float("inf")

@@ -153,7 +153,7 @@ def make_serial(context: TransportContext) -> SerialTransport:
 
 
 def trigger_message(trigger: CameraTrigger | None) -> Trigger | None:
-    """Return what the device is told of the camera's trigger; None: nothing."""
+    """Return what to send to the device about the camera's trigger; None: nothing."""
     if trigger is None:
         return None
     return Trigger(int(trigger.phase * 2**16), round(trigger.pulse_s * 1e3))

@@ -1,0 +1,65 @@
+"""Messages are handled whole, also when Ctrl-C comes in the middle of one."""
+
+import os
+import signal
+import time
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from plate_client.messages import spin_until
+
+
+@pytest.fixture(autouse=True)
+def default_handler():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_an_interrupt_waits_for_the_end_of_a_message():
+    handled = []
+
+    def spin_once(wait_s):
+        interrupt()
+        handled.append("whole")
+
+    with pytest.raises(KeyboardInterrupt):
+        spin_until(spin_once, lambda: False, 10.0)
+    assert handled == ["whole"]
+
+
+def test_an_interrupt_of_the_last_message_counts():
+    handled = []
+
+    def spin_once(wait_s):
+        interrupt()
+        handled.append("whole")
+
+    with pytest.raises(KeyboardInterrupt):
+        spin_until(spin_once, lambda: bool(handled), 10.0)
+
+
+def test_a_second_interrupt_does_not_wait():
+    handled = []
+
+    def spin_once(wait_s):
+        interrupt()
+        interrupt()
+        handled.append("whole")
+
+    with pytest.raises(KeyboardInterrupt):
+        spin_until(spin_once, lambda: False, 10.0)
+    assert handled == []
+
+
+def test_it_ends_when_the_condition_holds_or_the_time_is_over():
+    handled = []
+    assert spin_until(handled.append, lambda: len(handled) == 3, 10.0)
+    assert len(handled) == 3
+    assert not spin_until(time.sleep, lambda: False, 0.05)
