@@ -17,8 +17,9 @@ def spin_until(
 ) -> bool:
     """Handle messages until a condition holds, or for a time [s]; returns whether it holds.
 
-    Ctrl-C raises KeyboardInterrupt between two messages. Inside of one its answer would be lost: the
-    handle of a running task, say, without which it cannot be canceled. A second Ctrl-C does not wait.
+    Ctrl-C raises KeyboardInterrupt between two messages. Inside of one an answer would be lost: the
+    handle of a running task, say, without which it cannot be canceled. A second Ctrl-C does not
+    wait.
     """
     interrupts = 0
 
