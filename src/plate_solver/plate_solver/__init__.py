@@ -8,6 +8,7 @@ from .analysis import Manipulability, library_force, manipulability, manipulabil
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
 from .limits import Limits
 from .maps import average_force
+from .rehearsal import Rehearsal, Verdict, judge_task, rehearse
 from .requests import Goal, Solution, Status
 from .rotations.solver import RotationSolver
 from .sinusoids.solver import SinusoidSolver
@@ -22,12 +23,16 @@ __all__ = [
     "Goal",
     "Limits",
     "Manipulability",
+    "Rehearsal",
     "RotationSolver",
     "SinusoidSolver",
     "Solution",
     "Status",
+    "Verdict",
     "average_force",
+    "judge_task",
     "library_force",
     "manipulability",
     "manipulability_map",
+    "rehearse",
 ]

@@ -1,17 +1,22 @@
 """Method B (section 3.2): sinusoidal motions, fitted on the averaged map and on the cycle map.
 
-Public: the basis, its families and the inversion of averages; `plate_solver.SinusoidSolver` is the
-door.
+Public: the basis, its families, the inversion of averages and a descent on the cycle map;
+`plate_solver.SinusoidSolver` is the door.
 """
 
 from .average import invert
 from .basis import STEPS_PER_HARMONIC, SinusoidBasis, SinusoidFamily, sinusoid_basis
+from .descent import BIN, Motions, Problem, descend
 from .steer import limited_sinusoids
 
 __all__ = [
+    "BIN",
     "STEPS_PER_HARMONIC",
+    "Motions",
+    "Problem",
     "SinusoidBasis",
     "SinusoidFamily",
+    "descend",
     "invert",
     "limited_sinusoids",
     "sinusoid_basis",

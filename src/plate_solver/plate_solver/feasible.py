@@ -1,0 +1,169 @@
+"""Tell before a task starts whether a rig can do it: `ros2 run plate_solver feasible`.
+
+Needs no ROS: `python -m plate_solver.feasible` does the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import numpy as np
+
+from plate_core import PlateError, Rig, load_rig
+from plate_core.kernels import when_compiling
+from plate_core.rig import LEAST_GAMMA, rig_names, rig_path
+from plate_core.status import COMPILING
+from plate_core.tasks import FollowTask, PartGroup, Scenario, Side, SortTask, load_scenario
+
+from .analysis import rest_to_rest_s, speed_bounds
+from .rehearsal import STILL, Verdict, judge_task
+
+COUNTS = (1, 2, 4, 10)
+"""Numbers of parts that are tried where no scenario is given."""
+
+WAY_M, PERIOD_S = 0.1, 0.2
+"""A way whose least time is told [m], and the longest cycle of the solver [s]."""
+
+KEYS = {
+    "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",
+    "heat": "continuous_force_n",
+}  # fmt: skip
+"""What is used of a rig -> what limits it, in the rig file."""
+
+
+def main() -> None:
+    """Run the command line; exit code 0: likely, 1: not, 2: wrong arguments or files."""
+    parser = argparse.ArgumentParser(
+        prog="feasible",
+        description="Tell whether a rig can do a task, how fast parts can be driven, and what "
+        "binds. The task is rehearsed by prediction, within some seconds. Exit code: 0 likely, "
+        "1 not, 2 wrong arguments.",
+    )
+    parser.add_argument(
+        "--scenario", default="", help="name or file (none: how fast 1, 2, 4 and 10 parts are)"
+    )
+    parser.add_argument(
+        "--rig", default="",
+        help=f"rig file, or one of {', '.join(rig_names())} (the scenario's, or the default rig)",
+    )  # fmt: skip
+    args = parser.parse_args()
+    try:
+        scenario = load_scenario(args.scenario) if args.scenario else None
+        name = args.rig or (scenario.rig if scenario else "")
+        rig = load_rig(name)
+        with when_compiling(_say_compiling):
+            told, likely = report(rig, rig_path(name).name, scenario)
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    print(told)
+    sys.exit(0 if likely else 1)
+
+
+def _say_compiling() -> None:
+    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
+
+
+def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
+    """Return all there is to tell, as lines for a terminal, and whether the task, or moving one
+    part, is likely to succeed."""
+    lines = [
+        f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide from 1 on",
+        one_part(rig),
+        "",
+    ]
+    told, likely = of_task(rig, scenario) if scenario else of_counts(rig)
+    return "\n".join(lines + told), likely
+
+
+def one_part(rig: Rig) -> str:
+    """Say how fast one part can be at most."""
+    bounds = speed_bounds(rig, PERIOD_S)
+    return (
+        f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion "
+        f"(bound by {bounds.binds}: docs/model.md); {1e3 * WAY_M:.0f} mm from rest to rest take "
+        f"{rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s or more"
+    )
+
+
+def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
+    """Judge a scenario."""
+    try:
+        verdict = judge_task(rig, scenario)
+    except PlateError as error:
+        return [f"{scenario.name}: no: {error}"], False
+    likely, count = verdict.likely, len(verdict.rehearsals)
+    times = ", ".join(_time(each.time_s) for each in verdict.rehearsals)
+    asked = ""
+    if isinstance(scenario.task, FollowTask):
+        asked = f", {1e3 * max(path.speed for path in scenario.task.paths):.0f} asked"
+    lines = [
+        f"{scenario.name}: {'likely' if likely else 'not likely'}: {verdict.in_time} of {count} "
+        f"rehearsals end within {scenario.time_limit_s:g} s (time_limit_s); they take [s]: {times}",
+        f"{scenario.count} parts: {1e3 * verdict.speed:.0f} mm/s on average{asked}",
+        _used(verdict),
+    ]
+    if any(each.lost for each in verdict.rehearsals):
+        lines.append("a part leaves the plate: starts and goals further from the edges would do")
+    if not likely:
+        lines.append(remedy(rig, verdict))
+    return lines, likely
+
+
+def of_counts(rig: Rig) -> tuple[list[str], bool]:
+    """Tell how fast numbers of parts are, half of them to the left, half to the right."""
+    lines = ["scattered, to either side   mean speed [mm/s]   most used"]
+    moved = False
+    for count in COUNTS:
+        try:
+            verdict = judge_task(rig, sides(count), 1)
+        except PlateError:
+            lines.append(f"  {count:2d} part{'s' * (count > 1)}: no room on this plate")
+            continue
+        moved = moved or verdict.speed > STILL
+        binds = verdict.share.binds
+        lines.append(
+            f"  {count:2d} part{'s' if count > 1 else ' '}  {1e3 * verdict.speed:33.0f}   "
+            f"{binds}, {100 * max(verdict.share):.0f} % of {KEYS[binds]}"
+        )
+    lines.append("what a task takes: --scenario NAME" if moved else "not likely: parts hardly move")
+    return lines, moved
+
+
+def sides(count: int) -> Scenario:
+    """Return a sort of `count` parts, black to the left and grey to the right."""
+    groups = {"black": Side(-1, 0), "grey": Side(1, 0)}
+    numbers = zip(groups, (count - count // 2, count // 2), strict=True)
+    return Scenario(
+        name=f"sort_{count}",
+        description="",
+        parts=tuple(PartGroup(label, number) for label, number in numbers if number),
+        task=SortTask(groups, 0.6, 0.5),
+        time_limit_s=120.0,
+    )
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.1f}" if np.isfinite(seconds) else "no end in sight"
+
+
+def _used(verdict: Verdict) -> str:
+    """Say what is used of the limits."""
+    share = verdict.share
+    told = ", ".join(f"{name} {100 * value:.0f} %" for name, value in share._asdict().items())
+    return f"used of the rig's limits: {told}; {KEYS[share.binds]} binds"
+
+
+def remedy(rig: Rig, verdict: Verdict) -> str:
+    """Say what would help."""
+    if rig.gamma < LEAST_GAMMA:
+        return (
+            f"the plate shakes too little: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; "
+            f"{LEAST_GAMMA:g} or more would do, or fewer parts"
+        )
+    return f"more {verdict.share.binds} or fewer parts would do, or a longer time_limit_s"
+
+
+if __name__ == "__main__":
+    main()

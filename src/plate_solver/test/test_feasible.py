@@ -1,0 +1,107 @@
+"""What is told before a task starts: rehearsals by prediction, and the command."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_core import config_path, load_rig
+from plate_core.tasks import load_scenario
+from plate_solver import judge_task, rehearse
+
+RIG = load_rig()
+
+
+def shaken(gamma):
+    return replace(RIG, limits=replace(RIG.limits, accel=gamma * RIG.friction.accel))
+
+
+@pytest.mark.parametrize("name", ["sort_4", "sort_corners_12", "assemble_8", "follow_2", "spin_1"])
+def test_a_strong_rig_is_likely_to_do_it(name):
+    done = rehearse(RIG, load_scenario(name), 0)
+    assert not done.lost
+    assert done.time_s < load_scenario(name).time_limit_s
+
+
+def test_a_path_takes_as_long_as_it_is_long():
+    """Two rectangles of 0.56 m at 40 mm/s, and one cycle until the first answer."""
+    done = rehearse(RIG, load_scenario("follow_2"), 0)
+    assert done.time_s == pytest.approx(0.56 / 0.04, abs=0.5)
+    assert done.speed == pytest.approx(0.04, rel=0.02)
+
+
+def test_a_plate_that_hardly_shakes_is_not():
+    """No part goes 40 mm/s where the bound is 10: mu g T/16 (G - 1/G), T being 0.1 s."""
+    verdict = judge_task(shaken(1.2), load_scenario("follow_2"))
+    assert not verdict.likely
+    assert verdict.speed < RIG.friction.accel * 0.1 / 16 * (1.2 - 1 / 1.2)
+    assert verdict.share.binds == "acceleration"
+
+
+def test_the_less_it_shakes_the_longer_it_takes():
+    times = [rehearse(shaken(g), load_scenario("sort_4"), 0).time_s for g in (3.0, 6.0, 40.0)]
+    assert times == sorted(times, reverse=True)
+    assert times[0] > 2 * times[2]
+
+
+def test_a_short_stroke_binds():
+    rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.001))
+    assert rehearse(rig, load_scenario("sort_4"), 0).share.binds == "stroke"
+
+
+def test_it_keeps_the_limits():
+    used = rehearse(RIG, load_scenario("sort_4"), 1).share
+    assert 0.5 < max(used) <= 1
+
+
+def command(*arguments):
+    words = [sys.executable, "-m", "plate_solver.feasible", *map(str, arguments)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_command_says_likely():
+    code, out, _ = command("--scenario", "sort_4", "--rig", "desk")
+    assert code == 0
+    assert "desk.yaml: Gamma = 24.5, limited by accel_mps2" in out
+    assert "sort_4: likely: 3 of 3 rehearsals end within 120 s (time_limit_s)" in out
+    assert "one part: at most" in out
+
+
+def test_command_takes_the_rig_of_the_scenario():
+    assert "desk.yaml" in command("--scenario", "follow_2_desk")[1]
+
+
+def test_command_says_no_and_what_would_do(tmp_path):
+    text = config_path("rig.yaml").read_text(encoding="utf-8")
+    assert "accel_mps2: 100.0" in text
+    path = tmp_path / "weak.yaml"
+    path.write_text(text.replace("accel_mps2: 100.0", "accel_mps2: 3.68"), encoding="utf-8")
+    code, out, _ = command("--scenario", "follow_2", "--rig", path)
+    assert code == 1
+    assert "follow_2: not likely: 0 of 3 rehearsals" in out
+    assert "the plate shakes too little: Gamma = 1.5, limited by accel_mps2; 7 or more" in out
+
+
+def test_command_says_that_it_does_not_fit():
+    code, out, _ = command("--scenario", "follow_2", "--rig", "desk")
+    assert code == 1
+    assert "follow_2: no: follow_2.yaml: parts: positions_m of black is (-0.22, -0.06) m" in out
+
+
+def test_command_tells_how_fast_parts_are():
+    code, out, _ = command("--rig", "desk")
+    assert code == 0
+    speeds = [float(line.split()[2]) for line in out.splitlines() if line.startswith("  ")]
+    assert len(speeds) == 4
+    assert speeds[0] > speeds[-1] > 0
+    assert np.max(speeds) < float(out.split("at most ")[1].split()[0])
+
+
+@pytest.mark.parametrize("words", [("--scenario", "sort_3"), ("--rig", "desc"), ("--seed", "1")])
+def test_command_refuses(words):
+    code, out, err = command(*words)
+    assert (code, out) == (2, "")
+    assert words[0].strip("-") in err
