@@ -13,6 +13,7 @@ from plate_core.tasks import PathTask, load_scenario
 from plate_planner import FollowOptions, Planner, PlannerOptions
 from plate_planner.estimation import LastRequest
 from plate_planner.tasks import DriftRequest, Follower, Situation, pd_drift
+from plate_planner.tasks.follow import TURN
 from plate_planner.tasks.path import PolygonPath
 
 # Paths
@@ -187,7 +188,7 @@ def test_it_follows_the_papers_rectangles(shuffle):
     _, _, progress = run(Planner(RIG, scenario), plant)
     assert progress.text.endswith(" s: error 0.00 mm RMS, 0.00 most")
     assert "slowed" not in progress.text
-    assert progress.time_s == pytest.approx(0.56 / 0.04 + T, abs=T)
+    assert 0 < progress.time_s - 0.56 / 0.04 - T < 0.5  # slower at eight corners, and at both ends
     assert progress.rms_error_m < 1e-12  # a plant without error can be followed without error
 
 
@@ -231,7 +232,7 @@ def test_parts_that_start_elsewhere_are_led_to_their_paths_first(far):
     assert progress.phase == "done"
     assert progress.max_error_m <= 0.0045 + 1e-6  # nearer than where references slow down
     led = state.memory.lead_s
-    assert progress.time_s == pytest.approx(0.56 / 0.04 + led + T, abs=0.2)
+    assert 0 < progress.time_s - 0.56 / 0.04 - led - T < 0.7
     assert f"{led:.1f} s of it to the starts of the paths" in progress.text
     assert most <= 0.05
 
@@ -332,8 +333,8 @@ def test_the_observer_takes_away_what_friction_costs():
         plant.share = 0.8
         options = PlannerOptions(follow=FollowOptions(observer_gain=gain))
         planner = Planner(RIG, plant.scenario, options)
-        state, _, _ = run(planner, plant, cycles=240)
-        errors[gain] = np.max(planner.rules.errors(state.memory, plant.seen(), 240 * T))
+        state, _, _ = run(planner, plant, cycles=60)
+        errors[gain] = np.max(planner.rules.errors(state.memory, plant.seen(), 60 * T))
     # Without: (1/0.8 - 1) v (1 + 1/kp) T, as in test_pd, of which 0.8 arrives. With: none is left.
     assert errors[0.0] > 0.8e-3
     assert errors[0.7] < 0.02 * errors[0.0]
@@ -363,6 +364,24 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
         if k < len(scalings):
             assert memory.scaling[1] == pytest.approx(scalings[k])
     assert memory.scaling[1] == 1.0
+
+
+@pytest.mark.parametrize("speed", [0.08, 0.2])
+def test_references_slow_down_before_corners(speed):
+    scenario = load_scenario("follow_2")
+    paths = tuple(replace(path, speed=speed) for path in scenario.task.paths)
+    plant, follower = Plant(scenario), Follower(replace(scenario.task, paths=paths), RIG)
+    memory, places = follower.begin(plant.seen(), 0.0), []
+    while not follower.finished(memory, len(places) * T):
+        places.append(follower.reference(memory, len(places) * T))
+        stamp = len(places) * T
+        seen = Parts.make(plant.ids, follower.reference(memory, stamp))  # no error at all
+        now = Situation(seen, stamp, stamp + T, T, True, True, seen.position, np.zeros(2), True)
+        memory = follower.measure(memory, now)
+    change = np.hypot(*np.diff(places, n=2, axis=0).T)
+    allowed = TURN * RIG.friction.accel * T**2
+    assert np.max(change) < 2 * allowed < 0.55 * np.sqrt(2) * speed * T
+    assert np.max(np.hypot(*np.diff(places, axis=0).T)) > 0.075 * T
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -49,6 +49,12 @@ then larger the faster all is."""
 SPEED_UP = 0.1
 """Growth of the speed scaling in one cycle: smoother than the errors that slow it down [-]."""
 
+TURN = 0.12
+"""Acceleration of references at corners, starts and ends [mu g]: they slow down before these."""
+
+CLOSE = 4
+"""Instants in a cycle at which the way ahead is looked at."""
+
 
 BIAS_MAX, SPEED_RATIO_MAX = 1.0, 3.0
 """Greatest drift bias along and across the path, and greatest drift to ask for [path's speed]."""
@@ -309,7 +315,11 @@ class Follower(TaskRules):
         distance = np.hypot(*(reference[path] - now.parts.position[part]).T)
         worst = float(np.max(distance, initial=0.0))
         lacking = (now.shortfall[part] - NEGLIGIBLE) / self._speeds[path]
-        before = memory.scaling[1]
+        before, time = memory.scaling[1], memory.path_time(now.start)
+        after = before
+        if now.latency_known:
+            after = self._scaling(before, worst, float(np.max(lacking, initial=0.0)))
+            after = min(after, self._ahead(time, now.period))
         return replace(
             memory,
             match=match,
@@ -318,10 +328,8 @@ class Follower(TaskRules):
             max_error_m=max(memory.max_error_m, worst),
             # Until the answer begins to act, the references do as was said before.
             anchor=now.start,
-            progress=memory.path_time(now.start),
-            scaling=(before, self._scaling(before, worst, float(np.max(lacking, initial=0.0))))
-            if now.latency_known
-            else (before, before),
+            progress=time,
+            scaling=(before, after),
         )
 
     def _scaling(self, before: float, worst: float, lacking: float) -> float:
@@ -329,6 +337,24 @@ class Follower(TaskRules):
         room = (SLOW_TO - worst / self.task.max_error_m) / (SLOW_TO - SLOW_FROM)
         most = max(before * SLOW_DOWN, LEAST) if lacking > LACKING else before + SPEED_UP
         return float(np.clip(room, 0, min(1.0, most)))
+
+    def _ahead(self, time: float, period: float) -> float:
+        """Greatest speed scaling at a time [s] on the paths from which no corner ahead needs more
+        than an acceleration of `TURN`.
+
+        At a scaling s the time on the paths advances by s dt, so s ds/dtime = a/v: s^2 may be
+        larger by 2 a/v for each second that a corner is away.
+        """
+        accel, fastest = TURN * self.rig.friction.accel, float(np.max(self._speeds))
+        away = np.arange(0.0, fastest / (2 * accel) + period, period / CLOSE)
+        change = np.zeros(len(away))
+        for path in self.paths:
+            before, there, after = (
+                path.position(time + away + shift) for shift in (-period, 0.0, period)
+            )
+            change = np.maximum(change, np.hypot(*(after - 2 * there + before).T))
+        slow = accel * period**2 / np.maximum(change, 1e-12)
+        return float(np.sqrt(np.min(slow**2 + 2 * accel / fastest * away)))
 
     def reference(self, memory: FollowMemory, t: float) -> np.ndarray:
         """Where the part of each path should be (P, 2) [m, plate_home] at a stamp t [s]."""
