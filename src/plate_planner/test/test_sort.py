@@ -67,6 +67,24 @@ def test_parts_that_all_go_to_one_side_need_no_lanes():
     assert np.all(to.weight[:, 1] == 0)
 
 
+@pytest.mark.parametrize("up", [1, -1])
+def test_parts_for_opposite_corners_go_in_lanes_and_then_on_to_their_corners(up):
+    corners = {"black": Side(-1, -up), "grey": Side(1, up)}
+    sorter = Sorter(replace(TASK, regions=corners), RIG)
+    ids, points = ("grey_1", "black_1", "grey_2"), [(-0.5, -0.9), (0.5, -0.9), (0.62, 0.0)]
+    parts = Parts.make(ids, fractions(*points))
+    hand = sorter.hand(None, parts)
+    assert hand == sorter.hand(-hand, parts) == up
+    to = sorter.request(parts, hand).targets
+    inner = np.array([LANE_AT, -LANE_AT, LINE[1] / HALF[1]]) * up * HALF[1]
+    nearer = np.where(inner > 0, to.low[:, 1], to.high[:, 1])
+    assert nearer == pytest.approx(inner)
+    assert to.weight[2, 1] == pytest.approx(to.weight[2, 0])
+    beside = {"black": Side(-1, up), "grey": Side(1, up)}  # one swirl does not lead to both
+    to = asked(ids, points, replace(TASK, regions=beside), sorter.hand(None, parts)).targets
+    assert np.where(up > 0, to.low[:, 1], to.high[:, 1]) == pytest.approx(up * LINE[1])
+
+
 def test_the_hand_of_the_swirl_is_the_nearer_one_and_changes_only_for_a_reason():
     def parts(*heights):
         return Parts.make(("grey_1", "black_1"), fractions((-0.5, heights[0]), (0.5, heights[1])))

@@ -118,8 +118,11 @@ class Sorter(TaskRules):
 
     def hand(self, before: float | None, parts: Parts) -> float:
         """Return which way the parts are to swirl: 1 where those for the right pass above those for
-        the left, -1 where below. It changes only where the other way is much nearer."""
+        the left, -1 where below. Opposite corners say which; else it changes only where the other
+        way is much nearer."""
         sign = self._signs(parts)
+        if diagonal := _diagonal(sign):
+            return diagonal
         way = self._ways(parts, sign)[:, 0] * sign[:, 0]
         above = float(np.sum(way * parts.position[:, 1])) / max(float(np.sum(np.abs(way))), 1e-9)
         if before is None or above * before < -SWITCH * self.rig.plate.half[1]:
@@ -142,9 +145,12 @@ class Sorter(TaskRules):
         asked = (low > -half) | (high < half)
         weight = np.where(asked, way_weight(way), 0.0)
         # Far from their sides, those for either keep to their half: so one swirl carries all.
-        lane = LANE * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0) * (sign[:, 1] == 0)
+        lane = LANE * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
+        if not _diagonal(sign):
+            lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):
             lane[:] = 0  # all go one way
+        lane[lane <= np.where(sign[:, 1] != 0, weight[:, 1], 0)] = 0  # on to the corner
         upper = hand * sign[:, 0] > 0
         middle = LANE_AT * half[1]
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
@@ -174,6 +180,15 @@ class Sorter(TaskRules):
     def _bins(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
         return {k: (np.array(v.corner), slots(v, self.rig)) for k, v in bins.items()}
+
+
+def _diagonal(sign: np.ndarray) -> float:
+    """Return 1 where parts (M, 2) belong in the bottom left and top right corners, and both do, -1
+    for the other two, 0 for other regions."""
+    side = np.prod(sign, axis=1)
+    if not len(side) or np.ptp(sign[:, 0]) == 0 or np.ptp(side) != 0:
+        return 0.0
+    return float(side[0])
 
 
 def inside(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
