@@ -26,7 +26,7 @@ class TrackerOptions:
     ----------
     gate_m : float
         Greatest distance [m] between where a part is expected and where it is found, per image,
-        0.001 to 1. At 50 mm/s that turn round within a cycle of 0.2 s a part is 20 mm from where
+        0.001 to 1. At 100 mm/s that turn round within a cycle of 0.2 s a part is 40 mm from where
         it was expected.
     max_missed : int
         Images in a row that a part may be missed before its id is given up, 0 to 1000.
@@ -45,7 +45,7 @@ class TrackerOptions:
         "confirm": (1, 100),
         "velocity_frames": (1, 100),
     }
-    gate_m: float = 0.02
+    gate_m: float = 0.04
     max_missed: int = 5
     confirm: int = 2
     velocity_frames: int = 1

@@ -171,6 +171,20 @@ def test_ids_stay_when_a_crowd_is_missed_and_specks_come(rng):
     assert tracker.last_number["grey"] >= count
 
 
+def test_a_crowd_that_turns_round_at_70_mm_per_s_keeps_its_ids(rng):
+    x, y = np.meshgrid(np.linspace(-0.25, 0.25, 10), np.linspace(-0.1, 0.1, 5))
+    start = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.008, 0.008, (50, 2))
+    swirl = np.column_stack([-start[:, 1], start[:, 0]])
+    swirl *= 0.014 / np.max(np.hypot(*start.T))  # 14 mm in a cycle
+    turned = [abs(k % 10 - 5) for k in range(30)]  # there and back
+    seen = follow([(start + n * swirl, ["black", "grey"] * 25) for n in turned], dt=0.2)
+    first = start + turned[0] * swirl
+    order = [int(np.argmin(np.sum((first - at) ** 2, axis=1))) for at in seen[0].position]
+    for n, parts in zip(turned, seen, strict=True):
+        assert parts.ids == seen[0].ids
+        assert parts.position == pytest.approx((start + n * swirl)[order])
+
+
 @pytest.mark.parametrize("frames", [1, 2, 4])
 def test_velocity_is_the_drift_over_the_last_frames(frames):
     """On x = a t2/2 the mean over n dt is a (t - n dt/2): the delay that smoothing costs."""
