@@ -206,3 +206,20 @@ def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
     assert "average_force" in ours["method"]
     assert "quad" in peer["method"]
     assert ours["median"] < 1e-5
+
+
+def test_no_motion_that_is_found_beats_the_bounds():
+    from plate_solver.analysis import speed_bounds
+    from tasks.bound import fastest
+
+    rig = load_rig()
+    rest, free = (fastest(rig, 1, 0.1, at_rest, 0, quick=True) for at_rest in (True, False))
+    assert 0.05 < rest < free < speed_bounds(rig, 0.1).least
+
+
+def test_feasible_is_held_against_what_happened():
+    from tasks.rigs import agrees
+
+    said = [("likely", "3 of 5"), ("not likely", "2 of 5"), ("likely", "2 of 5")]
+    rows = [{"feasible": words, "succeeded": told} for words, told in said]
+    assert [agrees(row) for row in rows] == [True, True, False]

@@ -39,7 +39,9 @@ ABOUT = {
         "identity": "Ids over whole sorts: swaps, parts named anew; noise of the drift",
         "tasks": "Every scenario over many seeds, and in worlds that are not as believed",
         "tracking": "1 to 6 parts on circles: tracking error against speed, fastest that is kept",
-        "sizing": "Shaking ratio and number of parts: time, error, parts dropped",
+        "bound": "How fast 1 to 10 parts can be moved: bounds, global search, closed loop",
+        "rigs": "Small and weak rigs: success, time, error, and what `feasible` said",
+        "sizing": "Number of parts: time, parts dropped",
         "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
         "control": "The closed loop with more and less time for the solver",
         "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
@@ -63,7 +65,8 @@ EXPECTED_S = {
     "sim": 160.0, "bodies": 25.0, "force_map": 20.0, "solver": 60.0, "rotations": 40.0,
     "inversion": 30.0,
     "steering": 20.0, "options": 90.0, "vision": 60.0, "stages": 60.0, "control": 180.0,
-    "tracking": 360.0, "free_running": 420.0, "sizing": 240.0, "learning": 10.0,
+    "tracking": 360.0, "free_running": 420.0, "sizing": 200.0, "learning": 10.0,
+    "bound": 600.0, "rigs": 600.0,
 }  # fmt: skip
 """How long those of the charts take where they have never been run: two cores of today [s]."""
 

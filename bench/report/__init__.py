@@ -23,7 +23,7 @@ from report.forces import (
     rotations,
     rotations_rows,
 )  # fmt: skip
-from report.loop import cameras, control, crowds, shaking, tracking
+from report.loop import bound, cameras, control, crowds, rigs, tracking
 from report.model import model, model_rows
 from report.page import write_report
 from report.results import read_facts, write_results
@@ -63,7 +63,8 @@ CHARTS: tuple[Entry, ...] = (
     Entry(
         "cameras", cameras, lambda data: table(data, "free_running", "cameras"), ("free_running",)
     ),
-    Entry("shaking", shaking, lambda data: table(data, "sizing", "ratio"), ("sizing",)),
+    of_table(bound, "bound"),
+    of_table(rigs, "rigs"),
     Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
     of_table(learning, "learning"),

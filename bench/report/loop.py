@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from harness import shown
 from report.axis import Axis
 from report.chart import Chart, Row, by, column, parts
-from report.panels import FAINT, LIMIT, OURS, SECOND, Panel, Panels
+from report.panels import FAINT, LIMIT, OURS, PEER, SECOND, Panel, Panels
 from report.solver import METHODS
 from tasks.free_running import ALLOWED_MM
 
 COUNT_COLOURS = ("#0b5f8a", "#c4560b", "#2e7d4a", "#7d4f9e", "#8a6d00", "#b02a37")
+DASH = {"acceleration": "--", "stroke": ":"}
 SPEEDS = (2, 5, 10, 20, 40, 80, 160, 320, 1000)
 
 
@@ -157,24 +160,90 @@ def cameras(rows: list[Row]) -> Chart:
     )  # fmt: skip
 
 
-def shaking(rows: list[Row]) -> Chart:
-    """Return what a task takes, and how exact it is, against the shaking ratio."""
-    x = Axis("shaking ratio [-]", log=True, ticks=tuple(sorted(by(rows, "gamma"))))
-    panels = Panels()
-    sorts = panels.add("Sorting", x, Axis("time of the task [s]", log=True))
-    follows = panels.add("Following a path", x, Axis("tracking error, RMS [mm]", log=True))
-    told, tasks = [], by(rows, "scenario").items()
-    for colour, (scenario, mine) in zip(COUNT_COLOURS, tasks, strict=False):
-        y, unit = ("time_s", "s") if mine[0]["rms_mm"] is None else ("rms_mm", "mm")
-        sized(sorts if y == "time_s" else follows, scenario, "gamma", y, mine, colour)
-        told.append(f"{scenario} {medians(mine, y)} {unit}")
+def rigs(rows: list[Row]) -> Chart:
+    """Return success, time and error on small and weak rigs, and what `feasible` said of them."""
+    names, panels = tuple(by(rows, "rig"))[::-1], Panels()
+    y = Axis("", names=names)
+    share = panels.add("Ended well", Axis("runs [%]", limits=(-5, 105)), y)
+    time = panels.add("Time of the task", Axis("median [s]", log=True), y)
+    error = panels.add("Following a path", Axis("tracking error, RMS, median [mm]", log=True), y)
+    pace = panels.add("Following a path", Axis("of the speed asked for [%]", limits=(-5, 105)), y)
+    tasks = by([r | {"scenario": r["scenario"].removesuffix("_desk")} for r in rows], "scenario")
+    for colour, marker, (scenario, mine) in zip(COUNT_COLOURS, "osD", tasks.items(), strict=False):
+        rig, hollow = column(mine, "rig"), [not all_well(r) for r in mine]
+        notes = [f"{r['succeeded']} ended well; feasible: {r['feasible']}" for r in mine]
+        share.points(
+            scenario, [percent(r) for r in mine], rig, colour, marker, hollow=hollow, notes=notes
+        )
+        time.points(scenario, column(mine, "time_s"), rig, colour, marker, hollow=hollow)
+        time.points(f"{scenario}, by feasible", column(mine, "feasible_s"), rig, colour, "x")
+        if any(column(mine, "rms_mm")):
+            error.points(scenario, column(mine, "rms_mm"), rig, colour, marker, hollow=hollow)
+            kept = [100 * r["pace"] for r in mine]
+            pace.points(scenario, kept, rig, colour, marker, hollow=hollow)
+    told = "; ".join(
+        f"{rig}: " + ", ".join(f"{r['scenario']} {r['succeeded']}" for r in these)
+        for rig, these in by([r for r in rows if not all_well(r)], "rig").items()
+    )
+    right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Chart(
-        "shaking", "", "Sizing a rig: how hard it must shake",
-        "The plate's acceleration over mu g, that of a sliding part. Medians over the seeds, in a "
-        "clean world; hollow: not all runs ended well.",
-        f"Shaking ratio {' / '.join(f'{g:g}' for g in by(rows, 'gamma'))}: {'; '.join(told)}.",
+        "rigs", "", "Sizing a rig: what small and weak ones reach",
+        "The default rig (0.6 x 0.3 m, shaking ratio 40.8, stroke 10 mm, motors of 200 N) but for "
+        "what a name says, and the desk's plate of 0.15 x 0.15 m with 2 mm. Uneven friction; "
+        "follow_2 at 40 mm/s, on the desk at 10. Hollow: not all runs ended well. Crosses: the "
+        "time that `ros2 run plate_solver feasible` told before.",
+        f"Not all runs ended well on {told or 'none'}. feasible was right (likely: more than half "
+        f"of the runs end well) in {right} of {len(rows)} cases.",
         "", panels,
     )  # fmt: skip
+
+
+def bound(rows: list[Row]) -> Chart:
+    """Return how fast parts can be moved: bounds, what a search finds, what the loop reaches."""
+    panels = Panels()
+    one = by(rows, "parts")[1]
+    period = [1e3 * r["period_s"] for r in one]
+    first = panels.add("One part", Axis("cycle [ms]"), Axis("mean speed [mm/s]", log=True))
+    for name, key in (("acceleration", "accel_mm_s"), ("stroke", "stroke_mm_s")):
+        first.points(f"bound of {name}", period, column(one, key), LIMIT, "", DASH[name])
+    kinds = {"free_mm_s": ("found, without rest", SECOND), "rest_mm_s": ("found, with rest", OURS)}
+    for key, (name, colour) in kinds.items():
+        first.points(name, period, column(one, key), colour, "o", "-")
+    counts = by(rows, "parts")
+    second = panels.add(
+        "Best cycle, and the closed loop", Axis("parts", log=True, ticks=tuple(counts)),
+        Axis("mean speed [mm/s]", log=True),
+    )  # fmt: skip
+    most = {key: [max(column(mine, key)) for mine in counts.values()] for key in kinds}
+    for key, (name, colour) in kinds.items():
+        second.points(name, list(counts), most[key], colour, "o", "-")
+    own = [next(r for r in mine if r["solver"]) for mine in counts.values()]
+    second.points(
+        "found, the solver's cycle", list(counts), column(own, "rest_mm_s"), FAINT, "s", ":"
+    )
+    loop = column(own, "loop_mm_s")
+    second.points("closed loop", list(counts), loop, PEER, "D", "--")
+    gain = ", ".join(
+        f"{a / b:.1f} by {parts(n)}"
+        for n, a, b in zip(counts, most["free_mm_s"], most["rest_mm_s"], strict=True)
+    )
+    return Chart(
+        "bound", "", "How fast parts can be moved",
+        "Mean speed of scattered parts, half of them to the left, half to the right, anywhere "
+        "across. Found: the best steady cycle of a global search with the rig's limits, with the "
+        "plate at rest between cycles and without; no bound, as the search is not exhaustive. "
+        "Bounds: of one part on a plate that shakes along a line (proof: docs/model.md). Closed "
+        "loop: until half of all ways are done, with the starts and the lanes that it takes.",
+        f"Best cycle found with rest [mm/s]: {listed(counts, most['rest_mm_s'])}; closed loop: "
+        f"{listed(counts, loop)}. Without rest cycles are found that are faster by a factor of "
+        f"{gain}.",
+        "", panels,
+    )  # fmt: skip
+
+
+def listed(counts: Iterable[int], values: list[float]) -> str:
+    """Return values by numbers of parts in a line."""
+    return ", ".join(f"{v:.0f} by {parts(n)}" for n, v in zip(counts, values, strict=True))
 
 
 def crowds(rows: list[Row]) -> Chart:
@@ -209,6 +278,12 @@ def sized(panel: Panel, name: str, x: str, y: str, rows: list[Row], colour: str)
 def all_well(row: Row) -> bool:
     """Whether all runs of a row ended well: it says how many of how many did."""
     return len(set(row["succeeded"].split(" of "))) == 1
+
+
+def percent(row: Row) -> float:
+    """How many of a row's runs ended well [%]."""
+    good, runs = map(int, row["succeeded"].split(" of "))
+    return 100 * good / runs
 
 
 def medians(rows: list[Row], key: str) -> str:

@@ -1,0 +1,186 @@
+"""How fast parts can be moved at all: bounds, the best of a global search, and the closed loop.
+
+Parts are scattered, half of them are to go to the left, half to the right; across they may go
+anywhere. The search looks for the steady cycle that carries them fastest on average: many descents
+of the solver, with the rig's limits, each from the velocities that the parts have once a motion
+repeats. With the plate at rest between cycles, as the graph has it, and without.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from harness.loop import Setup, run, with_settings
+from plate_core import PlateCycle, Rig, load_rig
+from plate_core.motion import usage
+from plate_core.tasks import load_scenario, start_positions
+from plate_solver import Goal, Limits
+from plate_solver.analysis import speed_bounds
+from plate_solver.maps import end_state
+from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
+from tasks.runs import UNEVEN, median
+from tasks.sizing import sort_file
+
+COUNTS = (1, 2, 4, 10)
+PERIODS = {0.05: 3, 0.1: 4, 0.15: 6, 0.2: 8, 0.3: 12}
+"""Length of a cycle [s] -> harmonics: those of the solver, and a shorter and a longer one."""
+
+SCENES, STARTS, DISTURBED = 2, 60, 240
+"""Scattered scenes; motions drawn at random for each, and disturbances of the best so far."""
+
+SPREADS = (0.15, 0.5)
+"""Sizes of disturbances, by turns [size of the motion]."""
+
+AHEAD_M, WEIGHT, FAR_M = 0.3, 0.04, 10.0
+"""How far ahead parts are to be, what a metre counts, and how much further is as good [m]."""
+
+COAST_S, ITERATIONS, STEP = 0.03, 24, 0.4e-3
+"""As the solver has them [s]."""
+
+SETTLED, FINE = 20, 1000
+"""Cycles until the parts' velocities repeat, and steps of each."""
+
+SEEDS = range(50_000, 50_005)
+"""Of the closed loop."""
+
+COLUMNS = {
+    "parts": "parts", "period_s": "cycle [s]", "rest_mm_s": "found, plate at rest between [mm/s]",
+    "free_mm_s": "found, without rest [mm/s]", "solver": "the solver's cycle",
+    "loop_mm_s": "closed loop [mm/s]", "accel_mm_s": "bound of acceleration [mm/s]",
+    "stroke_mm_s": "bound of stroke [mm/s]",
+}  # fmt: skip
+
+
+def measure(quick: bool) -> Result:
+    """Search for all numbers of parts and lengths of a cycle, and run the loop."""
+    rig, cache = load_rig(), Cache.of(__name__)
+    counts, periods = (COUNTS[:1], (0.1,)) if quick else (COUNTS, tuple(PERIODS))
+    scenes, seeds = (1, SEEDS[:1]) if quick else (SCENES, SEEDS)
+    searches = {
+        f"{count} {period} {rest} {scene}": (rig, count, period, rest, scene, quick)
+        for count in counts
+        for period in periods
+        for rest in (True, False)
+        for scene in range(scenes)
+    }
+    with TemporaryDirectory() as folder, processes() as pool:
+        files = {count: sort_file(Path(folder), count) for count in counts}
+        loops = {f"loop {n} {seed}": (files[n], seed) for n in counts for seed in seeds}
+        found = dict(zip(searches, resumed(pool, fastest, searches, cache), strict=True))
+        driven = dict(zip(loops, resumed(pool, loop_speed, loops, cache), strict=True))
+    rows: list[dict[str, Any]] = []
+    for count in counts:
+        own = 0.1 if count <= 2 else 0.15 if count <= 4 else 0.2
+        for period in periods:
+            rest, free = (
+                1e3 * float(np.mean([found[f"{count} {period} {r} {k}"] for k in range(scenes)]))
+                for r in (True, False)
+            )
+            bounds = speed_bounds(rig, period)
+            loop = median([1e3 * driven[f"loop {count} {seed}"] for seed in seeds])
+            rows.append(
+                {
+                    "parts": count, "period_s": period, "rest_mm_s": rest, "free_mm_s": free,
+                    "solver": period == own, "loop_mm_s": loop if period == own else None,
+                    "accel_mm_s": 1e3 * bounds.accel, "stroke_mm_s": 1e3 * bounds.stroke,
+                }
+            )  # fmt: skip
+    note = (
+        f"Default rig, mean speed of the parts towards their sides; mean of {scenes} scenes. "
+        f"Found: the best of {STARTS} random starts and {DISTURBED} disturbances. "
+        "Closed loop: uneven friction, until half of all ways are done, median of seeds "
+        f"{seeds[0]} to {seeds[-1]}. "
+        "Bounds are of one part along a line. What is found is no bound: twice the harmonics in "
+        "twice the time do at least as well, so where the table has less the search fell short."
+    )
+    told = [
+        f"{row['parts']} part(s), {row['period_s']:g} s: {row['rest_mm_s']:.0f} mm/s from rest, "
+        f"{row['free_mm_s']:.0f} without, {row['loop_mm_s']:.0f} in the loop"
+        for row in rows
+        if row["solver"]
+    ]
+    return Result([Table("bound", "How fast parts can be moved", COLUMNS, rows, note)], told)
+
+
+def fastest(
+    rig: Rig, count: int, period: float, at_rest: bool, scene: int, quick: bool = False
+) -> float:
+    """Return the greatest mean speed that is found [m/s]."""
+    rng = np.random.default_rng([scene, count])
+    with TemporaryDirectory() as folder:
+        scenario = load_scenario(sort_file(Path(folder), count))
+    labels, position = start_positions(scenario, rig, rng)
+    way = np.where(np.array(labels) == "black", -1.0, 1.0)
+    number = PERIODS[period]
+    steps = -(-max(round(period / STEP), 16 * number) // BIN) * BIN
+    basis = sinusoid_basis(number, period, at_rest, steps)
+    motions = Motions.of(basis, Limits.of(rig))
+    family = SinusoidFamily(basis, Limits.of(rig))
+    best, score, velocity = np.zeros(3 * basis.size), -np.inf, np.zeros_like(position)
+    for k in range(20 if quick else STARTS + DISTURBED):
+        if k < STARTS:
+            start, begin = rng.standard_normal(3 * basis.size), np.zeros_like(position)
+        else:
+            size = SPREADS[k % 2] * np.sqrt(np.mean(best**2)) * (k % 4 > 0)
+            start, begin = best + size * rng.standard_normal(best.size), velocity
+        theta = start
+        for most in (1.3, 1.0):
+            goal = wanted(rig, position, begin, way)
+            theta = descend(Problem.of(goal, motions, most), theta, 0.0, ITERATIONS).parameters
+            cycle = kept(rig, family.cycle(theta))
+            speed, begin = steady(rig, cycle, position, way)
+        if speed > score:
+            best, score, velocity = theta, speed, begin
+    return score
+
+
+def wanted(rig: Rig, position: np.ndarray, velocity: np.ndarray, way: np.ndarray) -> Goal:
+    """Ask parts (M, 2) [m] as far as can be along x, each in its direction (M,); y is free."""
+    displacement = np.column_stack([way * (AHEAD_M + FAR_M), np.zeros(len(way))])
+    tolerance = np.column_stack([np.full(len(way), FAR_M), np.full(len(way), 100.0)])
+    return Goal(
+        position, velocity, displacement, tolerance, np.full(len(way), rig.friction.accel),
+        lasting=True, weight=WEIGHT, coast=COAST_S,
+    )  # fmt: skip
+
+
+def kept(rig: Rig, cycle: PlateCycle) -> PlateCycle:
+    """Scale a cycle to the rig's limits where it exceeds them."""
+    return cycle.scaled(min(1.0, 1 / max(usage(rig, cycle).overall, 1e-9)))
+
+
+def steady(
+    rig: Rig, cycle: PlateCycle, position: np.ndarray, way: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the mean speed [m/s] of parts that are put back after each cycle, once their
+    velocities (M, 2) [m/s] at its start repeat, and these."""
+    t = (np.arange(FINE) + 0.5) * cycle.period / FINE
+    pose, twist, dt = cycle.pose(t), cycle.twist(t), np.full(FINE, cycle.period / FINE)
+    friction, velocity = np.full(len(way), rig.friction.accel), np.zeros_like(position)
+    speeds = []
+    for _ in range(SETTLED):
+        end, velocity = end_state(position, velocity, pose, twist, dt, friction)
+        speeds.append(float(np.mean((end - position)[:, 0] * way)) / cycle.period)
+    return float(np.mean(speeds[-4:])), velocity
+
+
+def loop_speed(scenario: str, seed: int) -> float:
+    """Return the mean speed [m/s] of the parts in the closed loop until half of their ways to their
+    sides are done."""
+    goal = 0.6 * load_rig().plate.half[0]
+    first: float | None = None
+    going = 1
+    for moment in run(with_settings(Setup(scenario, seed), UNEVEN)):
+        black = np.array([name.startswith("black") for name in moment.world.ids])
+        left = np.maximum(goal - moment.world.position[:, 0] * np.where(black, -1, 1), 0)
+        total = float(np.sum(left))
+        if first is None:
+            first, going = total, max(int(np.count_nonzero(left)), 1)
+        if total <= first / 2:
+            break
+    return (first - total) / going / max(moment.time, 0.1) if first else 0.0

@@ -1,0 +1,102 @@
+"""What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
+beside what `ros2 run plate_solver feasible` says of them.
+
+The whole loop of `harness.loop` with image noise and uneven friction. Some 170 runs: ten
+minutes on two cores.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from harness.loop import Setup
+from plate_core import Rig, load_rig
+from plate_core.tasks import load_scenario
+from plate_solver import judge_task
+from tasks.runs import UNEVEN, runs_of, sentence, summed
+
+RATIOS = (2, 3, 5, 10, 20)
+"""Shaking ratios of the default plate: its acceleration over mu g, by `accel_mps2`."""
+
+STROKES_MM = (2, 5)
+"""Strokes of the default plate."""
+
+FORCES_N = ((10, 5), (20, 10))
+"""Peak and continuous force of the motors of the default plate."""
+
+SCENARIOS = ("sort_4", "sort_10", "follow_2")
+
+SEEDS = range(50_000, 50_005)
+"""Nobody tuned on these."""
+
+COLUMNS = {
+    "rig": "rig", "gamma": "shaking ratio", "scenario": "scenario", "succeeded": "succeeded",
+    "dropped": "dropped", "time_s": "time, median [s]", "longest_s": "longest [s]",
+    "rms_mm": "RMS error, median [mm]", "worst_rms_mm": "of the worst run [mm]",
+    "pace": "speed kept, median", "feasible": "feasible says", "feasible_s": "its time [s]",
+    "binds": "what binds",
+}  # fmt: skip
+
+
+def measure(quick: bool) -> Result:
+    """Run all tasks on all rigs."""
+    cache, seeds = Cache.of(__name__), SEEDS[:1] if quick else SEEDS
+    kinds = [
+        (name, rig, "follow_2_desk" if (name, task) == ("desk", "follow_2") else task)
+        for name, rig in rigs().items()
+        for task in (SCENARIOS[:1] if quick else SCENARIOS)
+    ]
+    rows: list[dict[str, Any]] = []
+    with processes() as pool:
+        told = resumed(pool, judged, {f"feasible {n} {s}": (r, s) for n, r, s in kinds}, cache)
+        for (name, rig, scenario), said in zip(kinds, told, strict=True):
+            cases = {f"{name} {scenario} {k}": (Setup(scenario, k), UNEVEN) for k in seeds}
+            runs = runs_of(pool, cache, rig, cases)
+            row = {"rig": name, "gamma": rig.gamma, "scenario": scenario} | summed(runs) | said
+            rows.append({key: row[key] for key in COLUMNS})
+    note = (
+        f"Seeds {seeds[0]} to {seeds[-1]}, friction uneven by 10 % between parts and over the "
+        "plate; time is simulated. A rig is the default one but for what its name says."
+    )
+    right = sum(agrees(row) for row in rows)
+    return Result(
+        [Table("rigs", "Small and weak rigs", COLUMNS, rows, note)],
+        [f"{row['rig']}: {sentence(row)}; feasible: {row['feasible']}" for row in rows]
+        + [f"feasible was right in {right} of {len(rows)} cases"],
+    )
+
+
+def rigs() -> dict[str, Rig]:
+    """Return the rigs, by name."""
+    default = load_rig()
+
+    def limited(**limits: float) -> Rig:
+        return replace(default, limits=replace(default.limits, **limits))
+
+    return {
+        **{f"Gamma {g:g}": limited(accel=g * default.friction.accel) for g in RATIOS},
+        "default": default,
+        **{f"stroke {s:g} mm": limited(stroke_m=1e-3 * s) for s in STROKES_MM},
+        **{f"motors {p} N": limited(force=p, continuous_force=c) for p, c in FORCES_N},
+        "desk": load_rig("desk"),
+    }
+
+
+def judged(rig: Rig, scenario: str) -> dict[str, Any]:
+    """Return what `feasible` says of a task."""
+    verdict = judge_task(rig, load_scenario(scenario))
+    return {
+        "feasible": "likely" if verdict.likely else "not likely",
+        "feasible_s": verdict.time_s if np.isfinite(verdict.time_s) else None,
+        "binds": verdict.share.binds,
+    }
+
+
+def agrees(row: dict[str, Any]) -> bool:
+    """Whether most runs did as `feasible` said: ended well, or not."""
+    good, runs = map(int, row["succeeded"].split(" of "))
+    return (row["feasible"] == "likely") == (2 * good > runs)
