@@ -66,8 +66,9 @@ LEAD_TO_M = 1e-3
 """Parts are led to the starts of their paths as near as this [m], or as `SLOW_FROM` if that is
 more: from there the references can begin at full speed."""
 
-KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.005)
-"""Speeds that one, two, ... six parts or more kept on circles [m/s]: docs/results.md, (f)."""
+KEPT_MPS = (0.08, 0.08, 0.04, 0.02, 0.02, 0.01)
+"""Speeds that one, two, ... six parts or more kept on circles [m/s]: docs/results.md, (f), and the
+scenario follow_8."""
 
 REACHED, PERIOD_S = 0.3, 0.1
 """Share of the bound a T/16 that two parts kept at shaking ratios of 3 and 5 [-], and the length of
