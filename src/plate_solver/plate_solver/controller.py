@@ -44,7 +44,7 @@ swing the right way are further than they look."""
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
-    "sinusoids": {"iterations": 24, "restarts": 10},
+    "sinusoids": {"iterations": 24, "restarts": 7},
 }
 """Most iterations from one start and most further starts: what suits a loop. More take longer, and
 buy little: see docs/results.md."""
@@ -140,7 +140,9 @@ class Controller:
             self._spin.clear()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
-        period = solver.steering_period(len(parts), int(np.count_nonzero(wanted.torque)))
+        period = solver.steering_period(
+            len(parts), int(np.count_nonzero(wanted.torque)), wanted.targets is not None
+        )
         goal = self._goal(wanted, running, period)
         asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2

@@ -202,5 +202,6 @@ class MotionSolver(ABC):
         """
 
     @abstractmethod
-    def steering_period(self, count: int, turns: int = 0) -> float:
-        """Period [s] of the cycles that `steer` makes for `count` parts, so many of which turn."""
+    def steering_period(self, count: int, turns: int = 0, lasting: bool = False) -> float:
+        """Period [s] of the cycles that `steer` makes for `count` parts, so many of which turn;
+        lasting: as in `Goal`."""

@@ -180,15 +180,15 @@ class SinusoidSolver(MotionSolver):
         )
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        number, period, _ = self._key(goal.rows, True)
+        number, period, _ = self._key(goal.rows, True, goal.lasting)
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng
         )
         cycle = within_limits(cycle, self._full)
         return goal_solution(goal, cycle, good_enough, iterations, condition)
 
-    def steering_period(self, count: int, turns: int = 0) -> float:
-        return self._key(2 * count + turns, True)[1]
+    def steering_period(self, count: int, turns: int = 0, lasting: bool = False) -> float:
+        return self._key(2 * count + turns, True, lasting)[1]
 
     def harmonics(self, constraints: int) -> int:
         """How many harmonics the motions for so many forces on the averaged map have."""
@@ -204,9 +204,11 @@ class SinusoidSolver(MotionSolver):
             self._searches[key] = Motions.of(key[0], basis, self._limits).plain, pool
         return self._searches[key]
 
-    def _key(self, constraints: int, at_rest: bool) -> tuple[int, float, bool]:
+    def _key(
+        self, constraints: int, at_rest: bool, lasting: bool = False
+    ) -> tuple[int, float, bool]:
         """Return harmonics, period and kind of the motions for so many forces."""
-        number = self.options.harmonics or _harmonics_for(constraints, at_rest)
+        number = self.options.harmonics or _harmonics_for(constraints, at_rest, lasting)
         if at_rest:
             number = max(number, 2)
         return number, self.options.period or _period_for(number, at_rest), at_rest
@@ -239,15 +241,17 @@ def fit_curl(
     return fit(evaluate, family.admissible, start, tolerance, iterations)
 
 
-def _harmonics_for(constraints: int, at_rest: bool) -> int:
-    """Fewest harmonics with some parameters to spare (DESIGN: measured, not derived)."""
+def _harmonics_for(constraints: int, at_rest: bool, lasting: bool = False) -> int:
+    """Fewest harmonics with some parameters to spare: measured, not derived. Exact drifts of many
+    parts need more and longer cycles; ways that last are soonest over with short ones."""
     if at_rest:  # rank 6 N - 7
-        return 4 if constraints <= 4 else 6 if constraints <= 8 else 8
+        few = 4 if constraints <= 4 else 6 if constraints <= 8 else 8
+        return few if lasting or constraints <= 16 else 12 if constraints <= 24 else 16
     return max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
 
 
 def _period_for(number: int, at_rest: bool) -> float:
     """Period [s]: long enough for the stroke to be used, short enough for quick answers."""
     if at_rest:
-        return 0.1 if number <= 4 else 0.15 if number <= 6 else 0.2
+        return 0.1 if number <= 4 else 0.15 if number <= 6 else 0.025 * number
     return 0.025 * number

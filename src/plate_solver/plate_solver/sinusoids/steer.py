@@ -17,9 +17,9 @@ from .basis import STEPS_PER_HARMONIC, sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
-STEP = 0.4e-3
-"""Longest step of a search [s]: friction acts by first-order steps, which miss 10 % of a drift at
-1 ms; what they miss at the end is aimed at once more."""
+STEP, ROUGH_STEP = 0.4e-3, 0.8e-3
+"""Longest step of a search for exact drifts, and for progress [s]: friction acts by first-order
+steps, which miss 10 % of a drift at 1 ms; what they miss at the end is aimed at once more."""
 
 BEYOND = 1.3
 """Fraction of the limits that the search may use on its way."""
@@ -27,11 +27,14 @@ BEYOND = 1.3
 FRESH = 3
 """Further motions drawn at random where a search knows of none to begin with."""
 
+CROWD = 10
+"""Parts; with more of them further descents gain more."""
+
 SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
 
-LONGEST_S = 0.1
-"""Processor time after which no further descent begins [s]: half a cycle of many parts."""
+LONGEST = 0.5
+"""Part of a cycle after which no further descent begins: the rest of the graph needs time too."""
 
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
@@ -49,14 +52,15 @@ class SinusoidSteering:
     iterations : int
         Most steps of a descent.
     restarts : int
-        Most further descents.
+        Most further descents; `FRESH` more without a motion to begin with, and in proportion more
+        for the progress of over `CROWD` parts.
     """
 
     def __init__(self, limits: Limits, iterations: int, restarts: int) -> None:
         self._limits = limits
         self._iterations, self._restarts = iterations, restarts
         self._warm: dict[tuple[int, float], np.ndarray] = {}
-        self._motions: dict[tuple[int, float], Motions] = {}
+        self._motions: dict[tuple[int, float, float], Motions] = {}
 
     def forget(self) -> None:
         """Forget the last motions."""
@@ -80,14 +84,16 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square].
         """
-        family = limited_sinusoids(number, period, self._limits, BEYOND)
-        to = self._descend(number, period, tolerance, goal)
+        step = ROUGH_STEP if goal.lasting else STEP
+        family = limited_sinusoids(number, period, self._limits, BEYOND, step)
+        to = self._descend(number, period, step, tolerance, goal)
         known, enough = self._warm.get((number, period)), good_enough**2 * goal.rows
-        start, began = family.random(rng) if known is None else known, time.thread_time()
+        start, began = family.random(rng) if known is None else known, time.perf_counter()
         best = to(goal, start, BEYOND, self._iterations)
         iterations = best.iterations
-        for index in range(self._restarts):
-            if best.cost <= enough or time.thread_time() - began > LONGEST_S:
+        crowd = max(1.0, len(goal.position) / CROWD) if goal.lasting else 1.0
+        for index in range(round(crowd * self._restarts) + (FRESH if known is None else 0)):
+            if best.cost <= enough or time.perf_counter() - began > LONGEST * period:
                 break
             if known is None and index < FRESH:
                 start = family.random(rng)
@@ -98,7 +104,7 @@ class SinusoidSteering:
             iterations += found.iterations
             best = found if found.cost < best.cost else best
         last = to(goal, best.parameters, 1.0, CORRECTIONS)
-        strict = limited_sinusoids(number, period, self._limits, 1.0)
+        strict = limited_sinusoids(number, period, self._limits, 1.0, step)
         aim = goal
         for _ in range(AIMS):
             fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
@@ -112,24 +118,29 @@ class SinusoidSteering:
         condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
         return strict.cycle(last.parameters), iterations, condition
 
-    def _descend(self, number: int, period: float, tolerance: float, goal: Goal) -> Descend:
+    def _descend(
+        self, number: int, period: float, step: float, tolerance: float, goal: Goal
+    ) -> Descend:
         """Return what improves a motion."""
         if goal.turns is not None:
             return lambda aim, start, most, iterations: fit_goal(
-                aim, limited_sinusoids(number, period, self._limits, most), start, tolerance,
-                iterations,
+                aim, limited_sinusoids(number, period, self._limits, most, step), start,
+                tolerance, iterations,
             )  # fmt: skip
-        if (number, period) not in self._motions:
-            basis = limited_sinusoids(number, period, self._limits, 1.0).basis
-            self._motions[number, period] = Motions.of(basis, self._limits)
-        motions = self._motions[number, period]
+        key = number, period, step
+        if key not in self._motions:
+            basis = limited_sinusoids(number, period, self._limits, 1.0, step).basis
+            self._motions[key] = Motions.of(basis, self._limits)
+        motions = self._motions[key]
         return lambda aim, start, most, iterations: descend(
             Problem.of(aim, motions, most), start, tolerance, iterations
         )
 
 
-def limited_sinusoids(number: int, period: float, limits: Limits, most: float) -> LimitedSinusoids:
-    """Return the family that starts and ends at rest, in steps of at most `STEP`."""
-    steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / STEP))
+def limited_sinusoids(
+    number: int, period: float, limits: Limits, most: float, step: float = STEP
+) -> LimitedSinusoids:
+    """Return the family that starts and ends at rest, in steps of at most `step` [s]."""
+    steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / step))
     steps = -(-steps // BIN) * BIN
     return LimitedSinusoids(sinusoid_basis(number, period, True, steps), limits, most)
