@@ -44,7 +44,7 @@ WARNINGS = [
     (("parts", "radius_m"), 0.03, r"radius_m is 0.03 on a plate .* advised: up to 0.022"),
     (("parts", "mass_kg"), 0.3, "mass_kg is 0.3 on a plate of 2 kg"),
     (("limits", "continuous_force_n"), 300, "continuous_force_n is 300, more than the peak force"),
-    (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(by accel_mps2\), advised: 7 or more"),
+    (("limits", "accel_mps2"), 6.0, r"Gamma is 2.45 \(by accel_mps2\), advised: 5 or more"),
     (("limits", "stroke_m"), 0.6, "stroke_m is 0.6, but at 5 Hz, .* use 0.1 m of it"),
 ]
 

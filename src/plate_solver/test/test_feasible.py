@@ -82,7 +82,7 @@ def test_command_says_no_and_what_would_do(tmp_path):
     code, out, _ = command("--scenario", "follow_2", "--rig", path)
     assert code == 1
     assert "follow_2: not likely: 0 of 3 rehearsals" in out
-    assert "the plate shakes too little: Gamma = 1.5, limited by accel_mps2; 7 or more" in out
+    assert "the plate shakes too little: Gamma = 1.5, limited by accel_mps2; 5 or more" in out
 
 
 def test_command_says_that_it_does_not_fit():
