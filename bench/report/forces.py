@@ -135,7 +135,10 @@ def inversion(rows: list[Row]) -> Chart:
     left.bars("solved", column(rows, "solved"), names, OURS)
     if any(column(rows, "proven")):
         left.bars("proven out of reach", column(rows, "proven"), names, SECOND)
-    left.bars("in part only", [100 - r["solved"] - r["proven"] for r in rows], names, "#cccccc")
+    more = [r["more"] - r["solved"] for r in rows]
+    left.bars("by ten times the starts", more, names, THIRD)
+    rest = [100 - r["more"] - r["proven"] for r in rows]
+    left.bars("in part only", rest, names, "#cccccc")
     right = panels.add("Time", Axis("median time of a cold solve [ms]", log=True), y)
     right.points("median time", column(rows, "median_ms"), names, THIRD)
     free = [r for r in rows if "(" in str(r["harmonics"])]

@@ -191,7 +191,7 @@ def rigs(rows: list[Row]) -> Chart:
         "The default rig (0.6 x 0.3 m, shaking ratio 40.8, stroke 10 mm, motors of 200 N) but for "
         "what a name says, and the desk's plate of 0.15 x 0.15 m with 2 mm. Uneven friction; "
         "follow_2 at 40 mm/s, on the desk at 10. Hollow: not all runs ended well. Crosses: the "
-        "time that `ros2 run plate_solver feasible` told before.",
+        "time that `ros2 run plate_solver feasible` had estimated.",
         f"Not all runs ended well on {told or 'none'}. feasible was right (likely: more than half "
         f"of the runs end well) in {right} of {len(rows)} cases.",
         "", panels,

@@ -23,7 +23,7 @@ COUNTS = (1, 2, 4, 10)
 """Numbers of parts that are tried where no scenario is given."""
 
 WAY_M, PERIOD_S = 0.1, 0.2
-"""A way whose least time is told [m], and the longest cycle of the solver [s]."""
+"""A way whose least time is shown [m], and the longest cycle of the solver [s]."""
 
 KEYS = {
     "stroke": "stroke_m", "speed": "speed_mps", "acceleration": "accel_mps2", "force": "force_n",

@@ -32,7 +32,7 @@ REHEARSALS = 3
 """Starts from which a task is rehearsed."""
 
 MOST_CYCLES = 150
-"""Of one rehearsal; what is left of the task then is reckoned at the speed of its second half."""
+"""Of one rehearsal; what is left of the task then is estimated by the speed of its second half."""
 
 UNEVEN = 0.1
 """Standard deviation of the parts' friction [the rig's]."""
