@@ -49,7 +49,7 @@ def main() -> None:
         start_ros(args.namespace)
         graph = commands(args.namespace)
         try:
-            print(graph.run(args))
+            print(graph.run(args), flush=True)
         finally:
             graph.node.destroy_node()
     except PlateError as error:
@@ -57,6 +57,9 @@ def main() -> None:
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
+    except BrokenPipeError:  # the reader has enough, as in `plate state | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     finally:
         rclpy.try_shutdown()
 

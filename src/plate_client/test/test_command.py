@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -238,6 +239,18 @@ finally:
     assert done.returncode == code
     assert "so it is" in done.stdout + done.stderr
     assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_a_reader_that_has_enough_is_no_error(graph):
+    program = "from plate_client.command import main; main()"
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", program, "emergency_stop", "--namespace", NAMESPACE],
+        stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60,
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
 
 
 def test_interrupted_while_it_imports_it_says_so_in_a_line():
