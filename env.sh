@@ -17,10 +17,10 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     export ROS_LOG_DIR="${ROS_LOG_DIR:-$_plate_root/log/ros}"
     export MPLCONFIGDIR="${MPLCONFIGDIR:-$_plate_root/.matplotlib_cache}"
 
-    # Where there is no `ros2`: `plate goal sort_4`, `plate --help`
+    # Where there is no `ros2`: `plate goal sort_4`, `plate --help`, `feasible --scenario sort_4`
     case ":$PATH:" in
         *":$_plate_root/install/plate_core/lib/plate_core:"*) ;;
-        *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$PATH" ;;
+        *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$_plate_root/install/plate_solver/lib/plate_solver:$PATH" ;;
     esac
 
     # Numerics: keep what numba compiled; the matrices are small, so threads would only get in each other's way

@@ -80,6 +80,11 @@ class Task:
         """Whether it is over, and its goal reached."""
         return self.status is not None and self.status.state == TaskStatus.DONE
 
+    @property
+    def accepted(self) -> bool:
+        """Whether the planner has answered, so that `cancel` reaches it."""
+        return self._handle is not None
+
     def has_begun(self) -> bool:
         """Whether the planner does it, or has done with it."""
         return self.ended or self.progress.parts_total > 0
@@ -247,9 +252,17 @@ class PlateClient:
         return status
 
     def cancel(self, task: Task) -> TaskStatus:
-        """End a task: nothing is asked of the parts any more; returns its last status."""
+        """End a task: nothing is asked of the parts any more; returns its last status.
+
+        Ctrl-C ends the wait for it when the planner has been asked.
+        """
         task.cancel()
-        return self.wait(task, CANCEL_S)
+        while True:
+            try:
+                return self.wait(task, CANCEL_S)
+            except KeyboardInterrupt:
+                if task.accepted:
+                    raise
 
     def _spin_until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         return spin_until(

@@ -37,6 +37,7 @@ def main() -> None:
 
     from plate_core import PlateError
 
+    from .messages import defer_signals
     from .services import Services, start_ros
 
     args, commands = _arguments(), Services
@@ -44,7 +45,7 @@ def main() -> None:
         from .graph import Graph
 
         commands = Graph
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` has it ignored
+    defer_signals()
     try:
         start_ros(args.namespace)
         graph = commands(args.namespace)
@@ -55,8 +56,8 @@ def main() -> None:
     except PlateError as error:
         print(f"plate: {error}", file=sys.stderr)
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.exit(128 + signal.SIGINT)
+    except KeyboardInterrupt as interrupt:
+        sys.exit(128 + int(interrupt.args[0]))
     except BrokenPipeError:  # the reader has enough, as in `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)

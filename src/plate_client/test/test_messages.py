@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from plate_client.messages import spin_until
+from plate_client.messages import defer_signals, spin_until
 
 
 @pytest.fixture(autouse=True)
@@ -45,17 +45,18 @@ def test_an_interrupt_of_the_last_message_counts():
         spin_until(spin_once, lambda: bool(handled), 10.0)
 
 
-def test_a_second_interrupt_does_not_wait():
-    handled = []
-
-    def spin_once(wait_s):
-        interrupt()
-        interrupt()
-        handled.append("whole")
-
-    with pytest.raises(KeyboardInterrupt):
-        spin_until(spin_once, lambda: False, 10.0)
-    assert handled == []
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_deferred_signals_wait_for_the_next_messages(number):
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        defer_signals()
+        os.kill(os.getpid(), number)
+        with pytest.raises(KeyboardInterrupt, match=str(int(number))):
+            spin_until(time.sleep, lambda: True, 10.0)
+        assert spin_until(time.sleep, lambda: True, 10.0)  # once for each
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def test_it_ends_when_the_condition_holds_or_the_time_is_over():

@@ -37,6 +37,9 @@ EXACT_MISS = 0.02
 EDGE_RADII = 3.0
 """On their ways to targets parts keep so far from the plate's edges [part radii]."""
 
+MOST_ASKED = 1e9
+"""Greatest weight and distance in a request."""
+
 COAST_S = 0.03
 """Where they end counts as if they kept their last velocity for so long [s]: parts that end in a
 swing the right way are further than they look."""
@@ -212,6 +215,12 @@ class Controller:
         radius, half = self._rig.parts.radius_m, self._rig.plate.half
         if wanted.targets is not None:
             targets = wanted.targets
+            for name, value in (("weight", targets.weight), ("clear_m", targets.clear_m)):
+                if not np.all(np.abs(value) <= MOST_ASKED):
+                    raise PlateError(
+                        f"{name} of targets is {np.max(np.abs(value)):g}, allowed: at most "
+                        f"{MOST_ASKED:g}"
+                    )
             return Goal(
                 position=position,
                 velocity=velocity,

@@ -69,7 +69,7 @@ def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:
     """Return all there is to tell, as lines for a terminal, and whether the task, or moving one
     part, is likely to succeed."""
     lines = [
-        f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide from 1 on",
+        f"{name}: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; parts slide above 1",
         one_part(rig),
         "",
     ]
@@ -81,9 +81,9 @@ def one_part(rig: Rig) -> str:
     """Say how fast one part can be at most."""
     bounds = speed_bounds(rig, PERIOD_S)
     return (
-        f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion "
-        f"(bound by {bounds.binds}: docs/model.md); {1e3 * WAY_M:.0f} mm from rest to rest take "
-        f"{rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s or more"
+        f"one part: at most {1e3 * bounds.least:.0f} mm/s along a line by any steady motion of "
+        f"{PERIOD_S:g} s (bound by {bounds.binds}: docs/model.md); {1e3 * WAY_M:.0f} mm from rest "
+        f"to rest take {rest_to_rest_s(WAY_M, rig.friction.accel):.2f} s or more"
     )
 
 
@@ -101,7 +101,8 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     lines = [
         f"{scenario.name}: {'likely' if likely else 'not likely'}: {verdict.in_time} of {count} "
         f"rehearsals end within {scenario.time_limit_s:g} s (time_limit_s); they take [s]: {times}",
-        f"{scenario.count} parts: {1e3 * verdict.speed:.0f} mm/s on average{asked}",
+        f"{scenario.count} part{'s' * (scenario.count > 1)}: {1e3 * verdict.speed:.0f} mm/s on "
+        f"average{asked}",
         _used(verdict),
     ]
     if any(each.lost for each in verdict.rehearsals):
@@ -157,12 +158,16 @@ def _used(verdict: Verdict) -> str:
 
 def remedy(rig: Rig, verdict: Verdict) -> str:
     """Say what would help."""
+    binds = verdict.share.binds
+    said = f"most used is {binds} ({KEYS[binds]}); fewer parts may do"
     if rig.gamma < LEAST_GAMMA:
-        return (
+        said = (
             f"the plate shakes too little: Gamma = {rig.gamma:.1f}, limited by {rig.reach.limit}; "
-            f"{LEAST_GAMMA:g} or more would do, or fewer parts"
+            f"{LEAST_GAMMA:g} or more is advised, or fewer parts"
         )
-    return f"more {verdict.share.binds} or fewer parts would do, or a longer time_limit_s"
+    if np.isfinite(verdict.time_s) and not any(each.lost for each in verdict.rehearsals):
+        said += f"; or a time_limit_s of {1.2 * verdict.time_s:.0f} s"
+    return said
 
 
 if __name__ == "__main__":

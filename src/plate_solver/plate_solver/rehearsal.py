@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import pdist
 
-from plate_core import Parts, PlateCycle, Rig, Targets, Wanted
+from plate_core import Parts, PlateCycle, PlateError, Rig, Targets, Wanted
 from plate_core.motion import usage
 from plate_core.tasks import (
     AssembleTask,
@@ -91,7 +92,7 @@ class Rehearsal:
     speed : float
         Mean over the parts until half of all ways was done [m/s].
     lost : bool
-        Whether a part left the plate.
+        Whether a part left the plate, or was farther from its path than allowed.
     share : Share
     """
 
@@ -170,7 +171,8 @@ class Rules(Protocol):
         """How long it is to stay done [s]."""
 
     def ask(self, state: State) -> tuple[Wanted, np.ndarray]:
-        """Return what is wanted in the next cycle, and the ways that are left (M,) [m]."""
+        """Return what is wanted in the next cycle, and the ways that are left (M,) [m]; infinite
+        where a part has failed."""
 
 
 def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Verdict:
@@ -188,17 +190,15 @@ def judge_task(rig: Rig, scenario: Scenario, rehearsals: int = REHEARSALS) -> Ve
 def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     """Rehearse a task once, by Method B; the seed scatters parts and makes friction uneven.
 
-    Turning is left out: of a task of poses only the places are rehearsed.
-
     Raises
     ------
     PlateError
-        If the scenario does not fit on the plate.
+        If the scenario does not fit on the plate, or asks for angles.
     """
     rng = np.random.default_rng(seed)
     labels, position = start_positions(scenario, rig, rng)
     spread = 1 + UNEVEN * np.clip(rng.standard_normal(len(labels)), -2, 2)
-    rules, controller = rules_of(scenario, rig, labels, position), Controller(rig, seed=seed)
+    rules, controller = rules_of(scenario, rig), Controller(rig, seed=seed)
     cycle, velocity = PlateCycle.rest(IDLE_PERIOD), np.zeros_like(position)
     left: list[np.ndarray] = []
     times: list[float] = [0.0]
@@ -206,8 +206,8 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     while True:
         expected = after(cycle, position, velocity, rig.friction.accel)
         wanted, to_go = rules.ask(State(labels, position, *expected, cycle.period))
-        left.append(to_go)
-        lost = bool(np.any(np.abs(position) > rig.plate.half))
+        left.append(np.where(np.isfinite(to_go), to_go, 0.0))
+        lost = bool(np.any(np.abs(position) > rig.plate.half)) or not np.all(np.isfinite(to_go))
         if lost or not np.any(to_go) or len(left) > MOST_CYCLES:
             return _summed(np.array(left), np.array(times), shares, rules.hold_s, lost)
         answer = controller.answer(wanted, cycle).cycle
@@ -245,8 +245,14 @@ def share_of(rig: Rig, cycle: PlateCycle) -> Share:
     )
 
 
-def rules_of(scenario: Scenario, rig: Rig, labels: tuple[str, ...], start: np.ndarray) -> Rules:
-    """Return the rules of a task for parts of these classes that start at (M, 2) [m]."""
+def rules_of(scenario: Scenario, rig: Rig) -> Rules:
+    """Return the rules of a task.
+
+    Raises
+    ------
+    PlateError
+        If it asks for angles.
+    """
     task = scenario.task
     if isinstance(task, SortTask):
         return Regions(rig, task)
@@ -254,9 +260,7 @@ def rules_of(scenario: Scenario, rig: Rig, labels: tuple[str, ...], start: np.nd
         return Paths.of(rig, task)
     if isinstance(task, AssembleTask):
         return Places(rig, task.labels, np.array(task.place), task.tolerance_m, task.hold_s)
-    names = tuple(pose.label for pose in task.poses)
-    place = [pose.place or tuple(start[labels.index(pose.label)]) for pose in task.poses]
-    return Places(rig, names, np.array(place), task.tolerance_m, task.hold_s)
+    raise PlateError("a task of poses asks for angles, allowed: tasks of places only")
 
 
 @dataclass(frozen=True)
@@ -274,8 +278,14 @@ class Places:
         aim = self.place[self.match(state)]
         way, band = aim - state.position, BAND * self.tolerance_m
         far = np.hypot(*way.T)
-        wanted = _towards(self.rig, state, aim - band, aim + band, way)
+        wanted = _towards(self.rig, state, aim - band, aim + band, way, clear_m=self.clear_m)
         return wanted, np.where(far > self.tolerance_m, far, 0.0)
+
+    @property
+    def clear_m(self) -> float:
+        """Least distance of two parts: no more than between two places [m]."""
+        least = float(np.min(pdist(self.place), initial=np.inf))
+        return min(CLEAR * self.rig.parts.radius_m, least - 2 * BAND * self.tolerance_m)
 
     def match(self, state: State) -> np.ndarray:
         """Return the row of each part's place (M,): least sum of squared ways."""
@@ -321,14 +331,15 @@ class Regions:
 
 def _towards(
     rig: Rig, state: State, low: np.ndarray, high: np.ndarray, way: np.ndarray,
-    lane: np.ndarray | None = None,
+    lane: np.ndarray | None = None, clear_m: float = 0.0,
 ) -> Wanted:  # fmt: skip
-    """Ask parts with ways (M, 2) [m] into intervals (M, 2) [m]; lane (M,) is what y counts."""
+    """Ask parts with ways (M, 2) [m] into intervals (M, 2) [m]; lane (M,) is what y counts, clear_m
+    their least distance, 0 as usual."""
     longest = max(float(np.max(np.hypot(*way.T))), LEAST_WAY_M)
     weight = np.full_like(low, FULL_WAY_M / longest)
     if lane is not None:
         weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
-    return state.wanted(targets=Targets(low, high, weight, CLEAR * rig.parts.radius_m))
+    return state.wanted(targets=Targets(low, high, weight, clear_m or CLEAR * rig.parts.radius_m))
 
 
 @dataclass
@@ -381,13 +392,15 @@ class Paths:
         )
         room = (0.5 - error / self.task.max_error_m) / (0.5 - NEAR)
         self.pace = float(np.clip(room, 0, min(1.0, faster)))
-        now = self._reference(self.time_s)
+        now, done_s = self._reference(self.time_s), self.time_s
         self.time_s += self.pace * state.period
         way = self._reference(self.time_s) - now + GAIN * (now - state.next_position)
         self.aim = state.next_position + way
         gain = rig.parts.mass_kg / state.period**2
-        left = [max(_length(paths[k]) - self.time_s * paths[k].speed, 0.0) for k in self.match]
-        return state.wanted(force=gain * way, period=state.period), np.array(left)
+        left = np.array([max(_length(paths[k]) - done_s * paths[k].speed, 0.0) for k in self.match])
+        if error > self.task.max_error_m:
+            left[:] = np.inf
+        return state.wanted(force=gain * way, period=state.period), left
 
     def _reference(self, time_s: float) -> np.ndarray:
         """Return where the parts (M, 2) [m] are to be."""

@@ -388,7 +388,7 @@ def _goals(task: Task) -> list[Place]:
 
 def _check_on_plate(scenario: Scenario, places: list[Place], room: np.ndarray) -> None:
     for key, label, (x, y) in places:
-        if np.any(np.abs((x, y)) > room):
+        if np.any(np.abs((x, y)) > room + 1e-9):
             raise ScenarioError(
                 f"{scenario.where}: {key} of {label} is ({x:g}, {y:g}) m, "
                 f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
