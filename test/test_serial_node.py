@@ -277,7 +277,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
     assert 5e-4 < board.travel < 2e-3
     # Starts of cycles: of rest before, one after the other, and of what was sent.
-    assert bench.until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 2)
+    assert bench.until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 1)
     begins = np.array([nanoseconds(s.header.stamp) for s in bench.starts])
     moved = np.array([msg_to_cycle(s).knot_pose.any() for s in bench.starts])
     assert np.all(np.diff(begins) > 0)
