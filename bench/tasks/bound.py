@@ -19,7 +19,7 @@ from harness.loop import Setup, run, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.tasks import load_scenario, start_positions
-from plate_solver import Goal, Limits
+from plate_solver import Goal, Limits, SinusoidSolver
 from plate_solver.analysis import speed_bounds
 from plate_solver.maps import end_state
 from plate_solver.sinusoids import BIN, Motions, Problem, SinusoidFamily, descend, sinusoid_basis
@@ -75,7 +75,7 @@ def measure(quick: bool) -> Result:
         driven = dict(zip(loops, resumed(pool, loop_speed, loops, cache), strict=True))
     rows: list[dict[str, Any]] = []
     for count in counts:
-        own = 0.1 if count <= 2 else 0.15 if count <= 4 else 0.2
+        own = SinusoidSolver(rig).steering_period(count, lasting=True)
         for period in periods:
             rest, free = (
                 1e3 * float(np.mean([found[f"{count} {period} {r} {k}"] for k in range(scenes)]))

@@ -1,4 +1,4 @@
-"""What is told before a task starts: rehearsals by prediction, and the command."""
+"""What `feasible` says before a task starts: its rehearsals, and the command."""
 
 import re
 import subprocess

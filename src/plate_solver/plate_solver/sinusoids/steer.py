@@ -34,13 +34,32 @@ SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
 
 LONGEST = 0.5
-"""Part of a cycle after which no further descent begins: the rest of the graph needs time too."""
+"""Processor time after which no further descent begins, as part of a cycle: the rest of the graph
+needs time too."""
 
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
 steps of each."""
 
 Descend = Callable[[Goal, np.ndarray, float, int], Fit]
+
+
+class Clock:
+    """Whether a processor time [s] is over: so a busy machine alone changes no answer.
+
+    Reading it may take a millisecond, so it is read when the time is over on the wall.
+    """
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self._wall, self._own = time.perf_counter(), time.thread_time()
+
+    def is_over(self) -> bool:
+        """Whether it is."""
+        return (
+            time.perf_counter() - self._wall > self._longest_s
+            and time.thread_time() - self._own > self._longest_s
+        )
 
 
 class SinusoidSteering:
@@ -88,12 +107,12 @@ class SinusoidSteering:
         family = limited_sinusoids(number, period, self._limits, BEYOND, step)
         to = self._descend(number, period, step, tolerance, goal)
         known, enough = self._warm.get((number, period)), good_enough**2 * goal.rows
-        start, began = family.random(rng) if known is None else known, time.perf_counter()
-        best = to(goal, start, BEYOND, self._iterations)
-        iterations = best.iterations
+        start = family.random(rng) if known is None else known
+        best = to(goal, start, BEYOND, self._iterations)  # in a new process it loads its kernel
+        iterations, clock = best.iterations, Clock(LONGEST * period)
         crowd = max(1.0, len(goal.position) / CROWD) if goal.lasting else 1.0
         for index in range(round(crowd * self._restarts) + (FRESH if known is None else 0)):
-            if best.cost <= enough or time.perf_counter() - began > LONGEST * period:
+            if best.cost <= enough or clock.is_over():
                 break
             if known is None and index < FRESH:
                 start = family.random(rng)
