@@ -312,6 +312,12 @@ class Faults:
                 row.diagnostics.append((name, Level(worst.level).name, seconds, worst.text))
         row.diagnostics.sort(key=lambda item: item[2])
 
+    def moves(self) -> bool:
+        """Wait until the plate moves, or the task has ended; return whether it moves."""
+        plate, record, begun = self.plate, self.observer.record, time.time()
+        self.observer.until(lambda: plate.moved_until > begun or record.ended, MOVE_S)
+        return plate.moved_until > begun
+
     def go_on(self, row: Row) -> None:
         """Do what a person must do until the plate moves again."""
         observer = self.observer
@@ -324,8 +330,11 @@ class Faults:
                 observer.enable()
             observer.start(self.scenario)
         row.to_go_on.append("goal")
-        begun = time.time()
-        row.goes_on = observer.until(lambda: self.plate.moved_until > begun, MOVE_S)
+        row.goes_on = self.moves()
+        if not row.goes_on and observer.record.ended:  # a part has left the plate
+            row.to_go_on.append("parts")
+            observer.begin_anew(self.scenario)
+            row.goes_on = self.moves()
         observer.trigger("stop")
 
 

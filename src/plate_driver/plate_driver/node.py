@@ -34,7 +34,7 @@ from plate_core.ros import (
     to_time,
     trajectory_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Standstill
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .cycle_starts import CycleStarts
@@ -128,6 +128,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
+        self._standstill = Standstill(time.monotonic())
         self._reported: dict[str, str] = {}  # values of the last diagnostics
         self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
@@ -300,6 +301,7 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _take(self) -> None:
         """Take cycles that have come: a few, so that a flood leaves time for all else."""
+        self._standstill = self._standstill.running(time.monotonic())
         for _ in range(MOST_CYCLES):
             taken = self._cycles.take()
             if taken is None:
@@ -323,6 +325,10 @@ class DriverNode(SafeLifecycleNode[Options]):
             if self._simulated:  # the clock may be heard after the cycle
                 now = max(now, 1e-9 * stamp_ns)
             guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, now)
+            self._standstill = self._standstill.running(time.monotonic())
+            old = self._standstill.reason("driver")
+            if old:
+                raise CycleError(old)
             self._send(transport, guard, number)
             self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
         except PlateError as error:

@@ -13,6 +13,7 @@ import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.motion import motor_state
+from plate_core.status import BACKLOG_S, STANDSTILL_S
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
@@ -280,6 +281,12 @@ def test_foreign_cycle_and_silence(peer, rig):
     assert peer.until(lambda: peer.level() == DiagnosticStatus.STALE)
     assert peer.reports[-1].status[0].message.startswith("no plate_cycle for ")
     assert len(peer.setpoints) == 1
+    # What came while the driver stood still moves nothing.
+    peer.process.send_signal(signal.SIGSTOP)
+    peer.send(shaking(0.0005), LAST_STAMP)
+    peer.until(lambda: False, STANDSTILL_S + 0.3)
+    peer.process.send_signal(signal.SIGCONT)
+    assert not peer.until(lambda: len(peer.setpoints) > 1, BACKLOG_S + 0.1)
     # A signal while the plate moves: it rests before the driver ends.
     peer.send(shaking(0.0005), LAST_STAMP)
     assert not at_rest(peer.answer(LAST_STAMP))
@@ -287,6 +294,7 @@ def test_foreign_cycle_and_silence(peer, rig):
     assert code == 0, output
     assert "Traceback" not in output
     assert "no plate_cycle for 0.6 s: the plate rests" in output
+    assert "cycle refused: the driver itself stood still for 0." in output
     assert at_rest(peer.answer(LAST_STAMP, count=2))
 
 

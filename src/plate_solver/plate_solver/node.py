@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -26,7 +27,7 @@ from plate_core.ros import (
     parameter,
     run_node,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, Standstill, used, worst
 from plate_interfaces.msg import PartForces
 
 from .analysis import condition_number
@@ -35,6 +36,9 @@ from .rotations import Library
 
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
+
+ALIVE_S = 0.1
+"""Time between looks at the clock, to notice that the process has stood still [s]."""
 
 RESTART_NS = 1_000_000_000
 """A stamp this much older than the last means that the camera or simulator began anew [ns]."""
@@ -110,6 +114,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self.managed_subscription(PartForces, "part_forces", self._on_forces, NEWEST)
+        self.managed_timer(ALIVE_S, self._look_at_clock)
 
     def begin(self) -> None:
         """Know nothing of what was before."""
@@ -123,13 +128,18 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._input = Input(
             "part_forces", "part_forces", "does the planner run?", self._timeout_s, time.monotonic()
         )
+        self._standstill = Standstill(time.monotonic())
 
     def retune(self) -> None:
         """Take the other method."""
         self._controller.method = METHODS[self.options.method]
         self.get_logger().info(f"method is now {self._controller.method}")
 
+    def _look_at_clock(self) -> None:
+        self._standstill = self._standstill.running(time.monotonic())
+
     def _on_forces(self, msg: PartForces) -> None:
+        self._look_at_clock()
         stamp_ns = nanoseconds(msg.header.stamp)
         self._input = self._input.heard(time.monotonic())
         self._tally.messages += 1
@@ -145,14 +155,30 @@ class SolverNode(SafeLifecycleNode[Options]):
                 return
             self._sent.clear()
             self._controller.reset()
-        if newest == stamp_ns:
-            self._cycles.publish(cycle_to_msg(self._sent[-1].cycle, msg.header.stamp))
-            return
-        cycle = self._answer(wanted, stamp_ns)
-        self._cycles.publish(cycle_to_msg(cycle, msg.header.stamp))
+        old = self._standstill.reason("solver")
+        if old:
+            cycle = self._rest(old)
+        elif newest == stamp_ns:
+            cycle = self._sent[-1].cycle
+        else:
+            cycle = self._answer(wanted, stamp_ns)
+        cycle = self._send(cycle, msg.header.stamp)
+        if newest != stamp_ns:
+            self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
+
+    def _send(self, cycle: PlateCycle, stamp: Time) -> PlateCycle:
+        """Publish an answer; return it, or the rest that was sent instead."""
+        answer = cycle_to_msg(cycle, stamp)
+        took = time.monotonic() - self._standstill.ran
+        if took > self._timeout_s:
+            # This process has stood still: the parts are long gone from where the answer has them.
+            cycle = self._rest(f"the answer took {took:.1f} s, allowed: {self._timeout_s:g} s")
+            answer = cycle_to_msg(cycle, stamp)
+        self._cycles.publish(answer)
         if self._markers.get_subscription_count():
-            self._markers.publish(centres_to_msg(self._rig, cycle, msg.header.stamp))
-        self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
+            self._markers.publish(centres_to_msg(self._rig, cycle, stamp))
+        self._standstill = replace(self._standstill, ran=time.monotonic())
+        return cycle
 
     def _refuse(self, text: str) -> None:
         self._count["refused_messages"] += 1
@@ -167,9 +193,6 @@ class SolverNode(SafeLifecycleNode[Options]):
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
         took = time.monotonic() - began
-        if took > self._timeout_s:
-            # This process has stood still: the parts are long gone from where the answer has them.
-            return self._rest(f"the answer took {took:.1f} s, allowed: {self._timeout_s:g} s")
         self._count["answers"] += 1
         self._last, self._parts = answer, wanted.parts.position
         if answer.solution is not None:
