@@ -34,8 +34,9 @@ for other motions than the last one's relatives."""
 EXACT_MISS = 0.02
 """The same where a part has no slack at all: such a request is meant exactly."""
 
-EDGE_RADII = 3.0
-"""On their ways to targets parts keep so far from the plate's edges [part radii]."""
+EDGE_RADII = 1.25
+"""On their ways to targets parts keep so far from the plate's edges, and further by the motors'
+stroke: the plate moves away under them by that [part radii]."""
 
 MOST_ASKED = 1e9
 """Greatest weight and distance in a request."""
@@ -229,7 +230,7 @@ class Controller:
                 friction_accel=friction,
                 lasting=True,
                 weight=targets.weight,
-                edge=half - EDGE_RADII * radius,
+                edge=half - self._rig.limits.stroke_m - EDGE_RADII * radius,
                 clear=targets.clear_m,
                 coast=COAST_S,
             )

@@ -128,7 +128,8 @@ def test_errors_are_what_is_beyond_intervals_edges_and_distances():
     np.testing.assert_allclose(errors(4.5e-3, 2e-4), [0, 0, -1e-4, 0], atol=1e-15)
     np.testing.assert_allclose(errors(3e-3, 2e-3), [0.5e-3, 0, -1e-3, 0], atol=1e-15)
     np.testing.assert_allclose(errors(9e-3, -2e-3), [-1.5e-3, 0, 1e-3, 0], atol=1e-15)
-    np.testing.assert_allclose(errors(5e-3, 15e-3)[2], -0.5 * 15e-3 - 5e-3)  # beyond the edge
+    # Beyond the edge: half as much again at half of STEEP_M.
+    np.testing.assert_allclose(errors(5e-3, 15e-3)[2], -0.5 * 15e-3 - 1.5 * 5e-3)
     gap = np.hypot(5e-3, 0.025)
     np.testing.assert_allclose(errors(5e-3, -0.025)[4], 0.03 - gap)  # too near
 

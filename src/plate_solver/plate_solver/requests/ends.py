@@ -2,8 +2,8 @@
 
 A part that is outside the interval asked of it errs by how far, times its weight. So an exact drift
 is an interval without width and weight 1, and a region far away is one that counts little for each
-metre: then the parts with the longest ways come first. Beyond a wall, or too near to each other,
-each metre counts in full.
+metre: then the parts with the longest ways come first. Where parts are too near to each other each
+metre counts in full, beyond a wall more and more.
 """
 
 from __future__ import annotations
@@ -14,6 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core.kernels import kernel
+
+
+STEEP_M = 0.01
+"""So far beyond a wall a metre counts twice as much on average [m]: else many parts on their way
+push one that is at home over the edge."""
 
 
 class Ends(NamedTuple):
@@ -60,11 +65,13 @@ def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
             error[j] += ends.weight[j] * (ends.high[j] - at)
             slope[j, j] += ends.weight[j]
         if at < ends.edge_low[j]:
-            error[j] += ends.edge_low[j] - at
-            slope[j, j] += 1
+            beyond = ends.edge_low[j] - at
+            error[j] += beyond + beyond * beyond / STEEP_M
+            slope[j, j] += 1 + 2 * beyond / STEEP_M
         elif at > ends.edge_high[j]:
-            error[j] += ends.edge_high[j] - at
-            slope[j, j] += 1
+            beyond = at - ends.edge_high[j]
+            error[j] -= beyond + beyond * beyond / STEEP_M
+            slope[j, j] += 1 + 2 * beyond / STEEP_M
     for k in range(len(ends.pair)):
         a, b = ends.pair[k, 0], ends.pair[k, 1]
         dx, dy = place[b] - place[a], place[count + b] - place[count + a]
