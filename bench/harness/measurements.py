@@ -64,7 +64,7 @@ LONG = {"tasks"}
 EXPECTED_S = {
     "sim": 160.0, "bodies": 25.0, "force_map": 20.0, "solver": 60.0, "rotations": 40.0,
     "inversion": 30.0,
-    "steering": 20.0, "options": 90.0, "vision": 60.0, "stages": 60.0, "control": 180.0,
+    "steering": 900.0, "options": 180.0, "vision": 60.0, "stages": 60.0, "control": 430.0,
     "tracking": 360.0, "free_running": 420.0, "sizing": 200.0, "learning": 10.0,
     "bound": 600.0, "rigs": 600.0,
 }  # fmt: skip

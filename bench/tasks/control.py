@@ -12,13 +12,13 @@ from plate_solver import EFFORT
 from tasks.runs import UNEVEN, runs_of, sentence, summed
 
 SCENARIOS = ("follow_3", "sort_10")
-SEEDS = range(11_000, 11_002)
+SEEDS = range(11_000, 11_010)
 """Of all runs: scatter, image noise, friction and the solver's random numbers."""
 
 EFFORTS: dict[str, tuple[dict[str, int], ...]] = {
     "sinusoids": (
         {"iterations": 1, "restarts": 0}, {"iterations": 6, "restarts": 0}, {},
-        {"iterations": 48, "restarts": 12},
+        {"restarts": 20}, {"restarts": 60},
     ),
     "rotations": ({"iterations": 1, "restarts": 0}, {}, {"iterations": 40, "restarts": 4}),
 }  # fmt: skip

@@ -58,6 +58,10 @@ class Options(NodeOptions):
         live=True,
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
+    restarts: int = parameter(
+        0, "Further starts of each search; 0: what suits the method (7 and more for sinusoids). "
+        "60 sort ten parts 20 % sooner, in 80 ms an answer.", 0, 1000,
+    )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
         "Diagnostics say STALE when no part_forces come for longer; no answer may take longer [s].",
@@ -108,7 +112,8 @@ class SolverNode(SafeLifecycleNode[Options]):
         for doubt in doubts(rig, "motors", "limits"):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
-        self._controller = Controller(rig, options.method, options.seed)
+        effort = {"restarts": options.restarts} if options.restarts else {}
+        self._controller = Controller(rig, options.method, options.seed, **effort)
         with compiling(self):
             warm_up(self._controller, rig.plate.half)
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
