@@ -27,8 +27,8 @@ what is not beaten in both time and error is drawn as a black line, our default 
 are of the cores: other programs count little, but on a busy machine (its load is given) times are
 up to twice as long.
 
-Each section names the commit that it was measured on. Steering, closed loops, demos and sizes that
-are older than 5379f40 are of fixed drifts: sorting and assembling take half as long since.
+Each section names the commit that it was measured on. Cameras that run free, costs and
+demos that are older than 5379f40 are of fixed drifts: sorting and assembling take half as long since.
 """
 
 

@@ -306,6 +306,7 @@ def test_life_of_a_solver(peer, rig):
     [
         ("method:=magic", "parameter method is 'magic', allowed: one of A, B, "),
         ("seed:=-1", "parameter seed is -1, allowed: 0 to 2147483647"),
+        ("restarts:=1001", "parameter restarts is 1001, allowed: 0 to 1000"),
         ("seed:=0.5", "parameter seed is 0.5, allowed: a value of type int"),
         ("rig_file:=nowhere.yaml", "nowhere.yaml: no such file"),
     ],
