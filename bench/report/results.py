@@ -28,7 +28,8 @@ are of the cores: other programs count little, but on a busy machine (its load i
 up to twice as long.
 
 Each section names the commit that it was measured on. Cameras that run free, costs and
-demos that are older than 5379f40 are of fixed drifts: sorting and assembling take half as long since.
+demos that are older than 5379f40 are of fixed drifts: sorting and assembling take half as long
+since.
 """
 
 

@@ -23,6 +23,7 @@ __all__ = [
     "Input",
     "Level",
     "Standstill",
+    "standstill_limit",
     "used",
     "worst",
 ]
@@ -133,6 +134,8 @@ class Standstill:
     ----------
     ran : float
         When the process ran last [s, steady clock].
+    limit_s : float
+        It stood still if it did not run for longer [s].
     over : float
         When the last standstill ended.
     length_s : float
@@ -140,14 +143,15 @@ class Standstill:
     """
 
     ran: float
+    limit_s: float = STANDSTILL_S
     over: float = -math.inf
     length_s: float = 0.0
 
     def running(self, now: float) -> Standstill:
         """Return it after a look at the clock: to be called often, every 0.1 s or so."""
         away = now - self.ran
-        if away > STANDSTILL_S:
-            return Standstill(now, now, away)
+        if away > self.limit_s:
+            return replace(self, ran=now, over=now, length_s=away)
         return replace(self, ran=now)
 
     def reason(self, who: str) -> str:
@@ -155,6 +159,12 @@ class Standstill:
         if self.ran - self.over > BACKLOG_S:
             return ""
         return f"the {who} itself stood still for {self.length_s:.1f} s"
+
+
+def standstill_limit(input_timeout_s: float) -> float:
+    """Return `Standstill.limit_s` [s] of a node whose inputs have this timeout [s]: `STANDSTILL_S`
+    of the usual one, and longer where time is simulated and nothing is late."""
+    return input_timeout_s * STANDSTILL_S / INPUT_TIMEOUT_S
 
 
 def used(what: str, count: int, refused: int, why: str) -> Finding | None:

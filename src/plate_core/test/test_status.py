@@ -4,11 +4,13 @@ import pytest
 
 from plate_core.status import (
     BACKLOG_S,
+    INPUT_TIMEOUT_S,
     STANDSTILL_S,
     Finding,
     Input,
     Level,
     Standstill,
+    standstill_limit,
     used,
     worst,
 )
@@ -50,6 +52,10 @@ def test_after_a_standstill_what_comes_is_not_used_for_a_moment():
     assert process.reason("solver") == "the solver itself stood still for 3.1 s"
     assert process.running(again + 0.9 * BACKLOG_S).reason("solver")
     assert process.running(again + 1.1 * BACKLOG_S).reason("solver") == ""
+    slow = Standstill(10.0, standstill_limit(20 * INPUT_TIMEOUT_S)).running(
+        10.0 + 19 * STANDSTILL_S
+    )
+    assert slow.reason("solver") == ""  # simulated time: nothing is late
 
 
 def test_refusals_are_an_error_only_if_nothing_was_of_use():

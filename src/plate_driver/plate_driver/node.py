@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from dataclasses import asdict, dataclass, replace
@@ -34,7 +35,7 @@ from plate_core.ros import (
     to_time,
     trajectory_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Standstill
+from plate_core.status import INPUT_TIMEOUT_S, STANDSTILL_S, Finding, Standstill
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .cycle_starts import CycleStarts
@@ -128,7 +129,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
-        self._standstill = Standstill(time.monotonic())
+        self._standstill: Standstill | None = None  # until callbacks run while it is active
         self._reported: dict[str, str] = {}  # values of the last diagnostics
         self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
@@ -179,6 +180,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
+        self._standstill = None
         self._cycle_starts = CycleStarts(time.monotonic())
         self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
         transport = self._transport
@@ -301,12 +303,19 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _take(self) -> None:
         """Take cycles that have come: a few, so that a flood leaves time for all else."""
-        self._standstill = self._standstill.running(time.monotonic())
+        self._look_at_clock()
         for _ in range(MOST_CYCLES):
             taken = self._cycles.take()
             if taken is None:
                 return
             self.take_cycle(*taken)
+
+    def _look_at_clock(self) -> Standstill:
+        """Notice that this process has stood still; in simulated time nothing is late."""
+        now = time.monotonic()
+        limit_s = math.inf if self._simulated else STANDSTILL_S
+        self._standstill = (self._standstill or Standstill(now, limit_s)).running(now)
+        return self._standstill
 
     def take_cycle(self, data: bytes, size: int) -> None:
         """Send on a cycle that came as `size` bytes, the first of which are `data`."""
@@ -325,8 +334,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             if self._simulated:  # the clock may be heard after the cycle
                 now = max(now, 1e-9 * stamp_ns)
             guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, now)
-            self._standstill = self._standstill.running(time.monotonic())
-            old = self._standstill.reason("driver")
+            old = self._look_at_clock().reason("driver")
             if old:
                 raise CycleError(old)
             self._send(transport, guard, number)

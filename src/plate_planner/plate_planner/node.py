@@ -43,7 +43,7 @@ from plate_core.ros import (
     to_time,
     wanted_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, Standstill, standstill_limit, worst
 from plate_interfaces.msg import DriverStatus, PartForces, Parts, TaskProgress, TaskStatus
 
 from .estimation import PERIOD_RANGE_S, SNAP, Estimator, warm_up
@@ -237,6 +237,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._inputs = Inputs.none_yet(
             time.monotonic(), options.input_timeout_s, options.camera_triggered
         )
+        self._standstill = Standstill(time.monotonic(), standstill_limit(options.input_timeout_s))
         self._start = -np.inf, PlateCycle.rest(core.default_period)  # of the last cycle
         self._due = False  # whether an answer is due at the alarm
         self._publish_status()
@@ -352,8 +353,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Ask for what the task wants in the next cycle."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         run.state, wanted, run.progress = plan(run)
-        if self._stood_still():
-            wanted = NOTHING  # these parts are long gone from where they were
+        if self._stood_still() or self._standstill.reason("planner"):
+            wanted = NOTHING  # these parts are long gone, and a stop may be waiting
         start = to_time(round(1e9 * run.state.estimator.next_start))
         self._ask(wanted_to_msg(wanted, stamp, start))
         if self._markers.get_subscription_count():
@@ -422,6 +423,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _stood_still(self) -> bool:
         now = time.monotonic()
+        self._standstill = self._standstill.running(now)
         why = self._inputs.stood_still(now, self._estimator.period)
         self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:

@@ -27,7 +27,16 @@ from plate_core.ros import (
     parameter,
     run_node,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, Standstill, used, worst
+from plate_core.status import (
+    INPUT_TIMEOUT_S,
+    Finding,
+    Input,
+    Level,
+    Standstill,
+    standstill_limit,
+    used,
+    worst,
+)
 from plate_interfaces.msg import PartForces
 
 from .analysis import condition_number
@@ -64,7 +73,8 @@ class Options(NodeOptions):
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
-        "Diagnostics say STALE when no part_forces come for longer; no answer may take longer [s].",
+        "Diagnostics say STALE when no part_forces come for longer; no answer may take longer than "
+        "a third of it [s].",
         0.1,
         3600.0,
     )
@@ -133,18 +143,21 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._input = Input(
             "part_forces", "part_forces", "does the planner run?", self._timeout_s, time.monotonic()
         )
-        self._standstill = Standstill(time.monotonic())
+        self._standstill: Standstill | None = None  # until callbacks run
 
     def retune(self) -> None:
         """Take the other method."""
         self._controller.method = METHODS[self.options.method]
         self.get_logger().info(f"method is now {self._controller.method}")
 
-    def _look_at_clock(self) -> None:
-        self._standstill = self._standstill.running(time.monotonic())
+    def _look_at_clock(self) -> Standstill:
+        now = time.monotonic()
+        before = self._standstill or Standstill(now, standstill_limit(self._timeout_s))
+        self._standstill = before.running(now)
+        return self._standstill
 
     def _on_forces(self, msg: PartForces) -> None:
-        self._look_at_clock()
+        standstill = self._look_at_clock()
         stamp_ns = nanoseconds(msg.header.stamp)
         self._input = self._input.heard(time.monotonic())
         self._tally.messages += 1
@@ -160,29 +173,29 @@ class SolverNode(SafeLifecycleNode[Options]):
                 return
             self._sent.clear()
             self._controller.reset()
-        old = self._standstill.reason("solver")
+        old = standstill.reason("solver")
         if old:
             cycle = self._rest(old)
         elif newest == stamp_ns:
             cycle = self._sent[-1].cycle
         else:
             cycle = self._answer(wanted, stamp_ns)
-        cycle = self._send(cycle, msg.header.stamp)
+        cycle = self._send(cycle, msg.header.stamp, standstill)
         if newest != stamp_ns:
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
 
-    def _send(self, cycle: PlateCycle, stamp: Time) -> PlateCycle:
+    def _send(self, cycle: PlateCycle, stamp: Time, began: Standstill) -> PlateCycle:
         """Publish an answer; return it, or the rest that was sent instead."""
         answer = cycle_to_msg(cycle, stamp)
-        took = time.monotonic() - self._standstill.ran
-        if took > self._timeout_s:
+        took = time.monotonic() - began.ran
+        if took > began.limit_s:
             # This process has stood still: the parts are long gone from where the answer has them.
-            cycle = self._rest(f"the answer took {took:.1f} s, allowed: {self._timeout_s:g} s")
+            cycle = self._rest(f"the answer took {took:.1f} s, allowed: {began.limit_s:g} s")
             answer = cycle_to_msg(cycle, stamp)
         self._cycles.publish(answer)
         if self._markers.get_subscription_count():
             self._markers.publish(centres_to_msg(self._rig, cycle, stamp))
-        self._standstill = replace(self._standstill, ran=time.monotonic())
+        self._standstill = replace(began, ran=time.monotonic())
         return cycle
 
     def _refuse(self, text: str) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 
 from plate_core.kernels import kernel
 
-
 STEEP_M = 0.01
 """So far beyond a wall a metre counts twice as much on average [m]: else many parts on their way
 push one that is at home over the edge."""
