@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -122,7 +123,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         for doubt in doubts(rig, "motors", "limits"):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
-        effort = {"restarts": options.restarts} if options.restarts else {}
+        effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
         self._controller = Controller(rig, options.method, options.seed, **effort)
         with compiling(self):
             warm_up(self._controller, rig.plate.half)

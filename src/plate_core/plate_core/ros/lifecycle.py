@@ -170,7 +170,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         self.keep(self.destroy_service, service)
 
     def managed_timer(
-        self, period_s: float, tick: Callable[[], None], clock: Clock | None = None
+        self, period_s: float, tick: Callable[[], Any], clock: Clock | None = None
     ) -> Timer:
         """Have `tick` called every so often while the node is active, by the steady clock if no
         other one is given."""
