@@ -17,8 +17,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 __all__ = [
+    "BACKLOG_S",
     "COMPILING",
     "INPUT_TIMEOUT_S",
+    "STANDSTILL_S",
     "Finding",
     "Input",
     "Level",
