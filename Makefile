@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: help setup cli demo test lint format bench charts docs clean workspace
+.PHONY: help setup cli demo play test lint format bench charts docs clean workspace
 
 # A mistyped name would be ignored without a word.
 NAMES := ARGS METHOD PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
@@ -29,6 +29,10 @@ workspace:
 demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial]
 	@$(ENTER) exec python tools/demo.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
 	    $${METHOD:+--method "$$METHOD"} $${TRANSPORT:+--transport "$$TRANSPORT"} $(ARGS)
+
+play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play] [RIG=...] [METHOD=...]
+	@$(ENTER) exec python tools/play.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
+	    $${METHOD:+--method "$$METHOD"} $(ARGS)
 
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from harness import cluster, parallel, processes
-from harness.loop import Setup, load_planner, summary, with_settings
+from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
 from plate_planner import Planner
@@ -30,6 +30,11 @@ def main() -> int:
         scenario = load_scenario(args.scenario)
         rig = load_rig(args.rig or scenario.rig)
         planner = Planner(rig, scenario)
+        if planner.rules.endless:
+            raise PlateError(
+                f"scenario is {args.scenario}, which never ends, allowed: others (a feeder: "
+                "ros2 run plate_bringup qualify)"
+            )
         settings = dict(_pair(text) for text in args.set)
         if args.planner:
             load_planner(args.planner, rig)

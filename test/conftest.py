@@ -23,6 +23,25 @@ def domain():
         yield domain
 
 
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory):
+    """A graph that runs, with the live page."""
+    from graph.session import session  # only where there is ROS
+
+    from plate_bringup import RunOptions
+
+    options = RunOptions(scenario="play", view=True)
+    with session(options, tmp_path_factory.mktemp("logs"), pictures=False) as running:
+        assert running.page(), running.processes.tail("page")
+        yield running
+
+
+@pytest.fixture(scope="module")
+def url(graph):
+    """Address of its page."""
+    return graph.page()
+
+
 @pytest.fixture(name="program", scope="session")
 def _program(tmp_path_factory):
     compiler = shutil.which("cc")

@@ -15,7 +15,8 @@ import yaml
 from numba import njit
 from short_task import short_task
 
-from harness import MEASUREMENTS, loop
+from harness import MEASUREMENTS
+from plate_bringup import loop
 from plate_core import PlateError, load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
@@ -183,7 +184,7 @@ def test_wrong_arguments_are_refused_in_one_line(refusal, program, arguments, wo
         assert word in last
 
 
-@pytest.mark.parametrize("chapter", ["stages", "tasks"])
+@pytest.mark.parametrize("chapter", ["stages", "tasks", "photographs"])
 def test_every_measurement_has_its_name(chapter):
     modules = {f.stem for f in (BENCH / chapter).glob("*.py") if "\ndef measure(" in f.read_text()}
     assert modules == {name for name, (module, _) in MEASUREMENTS.items() if chapter in module}

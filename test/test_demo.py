@@ -107,6 +107,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
         output, errors = process.communicate(timeout=300)
     assert process.returncode == 0, output + errors
     assert errors == ""
+    assert "To look on: http://127.0.0.1:" in output
     assert marked(mark) == []
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["scenario"], result["method"], result["transport"]) == (
@@ -117,7 +118,7 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     assert result["success"] is True
     assert result["dropped"] == 0
     assert result["nodes"] == ["simulator", "detector", "planner", "solver", "driver"]
-    assert set(result["exit_codes"].values()) == {0}
+    assert result["exit_codes"] == dict.fromkeys([*result["nodes"], "page"], 0)
     assert result["setpoints_within_limits"] is True
     assert result["motor_setpoints"] >= result["cycles"] > 100
     assert result["rms_error_m"] < 0.002
@@ -146,7 +147,7 @@ def check_bag(folder, result):
 
 def test_an_interrupt_leaves_nothing_running(tmp_path):
     mark = uuid.uuid4().hex
-    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures"]
+    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures", "--no-view"]
     with demo(*words, mark=mark, start_new_session=True) as process:
         for line in process.stdout:
             if "parts sorted" in line and "|   0.0 s" not in line:
@@ -171,14 +172,16 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
     @contextmanager
     def running(plan):
-        yield SimpleNamespace(nodes=[], observer=None, begin=lambda waiting: None)
+        yield SimpleNamespace(nodes=[], observer=None, page=str, begin=lambda waiting: None)
         raise Interrupted(signal.SIGINT)
 
     monkeypatch.setattr(module, "running", running)
     monkeypatch.setattr(module, "recording", lambda plan, observer: nullcontext())
     monkeypatch.setattr(module, "watch", lambda plan, observer: None)
     monkeypatch.setattr(
-        module, "conclude", lambda plan, graph, wall_s, problem: concluded.append(problem) or 0
+        module,
+        "conclude",
+        lambda plan, graph, wall_s, problem, grips: concluded.append(problem) or 0,
     )
     monkeypatch.setattr(sys, "argv", ["demo", "--scenario", "sort_4", "--out", str(tmp_path)])
     assert run(arguments()) == 130
@@ -257,7 +260,7 @@ def test_a_node_that_dies_at_start_is_named_with_its_reason(tmp_path, monkeypatc
 
 def test_a_kill_leaves_nothing_running(tmp_path):
     mark = uuid.uuid4().hex
-    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures"]
+    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures", "--no-view"]
     with demo(*words, mark=mark, start_new_session=True) as process:
         for line in process.stdout:
             if "nodes answer" in line:
@@ -272,7 +275,7 @@ def test_a_kill_leaves_nothing_running(tmp_path):
 
 def test_a_node_that_dies_is_named_and_its_log_is_shown(tmp_path):
     mark = uuid.uuid4().hex
-    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures"]
+    words = ["--scenario", "sort_4", "--out", str(tmp_path), "--no-pictures", "--no-view"]
     with demo(*words, mark=mark) as process:
         for line in process.stdout:
             if "parts sorted" in line:

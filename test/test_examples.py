@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from harness.loop import Setup, load_planner, run
+from plate_bringup.loop import Setup, load_planner, run
 from plate_core import PlateError, load_rig
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -48,7 +48,7 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
     options = RunOptions(
         scenario="sort_4", lockstep=not image_rate, image_rate=image_rate, autostart=False
     )
-    nodes = [node for node in load_graph() if node.name != "planner"]
+    nodes = options.nodes(node for node in load_graph() if node.name != "planner")
     own = subprocess.Popen(
         [sys.executable, EXAMPLES / "own_planner.py"], env=os.environ | ros_environment(domain)
     )

@@ -1,6 +1,10 @@
 """Nodes of the real graph are killed and frozen in mid-task: what is said of it, and what moves."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -16,6 +20,22 @@ START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
 """Long enough for every timeout; shorter than in the tool, which measures when."""
 
+MIDDLE: dict[str, Any] = {
+    "description": "Two parts change sides, far from the edges.",
+    "parts": [
+        {"class": "black", "positions_m": [[-0.1, 0.03]]},
+        {"class": "grey", "positions_m": [[0.1, -0.03]]},
+    ],
+    "task": {
+        "kind": "assemble",
+        "places_m": {"black": [[0.1, 0.03]], "grey": [[-0.1, -0.03]]},
+        "tolerance_m": 0.003,
+        "hold_s": 1.0,
+    },
+    "time_limit_s": 180,
+}
+"""No part leaves the plate while that comes to rest: its loss would be what ends the task."""
+
 EXPECTED = {
     ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),
     ("kill", "driver"): ("no driver_status for", "does the driver run?", "simulator"),
@@ -27,7 +47,8 @@ EXPECTED = {
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
-    options = RunOptions(scenario="sort_8")
+    options = RunOptions(scenario=str(tmp_path / "middle.yaml"))
+    Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     graph = options.nodes(load_graph())
     with (
         Processes(graph, options, tmp_path, domain) as processes,

@@ -45,11 +45,13 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
 
 def test_it_asks_for_what_its_parts_ask_for():
     """Each package can also be installed alone; together they need what the whole names."""
-    whole = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    whole, parts = settings["project"], settings["tool"]["setuptools"]["packages"]["find"]["where"]
     asked, versions = set(), set()
     for path in ROOT.glob("src/*/setup.py"):
         text = path.read_text(encoding="utf-8")
-        asked |= set(eval(text.split("install_requires=")[1].split("]")[0] + "]"))
+        if str(path.parent.relative_to(ROOT)) in parts:
+            asked |= set(eval(text.split("install_requires=")[1].split("]")[0] + "]"))
         versions.add(text.split('version="')[1].split('"')[0])
     assert asked - {"plate_core"} == set(whole["dependencies"])
     assert versions == {whole["version"]}

@@ -44,8 +44,8 @@ def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
     result = machines(tmp_path, "--reach", "named", "--scenario", str(scenario))
     assert result["done"]
     assert result["images"] > 10
-    # What goes over the cable is the parts, the motors' tables, and the discovery of participants
-    # that have just begun, which in so short a task is most of it; not the images.
+    # What goes over the cable is the parts, the motors' tables, and mostly the participants'
+    # announcements; not the images.
     cycle_s = 0.2
     assert 0 < result["crossed_kB_per_s"] < 0.75 * IMAGE_KB / cycle_s
 

@@ -35,6 +35,20 @@ RIG = yaml.safe_load((ROOT / "config/rig.yaml").read_text("utf-8")) | {
         "motor_bandwidth_hz": 200,
     },
 }
+RIG["types"] = {
+    "nut": {
+        "outline_m": [[0.01, 0], [0, 0.01], [-0.01, 0], [0, -0.01]],
+        "holes_m": [[[0.004, 0], [0, 0.004], [-0.004, 0], [0, -0.004]]],
+        "mass_kg": 0.01,
+        "mu": 0.25,
+        "colour_lab": [50, 0, 0],
+        "symmetry": 4,
+        "scatter_m": 0.0001,
+        "picture": "nut.png",
+    },
+    "coin": {"radius_m": 0.01, "symmetry": 0},
+}
+RIG["camera"]["colour"] = True
 RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
 TASKS = {
@@ -63,6 +77,35 @@ TASKS = {
         "tolerance_m": 0.003,
         "tolerance_deg": 3,
         "hold_s": 1,
+    },
+    "move": {
+        "targets": [{"id": "black_1", "place_m": [0.1, 0], "angle_deg": 90}],
+        "tolerance_m": 0.003,
+        "tolerance_deg": 3,
+        "hold_s": 1,
+    },
+    "feed": {
+        "picks": [
+            {
+                "class": "black",
+                "ready": 2,
+                "window_m": [[0, 0], [0.1, 0.1]],
+                "angle_deg": 90,
+                "tolerance_deg": 5,
+            },
+        ],
+        "clearance_m": 0.006,
+        "chute": "left",
+        "hopper": {
+            "fill": 9,
+            "least": 8,
+            "rate_ps": 10,
+            "place_m": [0, 0],
+            "spread_m": 0.05,
+            "mix": {"black": 0.5, "grey": 0.5},
+        },
+        "timeout_s": 30,
+        "valid_s": 10,
     },
 }
 
@@ -163,11 +206,14 @@ PLACES = {
     "task: paths[]": ["task, kind: follow, paths[]"],
     "task: paths[]: circle": ["task, kind: follow, paths[], circle"],
     "task: poses[]": ["task, kind: pose, poses[]"],
+    "task: targets[]": ["task, kind: move, targets[]"],
+    "task: picks[]": ["task, kind: feed, picks[]"],
+    "task: hopper": ["task, kind: feed, hopper"],
 }
 """Sections of a scenario file by places in it."""
 
-NAMED = ("regions", "places_m", "motors", "fiducials: centre_m")
-"""Places whose keys are names of classes, motors or markers."""
+NAMED = ("regions", "places_m", "motors", "fiducials: centre_m", "types", "mix")
+"""Places whose keys are names of classes, types, motors or markers."""
 
 
 def known_at(sections, place, heads):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from harness.loop import Setup
 from harness.serial import Judge, Operator, Port, serial_run
+from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_core.motion import motor_state
 from plate_core.serial_protocol import Fault, State

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from harness.loop import Setup, run
+from plate_bringup.loop import Setup, run
 from plate_core import Rig, load_rig
 from plate_core.rig import CYCLE_HZ
 from plate_solver import RotationSolver, SinusoidSolver

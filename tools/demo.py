@@ -1,4 +1,4 @@
-"""The demo: five real nodes in five processes close the loop; we watch, judge and draw.
+"""The demo: real nodes in processes of their own close the loop; we watch, judge and draw.
 
 python tools/demo.py --scenario sort_10 --method sinusoids
 
@@ -28,7 +28,7 @@ def arguments() -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="make demo",
-        description="Run a task on the vibrating plate: five ROS 2 nodes as processes of their "
+        description="Run a task on the vibrating plate: ROS 2 nodes as processes of their "
         "own, in a ROS domain of their own, driven only by what the camera sees.",
         epilog="With make: make demo SCENARIO=sort_10 RIG=my_rig.yaml METHOD=rotations "
         "TRANSPORT=serial ARGS='--seed 3'. Ctrl-C ends it; what was done so far is kept.",
@@ -57,6 +57,9 @@ def arguments() -> argparse.Namespace:
     add(
         "--record", action="store_true", help="keep all messages, for Foxglove or ros2 bag: OUT/bag"
     )
+    add("--picks", type=int, default=20, help="parts that a robot takes, with a feeder (20)")
+    add("--robot-cycle", type=float, default=2.0, help="seconds that it needs for one (2)")
+    add("--no-view", action="store_true", help="without the live page in a browser")
     add("--no-pictures", action="store_true", help="write result.json only")
     return parser.parse_args()
 

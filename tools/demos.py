@@ -3,7 +3,8 @@
 python tools/demos.py [SCENARIO ...]
 
 Each is `make demo SCENARIO=... ARGS=--lockstep`: the real graph, but simulated time waits for the
-answers, so that a film does not depend on what else the machine does. A run that fails is reported.
+answers, so that a film does not depend on what else the machine does. The robot of a feeder has a
+time of its own: no lockstep. A run that fails is reported.
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from graph.robot import summary as feed_summary
 from PIL import Image, ImageSequence
 from record.judge import summary
 
-from plate_core.tasks import load_scenario
+from plate_core.tasks import FeedTask, load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs/results"
+
+PICKS = 30
+"""Parts that the robot of a feeder takes."""
 
 LONGEST_S = 600
 """A demo takes no longer [s]: set-up, the task, its pictures."""
@@ -56,7 +61,9 @@ def main() -> int:
 def run(name: str) -> dict[str, Any]:
     """Run one demo, keep its pictures, and say what became of it."""
     out = ROOT / "out/demos" / name
-    command = ["tools/demo.py", "--scenario", name, "--lockstep", "--out", str(out)]
+    feeds = isinstance(load_scenario(name).task, FeedTask)
+    args = f"--picks {PICKS}" if feeds else "--lockstep"
+    command = ["tools/demo.py", "--scenario", name, *args.split(), "--out", str(out)]
     done = subprocess.run(
         [sys.executable, *command],
         capture_output=True,
@@ -67,7 +74,7 @@ def run(name: str) -> dict[str, Any]:
     )
     facts = {
         "description": load_scenario(name).description,
-        "command": f"make demo SCENARIO={name} ARGS=--lockstep",
+        "command": f"make demo SCENARIO={name} ARGS=" + (f"'{args}'" if feeds else args),
     }
     result, pictures = out / "result.json", (DOCS / f"{name}.png", DOCS / f"{name}.webp")
     if not result.exists():
@@ -78,7 +85,8 @@ def run(name: str) -> dict[str, Any]:
     shrink_strip(out / "strip.png", pictures[0])
     shrink_film(out / "demo.gif", pictures[1])
     found = json.loads(result.read_text(encoding="utf-8"))
-    return facts | {"well": done.returncode == 0, "outcome": summary(found)}
+    outcome = feed_summary(found) if feeds else summary(found)
+    return facts | {"well": done.returncode == 0, "outcome": outcome}
 
 
 def shrink_strip(source: Path, target: Path) -> None:

@@ -39,9 +39,12 @@ from plate_core.ros import (
     motors_to_msg,
     msg_to_motors,
     start_nodes,
+    targets_to_msg,
     to_time,
     wanted_to_msg,
 )
+from plate_core.tasks import PartTarget
+from plate_interfaces.srv import PlacePart, RemovePart
 
 NODES = {
     "detector": ("plate_vision.node", "DetectorNode"),
@@ -104,7 +107,12 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     message = cycle_to_msg(cycle, stamp)
     if rng.random() < 0.5:
         message = motors_to_msg(rig, cycle, stamp)
-    right = (message, wanted_to_msg(wanted, stamp), array_to_image(pixels, stamp))
+    name, (x, y) = str(rng.choice(["", "black_1", "grey_2"])), rng.uniform(-0.3, 0.3, 2).tolist()
+    right = (
+        message, wanted_to_msg(wanted, stamp), array_to_image(pixels, stamp),
+        targets_to_msg([PartTarget(i, tuple(at)) for i, at in zip(ids, place, strict=True)], stamp),
+        PlacePart.Request(id=name, type="black", x=x, y=y), RemovePart.Request(id=name),
+    )  # fmt: skip
     return {type(msg): serialize_message(msg) for msg in right}
 
 
@@ -153,7 +161,7 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
 
 
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
-    """Topics of a node that anyone may write to: name, type, and what takes a message."""
+    """Topics, and services that take numbers, of a node: name, type, and what takes a message."""
     topics = [(s.topic_name, s.msg_type, s.callback) for s in node.subscriptions]
     if hasattr(node, "take_cycle"):  # the driver's, which takes bytes
 
@@ -162,6 +170,14 @@ def topics_of(node: Any) -> list[tuple[str, type, Any]]:
             node.take_cycle(data, len(data))
 
         topics.append((node._cycles.topic_name, node._cycles.kind, take))
+    for service in node.services:
+        kind = service.srv_type
+        if kind in (PlacePart, RemovePart):  # the others take nothing, or a bit
+
+            def ask(request: Any, kind: Any = kind, answer: Any = service.callback) -> None:
+                serialize_message(answer(request, kind.Response()))
+
+            topics.append((service.srv_name, kind.Request, ask))
     own = ("clock", "parameter_events")
     return [item for item in topics if item[0].rsplit("/", 1)[-1] not in own]
 

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,15 +55,30 @@ def solve_requests() -> None:
 
 
 def see_parts() -> None:
-    """Find parts in a picture, two of which touch."""
+    """Find parts in a picture, two of which touch; and teach them as parts of any outline."""
     from plate_core import load_rig
     from plate_sim.camera import Camera
     from plate_vision import Tracker, make_vision, observe
+    from plate_vision.shapes import (
+        Example,
+        learn_plate,
+        learn_type,
+        make_catalogue,
+        model_background,
+    )
 
     rig, rng = load_rig(), np.random.default_rng(0)
     place = rig.parts.radius_m * np.array([[-0.95, 0.0], [0.95, 0.0], [5.0, 0.0]])
     image = Camera(rig).render(place, np.zeros(3), rng)
-    observe(make_vision(rig), Tracker(), image, 0.0)
+    vision = make_vision(rig)
+    observe(vision, Tracker(), image, 0.0)
+    apart = Camera(rig).render(place * [2.0, 1.0], np.zeros(3), rng)
+    empty = Camera(rig).render(place[:0], np.zeros(0), rng)
+    pictures, bare = [Example(apart)], learn_plate(empty[None])
+    model_background(apart)
+    part = learn_type("disc", pictures, vision.calibration, bare, vision.region).part
+    vision = replace(vision, catalogue=make_catalogue({part.name: part}))
+    observe(vision, Tracker(), image, 0.0)
 
 
 def measure_forces() -> None:

@@ -40,6 +40,8 @@ DOMAIN = 0
 """The machines have a network of their own, so no other domain is needed."""
 
 START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 5.0, 10.0
+DISCOVERY_S = 3.0
+"""Participants that have begun announce themselves 20 times, each 0.1 s (config/fastdds.xml)."""
 POLL_S = 0.02
 CARD = "card"
 OWN_SHM = "mount -t tmpfs none /dev/shm"
@@ -145,6 +147,7 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
         observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
         with Hops(images=False) as hops:
+            observer.until(lambda: False, DISCOVERY_S)
             observer.start(load_scenario(scenario))
             begun, start = crossed(), time.time()
             observer.until(lambda: record.ended, TASK_S)

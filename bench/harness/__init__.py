@@ -1,6 +1,7 @@
 """What all measurements stand on: fair races, results and their files, a cache, parallel runs.
 
-`harness.loop` is the closed loop without ROS, `harness.serial` its transport over a serial line.
+The closed loop without ROS is `plate_bringup.loop`; `harness.serial` is its transport over a serial
+line.
 """
 
 from harness.cache import Cache

@@ -13,7 +13,8 @@ from typing import Any
 from harness.result import ROOT
 
 PACKAGES = (
-    "plate_core", "plate_driver", "plate_planner", "plate_sim", "plate_solver", "plate_vision",
+    "plate_bringup", "plate_core", "plate_driver", "plate_feeder", "plate_planner", "plate_sim",
+    "plate_solver", "plate_vision",
 )  # fmt: skip
 """What every measurement depends on, as it is installed."""
 

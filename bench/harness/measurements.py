@@ -25,12 +25,18 @@ ABOUT = {
         "options": "Both methods with their options, and scipy, on the stick-slip cycle",
         "requests": "Requests: the force that parts really get, hostile ones, manipulability",
         "vision": "Finding discs in an image: time, misses, error of the centres",
+        "classes": "Types of parts: names, centres and angles, beside nearest neighbours",
+        "shapes": "Parts of any outline in hostile scenes: recall, precision, centres, time",
         "camera": "The simulated camera: time for one image, error of the centres",
         "stages": "What each stage of the loop costs for one image",
         "learning": "Learning the plate: error of realised harmonics, new cycles in a row",
         "stop_latency": "From the emergency_stop call to the wire, under floods of messages",
         "board": "The firmware on an emulated STM32F405: instructions a tick, longest steps",
         "latency": "Image to motors in the real graph, beside one that only forwards",
+        "page": "The live page beside the graph: latency, processor time, targets that are dragged",
+    },
+    "photographs": {
+        "photographs": "Real photographs: parts found, centres, angles and classes, beside peers",
     },
     "maps": {
         "stability": "Stability maps: where methods fail, and where theory says so",
@@ -47,6 +53,8 @@ ABOUT = {
         "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
         "lines": "Serial lines from slow to fast, bad and far: tables played, time to a stop",
         "closed_loop": "Whole tasks in the closed loop",
+        "feeding": "A feeder in production beside peers that shake and look: speed, accuracy",
+        "feeding_hour": "An hour of production: parts lost, stops, memory",
     },
 }
 """Chapter of this folder -> its modules with `measure(quick)`, and what they are about."""
@@ -58,15 +66,16 @@ MEASUREMENTS = {
 }
 """Name -> module and what it is about."""
 
-LONG = {"tasks"}
+LONG = {"feeding_hour", "tasks"}
 """Hours: measured only by name."""
 
 EXPECTED_S = {
     "sim": 160.0, "bodies": 25.0, "force_map": 20.0, "solver": 60.0, "rotations": 40.0,
     "inversion": 30.0,
-    "steering": 900.0, "options": 180.0, "vision": 60.0, "stages": 60.0, "control": 430.0,
+    "steering": 900.0, "options": 180.0, "vision": 60.0, "photographs": 60.0, "stages": 60.0,
+    "control": 430.0,
     "tracking": 360.0, "free_running": 420.0, "sizing": 200.0, "learning": 10.0,
-    "bound": 600.0, "rigs": 600.0,
+    "bound": 600.0, "rigs": 600.0, "feeding": 1500.0,
 }  # fmt: skip
 """How long those of the charts take where they have never been run: two cores of today [s]."""
 

@@ -22,7 +22,7 @@ from multiprocessing import get_context
 from socket import gethostname
 from typing import Any
 
-from harness.cache import Cache, code_of
+from harness.cache import Cache, code_of_packages
 from plate_core import PlateError
 
 CONNECT_S = 5.0
@@ -147,4 +147,4 @@ def _checked(mark: str, task: bytes) -> Any:
 def fingerprint() -> str:
     """Return what decides a run's numbers: versions, and a digest of our sources."""
     versions = [f"{name} {version(name)}" for name in LIBRARIES]
-    return ", ".join([f"sources {code_of('harness.loop')}", *versions])
+    return ", ".join([f"sources {code_of_packages()}", *versions])

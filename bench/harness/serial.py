@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from harness.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
+from plate_bringup.loop import HOLD_CYCLES, IDLE_PERIOD, Setup, run
 from plate_core import CycleError, PlateCycle, PlateError, Rig, load_rig
 from plate_core.motion import plate_state
 from plate_core.serial_protocol import State
@@ -104,7 +104,7 @@ class Operator:
 
 
 class SerialLine:
-    """The closed loop's transport (`harness.loop.Transport`) over a line and a device.
+    """The closed loop's transport (`plate_bringup.loop.Transport`) over a line and a device.
 
     Parameters
     ----------

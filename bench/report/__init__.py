@@ -15,6 +15,7 @@ from typing import NamedTuple
 from maps.stability import MAPS
 from plate_core import PlateError
 from report.chart import Chart, Data, Row, Sheet, table
+from report.feeding import feeding
 from report.forces import (
     force_map,
     force_map_rows,
@@ -68,6 +69,7 @@ CHARTS: tuple[Entry, ...] = (
     Entry("crowds", crowds, lambda data: table(data, "sizing", "parts"), ("sizing",)),
     Entry("cost", cost, cost_rows, ("stages", "sim")),
     of_table(learning, "learning"),
+    of_table(feeding, "feeding"),
     *(
         Entry(f"stability_{key}", partial(chart_of, one=m), partial(rows_of, one=m), ("stability",))
         for key, m in MAPS.items()

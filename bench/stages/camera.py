@@ -10,7 +10,7 @@ import numpy as np
 
 from harness import Result, Table, race
 from plate_core import Rig, load_rig
-from plate_core.rig import Lens, camera_pose
+from plate_core.rig import Lens, PartType, camera_pose
 from plate_sim import Camera, part_greys
 
 PARTS = 10
@@ -95,19 +95,19 @@ def options(rig: Rig) -> dict[str, Callable[[], object]]:
     share = np.linspace(0, 1, SAMPLES)[:, None]
     poses = np.array([0.01, -0.004, 0.005]) + share * np.array([0.001, -0.0005, 0.001])
     path = position + rig.camera.exposure_s * share[:, None] * velocity
-    squares = [(SQUARE,)] * PARTS
+    squares = [PartType("square", outline=tuple(map(tuple, SQUARE.tolist())))] * PARTS
     draws: dict[str, Callable[[], object]] = {
         "no parts": lambda: camera.render(np.zeros((0, 2)), np.zeros(0), rng),
         "parts at rest": lambda: camera.render(position, grey, rng),
         "moving parts": lambda: camera.render(position, grey, rng, velocity),
         "moving parts, marks": lambda: camera.render(position, grey, rng, velocity, angle=angle),
         "moving squares": lambda: camera.render(
-            position, grey, rng, velocity, angle=angle, outline=squares
+            position, grey, rng, velocity, angle=angle, types=squares
         ),
         "displaced plate": lambda: camera.render(position, grey, rng, velocity, poses[0]),
         "vibrating plate": lambda: camera.render(path, grey, rng, pose=poses),
         "all: vibrating plate, squares": lambda: camera.render(
-            path, grey, rng, pose=poses, angle=angle, outline=squares
+            path, grey, rng, pose=poses, angle=angle, types=squares
         ),
     }
     return draws

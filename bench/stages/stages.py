@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from harness import Result, Table, cpu_time
-from harness.loop import Moment, Setup, run
+from plate_bringup.loop import Moment, Setup, run
 from plate_core import PlateCycle, Rig, load_rig, part_class
 from plate_core.tasks import Scenario, load_scenario
 from plate_driver.setpoints import prepare

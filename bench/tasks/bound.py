@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, Result, Table, processes, resumed
-from harness.loop import Setup, run, with_settings
+from plate_bringup.loop import Setup, run, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.tasks import load_scenario, start_positions

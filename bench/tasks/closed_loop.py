@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness import Result, Table
-from harness.loop import Setup, summary
+from plate_bringup.loop import Setup, summary
 from plate_core import load_rig
 from tasks.runs import sentence, summed
 

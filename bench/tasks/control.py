@@ -1,12 +1,12 @@
 """The closed loop with more and less time for the solver: tracking error and time of a sort.
 
-The whole loop of `harness.loop`: image noise, friction uneven by 10 %.
+The whole loop: image noise, friction uneven by 10 %.
 """
 
 from __future__ import annotations
 
 from harness import Cache, Result, Table, processes
-from harness.loop import Setup
+from plate_bringup.loop import Setup
 from plate_core import load_rig
 from plate_solver import EFFORT
 from tasks.runs import UNEVEN, runs_of, sentence, summed

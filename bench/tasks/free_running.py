@@ -8,7 +8,7 @@ most `ALLOWED_MM`: one value of it is changed at a time, until the border is pas
 from __future__ import annotations
 
 from harness import Cache, Result, Table, processes
-from harness.loop import Setup
+from plate_bringup.loop import Setup
 from plate_core import load_rig
 from tasks.runs import UNEVEN, runs_of, summed
 

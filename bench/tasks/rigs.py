@@ -1,7 +1,7 @@
 """What a rig is asked before it is bought: success, time and error of tasks on small and weak rigs,
 beside what `ros2 run plate_solver feasible` says of them.
 
-The whole loop of `harness.loop` with image noise and uneven friction. Some 170 runs: ten
+The whole loop with image noise and uneven friction. Some 170 runs: ten
 minutes on two cores.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, Result, Table, processes, resumed
-from harness.loop import Setup
+from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.tasks import load_scenario
 from plate_solver import judge_task

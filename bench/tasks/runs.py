@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness import Cache, resumed
-from harness.loop import Setup, summary, with_settings
+from plate_bringup.loop import Setup, summary, with_settings
 from plate_core import Rig
 
 UNEVEN = {"friction_spread": "0.1", "friction_patches": "0.1"}

@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 
 from harness import Cache, Result, Table, processes, resumed
-from harness.loop import Setup, summary
 from harness.serial import Outcome, serial_run
+from plate_bringup.loop import Setup, summary
 from plate_core import load_rig
 from plate_sim.device import FaultSchedule, LineFaults
 from stages.frames import fuzz_device, fuzz_host

@@ -1,6 +1,6 @@
 """How many parts a rig sorts: the default one, more and more parts.
 
-The whole loop of `harness.loop` in a clean world: image noise, even friction, parts that collide.
+The whole loop in a clean world: image noise, even friction, parts that collide.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from harness import Cache, Result, Table, processes, resumed
-from harness.loop import Setup, summary
+from plate_bringup.loop import Setup, summary
 from plate_core import load_rig
 from tasks.runs import sentence, summed
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from harness import Cache, Result, Table, processes
-from harness.loop import Setup
+from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_core.rig import Suspension, mass_matrix, modal_matrices
 from tasks.runs import UNEVEN, runs_of, sentence, summed

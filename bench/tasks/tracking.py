@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from harness import Cache, Result, Table, processes
-from harness.loop import Setup
+from plate_bringup.loop import Setup
 from plate_core import Rig, load_rig
 from plate_solver import RotationSolver, SinusoidSolver
 from tasks.runs import UNEVEN, runs_of, summed

@@ -23,5 +23,10 @@ setup(
     maintainer_email="plate@example.org",
     description="Launch files of the closed loop, its list of nodes, parameters, scenarios, views.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"one_process = {NAME}.one_process:main"]},
+    entry_points={
+        "console_scripts": [
+            f"one_process = {NAME}.one_process:main",
+            f"qualify = {NAME}.qualify:main",
+        ]
+    },
 )

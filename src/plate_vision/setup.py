@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             f"detector = {NAME}.node:main",
             f"calibrate = {NAME}.camera.calibrate_camera:main",
+            f"teach = {NAME}.shapes.teach_parts:main",
         ]
     },
 )

@@ -23,6 +23,7 @@ from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import PlateError, Rig, did_you_mean, load_rig
 from plate_core.tasks import (
     AssembleTask,
+    FeedTask,
     FollowTask,
     PoseTask,
     Scenario,
@@ -37,6 +38,8 @@ from plate_solver import METHODS
 from .domains import own_domain
 from .observer import Observer, Record
 from .processes import Interrupted, ros_environment, signals_raise, signals_wait
+from .robot import Grip, Robot, feed_result
+from .robot import summary as feed_summary
 from .session import Session, session
 
 SILENCE_S = 30.0
@@ -50,6 +53,12 @@ LOCKSTEP_SLOWER = 3
 
 PROGRESS_S, WAITING_S = 2.0, 10.0
 """Between two lines where they cannot overwrite each other: of a task, and until it begins [s]."""
+
+FEEDER_S = 10.0
+"""Longest wait for the feeder's report [s]."""
+
+MOST_PICKS = 10_000
+"""Parts that a robot may be asked to take."""
 
 LAST = Path("out/demo")
 """A link to the folder of the last demo."""
@@ -74,6 +83,10 @@ class Plan:
     pictures : bool
     record : bool
         Whether to keep all messages.
+    picks : int
+        Parts that a robot is to take, in a scenario of `feed`.
+    robot_cycle_s : float
+        Time that the robot needs for one, if it never waits [s].
     """
 
     options: RunOptions
@@ -83,6 +96,8 @@ class Plan:
     domain: int | None
     pictures: bool
     record: bool
+    picks: int
+    robot_cycle_s: float
 
 
 def demo(args: argparse.Namespace) -> int:
@@ -130,6 +145,16 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
     Disturbances(image_rate=args.image_rate)  # refuses one out of range
+    if isinstance(scenario.task, FeedTask) and args.lockstep:
+        raise PlateError(
+            "lockstep with a task of feed, allowed: without (a robot has its own time)"
+        )
+    if isinstance(scenario.task, FeedTask) and args.port:
+        raise PlateError("port with a task of feed, allowed: none (the robot is simulated)")
+    if not 1 <= args.picks <= MOST_PICKS:
+        raise PlateError(f"picks is {args.picks}, allowed: 1 to {MOST_PICKS}")
+    if not 0.3 <= args.robot_cycle <= 60:
+        raise PlateError(f"robot cycle is {args.robot_cycle:g} s, allowed: 0.3 to 60")
     if args.port and args.transport == "sim":
         raise PlateError(f"port is {args.port!r} with transport sim, allowed with it: no port")
     for doubt in Planner(rig, scenario).doubts():  # does the task fit on the plate,
@@ -150,11 +175,16 @@ def checked(args: argparse.Namespace) -> Plan:
         rig_file=absolute(rig_file),
         autostart=False,
         one_process=args.one_process,
+        view=not (args.no_view or args.one_process),  # it must not slow the others down
+        robot_port=0,
     )
     domain = args.domain
     if domain is None and args.port:  # the camera is somebody else's, in the domain of this shell
         domain = int(os.environ.get("ROS_DOMAIN_ID") or "0")
-    return Plan(options, scenario, rig, out, domain, not args.no_pictures, args.record)
+    return Plan(
+        options, scenario, rig, out, domain, not args.no_pictures, args.record, args.picks,
+        args.robot_cycle,
+    )  # fmt: skip
 
 
 def absolute(name: str) -> str:
@@ -198,19 +228,28 @@ def run(plan: Plan) -> int:
     problem: Interrupted | PlateError | None = None
     late: Interrupted | None = None
     ended = False
+    grips: list[Grip] = []
     try:
         with running(plan) as graph:
+            page = graph.page()
             print(
                 f"All {len(graph.nodes)} nodes answer after {time.monotonic() - began:.0f} s. "
-                f"To look on: source env.sh; export ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
+                f"To look on: {page + ' or ' if page else ''}source env.sh; export "
+                f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}",
                 flush=True,
             )
             try:
                 with recording(plan, graph.observer):
                     line = StatusLine(WAITING_S)
-                    graph.begin(line.show)
-                    line.end()
-                    watch(plan, graph.observer)
+                    if isinstance(plan.scenario.task, FeedTask):
+                        graph.free()
+                        graph.observer.await_ready(line.show)
+                        line.end()
+                        feed(plan, graph.observer, grips)
+                    else:
+                        graph.begin(line.show)
+                        line.end()
+                        watch(plan, graph.observer)
             except (Interrupted, PlateError) as stopped:
                 problem = stopped
             ended = True
@@ -218,7 +257,7 @@ def run(plan: Plan) -> int:
         if not ended:
             raise
         late = while_nodes_stop
-    code = conclude(plan, graph, time.monotonic() - began, problem)
+    code = conclude(plan, graph, time.monotonic() - began, problem, grips)
     stop = problem if isinstance(problem, Interrupted) else late
     if stop is not None:
         print(f"demo: {name_of(stop)}, all nodes are stopped", flush=True)
@@ -230,7 +269,11 @@ def run(plan: Plan) -> int:
 
 
 def conclude(
-    plan: Plan, graph: Session, wall_s: float, problem: Interrupted | PlateError | None
+    plan: Plan,
+    graph: Session,
+    wall_s: float,
+    problem: Interrupted | PlateError | None,
+    grips: list[Grip],
 ) -> int:
     """Judge and draw what was done, up to a problem if there was one; returns the exit code."""
     record, codes = graph.observer.record, graph.processes.exit_codes
@@ -243,10 +286,15 @@ def conclude(
             print(f"\n{error}", flush=True)
             return 1
         result["wall_s"] = round(wall_s, 1)
+        if isinstance(plan.scenario.task, FeedTask):
+            wanted = [pick.label for pick in plan.scenario.task.picks]
+            result |= feed_result(grips, record, plan.picks, wanted)
         if problem is not None:
             words = name_of(problem) if isinstance(problem, Interrupted) else str(problem)
             result |= {"success": False, "message": "ended by " + words.split("\n")[0]}
-        print(("\n" if problem else "") + summary(result), flush=True)
+        feeds = isinstance(plan.scenario.task, FeedTask)
+        text = feed_summary(result) if feeds else summary(result)
+        print(("\n" if problem else "") + text, flush=True)
         write(plan.out / "result.json", result)
     if plan.pictures:
         if problem is not None:
@@ -316,6 +364,33 @@ def watch(plan: Plan, observer: Observer) -> None:
     over = record.states[-1]
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress.text(record))
+
+
+def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:
+    """Have a robot take parts from the feeder, over TCP; `grips` is filled.
+
+    Raises
+    ------
+    GraphError
+        If the feeder does not answer, or refuses.
+    """
+    line, record = StatusLine(PROGRESS_S), observer.record
+    if not observer.until(lambda: bool(record.last("feeder", "port")), FEEDER_S):
+        raise GraphError(f"the feeder has said nothing for {FEEDER_S:g} s")
+    port = int(record.last("feeder", "port"))
+    print(f"A robot takes {plan.picks} parts, over TCP at 127.0.0.1:{port}.", flush=True)
+
+    def text() -> str:
+        taken = sum(grip.taken for grip in grips)
+        last = (
+            f", the last {1e3 * grips[-1].error_m:.2f} mm from where it was said" if grips else ""
+        )
+        return f"{taken} of {plan.picks} parts taken{last}"
+
+    with Robot(observer, "127.0.0.1", port, plan.robot_cycle_s, grips) as robot:
+        robot.work(plan.picks, lambda grip: line.show(text()))
+    observer.trigger("stop")
+    line.end(text())
 
 
 def clear(out: Path) -> None:

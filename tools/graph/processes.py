@@ -156,7 +156,8 @@ class Processes:
         remaps: Mapping[str, tuple[str, str]] | None = None,
     ) -> None:
         self.exit_codes: dict[str, int] = {}
-        remaps, prefix = remaps or {}, prefix or {}
+        remaps, prefix, nodes = remaps or {}, prefix or {}, list(nodes)
+        self._views = {node.name for node in nodes if node.view}
         self._commands: dict[str, list[str]] = {}
         if options.one_process:
             self._commands[ONE_PROCESS] = command_of_all(nodes, options, logs)
@@ -219,8 +220,8 @@ class Processes:
         """Return a node's process id."""
         return self._running[name].pid
 
-    def check(self) -> None:
-        """Raise if a node has ended by itself.
+    def check(self, views: bool = False) -> None:
+        """Raise if a node has ended by itself; of those that only look on if `views`.
 
         Raises
         ------
@@ -228,7 +229,7 @@ class Processes:
             Names the node and its exit code, and shows the end of its log.
         """
         for name, process in self._running.items():
-            if process.poll() is not None:
+            if (views or name not in self._views) and process.poll() is not None:
                 raise GraphError(f"{name} {ended(process.returncode)}\n{self.tail(name)}")
 
     def tail(self, name: str) -> str:

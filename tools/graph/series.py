@@ -166,7 +166,7 @@ def one_task(
         {
             name: memory_mb(graph.processes.pid(name))
             for name in graph.processes.names
-            if not name.startswith("beside_")
+            if not name.startswith(("beside_", "page"))
         },
         rows(hops, start, end),
         rows(others, start, end) if others is not None else np.zeros((0, len(CHAIN) + 1)),

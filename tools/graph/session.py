@@ -21,6 +21,9 @@ START_S = 180.0
 ANSWER_S = 180.0
 """Longest wait for the answer to the first image [s], from when no node compiles any more."""
 
+PAGE_S = 10.0
+"""Longest wait for the page, when all others answer [s]."""
+
 CAMERA_S = 3.0
 """Longest wait for a camera that is not simulated [s]."""
 
@@ -65,6 +68,13 @@ class Session:
         if self.options.transport == "serial":
             print("Calling the service enable: from now on the motors may move.", flush=True)
             self.observer.enable()
+
+    def page(self) -> str:
+        """Return the address of the live page; empty if there is none."""
+        record = self.observer.record
+        if self.options.view:
+            self.observer.until(lambda: bool(record.last("page", "url")), PAGE_S)
+        return record.last("page", "url")
 
     def begin(self, waiting: Callable[[str], None] = lambda _: None) -> None:
         """Set the plate free and start the task; `waiting` is called with what is waited for.
@@ -117,7 +127,8 @@ def session(
         Processes(nodes, options, logs, domain) as processes,
         Observer(domain, processes.check, pictures) as observer,
     ):
-        seen = observer.await_nodes([node.name for node in nodes], START_S, waiting)
+        loop = [node.name for node in nodes if not node.view]
+        seen = observer.await_nodes(loop, START_S, waiting)
         if driver_triggers(options):
             observer.until(Path(options.port or options.link).exists, START_S)
             observer.activate_driver()  # motors stay off until they are enabled

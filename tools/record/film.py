@@ -84,7 +84,7 @@ def develop(record: Record, rig: Rig) -> Film:
         raise PlateError("the task never began: there is nothing to judge or draw")
     began = reports[0][0] - round(1e9 * float(reports[0][1]["time_s"]))
     truth = [deserialize_message(data, Parts) for data in record.truth]
-    ids = msg_to_parts(truth[0]).ids
+    ids = tuple(dict.fromkeys(part.id for msg in truth for part in msg.parts))
     position = np.full((len(truth), len(ids), 2), np.nan)
     angle = np.zeros((len(truth), len(ids)))
     for row, turned, msg in zip(position, angle, truth, strict=True):

@@ -15,15 +15,17 @@ import numpy as np
 from PIL import Image
 
 from plate_core import PlateCycle, Rig, part_class
-from plate_core.colours import FORCE, INK, Colour, class_colour, part_colour
-from plate_core.rig import homography
+from plate_core.colours import FORCE, INK, Colour, class_colour, lab_to_srgb, part_colour
+from plate_core.rig import PartType, homography, to_home
 from plate_core.tasks import (
     AssembleTask,
+    FeedTask,
     FollowTask,
     PoseTask,
     Scenario,
     SortTask,
     circle_points,
+    pick_window,
     region_outline,
 )  # fmt: skip
 from plate_solver import average_force
@@ -57,6 +59,9 @@ SAME = 12
 BRIGHT = 85
 """Percentile of a pixel's values that shows the plate: parts are darker, and may lie there long."""
 
+TRAIL_S = 2.0
+"""Of parts that come and go the way of the last seconds is drawn [s]."""
+
 NOW = 1e-6
 """Rounding of times [s]."""
 
@@ -78,6 +83,11 @@ class Scene:
         """Class of every part."""
         return [part_class(name) for name in self.film.ids]
 
+    @property
+    def feeds(self) -> bool:
+        """Whether parts come and go."""
+        return isinstance(self.scenario.task, FeedTask)
+
     @cached_property
     def targets(self) -> list[tuple[str, np.ndarray]]:
         """Class and polygon (n, 2) [m] of every place where parts belong."""
@@ -85,9 +95,21 @@ class Scene:
         if isinstance(task, SortTask):
             half = self.rig.plate.half
             return [(label, region_outline(task, label, half)) for label in task.regions]
-        places = [(label, centre) for label, centre, _ in self.poses]
-        if isinstance(task, AssembleTask):
-            places = [(c, np.array(at)) for c, at in zip(task.labels, task.place, strict=True)]
+        if isinstance(task, PoseTask):
+            found = []
+            for label, (x, y), angle in self.poses:
+                part = self.rig.part_type(label)
+                place = circle_points((x, y), 1.25 * radius, 0.0, True)
+                if not part.radius_m:
+                    place = to_home(np.array([x, y, angle]), part.polygon)
+                found.append((label, place))
+            return found if not task.anywhere else []
+        if isinstance(task, FeedTask):
+            windows = [(pick.label, *pick_window(pick, self.rig)) for pick in task.picks]
+            return [
+                (label, np.array([a, (b[0], a[1]), b, (a[0], b[1])])) for label, a, b in windows
+            ]
+        places = zip(task.labels, task.place, strict=True) if isinstance(task, AssembleTask) else ()
         return [
             (label, circle_points((x, y), 1.25 * radius, 0.0, True)) for label, (x, y) in places
         ]
@@ -118,6 +140,8 @@ class Scene:
     def until(self, t: float) -> np.ndarray:
         """Positions (n, M, 2) [m] from the task's beginning until t [s], one at least."""
         first = int(np.searchsorted(self.film.time, -NOW))
+        if self.feeds:
+            first = max(first, int(np.searchsorted(self.film.time, t - TRAIL_S)))
         last = int(np.searchsorted(self.film.time, t + NOW, side="right"))
         return self.film.position[min(first, len(self.film.time) - 1) :][: max(1, last - first)]
 
@@ -282,6 +306,10 @@ def draw_task(scene: Scene, canvas: Canvas) -> None:
     for label, corner in scene.targets:
         canvas.area(corner, class_colour(label), TINT)
     canvas.line([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)], INK, 1.2)
+    if isinstance(scene.scenario.task, FeedTask) and scene.scenario.task.chute is not None:
+        out = np.array([scene.scenario.task.chute.x, scene.scenario.task.chute.y])
+        side = np.where(out != 0, out, [[-1], [1]]) * (x, y)
+        canvas.line(side, FORCE, 6)
     for label, line in scene.paths:
         canvas.line(line, class_colour(label), 1.2, dashed=True)
 
@@ -296,21 +324,43 @@ def draw_trails(scene: Scene, canvas: Canvas, t: float) -> None:
 
 def draw_parts(scene: Scene, canvas: Canvas, t: float, faces: bool) -> None:
     """Draw parts at t [s], or only their edges; angles; and where parts have left the plate."""
-    position, radius = scene.until(t), scene.rig.parts.radius_m
+    position = scene.until(t)
     now = max(0, int(np.searchsorted(scene.film.time, t + NOW, side="right")) - 1)
-    for label, place, angle in scene.poses:
-        draw_angle(canvas, place, angle, radius, class_colour(label), dashed=True)
+    anywhere = isinstance(scene.scenario.task, PoseTask) and scene.scenario.task.anywhere
+    for label, place, angle in () if anywhere else scene.poses:
+        reach = scene.rig.part_type(label).reach_m
+        draw_angle(canvas, place, angle, reach, class_colour(label), dashed=True)
     for part, label in enumerate(scene.labels):
         there = np.flatnonzero(np.all(np.isfinite(position[:, part]), axis=1))
         if not len(there):
             continue
         at = position[there[-1], part]
         if there[-1] + 1 < len(position):
-            canvas.cross(at, radius, class_colour(label))
+            canvas.cross(at, scene.rig.part_type(label).reach_m, class_colour(label))
             continue
-        canvas.disc(at, radius, part_colour(label) if faces else None, class_colour(label))
+        angle = float(scene.film.angle[now, part])
+        draw_part(scene, canvas, label, np.append(at, angle), faces)
         if scene.scenario.marked:
-            draw_angle(canvas, at, float(scene.film.angle[now, part]), radius, INK, dashed=False)
+            draw_angle(canvas, at, angle, scene.rig.parts.radius_m, INK, dashed=False)
+
+
+def draw_part(scene: Scene, canvas: Canvas, label: str, pose: np.ndarray, face: bool) -> None:
+    """Draw a part of a class in a pose (3,) [m, m, rad], or only its edges."""
+    part, edge = scene.rig.part_type(label), class_colour(label)
+    filled = face_colour(part) if face else None
+    if part.radius_m and not part.holes:
+        canvas.disc(pose[:2], part.radius_m, filled, edge)
+        return
+    holes = [to_home(pose, np.array(hole)) for hole in part.holes]
+    canvas.outline(to_home(pose, part.polygon), holes, filled, edge)
+
+
+def face_colour(part: PartType) -> Colour:
+    """Return what a part looks like."""
+    if part.colour_lab is None:
+        return part_colour(part.name)
+    red, green, blue = lab_to_srgb(np.array(part.colour_lab)).round().astype(int).tolist()
+    return red, green, blue
 
 
 def draw_angle(
@@ -341,7 +391,12 @@ def samples(scene: Scene, arrows: Arrows, frame: Canvas) -> list[Sample]:
     if scene.scenario.marked:
         told = "angle of a part" + "; dashed: wanted" * bool(scene.poses)
         found.append(Sample(ray, lambda c: c.line([(0, 0), (ray, 0)], INK, 2), told))
-    if scene.film.dropped:
+    if isinstance(scene.scenario.task, FeedTask) and scene.scenario.task.chute is not None:
+        found.append(Sample(2 * radius, lambda c: c.line([(0, 0), 2 * end], FORCE, 6), "chute"))
+    if scene.feeds:
+        told = "taken, or over the edge, a moment ago"
+        found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), told))
+    elif scene.film.dropped:
         found.append(Sample(2 * radius, lambda c: c.cross(end, radius, INK), "fell off here"))
     ruler = [
         (0, radius / 2),
@@ -372,7 +427,7 @@ def class_sample(scene: Scene, label: str, radius: float) -> Sample:
         if path:
             canvas.line([(0, -high / 2), (wide, -high / 2)], colour, 1.2, dashed=True)
         canvas.line([(0.5 * radius, 0), (4.5 * radius, 0)], colour, 2)
-        canvas.disc((4.5 * radius, 0), radius, part_colour(label), colour)
+        draw_part(scene, canvas, label, np.array([4.5 * radius, 0, 0]), face=True)
 
     return Sample(wide, draw, ", ".join(told))
 
@@ -386,7 +441,7 @@ def from_above(
     -------
     bare : (H, W, 3)
         The plate without parts: the bright end of what each pixel shows in the course of time.
-    views : list of (H, W, 1)
+    views : list of (H, W, 1) or (H, W, 3)
         The images.
     parts : list of (H, W)
         True where an image shows a part: where it differs from `bare` by more than the noise.
@@ -400,9 +455,12 @@ def from_above(
         cv2.warpPerspective(image, matrix, size, borderMode=cv2.BORDER_REPLICATE)
         for image in images
     ]
+    if views[0].ndim == 2:
+        views = [view[..., None] for view in views]
+    views = [view[..., ::-1] for view in views]  # blue, green, red; or one of grey
     bare = np.percentile(views[:: max(1, len(views) // 31)], BRIGHT, axis=0).astype(np.uint8)
-    parts = [cv2.absdiff(view, bare) > SAME for view in views]
-    return cv2.cvtColor(bare, cv2.COLOR_GRAY2RGB), [view[..., None] for view in views], parts
+    parts = [np.any(cv2.absdiff(view, bare).reshape(view.shape) > SAME, axis=2) for view in views]
+    return np.ascontiguousarray(np.broadcast_to(bare, (*bare.shape[:2], 3))), views, parts
 
 
 def round_number(value: float) -> float:

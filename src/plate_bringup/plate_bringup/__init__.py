@@ -1,6 +1,7 @@
-"""The closed loop as a whole: which nodes it has, their parameters for one run, how it is launched.
+"""The closed loop as a whole: which nodes it has, their parameters for one run, how it is launched;
+and without ROS, in one process: `loop`.
 
-No other package imports this one; `bench/`, `tools/` and tests may.
+This package puts the stages together. No other one imports it; `bench/`, `tools/` and tests may.
 """
 
 from .graph import GraphError, GraphNode, RunOptions, Value, load_graph

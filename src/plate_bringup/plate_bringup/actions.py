@@ -36,6 +36,7 @@ COMMON = {
     "one_process": "all nodes in one process, not each in its own",
     "autostart": "false: somebody else configures and activates the nodes",
     "record": "all messages into a bag (MCAP), by ros2 bag",
+    "view": "a live page, at http://127.0.0.1:8080/",
     "namespace": "of all nodes and topics, and of the frames in /tf",
 }
 SIMULATED = {
@@ -48,6 +49,7 @@ HARDWARE = {
     "port": "serial port of the motor controller",
     "image_topic": "the camera's image",
     "info_topic": "the camera's calibration",
+    "recipe": "with the feeder: a scenario of kind feed, name or path of a .yaml file",
 }
 """Arguments of the launch files. What is left out is as the files of parameters have it."""
 
@@ -58,11 +60,13 @@ CHOICES = {
     "one_process": ("true", "false"),
     "autostart": ("true", "false"),
     "record": ("true", "false"),
+    "view": ("true", "false"),
 }
 
 OPTIONS: Mapping[str, Callable[[str], Any]] = {
     "scenario": str, "method": str, "seed": int, "transport": str, "rig_file": str,
-    "lockstep": "true".__eq__, "rate": float, "image_rate": float, "port": str,
+    "lockstep": "true".__eq__, "view": "true".__eq__, "rate": float, "image_rate": float,
+    "port": str, "recipe": str,
 }  # fmt: skip
 """Arguments that are options of a run, and how they are read."""
 
@@ -159,13 +163,14 @@ def start(hardware: bool, context: Any) -> list[Any]:
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     actions: list[Any] = []
+    views = {node.name for node in load_graph() if node.view}
     for name, program in programs(options, given).items():
         last_words = [""]
         process = Node(
             namespace=given.get("namespace", ""),
             remappings=[(topic, other) for topic, other in topics.items() if other],
             output="screen",
-            on_exit=partial(_end, name, last_words),
+            on_exit=None if name in views else partial(_end, name, last_words),
             **program | {"parameters": [*apart, *map(str, files), program["parameters"], *waiting]},
         )
         listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))

@@ -9,6 +9,7 @@ from pathlib import Path
 import yaml
 
 from plate_core import PlateError, config_path
+from plate_core.tasks import FeedTask, load_scenario
 from plate_core.yaml_fields import Fields, read_yaml
 
 Value = str | int | float | bool
@@ -17,11 +18,12 @@ JUDGING = ("simulator", "detector", "planner", "solver")
 """Nodes with the parameter input_timeout_s."""
 
 OWN = {
-    "simulator": ("scenario", "seed", "lockstep", "rate", "image_rate"),
+    "simulator": ("scenario", "seed", "lockstep", "rate", "simulated_time", "image_rate"),
     "device": ("seed",),
     "planner": ("lockstep",),
     "solver": ("method", "seed"),
     "driver": ("transport", "autostart"),
+    "page": ("scenario",),
 }
 """Options of a run that are parameters of a node, under the same name."""
 
@@ -51,6 +53,10 @@ class GraphNode:
         Whether it runs on hardware too; False for what stands in for the hardware.
     transport : str
         The only transport that it is for; empty: all.
+    view : bool
+        Whether it only looks on, and so is started only when it is wanted.
+    feed : bool
+        Whether it is for a task of `feed` alone.
     """
 
     name: str
@@ -59,6 +65,8 @@ class GraphNode:
     component: str
     on_hardware: bool
     transport: str = ""
+    view: bool = False
+    feed: bool = False
 
 
 def load_graph(path: str | Path | None = None) -> tuple[GraphNode, ...]:
@@ -91,6 +99,8 @@ def _node(fields: Fields) -> GraphNode:
         fields.text("component"),
         fields.flag("on_hardware"),
         fields.text("transport") if fields.has("transport") else "",
+        fields.has("view") and fields.flag("view"),
+        fields.has("feed") and fields.flag("feed"),
     )
     fields.finish()
     return node
@@ -118,6 +128,8 @@ class RunOptions:
         The simulator waits for every answer; time is the simulator's.
     rate : float
         Simulated seconds per wall second; other than 1, time is the simulator's.
+    simulated_time : bool
+        Time is the simulator's at rate 1 too: its parameter `rate` may change while it runs.
     image_rate : float
         Images of a simulated camera that runs free [1/s]; 0: one at the start of each cycle.
     rig_file : str
@@ -126,6 +138,12 @@ class RunOptions:
         False: the driver waits until it is configured and activated from outside.
     one_process : bool
         All nodes in one process, `plate_bringup one_process`.
+    view : bool
+        The live page too.
+    recipe : str
+        What the feeder feeds, as `scenario`; empty: the scenario, if it is one of `feed`.
+    robot_port : int
+        On which the feeder serves robots; 0: any free one.
     """
 
     scenario: str = "sort_10"
@@ -137,10 +155,21 @@ class RunOptions:
     link: str = "/tmp/plate_device"
     lockstep: bool = False
     rate: float = 1.0
+    simulated_time: bool = False
     image_rate: float = 0.0
     rig_file: str = ""
     autostart: bool = True
     one_process: bool = False
+    view: bool = False
+    recipe: str = ""
+    robot_port: int = 7171
+
+    @property
+    def feeds(self) -> str:
+        """What the feeder feeds; empty: there is none."""
+        if self.recipe or self.hardware or self.port:
+            return self.recipe
+        return self.scenario if isinstance(load_scenario(self.scenario).task, FeedTask) else ""
 
     def nodes(self, graph: Iterable[GraphNode]) -> tuple[GraphNode, ...]:
         """Return the nodes of the graph that this run needs."""
@@ -149,6 +178,8 @@ class RunOptions:
             for node in graph
             if (node.on_hardware or not (self.hardware or self.port))
             and node.transport in ("", self.transport)
+            and (self.view or not node.view)
+            and (not node.feed or bool(self.feeds))
         )
 
     @property
@@ -179,6 +210,10 @@ class RunOptions:
         values: dict[str, Value] = {name: getattr(self, name) for name in names}
         if node.name == "driver" and (self.port or self.over_link):
             values["port"] = self.port or self.link
+        if node.name == "feeder":
+            values["recipe"] = self.feeds
+            if "robot_port" in chosen:
+                values["port"] = self.robot_port
         if node.name == "device":
             values["link"] = self.link
         if node.name == "simulator" and self.over_link:
@@ -190,7 +225,7 @@ class RunOptions:
                 values["answer_s"] = SERIAL_ANSWER_S
         if self.rig_file:
             values["rig_file"] = self.rig_file
-        if self.lockstep or self.rate != 1:
+        if self.lockstep or self.rate != 1 or self.simulated_time:
             if node.on_hardware:
                 values["use_sim_time"] = True
             if node.name in JUDGING:

@@ -24,7 +24,8 @@ def test_the_list_of_nodes_is_checked(tmp_path):
 
 
 def test_with_simulated_time_all_but_its_source_follow_it():
-    for options in (RunOptions(lockstep=True), RunOptions(rate=2.0)):
+    kinds = ({"lockstep": True}, {"rate": 2.0}, {"simulated_time": True})
+    for options in (RunOptions(**kind) for kind in kinds):
         follows = [n for n in NAMES if options.parameters(GRAPH[n]).get("use_sim_time")]
         assert follows == NAMES[1:]
     assert all("use_sim_time" not in RunOptions().parameters(node) for node in GRAPH.values())

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,9 +20,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plate_core import PlateError, config_path
-from plate_core.ros import ACTIONS, scenario_to_goal
-from plate_core.tasks import Scenario
-from plate_interfaces.msg import TaskProgress, TaskStatus
+from plate_core.ros import ACTIONS, DATA, scenario_to_goal, targets_to_msg
+from plate_core.tasks import PartTarget, Scenario
+from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
 from .messages import spin_until
 
@@ -129,6 +129,7 @@ class PlateClient:
         self.node = node
         self._until = until or self._spin_until
         self._clients = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
+        self._targets = node.create_publisher(Targets, "targets", DATA)
 
     @classmethod
     @contextmanager
@@ -157,6 +158,7 @@ class PlateClient:
         """Let go of the actions; the node stays."""
         for client in self._clients.values():
             client.destroy()
+        self.node.destroy_publisher(self._targets)
 
     def found(self, name: str) -> bool:
         """Whether there is an action of this name."""
@@ -186,6 +188,19 @@ class PlateClient:
             sent._on_answer
         )
         return sent
+
+    def move_targets(self, targets: Sequence[PartTarget]) -> None:
+        """Replace the targets of parts in a running task of `move`; others keep theirs. What the
+        planner refuses it says in log and diagnostics.
+
+        Raises
+        ------
+        PlateError
+            If there is no planner.
+        """
+        if not self._until(lambda: self._targets.get_subscription_count() > 0, FOUND_S):
+            raise PlateError("nobody hears targets: does the planner run, in this ROS domain?")
+        self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
     def wait(self, task: Task, timeout_s: float = float("inf")) -> TaskStatus:
         """Return how a task ended.

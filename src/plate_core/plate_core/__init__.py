@@ -6,11 +6,13 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
-from .parts import Parts, Targets, Wanted, part_class
+from .parts import MOST_PARTS, AngleTargets, Parts, Targets, Wanted, part_class
 from .rig import Rig, load_rig
 from .yaml_fields import config_path
 
 __all__ = [
+    "MOST_PARTS",
+    "AngleTargets",
     "CycleError",
     "FrameError",
     "Parts",

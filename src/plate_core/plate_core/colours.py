@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 __all__ = [
-    "FORCE", "INK", "PLATE", "TURNING", "VELOCITY", "Colour", "class_colour", "part_colour",
+    "FORCE", "INK", "PLATE", "TURNING", "VELOCITY", "Colour", "class_colour", "lab_to_srgb",
+    "part_colour",
 ]  # fmt: skip
 
 Colour = tuple[int, int, int]
@@ -28,6 +31,15 @@ _FACES: Final = {"black": (26, 26, 26), "grey": (168, 168, 168)}
 
 _CLASSES: Final = {"black": (201, 54, 76), "grey": (31, 119, 180)}
 
+WHITE_XYZ: Final = np.array([0.95047, 1.0, 1.08883])
+"""X, Y, Z of white: D65."""
+
+RGB_OF_XYZ: Final = np.array(
+    [[3.2404542, -1.5371385, -0.4985314], [-0.969266, 1.8760108, 0.041556],
+     [0.0556434, -0.2040259, 1.0572252]]
+)  # fmt: skip
+"""Linear red, green, blue by X, Y, Z, of sRGB."""
+
 _OTHERS: Final = ((224, 130, 20), (46, 125, 74), (180, 70, 150), (130, 100, 20))
 
 
@@ -39,3 +51,14 @@ def part_colour(label: str) -> Colour:
 def class_colour(label: str) -> Colour:
     """Return the colour of what belongs to a class: its trails, targets and names."""
     return _CLASSES.get(label) or _OTHERS[sum(label.encode()) % len(_OTHERS)]
+
+
+def lab_to_srgb(lab: np.ndarray) -> np.ndarray:
+    """Return red, green, blue (..., 3), 0 to 255, of CIE L, a, b (..., 3) under D65, as sRGB;
+    what no screen shows is cut off."""
+    lab = np.asarray(lab, dtype=float)
+    y = (lab[..., 0] + 16) / 116
+    f = np.stack([y + lab[..., 1] / 500, y, y - lab[..., 2] / 200], axis=-1)
+    xyz = np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29)) * WHITE_XYZ
+    linear = np.clip(xyz @ RGB_OF_XYZ.T, 0, 1)
+    return 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -80,6 +80,23 @@ class Parts:
 
 
 @dataclass(frozen=True)
+class AngleTargets:
+    """Which angles M parts are to come to, by one cycle or by many.
+
+    Attributes
+    ----------
+    low, high : (M,)
+        Anywhere between is as good [rad]; within half a turn of the angle that a part has.
+    weight : (M,)
+        What a radian of the way there counts [m]; 0: nothing is asked.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
 class Targets:
     """Where M parts are to come, by one cycle or by many.
 
@@ -92,14 +109,17 @@ class Targets:
     weight : (M, 2)
         What a metre of way counts, beside one by which a part is too near to an edge or to another
         part [-]; 0: nothing is asked.
-    clear_m : float
-        Least distance of the centres of any two parts [m].
+    gap_m : float
+        Least distance of the rims of any two parts, each taken for a disc about its centre [m].
+    angles : AngleTargets or None
+        And what is to become of their angles; None: nothing is asked.
     """
 
     low: np.ndarray
     high: np.ndarray
     weight: np.ndarray
-    clear_m: float = 0.0
+    gap_m: float = 0.0
+    angles: AngleTargets | None = None
 
 
 @dataclass(frozen=True)

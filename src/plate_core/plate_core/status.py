@@ -37,7 +37,7 @@ short enough for a task to end within 2 s of the fault."""
 STANDSTILL_S = 0.5
 """A process that does not run for longer stood still [s]: two of the longest usual cycles."""
 
-BACKLOG_S = 0.3
+BACKLOG_S = 0.6
 """Time after a standstill in which what had come meanwhile is handed out [s]."""
 
 COMPILING = "compiling kernels"

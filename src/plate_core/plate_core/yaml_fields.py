@@ -208,6 +208,25 @@ class Numbers:
 
 
 @dataclass(frozen=True)
+class Several:
+    """A list of up to `most` arrays."""
+
+    each: Numbers
+    most: int
+
+    @property
+    def words(self) -> str:
+        """What is allowed."""
+        return f"a list of up to {self.most}, each {self.each.words}"
+
+    def read(self, value: Any) -> list[np.ndarray]:
+        """Return them as arrays."""
+        if not isinstance(value, list) or len(value) > self.most:
+            raise ValueError
+        return [self.each.read(item) for item in value]
+
+
+@dataclass(frozen=True)
 class Key:
     """One key of a file.
 
@@ -239,7 +258,7 @@ class Key:
     @property
     def unit(self) -> str:
         """Unit of its numbers; `-` for pure numbers, nothing where there are no numbers."""
-        if not isinstance(self.kind, Number | Numbers | Whole):
+        if not isinstance(self.kind, Number | Numbers | Several | Whole):
             return ""
         return UNITS.get(self.name.rsplit("_", 1)[-1] if "_" in self.name else "", "-")
 

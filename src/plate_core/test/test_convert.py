@@ -6,7 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from plate_core import CycleError, Parts, PlateCycle, PlateError, Targets, Wanted, load_rig
+from plate_core import (
+    AngleTargets,
+    CycleError,
+    Parts,
+    PlateCycle,
+    PlateError,
+    Targets,
+    Wanted,
+    load_rig,
+)
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.rig import Lens, to_image
 
@@ -110,13 +119,25 @@ def test_targets_there_and_back():
     back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP))).targets
     for name in ("low", "high", "weight"):
         np.testing.assert_array_equal(getattr(back, name), getattr(sent.targets, name))
-    assert back.clear_m == 0.02
+    assert (back.gap_m, back.angles) == (0.02, None)
     assert convert.msg_to_wanted(convert.wanted_to_msg(wanted(), STAMP)).targets is None
+
+
+def test_angles_there_and_back():
+    free, angles = (
+        np.zeros((3, 2)),
+        AngleTargets(*np.array([[-1.0, 0, 2], [-1, 0.1, 3], [0, 1, 2]])),
+    )
+    sent = replace(wanted(), targets=Targets(free, free, free, 0.004, angles))
+    back = convert.msg_to_wanted(over_the_wire(convert.wanted_to_msg(sent, STAMP))).targets.angles
+    for name in ("low", "high", "weight"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(angles, name))
 
 
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
+        ("target_angle_max", -9.0, "black_1 has target_angle_min .*, allowed: min not above max"),
         ("target_x_min", np.nan, "black_1 has target_x_min nan and .*, allowed: min not above max"),
         ("target_y_max", -1.0, "black_1 has target_y_min .* -1, allowed: min not above max"),
         ("weight_x", -1.0, "weight is -1, allowed: at least 0"),
@@ -130,8 +151,8 @@ def test_wrong_targets(name, value, message):
     with pytest.raises(PlateError, match=message):
         convert.msg_to_wanted(msg)
     msg = convert.wanted_to_msg(replace(wanted(), targets=targets), STAMP)
-    msg.clear_m = -1.0
-    with pytest.raises(PlateError, match="clear_m is -1, allowed: at least 0"):
+    msg.gap_m = -1.0
+    with pytest.raises(PlateError, match="gap_m is -1, allowed: at least 0"):
         convert.msg_to_wanted(msg)
 
 

@@ -1,11 +1,12 @@
 """Scenarios as goals: what goes out comes back, and a wrong goal is refused as a wrong file is."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
 from plate_core import ScenarioError
-from plate_core.tasks import load_scenario, scenario_names
+from plate_core.tasks import FeedTask, PartTarget, PoseTask, load_scenario, scenario_names
 
 pytest.importorskip("rclpy")
 from geometry_msgs.msg import Point
@@ -32,11 +33,16 @@ def test_every_scenario_there_and_back(name):
     assert back.time_limit_s == scenario.time_limit_s
     again = goal_to_scenario(sent(back))
     assert again == back
-    if not name.startswith("spin"):  # degrees there and back
+    if isinstance(scenario.task, FeedTask):  # the hopper is the feeder's, not the planner's
+        assert back.task == replace(scenario.task, hopper=None)
+        return
+    if not isinstance(scenario.task, PoseTask):  # degrees there and back
         assert back.task == scenario.task
-    else:
-        assert back.task.poses[0].place is None
-        assert back.task.poses[0].angle == pytest.approx(scenario.task.poses[0].angle)
+        return
+    assert back.task.anywhere == scenario.task.anywhere
+    for one, other in zip(back.task.poses, scenario.task.poses, strict=True):
+        assert (one.label, one.place) == (other.label, other.place)
+        assert one.angle == pytest.approx(other.angle)
 
 
 def spoilt(change):
@@ -86,4 +92,45 @@ def test_speeds_along_a_path():
     _, goal = scenario_to_goal(replace(scenario, task=task))
     goal.paths[0].profile_speeds = [0.01]
     with pytest.raises(ScenarioError, match="2 profile_fractions and 1 profile_speeds"):
+        goal_to_scenario(goal)
+
+
+def move(**changed):
+    targets = (PartTarget("black_1", (0.1, 0.0), 1.0), PartTarget("grey_2", (0.0, -0.05)))
+    play = load_scenario("play")
+    task = replace(play.task, targets=targets, tolerance_rad=0.1)
+    return replace(
+        play, name="move", description="move_parts", file="move_parts", task=task, **changed
+    )
+
+
+@pytest.mark.parametrize(("limit", "marked"), [(math.inf, True), (60.0, False)])
+def test_targets_there_and_back(limit, marked):
+    scenario = move(time_limit_s=limit, marked=marked)
+    back = goal_to_scenario(sent(scenario))
+    assert back == replace(scenario, task=back.task)
+    assert back.task.targets[0].angle == pytest.approx(1.0)
+    assert back.task.targets[1] == scenario.task.targets[1]
+    assert back.task.until_canceled
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda g: setattr(g, "until_canceled", False), "time_limit_s is 0.0, allowed"),
+        (lambda g: setattr(g, "time_limit_s", math.nan), "time_limit_s is nan, allowed"),
+        (
+            lambda g: setattr(g.targets[0], "id", "red_1"),
+            "id is 'red_1', allowed: a class and a num",
+        ),
+        (lambda g: setattr(g.targets[0], "id", "black"), "id is 'black', allowed"),
+        (lambda g: setattr(g.targets[0], "x", math.inf), "place_m is .*inf"),
+        (lambda g: setattr(g.targets[1], "id", "black_1"), "allowed: each part once"),
+        (lambda g: setattr(g, "targets", 51 * g.targets), "at most 100"),
+    ],
+)
+def test_a_wrong_goal_of_targets_is_named(change, message):
+    goal = sent(move())
+    change(goal)
+    with pytest.raises(ScenarioError, match=message):
         goal_to_scenario(goal)

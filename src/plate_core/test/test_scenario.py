@@ -107,6 +107,7 @@ def rig():
 @pytest.mark.parametrize("name", scenario_names())
 def test_shipped_scenarios_load_and_fit_the_default_rig(name, rig):
     scenario = load_scenario(name)
+    rig = load_rig(scenario.rig) if scenario.rig else rig
     labels, position = start_positions(scenario, rig, np.random.default_rng(0))
     assert scenario.name == name
     assert labels == scenario.labels
@@ -136,8 +137,12 @@ def test_an_unknown_name_lists_the_available_ones():
     [
         (SORT, "count: 2", "count: 0", r"count is 0, allowed: a whole number from 1"),
         (SORT, "count: 2", "count: two", r"count is 'two'"),
-        (SORT, "class: black", "class: black_1", r"0\]: class is 'black_1', allowed: one of bl"),
-        (SORT, "class: grey", "class: purple", r"parts\[1\]: class is 'purple', allowed: one of"),
+        (
+            SORT,
+            "class: black",
+            "class: black_1",
+            r"0\]: class is 'black_1', allowed: small letters",
+        ),
         (SORT, "count: 2", "cuont: 2", r"0\]: .*there is cuont \(did you mean count\?\), al"),
         (SORT, "positions_m", "position_m", r"position_m \(did you mean positions_m\?\)"),
         (SORT, ", count: 2", "", r"\[0\]: count or positions_m is missing, allowed: one"),
@@ -189,7 +194,6 @@ def test_an_unknown_name_lists_the_available_ones():
         (ASSEMBLE, ", [0.1, 0.1]]", "]", r"places_m has 1 places for class black, allowed: 2, one"),
         (ASSEMBLE, ", grey: [[0, 0]]", "", r"places_m: grey is missing"),
         (ASSEMBLE, "tolerance_m: 0.003", "tolerance_m: 0", r"tolerance_m is 0, allowed"),
-        (POSE, "marked: true", "", r"marked is false, allowed with a task of poses: true"),
         (POSE, "angle_deg: 90", "angle_deg: 400", r"angle_deg is 400, allowed"),
         (POSE, "    - {class: black, angle_deg: 90}\n", "", r"poses .*black.*allowed: 2"),
         (
@@ -240,6 +244,19 @@ def test_places_too_near_each_other_and_bins_off_the_plate_are_refused(tmp_path,
     off = load_scenario(write(tmp_path, BINS.replace("[0.2, 0]", "[0.301, 0]")))
     with pytest.raises(ScenarioError, match=r"bin_m of grey is \(0.301, 0\) m, .* to 0.3,"):
         check_scenario(off, rig)
+
+
+def test_classes_that_the_rig_does_not_know_and_angles_that_nobody_sees_are_refused(tmp_path, rig):
+    with pytest.raises(ScenarioError, match=r"class is 'gray' .did you mean grey.*: black, grey$"):
+        check_scenario(load_scenario(write(tmp_path, SORT.replace("grey", "gray"))), rig)
+    with pytest.raises(ScenarioError, match="marked is false, allowed with angles of black: true"):
+        check_scenario(load_scenario(write(tmp_path, POSE.replace("marked: true", ""))), rig)
+    shapes = load_rig("shapes")
+    check_scenario(load_scenario(write(tmp_path, POSE.replace("black", "bar"))), shapes)
+    with pytest.raises(ScenarioError, match="angles of washer are asked for, allowed: of parts"):
+        check_scenario(load_scenario(write(tmp_path, POSE.replace("black", "washer"))), shapes)
+    with pytest.raises(ScenarioError, match=r"class is 'black'.*, allowed with this rig: nut, "):
+        check_scenario(load_scenario(write(tmp_path, SORT)), shapes)
 
 
 def test_placed_parts_that_overlap_are_refused(tmp_path, rig):

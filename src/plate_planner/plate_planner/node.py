@@ -1,4 +1,4 @@
-"""The planner node: `parts` in, `part_forces` out, and tasks: goals of four actions.
+"""The planner node: `parts` in, `part_forces` out, and tasks: goals of five actions.
 
 It listens to `plate_cycle` too: what the plate does carries the parts from image to image. And it
 sees to it that a task ends, with the reason, when what it needs is gone: parts, the solver's
@@ -25,6 +25,7 @@ from plate_core import PlateCycle, PlateError, Wanted, load_rig
 from plate_core.ros import (
     ACTIONS,
     DATA,
+    FRAME,
     LATCHED,
     NEWEST,
     NodeOptions,
@@ -34,17 +35,32 @@ from plate_core.ros import (
     goal_to_scenario,
     msg_to_cycle,
     msg_to_driver_status,
+    msg_to_order,
     msg_to_parts,
     msg_to_reports,
+    msg_to_targets,
     nanoseconds,
     parameter,
     run_node,
     seconds,
+    targets_to_msg,
     to_time,
     wanted_to_msg,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, Standstill, standstill_limit, worst
-from plate_interfaces.msg import DriverStatus, PartForces, Parts, TaskProgress, TaskStatus
+from plate_core.tasks import FeedTask, MoveTask, PartTarget
+from plate_interfaces.msg import (
+    DriverStatus,
+    FeedOrder,
+    FeedStatus,
+    Part,
+    PartCount,
+    PartForces,
+    Parts,
+    Targets,
+    TaskProgress,
+    TaskStatus,
+)
 
 from .estimation import PERIOD_RANGE_S, SNAP, Estimator, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
@@ -81,6 +97,9 @@ STATES = {
     Phase.LOST: TaskStatus.LOST,
     Phase.ABORTED: TaskStatus.ABORTED,
 }
+
+BY_PERSON = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)
+"""Ends that are no failures: somebody asked for them."""
 
 CANCELED = Failure(Reason.CANCELED, "canceled")
 PREEMPTED = Failure(Reason.PREEMPTED, "preempted by another goal")
@@ -178,11 +197,12 @@ class Run:
 class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     """Node `planner`: does tasks; says for each image which mean force it wants on each part.
 
-    Actions sort_parts, follow_paths, assemble_parts, pose_parts. Service stop ends the task.
-    Subscribes parts, plate_cycle, driver_status, diagnostics, and, unless images are taken at the
-    starts of cycles, cycle_started: then each cycle is answered a while before its end, else each
-    image.
-    Publishes part_forces, task_status, markers, diagnostics.
+    Actions sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. Service
+    stop ends the task.
+    Subscribes parts, plate_cycle, driver_status, diagnostics, targets (of a running move_parts),
+    feed_orders (of a running feed_parts), and, unless images are taken at the starts of cycles,
+    cycle_started: then each cycle is answered a while before its end, else each image.
+    Publishes part_forces, task_status, part_targets, feed_status, markers, diagnostics.
     """
 
     def __init__(self) -> None:
@@ -203,6 +223,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
+        self._targets = self.managed_publisher(Targets, "part_targets", LATCHED)
+        self._feed = self.managed_publisher(FeedStatus, "feed_status", DATA)
         # Of a triggered camera the newest image is answered; of others each one tells something.
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
@@ -212,6 +234,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
+        self.managed_subscription(Targets, "targets", self._on_targets, DATA)
+        self.managed_subscription(FeedOrder, "feed_orders", self._on_order, DATA)
         self.managed_service(Trigger, "stop", self._on_stop)
         self.managed_timer(WATCH_PERIOD_S, self._watch)
         for name, action in ACTIONS.items():
@@ -240,7 +264,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._standstill = Standstill(time.monotonic(), standstill_limit(options.input_timeout_s))
         self._start = -np.inf, PlateCycle.rest(core.default_period)  # of the last cycle
         self._due = False  # whether an answer is due at the alarm
+        self._in_force: tuple[PartTarget, ...] | None = None  # targets as published
+        self._shown: dict[str, Part] = {}  # parts of the last image, by id
         self._publish_status()
+        self._publish_targets()
 
     def rest(self) -> None:
         """End the task: nothing is asked any more."""
@@ -285,6 +312,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         except PlateError as error:
             self._warn(str(error))
             return
+        self._shown = {part.id: part for part in msg.parts}
         if run is None:
             self._idle = self._idle.update(parts, stamp)
             if self._inputs.starts_problem(time.monotonic()):  # the loop goes on without the motors
@@ -340,6 +368,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._warn(str(error))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
+        self._shown = {part.id: part for part in msg.parts}
         if run is None:
             if seconds(stamp) != self._idle.stamp:  # in lockstep an image may come again
                 self._idle = self._idle.update(parts, seconds(stamp))
@@ -357,6 +386,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             wanted = NOTHING  # these parts are long gone, and a stop may be waiting
         start = to_time(round(1e9 * run.state.estimator.next_start))
         self._ask(wanted_to_msg(wanted, stamp, start))
+        self._publish_feed(run, bool(wanted.parts.ids))
         if self._markers.get_subscription_count():
             self._markers.publish(forces_to_msg(self._rig, wanted, stamp))
         self._follow_up()
@@ -562,7 +592,61 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _action(request: Any) -> str:
         return next(name for name, kind in ACTIONS.items() if isinstance(request, kind.Goal))
 
+    def _on_targets(self, msg: Targets) -> None:
+        """Replace the targets of parts; what cannot be asked is refused, the rest counts."""
+        self._wake()
+        run = self._run
+        try:
+            if run is None:
+                raise PlateError("targets: no task of move runs, allowed: while one does")
+            run.planner, run.state, refused = run.planner.retarget(run.state, msg_to_targets(msg))
+        except PlateError as error:
+            self._warn(str(error))
+            return
+        if refused:
+            self._warn("; ".join(refused))
+        self._publish_targets()
+
+    def _on_order(self, msg: FeedOrder) -> None:
+        """Take in what a running feed is to do from now on."""
+        self._inputs = self._inputs.heard_order(self._wake())
+        run = self._run
+        try:
+            if run is None:
+                raise PlateError("feed_orders: no task of feed runs, allowed: while one does")
+            run.planner = run.planner.order(run.state, msg_to_order(msg))
+        except PlateError as error:
+            self._warn(str(error))
+
     # What it reports
+
+    def _publish_feed(self, run: Run, moves: bool) -> None:
+        """Publish what a feed has ready; `moves`: the plate is asked to move after this image."""
+        if not isinstance(run.planner.scenario.task, FeedTask) or run.state.memory is None:
+            return
+        report = run.state.memory.report
+        self._feed.publish(
+            FeedStatus(
+                header=Header(stamp=self._stamp, frame_id=FRAME),
+                mode=int(report.mode),
+                at_rest=report.at_rest and not moves,
+                ready=[self._shown[name] for name in report.ready.ids if name in self._shown],
+                seen=[PartCount(type=name, count=count) for name, count in report.seen.items()],
+                discharged=report.discharged,
+                lost=report.lost,
+            )
+        )
+
+    def _publish_targets(self) -> None:
+        """Publish the targets in force, if they are others."""
+        run = self._run
+        targets: tuple[PartTarget, ...] = ()
+        if run is not None and run.state.task.phase is Phase.RUNNING:
+            task = run.planner.scenario.task
+            targets = task.targets if isinstance(task, MoveTask) else ()
+        if targets != self._in_force:
+            self._in_force = targets
+            self._targets.publish(targets_to_msg(targets, self._stamp))
 
     def _follow_up(self) -> None:
         """Say how the task gets on, and that it has ended."""
@@ -571,11 +655,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return
         task = run.state.task
         status = self._publish_status()
+        self._publish_targets()
         if task.text != self._reported:
             self._reported = task.text
             line = f"task {run.name}: {task.text}"
             # Two lines of code: rclpy refuses two severities from one.
-            if task.phase.is_failure:
+            if task.phase.is_failure and task.reason not in BY_PERSON:
                 self.get_logger().error(line)
             else:
                 self.get_logger().info(line)
@@ -603,6 +688,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             status.progress.parts_total = run.planner.scenario.count
         else:
             status.progress = progress_to_msg(run.progress)
+            if run.progress.phase is task.phase:
+                status.text = run.progress.text
         return status
 
     def _find(self, now: float) -> Finding:
@@ -621,8 +708,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))
         task, level = self._run.state.task, found.level
         if task.phase.is_failure:
-            asked = (Reason.STOPPED, Reason.CANCELED, Reason.PREEMPTED)  # by a person, no failure
-            failure = Level.WARN if task.reason in asked else Level.ERROR
+            failure = Level.WARN if task.reason in BY_PERSON else Level.ERROR
             level = max(level, failure, key=lambda each: each.rank)
         return Finding(level, "; ".join(filter(None, (task.text, found.message))))
 

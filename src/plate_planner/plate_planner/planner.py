@@ -3,17 +3,27 @@ time is an argument."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, Rig, Wanted
-from plate_core.tasks import Scenario, check_scenario
+from plate_core import Parts, PlateCycle, PlateError, Rig, Wanted, part_class
+from plate_core.tasks import (
+    FeedMode,
+    FeedOrder,
+    FeedTask,
+    MoveTask,
+    PartTarget,
+    Scenario,
+    check_scenario,
+    pick_problem,
+    target_problem,
+)
 
-from .estimation import DriftBias, Estimator
+from .estimation import COAST, DriftBias, Estimator
 from .supervision import (
     STOP,
     Failure,
@@ -37,6 +47,10 @@ from .tasks import Assessment, DriftRequest, Situation, TaskOptions, TaskRules, 
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
+
+TAKEN_COAST = 1
+"""Where parts come and go, one that is not seen is propagated for so many images: it may have been
+taken."""
 
 LONGEST_GAP_S = 10.0
 """Between the stamps of two images of a running task [s]. Silence so long ends it anyway: such a
@@ -133,12 +147,13 @@ class Planner:
     @property
     def limits(self) -> TaskLimits:
         """When to give up, and when to call it done."""
+        endless = self.rules.endless
         return TaskLimits(
             time_limit_s=self.scenario.time_limit_s,
-            hold_s=self.rules.hold_s,
+            hold_s=np.inf if endless else self.rules.hold_s,
             start_timeout_s=self.options.start_timeout_s,
             unseen_timeout_s=self.options.unseen_timeout_s,
-            stuck_timeout_s=self.options.stuck_timeout_s,
+            stuck_timeout_s=np.inf if endless else self.options.stuck_timeout_s,
             nearer_m=self.rules.nearer_m,
         )
 
@@ -158,6 +173,69 @@ class Planner:
         """Stop: nothing is asked from the next image on; a running task is aborted, `why`."""
         stamp = state.estimator.stamp
         return replace(state, task=stopped(state.task, stamp if np.isfinite(stamp) else None, why))
+
+    def retarget(
+        self, state: PlannerState, targets: Sequence[PartTarget]
+    ) -> tuple[Planner, PlannerState, tuple[str, ...]]:
+        """Replace the targets of parts in a running task of `move`, and of no others.
+
+        Returns
+        -------
+        planner : Planner
+            With the new targets, in place of this one.
+        state : PlannerState
+        refused : tuple of str
+            Why some targets are refused: the others count.
+
+        Raises
+        ------
+        PlateError
+            If no such task runs.
+        """
+        task = self.scenario.task
+        if not isinstance(task, MoveTask) or state.task.phase is not Phase.RUNNING:
+            raise PlateError("targets: no task of move runs, allowed: while one does")
+        known = {*state.known, *state.estimator.seen.ids}
+        force, refused = {target.id: target for target in task.targets}, []
+        for target in targets:
+            problem = f"{target.id[:50]} is not there, allowed: {', '.join(sorted(known))}"
+            if target.id in known:
+                problem = target_problem(target, self.scenario, self.rig)
+            if problem:
+                refused.append(f"targets: {problem}")
+            else:
+                force[target.id] = target
+        if tuple(force.values()) == task.targets:
+            return self, state, tuple(refused)
+        scenario = replace(self.scenario, task=replace(task, targets=tuple(force.values())))
+        t = state.estimator.stamp
+        task_state = replace(state.task, met_since=None, nearest_m=np.inf, nearest_at=t)
+        return replace(self, scenario=scenario), replace(state, task=task_state), tuple(refused)
+
+    def order(self, state: PlannerState, order: FeedOrder) -> Planner:
+        """Return a planner in place of this one, for a running task of `feed` that is to do
+        something else from now on.
+
+        Raises
+        ------
+        PlateError
+            If no such task runs, or picks do not fit the rig or the recipe.
+        """
+        task = self.scenario.task
+        if not isinstance(task, FeedTask) or state.task.phase is not Phase.RUNNING:
+            raise PlateError("feed_orders: no task of feed runs, allowed: while one does")
+        known = [group.label for group in self.scenario.parts]
+        for pick in order.picks:
+            problem = (
+                pick_problem(pick, self.rig)
+                if pick.label in known
+                else (f"class is {pick.label[:50]!r}, allowed: {', '.join(known)}")
+            )
+            if problem:
+                raise PlateError(f"feed_orders: {problem}")
+        if order.mode is FeedMode.PURGE and task.chute is None:
+            raise PlateError("feed_orders: purge, allowed: with a chute in the recipe")
+        return replace(self, scenario=replace(self.scenario, task=replace(task, order=order)))
 
     def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
         """Take in a cycle that the solver sent, and when [s, the time of the stamps].
@@ -184,7 +262,10 @@ class Planner:
         elif t - clock.stamp > LONGEST_GAP_S:
             gap = f"no parts for {t - clock.stamp:.0f} s by the stamps of the images"
             state = self.stop(state, Failure(Reason.NO_PARTS, f"{gap}: is the camera's clock set?"))
-        return replace(state, estimator=state.estimator.update(parts, t))
+        if state.task.active and self.rules.keeps_last(state.memory):
+            parts = state.estimator.seen
+        coast = TAKEN_COAST if self.rules.open_ended else COAST
+        return replace(state, estimator=state.estimator.update(parts, t, coast))
 
     def plan(
         self, state: PlannerState, parts: Parts, t: float
@@ -214,25 +295,32 @@ class Planner:
     def answer(self, state: PlannerState) -> tuple[PlannerState, Wanted, Progress]:
         """Say what is asked of the parts in the next cycle; see `plan`."""
         estimator = state.estimator
-        there = estimator.parts if self._estimated(estimator) else estimator.seen
+        there = estimator.parts
+        if self.rules.open_ended:
+            there = self._without_doubles(there, estimator.seen)
         present = self._on_plate(there)
         last = self._last_seen(state.last, there, estimator.stamp)
         state = replace(state, last=last, due=np.inf)
         state, found = self._advance(state, present)
         wanted = NOTHING
         if state.task.active and found.request is not None and len(present):
-            state, wanted = self._ask(state, present, found.request, found.torque)
+            state, wanted = self._ask(state, present, found.request)
         progress = self._progress(state, len(present), found)
         return replace(state, answer=(wanted, progress)), wanted, progress
-
-    def _estimated(self, estimator: Estimator) -> bool:
-        """Whether to plan on estimated parts: images of mid-cycle show where no cycle starts."""
-        return self.rules.estimated or estimator.log.reported
 
     def _on_plate(self, parts: Parts) -> Parts:
         """Leave out parts whose centre is beyond the plate's edge: they have fallen off."""
         keep = np.all(np.abs(parts.position) <= self.rig.plate.half, axis=1)
         return parts if np.all(keep) else parts.take(np.flatnonzero(keep))
+
+    def _without_doubles(self, parts: Parts, seen: Parts) -> Parts:
+        """Leave out parts that are not seen where another is: that one was hidden, and has come
+        back under another name."""
+        reach = np.array([self.rig.part_type(part_class(name)).reach_m for name in parts.ids])
+        gone = np.array([name not in seen.ids for name in parts.ids], dtype=bool)
+        away = np.hypot(*(parts.position[:, None] - seen.position[None]).transpose(2, 0, 1))
+        double = gone & np.any(away < reach[:, None], axis=1)
+        return parts.take(np.flatnonzero(~double)) if np.any(double) else parts
 
     def _last_seen(
         self, before: Mapping[str, LastSeen], parts: Parts, t: float
@@ -248,8 +336,10 @@ class Planner:
     def _advance(self, state: PlannerState, parts: Parts) -> tuple[PlannerState, Assessment]:
         """Bring the task up to date."""
         t, count = state.estimator.stamp, self.scenario.count
-        missing = missing_parts(self.scenario, state.known, parts)
-        again = set(state.known) == set(parts.ids) <= set(state.estimator.seen.ids)
+        comes_and_goes = self.rules.open_ended
+        missing = () if comes_and_goes else missing_parts(self.scenario, state.known, parts)
+        seen = set(state.estimator.seen.ids)
+        again = comes_and_goes or set(state.known) == set(parts.ids) <= seen
         task = begin(state.task, t, missing, again, self.limits)
         estimator = self._observe(state, parts, task.active and not state.task.active)
         now = self._situation(estimator, state.memory, parts, task.active)
@@ -263,6 +353,7 @@ class Planner:
             lambda: shortfall_text(estimator.request, self.rig, parts, found.distance, count),
             found.outcome,
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
+            not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids
@@ -275,8 +366,7 @@ class Planner:
             estimator = replace(estimator, bias=DriftBias())
         axes = rules.bias_axes(state.memory, parts, estimator.stamp - estimator.period / 2)
         limit = rules.bias_limit(state.memory, parts, estimator.period)
-        estimated = self._estimated(estimator)
-        predicted = estimator.predict(parts) if estimated else estimator.as_asked(parts)
+        predicted = estimator.predict(parts)
         return estimator.observe(parts, predicted, axes, rules.bias_gain, limit)
 
     def _situation(
@@ -295,6 +385,8 @@ class Planner:
             predicted=place + period * estimator.bias.along(axes),
             shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / period,
             active=active,
+            seen=self._on_plate(estimator.seen),
+            taken=estimator.taken,
         )
 
     def _ask(
@@ -302,23 +394,24 @@ class Planner:
         state: PlannerState,
         parts: Parts,
         request: DriftRequest,
-        torque: np.ndarray | None,
     ) -> tuple[PlannerState, Wanted]:
         """Put a request into forces, and remember the drift that they lead to."""
         estimator, period = state.estimator, state.estimator.period
         axes = self.rules.bias_axes(state.memory, parts, estimator.next_start + period / 2)
         request = request.less(estimator.bias.along(axes))
-        force, tolerance = request.force(parts.velocity, self.rig, period)
-        drift = parts.velocity + force * period / self.rig.parts.mass_kg
-        start = estimator.start_of(parts) if self.rules.estimated and torque is None else None
+        force, tolerance = request.force(parts, self.rig, period)
+        mass = np.array([self.rig.part_type(part_class(name)).mass_kg for name in parts.ids], float)
+        drift = parts.velocity + force * period / mass[:, None]
+        start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
-        return state, Wanted.make(parts, force, tolerance, torque, period, start, request.targets)
+        return state, Wanted.make(parts, force, tolerance, None, period, start, request.targets)
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task
+        doing = found.doing if task.active else ""
         return Progress(
             phase=task.phase,
-            text=task.text,
+            text=f"{task.text}: {doing}" if doing else task.text,
             time_s=task.elapsed(estimator.stamp),
             parts_total=self.scenario.count,
             parts_seen=seen,

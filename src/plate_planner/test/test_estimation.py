@@ -7,10 +7,11 @@ import pytest
 
 from plate_core import Parts, PlateCycle, load_rig
 from plate_core.kernels import kernel
-from plate_core.rig import CameraTrigger
+from plate_core.rig import CameraTrigger, PartType
 from plate_planner.estimation.cycle_log import CycleLog
 from plate_planner.estimation.estimator import COAST, DriftBias, Estimator, LastRequest
 from plate_planner.estimation.filter import CAMERA_M, propagate
+from plate_planner.estimation.latency import LatencyHypotheses
 
 RIG = load_rig()
 ACCEL, MASS = RIG.friction.accel, RIG.parts.mass_kg
@@ -336,6 +337,14 @@ def test_stamps_that_scatter_are_put_right_as_frames_are_regular():
     assert np.median(errors[30:]) < 0.2e-3
 
 
+def test_the_search_for_the_latency_bears_an_empty_plate():
+    """Parts that are taken before it has ended leave nothing to move."""
+    found = LatencyHypotheses.of(None)
+    later = np.full(len(found.latencies), 0.01)
+    log = CycleLog().hear(PlateCycle.rest(T), 0.0).advance(0.0)
+    assert found.estimate.moved(log, later, ACCEL).mean.shape == found.estimate.mean.shape
+
+
 def test_the_first_images_in_motion_already_tell_of_the_latency():
     """Stamps that scatter are not believed before the frames are known; a wrong first guess is."""
     errors = []
@@ -375,3 +384,15 @@ def test_it_says_when_images_do_not_come_as_they_should():
     assert estimator.image_problem == "7 images a second, allowed: 10 or more, one in each cycle"
     *_, (estimator, _) = run_free(15.0, 0.0, 0.0)
     assert not estimator.image_problem
+
+
+def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise():
+    steel = PartType("nut", radius_m=0.008, symmetry=0, mass_kg=0.01, mu=0.1)
+    rig = replace(load_rig(), types={"nut": steel})
+    parts = Parts.make(("black_1", "nut_1"), np.zeros((2, 2)))
+    estimator = Estimator.of(rig, 0.1, 0.0).update(parts, 0.0)
+    assert estimator.friction == pytest.approx([1.0, 0.1 / rig.friction.mu])
+    moving = estimator.hear(PlateCycle.rest(0.1), 0.0).update(parts, 0.1).parts
+    bounds = estimator.latency.estimate.usual
+    assert bounds == pytest.approx([0, np.log(0.1 / rig.friction.mu)])
+    assert moving.friction_limit == pytest.approx([rig.force_unit, 0.1 * 9.81 * 0.01])

@@ -111,7 +111,8 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
             kp,
             np.array([limit]),
         )
-        force, tolerance = DriftRequest(wanted, wanted).force(v, RIG, T)
+        part = Parts.make(("black_1",), seen, v)
+        force, tolerance = DriftRequest(wanted, wanted).force(part, RIG, T)
         assert np.all(tolerance == 0)
         assert np.all(np.abs(force) <= RIG.force_unit + 1e-15)
         seen_before, x = seen, x + T * drift_gain * coming
@@ -172,7 +173,9 @@ def test_force_gives_back_the_wanted_interval():
     rng = np.random.default_rng(1)
     velocity = 0.01 * rng.normal(size=(5, 2))
     request = DriftRequest(np.full((5, 2), -0.01), np.full((5, 2), 0.03))
-    force, tolerance = request.force(velocity, RIG, T)
+    ids = tuple(f"black_{k}" for k in range(5))
+    parts = Parts.make(ids, 0 * velocity, velocity)
+    force, tolerance = request.force(parts, RIG, T)
     back = velocity + force * T / MASS
     assert back - tolerance * T / MASS == pytest.approx(request.low)
     assert back + tolerance * T / MASS == pytest.approx(request.high)
@@ -359,7 +362,9 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     for k in range(12):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))  # no error at all as yet
         short = np.array([fraction * 0.04 if k < len(scalings) else 0.0, 0.0])
-        now = Situation(seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True)
+        now = Situation(
+            seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True, seen, 0.0
+        )
         memory = follower.measure(memory, now)
         if k < len(scalings):
             assert memory.scaling[1] == pytest.approx(scalings[k])
@@ -376,7 +381,9 @@ def test_references_slow_down_before_corners(speed):
         places.append(follower.reference(memory, len(places) * T))
         stamp = len(places) * T
         seen = Parts.make(plant.ids, follower.reference(memory, stamp))  # no error at all
-        now = Situation(seen, stamp, stamp + T, T, True, True, seen.position, np.zeros(2), True)
+        now = Situation(
+            seen, stamp, stamp + T, T, True, True, seen.position, np.zeros(2), True, seen, 0.0
+        )
         memory = follower.measure(memory, now)
     change = np.hypot(*np.diff(places, n=2, axis=0).T)
     allowed = TURN * RIG.friction.accel * T**2
@@ -390,7 +397,7 @@ def test_little_is_asked_as_long_as_the_age_of_images_is_unknown(known):
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))
     wrong, short = seen.position + 0.01, np.zeros(2)
-    now = Situation(seen, 0.0, T, T, True, known, wrong, short, True)
+    now = Situation(seen, 0.0, T, T, True, known, wrong, short, True, seen, 0.0)
     _, found = follower.assess(None, now)
     speed = np.hypot(*found.request.low.T)
     assert np.all(speed > 0.04) if known else np.all(speed <= 0.3 * 0.04 + 1e-9)
@@ -403,7 +410,9 @@ def test_a_lack_that_does_not_pass_never_stops_the_references():
     short = np.full(2, 0.2 * 0.04)
     for k in range(100):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))
-        now = Situation(seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True)
+        now = Situation(
+            seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True, seen, 0.0
+        )
         memory = follower.measure(memory, now)
     before = follower.to_go(memory, 100 * T)
     assert 0 < memory.scaling[1] < 0.1

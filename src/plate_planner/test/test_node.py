@@ -1,5 +1,6 @@
 """The node over real topics and services, in one process."""
 
+import itertools
 import re
 import time
 
@@ -27,7 +28,8 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_core.tasks import load_scenario  # noqa: E402
-from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
+from plate_interfaces.msg import DriverStatus, FeedOrder, TaskStatus  # noqa: E402
+from plate_planner.supervision.inputs import FEEDER_S  # noqa: E402
 
 
 def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
@@ -42,9 +44,8 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
             stamp = to_time(round(1e9 * (t + 0.1 * k)))
             graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
         stamp = to_time(round(1e9 * (100.1 + 0.1 * k)))
-        count = len(graph.forces)
         starts.publish(cycle_to_msg(PlateCycle.rest(0.1), stamp))
-        graph.until(lambda: len(graph.forces) > count)
+        graph.until(lambda: stamp in [msg.header.stamp for msg in graph.forces])
         began.append(stamp)
 
     graph.image(100.0, APART)  # answered, so that the loop goes on before any cycle begins
@@ -346,6 +347,28 @@ def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):
         ],
     )
     assert silenced.states[-1].endswith(": simulator: no motor table for 1.5 s")
+
+
+def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(graph):
+    graph, images = graph(), itertools.count(3)
+    orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)
+    graph.until(orders.get_subscription_count)
+    handle = graph.begin(scenario=load_scenario("feed"))
+    end = time.monotonic() + FEEDER_S + 0.5
+    while time.monotonic() < end:
+        graph.image_and_pause(next(images))
+    assert graph.states[-1].startswith("running")
+    orders.publish(FeedOrder(mode=FeedOrder.REST, hidden=True))
+    graph.until(lambda: graph.planner._run.planner.scenario.task.order.hidden)
+    task = graph.until_ended(handle, lambda _: graph.image_and_pause(next(images)))
+    assert (task.state, task.reason) == (TaskStatus.ABORTED, TaskStatus.CUT_OFF)
+    assert ": no feed_orders for 1." in task.text
+    # Orders that came before a task count nothing for it.
+    graph.send(load_scenario("feed"))
+    graph.until(lambda: graph.states[-1].startswith("running"))
+    for _ in range(5):
+        graph.image_and_pause(next(images))
+    assert graph.states[-1].startswith("running")
 
 
 def test_a_planner_that_stood_still_does_not_go_on(silenced):

@@ -120,6 +120,14 @@ def test_a_part_may_hide_for_a_while():
     assert (state.text, state.ended) == ("lost part after 2.0 s: black_1", 102.0 + EPS)
 
 
+def test_nothing_is_done_while_a_part_is_only_predicted():
+    """It may have fallen off; once all are seen again the hold has not begun anew."""
+    state = judge(RUNNING, 100.0, Findings((), True, 0.0), LIMITS)
+    hidden = judge(state, 101.0, Findings((), True, 0.0, all_seen=False), LIMITS)
+    assert hidden.phase is Phase.RUNNING
+    assert judge(hidden, 101.1, Findings((), True, 0.0), LIMITS).phase is Phase.DONE
+
+
 def test_the_time_limit():
     assert run((110.0, (), False)).phase is Phase.RUNNING
     state = run((101.0, (), False), (110.0 + EPS, (), False))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from plate_core import Parts, ScenarioError, load_rig
+from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, PartGroup, Side, SortTask, load_scenario
 from plate_planner.tasks import Sorter
-from plate_planner.tasks.sort import LANE_AT, MARGIN, inside, outline_distance, slots
+from plate_planner.tasks.sort import LANE_AT, MARGIN, slots
 
 RIG = load_rig()
 HALF = RIG.plate.half
@@ -32,7 +33,7 @@ def test_parts_are_to_come_a_little_beyond_their_lines():
     to = asked(("grey_1", "black_1"), [(-0.3, 0.0), (0.9, 0.0)]).targets
     assert (to.low[0, 0], to.high[0, 0]) == pytest.approx((LINE[0], HALF[0]))
     assert (to.low[1, 0], to.high[1, 0]) == pytest.approx((-HALF[0], -LINE[0]))
-    assert to.clear_m >= 2 * RIG.parts.radius_m
+    assert to.gap_m > 0
 
 
 def test_the_drift_that_is_shown_leads_there():
@@ -175,7 +176,7 @@ def test_parts_for_a_bin_are_each_to_come_into_a_slot():
     assert len(set(np.argmin(gap, axis=1))) == 2
     corner = np.array(BIN.corner)
     for end in (to.low, to.high):  # anywhere there it is within the bin
-        assert np.all(outline_distance(end, corner) >= RIG.parts.radius_m * 0.2)
+        assert np.all(rim_distance(corner, end) >= RIG.parts.radius_m * 0.2)
     assert np.all(to.weight > 0)
 
 
@@ -185,8 +186,8 @@ def test_slots_are_apart_and_clear_of_the_bins_sides():
     gap = np.hypot(*(slot[:, None] - slot[None]).transpose(2, 0, 1)) + np.eye(len(slot))
     assert len(slot) >= 8  # its area has room for 15 squares
     assert np.min(gap) >= 3.5 * radius - 1e-9
-    assert np.all(inside(slot, np.array(BIN.corner)))
-    assert np.min(outline_distance(slot, np.array(BIN.corner))) >= 1.25 * radius - 1e-9
+    assert np.all(contains(np.array(BIN.corner), slot))
+    assert np.min(rim_distance(np.array(BIN.corner), slot)) >= 1.25 * radius - 1e-9
 
 
 def test_a_bin_too_small_for_its_parts_is_refused():

@@ -8,6 +8,8 @@ from .plate import Ground, PlateMotion, PlateState, motor_record, realise
 from .world import (
     BodyTrajectory,
     Disturbances,
+    Grip,
+    Move,
     Simulation,
     WorldState,
     record_cycle,
@@ -20,7 +22,9 @@ __all__ = [
     "Camera",
     "Contacts",
     "Disturbances",
+    "Grip",
     "Ground",
+    "Move",
     "PlateMotion",
     "PlateState",
     "Simulation",

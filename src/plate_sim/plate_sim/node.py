@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
@@ -38,6 +39,7 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, wors
 from plate_core.tasks import load_scenario
 from plate_interfaces.msg import Part
 from plate_interfaces.msg import Parts as PartsMsg
+from plate_interfaces.srv import MoveRobot, OpenHopper, PlacePart, RemovePart
 
 from .camera import NOISE, Camera
 from .plate import PlateMotion, Playback, check_table, next_playback
@@ -64,9 +66,9 @@ QUIET_S = 2.0
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
-def _disturbance(name: str, description: str) -> Any:
+def _disturbance(name: str, description: str, live: bool = True) -> Any:
     """Return the parameter of one kind of disturbance."""
-    return parameter(getattr(Disturbances, name), description, *RANGES[name])
+    return parameter(getattr(Disturbances, name), description, *RANGES[name], live=live)
 
 
 @dataclass(frozen=True)
@@ -74,18 +76,28 @@ class Options(NodeOptions):
     """Parameters of the simulator."""
 
     scenario: str = parameter("sort_10", "Scenario whose parts are put on the plate.")
-    seed: int = parameter(0, "Seed of scattered parts and of the image noise.", 0, 2**31 - 1)
+    seed: int = parameter(
+        0, "Seed of parts and noise; of the next reset.",
+        0, 2**31 - 1, live=True,
+    )  # fmt: skip
     driven_by: str = parameter(
         "setpoints", "What moves the plate: motor_setpoints, or what the device has played.",
         choices=("setpoints", "device"),
     )  # fmt: skip
     lockstep: bool = parameter(False, "Wait for the answer to each image, as fast as they come.")
-    rate: float = parameter(1.0, "Simulated seconds per wall second, if not lockstep.", 0.01, 100)
-    noise: float = parameter(
-        NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"]
+    rate: float = parameter(
+        1.0, "Simulated over wall time; live in simulated time.", 0.01,
+        100, live=True,
+    )  # fmt: skip
+    simulated_time: bool = parameter(
+        False, "Publish /clock at rate 1 too, so that rate may change."
     )
+    noise: float = parameter(
+        NOISE, "Standard deviation of the image noise [grey values].", *WORLD_RANGES["noise"],
+        live=True,
+    )  # fmt: skip
     mu_scale: float = parameter(
-        1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"]
+        1.0, "True friction over the rig file's.", *WORLD_RANGES["mu_scale"], live=True
     )
     hold_cycles: int = parameter(2, "Repetitions of a table when no new one comes.", 0, 1000)
     input_timeout_s: float = parameter(
@@ -99,30 +111,35 @@ class Options(NodeOptions):
         "friction_patches", "Friction varies over the plate by [share]."
     )
     static_ratio: float = _disturbance("static_ratio", "Static over dynamic friction [-].")
-    tilt_x: float = _disturbance(
-        "tilt_x", "Parts are pulled along +x by this lean of the plate [rad]."
-    )
-    tilt_y: float = _disturbance(
-        "tilt_y", "Parts are pulled along +y by this lean of the plate [rad]."
-    )
+    tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
+    tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
     latency: float = _disturbance(
-        "latency", "Age of an image when it is published and stamped [s]."
+        "latency", "Age of an image when it is published and stamped [s].", live=False
     )
     image_rate: float = _disturbance(
-        "image_rate", "Images of a camera that runs free [1/s]; 0: one at the start of each cycle."
-    )
+        "image_rate", "Images of a camera that runs free [1/s]; 0: one at the start of each cycle.",
+        live=False,
+    )  # fmt: skip
     stamp_jitter: float = _disturbance(
-        "stamp_jitter", "Standard deviation of the stamps of a camera that runs free [s]."
-    )
-    blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.")
+        "stamp_jitter", "Standard deviation of the stamps of a camera that runs free [s].",
+        live=False,
+    )  # fmt: skip
+    blur: bool = parameter(True, "Whether motion blurs images over the rig's exposure.", live=True)
     missed_images: float = _disturbance(
         "missed_images", "Share of images that are never published."
+    )
+    highlights: float = _disturbance("highlights", "Share of each part that mirrors the light.")
+    shadows: float = _disturbance(
+        "shadows", "How much darker the plate is in parts' shadows [share]."
     )
     missed_parts: float = _disturbance(
         "missed_parts", "Share of parts that an image does not show."
     )
     false_parts: float = _disturbance(
         "false_parts", "False parts in an image [share of true ones]."
+    )
+    pick_failure: float = _disturbance(
+        "pick_failure", "Share of the robot's grips in which the part slips."
     )
 
     @property
@@ -149,9 +166,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     Subscribes motor_setpoints (or, driven by the device, motor_motion and, where the rig has the
     motor controller trigger the camera, camera_trigger).
-    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth and, unless in real
-    time, /clock.
-    Service ~/reset: put the parts down anew.
+    Publishes image_raw, camera_info, cycle_started, diagnostics, ground_truth; /clock if simulated.
+    Services ~/reset: put the parts down anew, by the seed if it was set, else by the next one;
+    ~/place_part, ~/remove_part: by hand; hopper/open: parts drop; ~/move_robot: it takes a part. A
+    run with such a change, or one of a live parameter, is not repeated by its seed.
 
     `ground_truth` (parts on the plate with true names, angles, velocities and spins) is for judging
     a run: no stage may subscribe to it.
@@ -162,13 +180,15 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     device's clock that counts, and the driver tells what has started: the parts follow each stretch
     of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
     controller triggers the camera, at each pulse.
-    In real time the next cycle begins on schedule; in lockstep as soon as a
-    table with the stamp of image k has come, or at once if image k is missed: there will be none.
-    While the node is not active plate, parts and simulated time stand still.
+    In real time the next cycle begins on schedule; in lockstep as soon as a table with the stamp of
+    image k has come, or at once if image k is missed: there will be none. While the node is not
+    active plate, parts and simulated time stand still.
     """
 
     def __init__(self) -> None:
         super().__init__("simulator", Options)
+        self._next_seed: int | None = None  # of the next reset, if it was set
+        self.add_post_set_parameters_callback(self._note_seed)
         self.report(
             self._find, self._values, "simulation", self._begin_report,
             lambda: to_time(self._time_ns),
@@ -179,15 +199,18 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
+        self._next_seed, self._rate = None, options.rate
         self._usage = NO_USE
         self._count = {
             "cycles": 0, "late cycles": 0, "held cycles": 0, "refused tables": 0,
             "missed images": 0,
         }  # fmt: skip
-        self._simulated_time = options.lockstep or options.rate != 1
+        self._simulated_time = options.lockstep or options.rate != 1 or options.simulated_time
         self._driven = options.driven_by == "device"
         if self._driven and self._simulated_time:
-            raise PlateError("driven_by is 'device' with lockstep or rate, allowed: in real time")
+            raise PlateError(
+                "driven_by is 'device' with lockstep, rate or simulated_time, allowed: in real time"
+            )
         if options.image_rate > 0 and options.lockstep:
             raise PlateError(
                 f"image_rate is {options.image_rate:g} with lockstep, allowed: 0, an image at the "
@@ -221,6 +244,34 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         if not self._driven:
             self._begin_cycle()
 
+    def retune(self) -> None:
+        """Take over what disturbs the world, and how fast time goes.
+
+        Raises
+        ------
+        PlateError
+            If it cannot be taken over now.
+        """
+        options, before = self.options, self._rate
+        if options.rate != before and (options.lockstep or not self._simulated_time):
+            now = "in lockstep" if options.lockstep else "in real time, by which other nodes go"
+            raise PlateError(
+                f"rate is {options.rate:g} {now}, allowed: {before:g} (other rates where it is "
+                "started with simulated_time, or with a rate that is not 1)"
+            )
+        self._simulation.change(options.disturbances, options.noise, options.mu_scale)
+        if options.rate != before:
+            self._rate, now_ns = options.rate, time.monotonic_ns()
+            if self.active:
+                self._due_ns = now_ns + round((self._due_ns - now_ns) * before / options.rate)
+                self._wait(self._moved_ns)
+
+    def _note_seed(self, parameters: list[Parameter]) -> None:
+        """Note that the seed was set, also to the value that it had."""
+        for item in parameters:
+            if item.name == "seed":
+                self._next_seed = int(item.value)
+
     def _scattered(self) -> Simulation:
         """Return the scenario's parts, put on the plate as the seed will have it."""
         options = self.options
@@ -253,6 +304,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         else:
             self.managed_subscription(JointTrajectory, "motor_setpoints", self._on_table, DATA)
         self.managed_service(Trigger, "~/reset", self._on_reset)
+        self.managed_service(PlacePart, "~/place_part", self._on_place)
+        self.managed_service(RemovePart, "~/remove_part", self._on_remove)
+        self.managed_service(OpenHopper, "hopper/open", self._on_open)
+        self.managed_service(MoveRobot, "~/move_robot", self._on_move)
         if self.options.lockstep:
             self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._publish_image)
         elif not self._driven:
@@ -299,9 +354,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             end_ns = self._delivered_ns
         self._move(cycle, end_ns)
         if not self.options.lockstep:
-            wait_ns = round((self._next_ns - end_ns) / self.options.rate)
-            self._alarm.timer_period_ns = max(1, self._due_ns - wait_ns - time.monotonic_ns())
-            self._alarm.reset()
+            self._wait(end_ns)
+
+    def _wait(self, until_ns: int) -> None:
+        """Wait for a simulated time in this cycle [ns]."""
+        ahead_ns = round((self._next_ns - until_ns) / self.options.rate)
+        self._alarm.timer_period_ns = max(1, self._due_ns - ahead_ns - time.monotonic_ns())
+        self._alarm.reset()
 
     def _move(self, motion: PlateCycle | PlateMotion, end_ns: int) -> None:
         """Move the parts on, through a part of what began at `_time_ns`."""
@@ -431,10 +490,64 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._publish_truth()
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Put the parts on the plate anew, as the next seed will have it."""
-        self._seed = (self._seed + 1) % 2**31
+        """Put the parts on the plate anew, as the seed that was set, or the next one, has it."""
+        self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
+        self._next_seed = None
         self._simulation = self._scattered()
         response.success, response.message = True, f"parts put down anew, seed {self._seed}"
+        return response
+
+    def _on_place(
+        self, request: PlacePart.Request, response: PlacePart.Response
+    ) -> PlacePart.Response:
+        """Put a part down by hand, where it lies from the next image on."""
+        place = np.array([request.x, request.y])
+        try:
+            response.id = self._simulation.place(request.id, request.type, place, request.angle)
+        except PlateError as error:
+            response.message = str(error)
+            return response
+        new = "" if request.id else "new: "
+        response.success = True
+        response.message = f"{new}{response.id} lies at ({request.x:.3f}, {request.y:.3f}) m"
+        return response
+
+    def _on_remove(
+        self, request: RemovePart.Request, response: RemovePart.Response
+    ) -> RemovePart.Response:
+        """Take a part off the plate by hand."""
+        try:
+            self._simulation.remove(request.id)
+        except PlateError as error:
+            response.message = str(error)
+            return response
+        response.success, response.message = True, f"{request.id} is gone"
+        return response
+
+    def _on_open(
+        self, request: OpenHopper.Request, response: OpenHopper.Response
+    ) -> OpenHopper.Response:
+        """Let parts drop for a time."""
+        try:
+            count = self._simulation.open_hopper(request.duration_s)
+        except PlateError as error:
+            response.message = str(error)
+            return response
+        response.success = True
+        response.message = f"open for {request.duration_s:g} s, parts that drop: {count}"
+        return response
+
+    def _on_move(
+        self, request: MoveRobot.Request, response: MoveRobot.Response
+    ) -> MoveRobot.Response:
+        """Move the robot, and grip if that is asked for."""
+        try:
+            done = self._simulation.move_robot(request.to, request.x, request.y, request.angle)
+        except PlateError as error:
+            response.message = str(error)
+            return response
+        response.success, response.message, response.id = done.success, done.message, done.id
+        response.error_m, response.error_rad = done.error_m, done.error_rad
         return response
 
     # Messages
@@ -444,7 +557,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         is one."""
         stamp, pixels = to_time(stamp_ns), self._simulation.capture(age)
         if pixels is not None:
-            self._image = array_to_image(pixels, stamp)
+            self._image = array_to_image(pixels, stamp, "mono8" if pixels.ndim == 2 else "bgr8")
             self._publish_image()
         elif self._simulated_time and self._shot is None:
             self._clocks.publish(ClockMsg(clock=stamp))
@@ -470,7 +583,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
 
     def _find(self, now: float) -> Finding:
         """Judge what came, and how the plate does; see `plate_core.status`."""
-        tally, dropped = self._tally, self._simulation.state.dropped
+        tally, dropped = self._tally, self._simulation.dropped
         findings = [used("tables", tally.tables, tally.refused, tally.why), self._input.gone(now)]
         troubles = [f"parts dropped: {dropped}"] if dropped else []
         if tally.late:
@@ -486,7 +599,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         mu = self._simulation.mu
         return {
             **self._count,
-            "parts dropped": self._simulation.state.dropped,
+            "parts dropped": self._simulation.dropped,
+            "parts over the chute": self._simulation.chuted,
+            **{
+                f"{label} over the chute": count
+                for label, count in self._simulation.chuted_classes.items()
+            },
             "stroke used": f"{share.stroke_m / limits.stroke_m:.3f}",
             "speed used": f"{share.speed / limits.speed:.3f}",
             "acceleration used": f"{share.accel / limits.accel:.3f}",

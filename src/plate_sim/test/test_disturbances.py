@@ -90,7 +90,6 @@ def test_patches_have_their_wavelength():
             field = FrictionField.draw(
                 Disturbances(friction_patches=0.5), 3, np.random.default_rng(k)
             )
-            field.part[:] = 1
             heights.append(np.sqrt(2) * erfinv((field.friction(1.0, place, HOME) - 1) / 0.5))
         height = np.array(heights)
         correlation = np.mean(height[:, :1] * height[:, 1:])

@@ -15,8 +15,11 @@ from plate_core import PlateCycle, PlateError, config_path, load_rig
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock as ClockMsg
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -34,7 +37,9 @@ from plate_core.ros import (
     to_time,
 )
 from plate_interfaces.msg import Parts as PartsMsg
+from plate_interfaces.srv import MoveRobot, OpenHopper, PlacePart, RemovePart
 from plate_sim.node import START_NS, SimulatorNode
+from plate_sim.world import RANGES
 
 RIG = load_rig()
 PATIENCE_S = 20.0
@@ -186,6 +191,163 @@ def test_reset_puts_the_parts_down_as_the_next_seed_would():
         assert loop.spin(lambda: len(loop.truths) == 1)
         assert np.array_equal(msg_to_parts(loop.truths[0]).position, seeds[1])
         assert not np.array_equal(*seeds)
+
+
+def call(loop, kind, name, of="simulator/", **request):
+    """The answer of a service of the simulator."""
+    client = loop.ear.create_client(kind, of + name)
+    assert loop.spin(client.service_is_ready)
+    future = client.call_async(kind.Request(**request))
+    assert loop.spin(future.done)
+    return future.result()
+
+
+def set_parameters(loop, **values):
+    """Why it was refused; empty if it was not."""
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    results = call(loop, SetParameters, "set_parameters", parameters=parameters).results
+    return "; ".join(result.reason for result in results if not result.successful)
+
+
+def test_parts_are_put_down_and_taken_off_by_hand():
+    with Loop(lockstep=True, scenario="sort_4", noise=0.0) as loop:
+        assert loop.spin(lambda: len(loop.truths) == 1)
+        told = call(loop, PlacePart, "place_part", type="grey", x=0.28, y=0.14)
+        assert (told.success, told.id) == (True, "grey_3")
+        assert told.message == "new: grey_3 lies at (0.280, 0.140) m"
+        assert call(loop, PlacePart, "place_part", id="grey_1", x=0.28, y=-0.14, angle=0.1).success
+        told = call(loop, PlacePart, "place_part", id="grey_2", x=0.28, y=0.14)
+        assert not told.success
+        assert "parts grey_2 and grey_3 overlap by 16 mm" in told.message
+        assert call(loop, RemovePart, "remove_part", id="black_1").message == "black_1 is gone"
+        assert "id is 'black_1'" in call(loop, RemovePart, "remove_part", id="black_1").message
+        loop.answer = still
+        assert loop.spin(lambda: len(loop.truths) >= 2)
+        truth = msg_to_parts(loop.truths[-1])
+        assert truth.ids == ("black_2", "grey_1", "grey_2", "grey_3")
+        assert truth.position[[1, 3]] == pytest.approx(np.array([[0.28, -0.14], [0.28, 0.14]]))
+
+
+def still(index, stamp):
+    return motors_to_msg(RIG, PlateCycle.rest(0.1), stamp)
+
+
+def open_hopper(loop, duration):
+    return call(loop, OpenHopper, "open", of="hopper/", duration_s=duration)
+
+
+def test_a_hopper_is_opened_and_a_robot_takes_parts():
+    with Loop(lockstep=True, scenario="feed", noise=0.0, seed=3) as loop:
+        assert loop.spin(lambda: len(loop.truths) == 1)
+        told = open_hopper(loop, 0.2)
+        assert (told.success, told.message) == (True, "open for 0.2 s, parts that drop: 2")
+        loop.answer = still
+        assert loop.spin(lambda: len(loop.truths) >= 4)
+        loop.answer = None
+        truth = msg_to_parts(loop.truths[-1])
+        assert len(truth.ids) == 12
+        places, before = truth.position, image_to_array(loop.images[-1]).astype(int)
+        x, y = places[0] + [0.003, 0.0]
+        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
+        assert (told.success, told.id) == (True, "black_1")
+        assert told.error_m == pytest.approx(0.003)
+        assert told.error_rad == 0
+        assert not set_parameters(loop, pick_failure=1.0)
+        x, y = places[1]
+        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y)
+        assert (told.success, told.id, told.message) == (False, "black_2", "black_2 slipped")
+        stamp, images = loop.images[-1].header.stamp, len(loop.images)
+        loop.tables.publish(still(0, stamp))
+        assert loop.spin(lambda: len(loop.images) > images)
+        changed = np.abs(image_to_array(loop.images[-1]).astype(int) - before) > 20
+        assert np.count_nonzero(changed) > 2000  # pixels of an arm
+        assert call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.AWAY).success
+        assert msg_to_parts(loop.truths[-1]).ids == truth.ids[1:]
+
+
+@pytest.mark.parametrize("duration", [-1.0, float("nan"), 1e9])
+def test_what_hopper_and_robot_cannot_do_is_refused_in_words(duration):
+    with Loop(lockstep=True, scenario="feed") as loop:
+        told = open_hopper(loop, duration)
+        assert not told.success
+        assert "allowed: 0, which shuts it, to 60 s" in told.message
+        told = call(loop, MoveRobot, "move_robot", to=7)
+        assert (told.success, told.message[:8]) == (False, "to is 7,")
+        told = call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=duration)
+        assert (told.success, told.message[:11]) == (False, "gripper is ")
+
+
+def test_a_scenario_without_a_hopper_says_so():
+    with Loop(lockstep=True, scenario="sort_4") as loop:
+        assert "this scenario has no hopper" in open_hopper(loop, 1.0).message
+
+
+@pytest.mark.parametrize("options", [{"image_rate": 40.0, "latency": 0.05}, {}])
+def test_parts_drop_and_leave_in_real_time(options):
+    with Loop(scenario="feed", seed=4, **options) as loop:
+        assert loop.spin(lambda: len(loop.truths) >= 2)
+        assert open_hopper(loop, 0.5).success
+        assert loop.spin(lambda: len(loop.truths[-1].parts) == 15)
+        x, y = msg_to_parts(loop.truths[-1]).position[-1]
+        assert call(loop, MoveRobot, "move_robot", to=MoveRobot.Request.GRIP, x=x, y=y).success
+        assert loop.spin(lambda: len(loop.truths[-1].parts) == 14)
+
+
+def test_parts_drop_where_the_device_drives():
+    with Loop(scenario="feed", driven_by="device", seed=2) as loop:
+        motions = loop.ear.create_publisher(JointTrajectory, "motor_motion", DATA)
+        ends = (motions, loop.simulator._truths)
+        assert loop.spin(lambda: all(end.get_subscription_count() == 1 for end in ends))
+        assert open_hopper(loop, 0.2).success
+        start = loop.simulator._time_ns + 1_000_000_000
+        for k in range(6):
+            motions.publish(motors_to_msg(RIG, push(), to_time(start + k * 50_000_000)))
+            assert loop.spin(lambda k=k: len(loop.truths) > k)
+        assert [len(msg.parts) for msg in loop.truths] == [10, 11, 11, 12, 12, 12]
+
+
+def test_a_seed_that_is_set_counts_at_the_next_reset():
+    with Loop(lockstep=True, scenario="sort_4", seed=7) as loop:
+        for seed, told in ((7, 7), (None, 8), (3, 3), (3, 3)):
+            assert seed is None or not set_parameters(loop, seed=seed)
+            answer = call(loop, Trigger, "reset")
+            assert answer.message == f"parts put down anew, seed {told}"
+
+
+def test_the_world_changes_while_it_runs_where_it_can():
+    with Loop(good, lockstep=True, scenario="sort_4", seed=1) as loop:
+        assert not set_parameters(loop, friction_spread=0.4, mu_scale=1.2, shadows=0.5, tilt_x=0.01)
+        assert loop.simulator._simulation.disturbances.shadows == 0.5
+        assert np.ptp(loop.simulator._simulation.mu) > 0
+        most = RANGES["tilt_x"][1]
+        assert "tilt" in set_parameters(loop, tilt_x=most, tilt_y=most)
+        assert (loop.simulator.options.tilt_x, loop.simulator.options.tilt_y) == (most, 0.0)
+        assert not set_parameters(loop, noise=3.0)  # what was refused is forgotten
+        assert "while it is not active" in set_parameters(loop, latency=0.1)
+        assert "rate is 2 in lockstep, allowed: 1" in set_parameters(loop, rate=2.0)
+
+
+def test_time_goes_faster_and_slower_without_a_jump():
+    with Loop(good, simulated_time=True, scenario="sort_4") as loop:
+        clock = []
+        loop.ear.create_subscription(ClockMsg, "/clock", clock.append, DATA)
+        assert loop.spin(lambda: len(clock) > 20)
+        began = time.monotonic()
+        assert not set_parameters(loop, rate=0.05)
+        assert loop.spin(lambda: time.monotonic() > began + 1.0)
+        times = np.array([nanoseconds(msg.clock) for msg in clock])
+        assert np.all(np.diff(times) >= 0)
+        slow = 1e-9 * times[-1]
+        assert not set_parameters(loop, rate=20.0)
+        assert loop.spin(lambda: 1e-9 * nanoseconds(clock[-1].clock) > slow + 5.0)
+        assert np.all(np.diff([nanoseconds(msg.clock) for msg in clock]) >= 0)
+
+
+def test_in_real_time_the_rate_stays():
+    with Loop(good, scenario="sort_4") as loop:
+        reason = set_parameters(loop, rate=0.5)
+        assert "rate is 0.5 in real time, by which other nodes go, allowed: 1" in reason
+        assert loop.simulator.options.rate == 1.0
 
 
 def spoilt(index, stamp):

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig, Wanted
+from plate_core import PlateCycle, PlateError, Rig, Wanted, part_class
+from plate_core.rig import PartType
 
-from .maps import after, end_disc, finely_sampled
+from .maps import after, end_turning, finely_sampled, room_spread
 from .motion_solver import MotionSolver
 from .requests import Goal, Solution, Status, Turns
 from .rotations.solver import RotationSolver
@@ -119,6 +120,7 @@ class Controller:
         }
         self._velocity: dict[str, np.ndarray] = {}
         self._spin: dict[str, float] = {}
+        self._types: dict[str, PartType] = {}
         self.method = METHODS[method]
 
     def reset(self) -> None:
@@ -144,8 +146,12 @@ class Controller:
             self._spin.clear()
             return Answer(PlateCycle.rest(IDLE_PERIOD), None, "no parts, plate at rest", 0.0, 0.0)
         solver = self._solvers[self.method]
+        targets = wanted.targets
+        turning = wanted.torque if targets is None else np.zeros(0)
+        if targets is not None and targets.angles is not None:
+            turning = targets.angles.weight
         period = solver.steering_period(
-            len(parts), int(np.count_nonzero(wanted.torque)), wanted.targets is not None
+            len(parts), int(np.count_nonzero(turning)), targets is not None
         )
         goal = self._goal(wanted, running, period)
         asked = 0.0 if goal.lasting else goal.size
@@ -159,7 +165,7 @@ class Controller:
             good = max(missable * fraction * asked, DRIFT_TOLERANCE * period)
             solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
             end = np.asarray(solution.predicted)
-            if not self._leaves_plate(goal, end):
+            if not self._leaves_plate(parts.ids, goal, end):
                 break
             solver.forget()
         else:
@@ -187,36 +193,39 @@ class Controller:
             )
         error = (solution.residual * unit).ravel()
         if goal.turns is not None:
-            missed = goal.turns.wanted[goal.turns.asked] - end[goal.position.size :]
-            error = np.append(error, goal.turns.radius * missed)
+            weight = goal.turns.weight[goal.turns.weight > 0]
+            error = np.append(error, weight * goal.left_to_turn(end))
         rms = float(np.sqrt(np.mean(error**2)))
         return Answer(solution.cycle, solution, solution.message, rms, asked, fraction)
 
     def _goal(self, wanted: Wanted, running: PlateCycle | None, period: float) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
-        parts = wanted.parts
+        parts, targets = wanted.parts, wanted.targets
         start = np.array([self._velocity.get(name, np.zeros(2)) for name in parts.ids])
         position, velocity = parts.position, np.zeros_like(start)
-        known = parts.friction_limit / self._rig.parts.mass_kg
-        friction = np.where(known > 0, known, self._rig.friction.accel)
-        turns = self._turns(wanted, period)
+        types = [self._type(name) for name in parts.ids]
+        known = parts.friction_limit / np.array([t.mass_kg for t in types])
+        own = np.array([t.mu for t in types]) * self._rig.friction.gravity
+        friction = np.where(known > 0, known, own)
+        turns = self._turns(wanted, types, period)
+        if running is not None and turns is not None:
+            position, velocity, turn, spin = end_turning(
+                position, start, turns.spin, turns.spread, *finely_sampled(running), friction
+            )
+            turns = replace(turns, spin=spin, spread=self._spread(types, parts.angle + turn))
+            if targets is not None:
+                turns = turns.shifted(-turn)
+        elif running is not None and wanted.start is None:
+            position, velocity = after(running, parts.position, start, friction)
         if wanted.start is not None:
             # Contiguous: numba would compile everything again for views.
             states = np.ascontiguousarray(wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2))
             position, velocity = states
-        elif running is not None and turns is not None:
-            position, velocity, _, spin = end_disc(
-                position, start, turns.spin, *finely_sampled(running), friction, turns.points
-            )
-            turns = replace(turns, spin=spin)
-        elif running is not None:
-            position, velocity = after(running, parts.position, start, friction)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
-        radius, half = self._rig.parts.radius_m, self._rig.plate.half
-        if wanted.targets is not None:
-            targets = wanted.targets
-            for name, value in (("weight", targets.weight), ("clear_m", targets.clear_m)):
+        radius, half = np.array([t.reach_m for t in types]), self._rig.plate.half
+        if targets is not None:
+            for name, value in (("weight", targets.weight), ("gap_m", targets.gap_m)):
                 if not np.all(np.abs(value) <= MOST_ASKED):
                     raise PlateError(
                         f"{name} of targets is {np.max(np.abs(value)):g}, allowed: at most "
@@ -228,17 +237,18 @@ class Controller:
                 displacement=(targets.low + targets.high) / 2 - position,
                 tolerance=(targets.high - targets.low) / 2,
                 friction_accel=friction,
+                turns=turns,
                 lasting=True,
                 weight=targets.weight,
-                edge=half - self._rig.limits.stroke_m - EDGE_RADII * radius,
-                clear=targets.clear_m,
+                edge=half - self._rig.limits.stroke_m - EDGE_RADII * radius[:, None],
+                clear=radius[:, None] + radius + targets.gap_m,
                 coast=COAST_S,
             )
-        gain = wanted.period / self._rig.parts.mass_kg
+        gain = wanted.period / np.array([[t.mass_kg] for t in types])
         displacement = (parts.velocity + gain * wanted.force) * period
         tolerance = gain * wanted.tolerance * period
         # What leads off the plate is not asked for, so it does not keep the others waiting.
-        edge = half - radius
+        edge = half - radius[:, None]
         low = np.clip(displacement - tolerance, -edge - position, edge - position)
         high = np.clip(displacement + tolerance, -edge - position, edge - position)
         return Goal(
@@ -250,20 +260,41 @@ class Controller:
             turns=turns,
         )
 
-    def _turns(self, wanted: Wanted, period: float) -> Turns | None:
+    def _type(self, name: str) -> PartType:
+        """Return the type of a part, by its id."""
+        label = part_class(name)
+        if label not in self._types:
+            self._types[label] = self._rig.part_type(label)
+        return self._types[label]
+
+    @staticmethod
+    def _spread(types: list[PartType], angle: np.ndarray) -> np.ndarray:
+        """Return second moments (M, 3) [m2] of parts as they lie at angles (M,) [rad]."""
+        return room_spread(np.array([t.spread_m2 for t in types]), angle)
+
+    def _turns(self, wanted: Wanted, types: list[PartType], period: float) -> Turns | None:
         """Return what is to become of the angles, with the spins at the start of the running
-        cycle; None where no torque is asked."""
+        cycle, and turns from the angles that parts have then; None where no turn is asked."""
+        parts, to = wanted.parts, wanted.targets
+        spin = np.array([self._spin.get(name, 0.0) for name in parts.ids])
+        if to is not None:
+            if to.angles is None:
+                return None
+            low, high = to.angles.low - parts.angle, to.angles.high - parts.angle
+            return Turns(spin, self._spread(types, parts.angle), low, high, to.angles.weight)
         if not np.any(wanted.torque):
             return None
-        radius = self._rig.parts.radius_m
-        inertia = self._rig.parts.mass_kg * radius**2 / 2
-        turn = (wanted.parts.spin + wanted.period / inertia * wanted.torque) * period
-        spin = np.array([self._spin.get(name, 0.0) for name in wanted.parts.ids])
-        return Turns(spin, np.where(wanted.torque != 0, turn, np.nan), radius)
+        inertia = np.array([(t.mass_kg or 0.0) * np.trace(t.spread_m2) for t in types])
+        turn = (parts.spin + wanted.period / inertia * wanted.torque) * period
+        arc = np.where(wanted.torque != 0, [t.reach_m for t in types], 0.0)
+        return Turns(spin, self._spread(types, parts.angle), turn, turn, arc)
 
-    def _leaves_plate(self, goal: Goal, predicted: np.ndarray) -> bool:
+    def _leaves_plate(self, ids: tuple[str, ...], goal: Goal, predicted: np.ndarray) -> bool:
         """Whether a part that is well on the plate would be off it after the cycle."""
         end = predicted[: goal.position.size].reshape(2, -1).T
-        edge = self._rig.plate.half - 0.5 * self._rig.parts.radius_m
-        out = np.abs(end) > edge
+        radius = np.sqrt([[self._type(name).area_m2 / np.pi] for name in ids])
+        edge = self._rig.plate.half - 0.5 * radius
+        middle = goal.position + goal.displacement
+        asked = np.abs(middle) - goal.tolerance > edge  # to leave it there
+        out = (np.abs(end) > edge) & ~(asked & (end * middle > 0))
         return bool(np.any(out & (np.abs(end) > np.abs(goal.position))))

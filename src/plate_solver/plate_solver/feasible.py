@@ -14,10 +14,27 @@ from plate_core import PlateError, Rig, load_rig
 from plate_core.kernels import when_compiling
 from plate_core.rig import LEAST_GAMMA, rig_names, rig_path
 from plate_core.status import COMPILING
-from plate_core.tasks import FollowTask, PartGroup, Scenario, Side, SortTask, load_scenario
+from plate_core.tasks import (
+    FeedTask,
+    FollowTask,
+    MoveTask,
+    PartGroup,
+    PoseTask,
+    Scenario,
+    Side,
+    SortTask,
+    load_scenario,
+)
 
 from .analysis import rest_to_rest_s, speed_bounds
 from .rehearsal import STILL, Verdict, judge_task
+
+NOT_REHEARSED = {
+    PoseTask: "angles are not rehearsed; the demo shows it",
+    MoveTask: "targets that may change are not rehearsed; the demo shows it",
+    FeedTask: "parts that come and go are not rehearsed; `ros2 run plate_bringup qualify` shows it",
+}
+"""Tasks that are not judged here, and why."""
 
 COUNTS = (1, 2, 4, 10)
 """Numbers of parts that are tried where no scenario is given."""
@@ -89,6 +106,9 @@ def one_part(rig: Rig) -> str:
 
 def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     """Judge a scenario."""
+    for kind, what in NOT_REHEARSED.items():
+        if isinstance(scenario.task, kind):
+            return [f"{scenario.name}: not known: {what}"], False
     try:
         verdict = judge_task(rig, scenario)
     except PlateError as error:

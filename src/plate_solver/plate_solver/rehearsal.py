@@ -38,7 +38,7 @@ MOST_CYCLES = 150
 UNEVEN = 0.1
 """Standard deviation of the parts' friction [the rig's]."""
 
-BEYOND, CLEAR = 0.03, 2.5
+BEYOND, GAP = 0.03, 0.5
 """How far into their regions parts are to go [fraction of half the plate], and least distance of
 two parts [part radii]."""
 
@@ -193,7 +193,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     Raises
     ------
     PlateError
-        If the scenario does not fit on the plate, or asks for angles.
+        If the scenario does not fit on the plate, or is not rehearsed: angles, moving.
     """
     rng = np.random.default_rng(seed)
     labels, position = start_positions(scenario, rig, rng)
@@ -251,7 +251,7 @@ def rules_of(scenario: Scenario, rig: Rig) -> Rules:
     Raises
     ------
     PlateError
-        If it asks for angles.
+        If the task is not rehearsed.
     """
     task = scenario.task
     if isinstance(task, SortTask):
@@ -260,7 +260,7 @@ def rules_of(scenario: Scenario, rig: Rig) -> Rules:
         return Paths.of(rig, task)
     if isinstance(task, AssembleTask):
         return Places(rig, task.labels, np.array(task.place), task.tolerance_m, task.hold_s)
-    raise PlateError("a task of poses asks for angles, allowed: tasks of places only")
+    raise PlateError("tasks of angles, and of targets that may change, are not rehearsed")
 
 
 @dataclass(frozen=True)
@@ -278,14 +278,14 @@ class Places:
         aim = self.place[self.match(state)]
         way, band = aim - state.position, BAND * self.tolerance_m
         far = np.hypot(*way.T)
-        wanted = _towards(self.rig, state, aim - band, aim + band, way, clear_m=self.clear_m)
+        wanted = _towards(self.rig, state, aim - band, aim + band, way, gap_m=self.gap_m)
         return wanted, np.where(far > self.tolerance_m, far, 0.0)
 
     @property
-    def clear_m(self) -> float:
-        """Least distance of two parts: no more than between two places [m]."""
-        least = float(np.min(pdist(self.place), initial=np.inf))
-        return min(CLEAR * self.rig.parts.radius_m, least - 2 * BAND * self.tolerance_m)
+    def gap_m(self) -> float:
+        """Least distance of two parts' rims: no more than between two places [m]."""
+        least = float(np.min(pdist(self.place), initial=np.inf)) - 2 * self.rig.parts.radius_m
+        return max(min(GAP * self.rig.parts.radius_m, least - 2 * BAND * self.tolerance_m), 0.0)
 
     def match(self, state: State) -> np.ndarray:
         """Return the row of each part's place (M,): least sum of squared ways."""
@@ -331,15 +331,17 @@ class Regions:
 
 def _towards(
     rig: Rig, state: State, low: np.ndarray, high: np.ndarray, way: np.ndarray,
-    lane: np.ndarray | None = None, clear_m: float = 0.0,
+    lane: np.ndarray | None = None, gap_m: float | None = None,
 ) -> Wanted:  # fmt: skip
-    """Ask parts with ways (M, 2) [m] into intervals (M, 2) [m]; lane (M,) is what y counts, clear_m
-    their least distance, 0 as usual."""
+    """Ask parts with ways (M, 2) [m] into intervals (M, 2) [m]; lane (M,) is what y counts, gap_m
+    the least distance of their rims, None as usual."""
     longest = max(float(np.max(np.hypot(*way.T))), LEAST_WAY_M)
     weight = np.full_like(low, FULL_WAY_M / longest)
     if lane is not None:
         weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
-    return state.wanted(targets=Targets(low, high, weight, clear_m or CLEAR * rig.parts.radius_m))
+    return state.wanted(
+        targets=Targets(low, high, weight, GAP * rig.parts.radius_m if gap_m is None else gap_m)
+    )
 
 
 @dataclass

@@ -111,7 +111,7 @@ def test_command_refuses(words):
 def test_command_does_not_judge_angles():
     code, out, _ = command("--scenario", "spin_1")
     assert code == 1
-    assert "spin_1: no: a task of poses asks for angles, allowed: tasks of places only" in out
+    assert "spin_1: not known: angles are not rehearsed" in out
 
 
 @pytest.mark.parametrize("speed", [0.4, 3.0])

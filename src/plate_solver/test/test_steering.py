@@ -134,6 +134,16 @@ def test_errors_are_what_is_beyond_intervals_edges_and_distances():
     np.testing.assert_allclose(errors(5e-3, -0.025)[4], 0.03 - gap)  # too near
 
 
+@pytest.mark.parametrize(("weight", "bound"), [(0.0, 0.1), (0.5, 0.12)])
+def test_a_part_stays_beyond_the_edge_only_where_that_is_asked(weight, bound):
+    start, none = np.array([[0.12, -0.12]]), np.zeros((1, 2))
+    goal = Goal(start, none, none, none, 2.45, weight=weight, edge=np.array([0.1, 0.1]))
+    np.testing.assert_allclose(goal.ends.edge_high, bound)
+    np.testing.assert_allclose(goal.ends.edge_low, -bound)
+    error, _ = goal.error(start.T.ravel())
+    assert np.any(error != 0) == (weight == 0)
+
+
 @pytest.mark.parametrize("count", [1, 16, 17])
 def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, count):
     rng, position = scene(3, count)

@@ -5,9 +5,10 @@ The names below are for all; the chapters `camera`, `plate`, `discs` and `shapes
 
 from .camera import Calibration, Lens, calibrate, calibrate_by_matrix, calibrate_by_rig
 from .detection import BRIGHT, CLASSES, DETECTION, METHODS, DetectorOptions, detect
-from .errors import CalibrationError, ImageError, OptionError, TrackError
+from .errors import CalibrationError, ImageError, OptionError, TeachError, TrackError
 from .plate import Region, make_region
-from .tracking import Tracker, TrackerOptions
+from .recognition import calibrate_by_scale, find_parts, find_types
+from .tracking import Prediction, Tracker, TrackerOptions
 from .vision import Vision, make_vision, observe
 
 __all__ = [
@@ -21,7 +22,9 @@ __all__ = [
     "ImageError",
     "Lens",
     "OptionError",
+    "Prediction",
     "Region",
+    "TeachError",
     "TrackError",
     "Tracker",
     "TrackerOptions",
@@ -29,7 +32,10 @@ __all__ = [
     "calibrate",
     "calibrate_by_matrix",
     "calibrate_by_rig",
+    "calibrate_by_scale",
     "detect",
+    "find_parts",
+    "find_types",
     "make_region",
     "make_vision",
     "observe",

@@ -34,9 +34,9 @@ CLASSES = ("black", "grey")
 BRIGHT = "white"
 """The label of parts brighter than what is behind them."""
 
-METHODS = ("moments", "fit", "outline")
+METHODS = ("moments", "fit", "outline", "group")
 """Ways in which a part was measured, cheapest first: it stands alone; it touches others or the
-plate's edge; nothing was known of it."""
+plate's edge; nothing was known of it; nor how many parts it is, it seems to be several."""
 
 DETECTION = np.dtype(
     [
@@ -44,7 +44,7 @@ DETECTION = np.dtype(
         ("y_px", "f8"),
         ("radius_px", "f8"),
         ("angle_rad", "f8"),
-        ("label", "U8"),
+        ("label", "U32"),
         ("confidence", "f8"),
         ("method", "U8"),
     ]
@@ -117,13 +117,13 @@ def detect(
     """Find parts in one image.
 
     With options, round parts of a known radius, darker than the plate. Without, whatever differs
-    from the background as a compact, convex patch, brighter or darker, of any size: round ones that
-    are alike are then measured again as parts of a known radius.
+    from the background, of any outline, size and colour, as `plate_vision.shapes` finds it: round
+    ones that are alike are then measured again as parts of a known radius.
 
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8
-        Grey levels. Of a colour image the middle channel is used: green, in either order.
+        Grey levels; or blue, green, red, of which with options green alone is used.
     options : DetectorOptions, optional
         What a part looks like; None if that is not known.
     region : Region, or (4, 2) or (4, n, 2), optional
@@ -152,16 +152,15 @@ def detect(
             f"image: size is {size_px[0]} x {size_px[1]} px, allowed: {region.size_px[0]} x "
             f"{region.size_px[1]} px, for which the region was made"
         )
-    return _detect_any(grey, region) if options is None else _discs(grey, region, options, size)
+    if options is None:
+        return _detect_any(image, region)
+    return _discs(grey, region, options, size)
 
 
 def round_patches(image: np.ndarray, region: Region) -> np.ndarray:
-    """Return the discs (n,) `OUTLINE` of any size on the plate, all darker or all brighter than it.
-
-    Those that touch others are left out. It takes a hundred times as long as `detect`.
-    """
-    outlines = _outlines(grey_levels(image), region)
-    return outlines[outlines["round"]]
+    """Return the discs (n,) `OUTLINE` of any size on the plate, darker or brighter than it."""
+    found = _outlines(image, region)
+    return found[found["round"] & ~found["group"]]
 
 
 def _discs(
@@ -206,39 +205,42 @@ def _discs(
     return parts[is_part]
 
 
-def _detect_any(grey: np.ndarray, region: Region) -> np.ndarray:
-    """Return the parts of an image (H, W) of which nothing is known."""
-    outlines = _outlines(grey, region)
-    bright = bool(np.any(outlines["contrast"] > 0))  # all are brighter, or all darker
-    options = _if_alike(outlines)
+def _detect_any(image: np.ndarray, region: Region) -> np.ndarray:
+    """Return the parts of an image (H, W) or (H, W, 3) of which nothing is known."""
+    found = _outlines(image, region)
+    options = _if_alike(found)
     if options is not None:
+        bright = bool(np.any(found["contrast"] > 0))  # all are brighter, or all darker
+        grey = grey_levels(image)
         again = _discs(255 - grey if bright else grey, region, options)
-        if len(again) >= len(outlines):
+        if len(again) >= len(found):
             if bright:
                 again["label"] = BRIGHT
             return again
-    parts = np.zeros(len(outlines), DETECTION)
+    parts = np.zeros(len(found), DETECTION)
     for name in ("x_px", "y_px", "radius_px", "angle_rad", "confidence"):
-        parts[name] = outlines[name]
-    brightness = 1 + outlines["contrast"] / np.maximum(outlines["background"], 1)
+        parts[name] = found[name]
+    brightness = 1 + found["contrast"] / np.maximum(found["background"], 1)
     parts["label"] = np.where(brightness < DetectorOptions.class_threshold, *CLASSES)
-    parts["label"][outlines["contrast"] > 0] = BRIGHT
-    parts["method"] = METHODS[2]
+    parts["label"][found["contrast"] > 0] = BRIGHT
+    parts["method"] = np.where(found["group"], METHODS[3], METHODS[2])
     return parts
 
 
-def _outlines(grey: np.ndarray, region: Region) -> np.ndarray:
-    """Return the patches (n,) `OUTLINE` of an image (H, W) that are wholly in the region."""
+def _outlines(image: np.ndarray, region: Region) -> np.ndarray:
+    """Return the patches (n,) `OUTLINE` of an image that are wholly in the region."""
     x0, y0, x1, y1 = region.box
-    outlines = find_outlines(np.ascontiguousarray(grey[y0:y1, x0:x1]))
-    outlines["x_px"] += x0
-    outlines["y_px"] += y0
-    return outlines[region.depth(outlines["x_px"], outlines["y_px"]) > outlines["radius_px"]]
+    found = find_outlines(image[y0:y1, x0:x1])
+    found["x_px"] += x0
+    found["y_px"] += y0
+    return found[region.depth(found["x_px"], found["y_px"]) > found["radius_px"]]
 
 
 def _if_alike(outlines: np.ndarray) -> DetectorOptions | None:
     """Return what round parts look like if they all have one size; None if not."""
-    if len(outlines) < MIN_ALIKE or not np.all(outlines["round"]):
+    if len(outlines) < MIN_ALIKE or not np.all(outlines["round"] & ~outlines["group"]):
+        return None
+    if len(np.unique(outlines["contrast"] > 0)) > 1:
         return None
     radius = float(np.median(outlines["radius_px"]))
     if np.max(np.abs(outlines["radius_px"] / radius - 1)) > ALIKE:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 
+from plate_core import part_class
+from plate_core.rig import PartType
+
 from .camera.boards import LensFit
+from .camera.lens import Calibration
 
 COLOURS = ((0, 200, 255), (255, 120, 0), (80, 220, 80), (220, 80, 220), (80, 80, 255))
 """Blue, green, red of classes, in the order of their names."""
@@ -31,6 +35,7 @@ def draw_detections(
     radius_px: np.ndarray,
     ahead_px: np.ndarray,
     outline_px: np.ndarray,
+    part_px: Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
     """Return a copy in colour (H, W, 3) with parts outlined, named, and arrows of their velocity.
 
@@ -48,16 +53,24 @@ def draw_detections(
         Where they will be after `ARROW_S` [px].
     outline_px : (n, 2)
         Around the plate [px].
+    part_px : sequence of (k, 2), optional
+        Outlines of the parts [px]; of those that have none, (0, 2), circles are drawn.
     """
     picture = np.array(image) if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     outline = _fixed(outline_px)
     cv2.polylines(picture, [outline], True, PLATE_COLOUR, 1, cv2.LINE_AA, SHIFT)
     classes = sorted({name.rsplit("_", 1)[0] for name in ids})
-    for name, point, radius, ahead in zip(ids, point_px, radius_px, ahead_px, strict=True):
+    rims = [np.empty((0, 2))] * len(ids) if part_px is None else part_px
+    for name, point, radius, ahead, rim in zip(
+        ids, point_px, radius_px, ahead_px, rims, strict=True
+    ):
         colour = COLOURS[classes.index(name.rsplit("_", 1)[0]) % len(COLOURS)]
         middle, end = _fixed(point), _fixed(ahead)
         size = int(_fixed(np.array([radius]))[0])
-        cv2.circle(picture, middle.tolist(), size, colour, 1, cv2.LINE_AA, SHIFT)
+        if len(rim):
+            cv2.polylines(picture, [_fixed(rim)], True, colour, 1, cv2.LINE_AA, SHIFT)
+        else:
+            cv2.circle(picture, middle.tolist(), size, colour, 1, cv2.LINE_AA, SHIFT)
         if np.linalg.norm(ahead - point) >= 1:
             cv2.arrowedLine(
                 picture, middle.tolist(), end.tolist(), ARROW_COLOUR, 1, cv2.LINE_AA, SHIFT, 0.25
@@ -67,6 +80,26 @@ def draw_detections(
             picture, name, place.tolist(), cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, 1, cv2.LINE_AA
         )
     return np.asarray(picture)
+
+
+def outlines_px(
+    types: Mapping[str, PartType],
+    ids: Sequence[str],
+    position: np.ndarray,
+    angle: np.ndarray,
+    calibration: Calibration,
+) -> list[np.ndarray]:
+    """Return the outlines (k, 2) [px] of parts at positions (M, 2) [m] and angles (M,) [rad],
+    plate_home; (0, 2) for those that are of no type."""
+    outlines = []
+    for name, place, turn in zip(ids, position, angle, strict=True):
+        part = types.get(part_class(name))
+        if part is None:
+            outlines.append(np.empty((0, 2)))
+            continue
+        c, s = np.cos(turn), np.sin(turn)
+        outlines.append(calibration.to_image(part.polygon @ np.array([[c, s], [-s, c]]) + place))
+    return outlines
 
 
 def draw_errors(fit: LensFit) -> np.ndarray:

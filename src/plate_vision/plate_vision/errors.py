@@ -21,6 +21,10 @@ class TrackError(PlateError):
     """Measurements cannot be followed: wrong shape, or values that are not finite."""
 
 
+class TeachError(PlateError):
+    """A type of part cannot be learned from these examples."""
+
+
 def check_ranges(options: object, ranges: Mapping[str, tuple[float, float]]) -> None:
     """Refuse options of which a value is out of its range."""
     for name, (low, high) in ranges.items():

@@ -30,6 +30,7 @@ from plate_core.ros import (
     array_to_image,
     camera_to_msg,
     compiling,
+    msg_to_wanted,
     parameter,
     parts_to_msg,
     plate_to_msg,
@@ -39,8 +40,9 @@ from plate_core.ros import (
     seconds,
 )
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Input, Level, used, worst
-from plate_interfaces.msg import Parts
+from plate_interfaces.msg import PartForces, Parts
 
+from .bare_plate import MODELLED, BarePlate, know_plate, learn_next
 from .camera import (
     LENS_MODELS,
     Lens,
@@ -52,10 +54,13 @@ from .camera import (
     rig_of_picture,
 )
 from .detection import DetectorOptions
-from .drawing import ARROW_S, draw_detections
-from .errors import CalibrationError, ImageError
+from .drawing import ARROW_S, draw_detections, outlines_px
+from .errors import CalibrationError, ImageError, TeachError
+from .live_teaching import Teaching, learn_shown
 from .plate import PlateLocation, light_problem
-from .tracking import Tracker, TrackerOptions, found_text
+from .recognition import camera_limits
+from .shapes.part_files import OUT, load_bare
+from .tracking import Prediction, Tracker, TrackerOptions, found_text
 from .vision import HOME, follow_plate, make_vision, observe, size_problem, warm_up
 
 WARN_PERIOD_S = 2.0
@@ -90,6 +95,11 @@ class DetectorParameters(NodeOptions):
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S, "Diagnostics say STALE when no image comes for longer [s]", 0.1, 3600.0
     )
+    bare_plate_file: str = parameter(
+        "", "For part types: picture of the bare plate, or a folder; empty: it is modelled"
+    )
+    teach_name: str = parameter("", "Name of the part type that ~/teach learns", live=True)
+    teach_file: str = parameter(str(OUT), "File of part types that ~/teach writes")
     bits: int = parameter(16, "Bits that are used of encodings with 16 bits", 8, 16, live=True)
     threshold: float = _option(
         DetectorOptions,
@@ -154,10 +164,14 @@ class Tally:
 class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     """Lifecycle node `detector`: finds parts, and the plate if it has markers, in camera images.
 
-    Subscribes image_raw (or image_raw/compressed), camera_info.
+    Subscribes image_raw (or image_raw/compressed), camera_info; and part_forces, which tell where
+    parts will be: so each keeps its id.
     Publishes parts, detections_image, markers, diagnostics; with markers on the plate plate_pose,
     and in /tf plate in plate_home; in /tf_static camera_optical_frame, if the lens is known.
     Service ~/reset: forget all parts, and find the plate again.
+    For rigs with part types: ~/learn_plate takes the next images for those of the bare plate;
+    ~/teach learns the type `teach_name` from the parts in the last image, all of that type; called
+    again with the same name, from all images since (place a part, call; place it otherwise, call).
 
     Every image that can be used is answered, also if no part is seen; the answer carries the
     image's stamp. Of camera_info only the lens is used, in place of the rig file's: where the plate
@@ -184,6 +198,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             size = self._rig.camera
             self._lens = load_lens(values.camera_file, (size.width_px, size.height_px))
         self._vision = make_vision(self._rig, values.detector(), self._lens)
+        for limit in camera_limits(self._rig.types, self._vision.calibration):
+            self.get_logger().warning(limit)
+        if values.bare_plate_file:
+            bare = load_bare(Path(values.bare_plate_file), self._vision.region.size_px)
+            self._vision = replace(self._vision, background=bare)
         with compiling(self):
             warm_up(self._vision)
         self._parts = self.managed_publisher(Parts, "parts", DATA)
@@ -202,13 +221,18 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self.managed_subscription(CompressedImage, topic, self._on_file, CAMERA)
         if values.source == "topic" and not values.camera_file:
             self.managed_subscription(CameraInfo, "camera_info", self._on_camera_info, CAMERA)
+        self.managed_subscription(PartForces, "part_forces", self._on_forces, DATA)
         self.managed_service(Trigger, "~/reset", self._on_reset)
+        self.managed_service(Trigger, "~/learn_plate", self._on_learn_plate)
+        self.managed_service(Trigger, "~/teach", self._on_teach)
 
     def begin(self) -> None:
         """Know nothing of what was seen before."""
         values = self.options
         self._location = self._unknown_location()
         self._tracker = Tracker(values.tracker())
+        self._expected: Prediction | None = None
+        self._given_up = self._renamed = 0
         self._trails: dict[str, deque[tuple[float, float]]] = {}
         compressed = values.image_transport == "compressed"
         topic = self.resolve_topic_name("image_raw/compressed" if compressed else "image_raw")
@@ -217,6 +241,9 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         )
         self._tally, self._reported_at = Tally(), time.monotonic()
         self._images = self._refused = 0
+        self._plate = BarePlate(learned=self._vision.background is not None)
+        self._teaching = Teaching()
+        self._image: np.ndarray | None = None
         if self._location is None:
             self._place_camera()
 
@@ -265,7 +292,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _tell(self, name: str, image: np.ndarray) -> None:
         """Say what a picture held; of the first, and where nothing is found, also why."""
         self.get_logger().info(f"{name}: {found_text(self._tracker)}")
-        if self._images == 1 or not self._tracker.found:
+        alike = self._vision.catalogue is None
+        if alike and (self._images == 1 or not self._tracker.found):
             problem = size_problem(self._vision, image)
             if problem:
                 self._warn(f"{name}: {problem}")
@@ -280,7 +308,11 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             began = time.perf_counter()
             if self._location is not None:
                 image = self._find_plate(self._location, image, stamp)
-            self._tracker = observe(self._vision, self._tracker, image, seconds(stamp))
+            self._image = image
+            if self._vision.catalogue is not None:
+                self._know_plate(image, seconds(stamp))
+            before = self._tracker
+            self._tracker = observe(self._vision, before, image, seconds(stamp), self._expected)
         except PlateError as error:
             self._warn(f"{source} ignored: {error}")
             self._tally.refused += 1
@@ -288,6 +320,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._refused += 1
             return False
         self._tally.detection_ms.append(1e3 * (time.perf_counter() - began))
+        if self._tracker is not before:
+            self._note_ids()
         problem = light_problem(image, self._vision.options.min_plate_grey)
         if problem:
             self._warn(f"{source}: {problem}")
@@ -299,6 +333,65 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._markers.publish(self._scene(stamp))
         return True
 
+    def _know_plate(self, image: np.ndarray, stamp: float) -> None:
+        """Learn the bare plate, or model it, or follow its light."""
+        self._plate, self._vision, found = know_plate(self._plate, self._vision, image, stamp)
+        if found is None:
+            return
+        if found.level == Level.OK:  # a logger takes one severity from each line
+            self.get_logger().info(found.message)
+        else:
+            self.get_logger().warning(found.message)
+
+    def _on_learn_plate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Take the next images for those of the bare plate."""
+        if self._vision.catalogue is None:
+            response.message = "types: the rig has none, allowed: a rig file with part types"
+            return response
+        self._plate, response.message = learn_next(self._plate, self._image, self._vision.region)
+        response.success = True
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_teach(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Learn a type of part from what lies there."""
+        try:
+            if self._image is None:
+                raise TeachError("no image came yet, allowed: a part before the camera")
+            teaching = self._teaching.shown(self.options.teach_name, self._image)
+            part, self._vision, response.message = learn_shown(
+                teaching, self._vision, Path(self.options.teach_file)
+            )
+            self._teaching = teaching
+            self._rig = replace(self._rig, types={**self._rig.types, part.name: part})
+            response.success = True
+        except (PlateError, OSError) as error:
+            response.message = str(error)
+        self.get_logger().info(f"~/teach: {response.message}")
+        return response
+
+    def _on_forces(self, msg: PartForces) -> None:
+        """Note where the planner expects parts at the end of the running cycle, if it knows."""
+        try:
+            wanted = msg_to_wanted(msg)
+        except PlateError:
+            return  # the solver says what is wrong
+        self._expected = None
+        if wanted.start is not None:
+            place = wanted.start[:, :2]
+            self._expected = Prediction(wanted.parts.ids, seconds(msg.start), place)
+
+    def _note_ids(self) -> None:
+        """Say which ids are gone since the last image."""
+        given_up, renamed = self._tracker.given_up, self._tracker.renamed
+        if given_up:
+            images = self._tracker.options.max_missed + 1
+            self.get_logger().info(f"given up after {images} images: {', '.join(given_up)}")
+        for before, now in renamed:
+            self.get_logger().info(f"{before} has been seen as another class since: it is {now}")
+        self._given_up += len(given_up)
+        self._renamed += len(renamed)
+
     def _draw(self, image: np.ndarray) -> np.ndarray:
         parts, calibration = self._tracker.parts, self._vision.calibration
         return draw_detections(
@@ -308,6 +401,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             self._rig.parts.radius_m * calibration.scale(parts.position),
             calibration.to_image(parts.position + ARROW_S * parts.velocity),
             self._vision.region.outline_px,
+            outlines_px(self._rig.types, parts.ids, parts.position, parts.angle, calibration),
         )
 
     def _scene(self, stamp: Time) -> MarkerArray:
@@ -351,7 +445,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Forget all parts, and where home is: numbers begin at 1 again with the next image."""
         response.message = f"{len(self._tracker.tracks)} parts forgotten"
-        self._tracker = Tracker(self._tracker.options)
+        self._tracker, self._expected = Tracker(self._tracker.options), None
         self._location = self._unknown_location()
         response.success = True
         self.get_logger().info(response.message)
@@ -363,6 +457,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         findings = [used("images", tally.images, tally.refused, tally.why)]
         if tally.problem:
             findings.append(Finding(Level.WARN, tally.problem))
+        if self._vision.catalogue is not None and not self._plate.learned:
+            findings.append(Finding(Level.WARN, MODELLED))
         if self.options.source == "topic":
             findings.append(self._input.gone(now))
             if self._input.came is None:
@@ -380,6 +476,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
             "rate_hz": f"{tally.images / max(now - self._reported_at, 1e-3):.1f}",
             "silent_s": f"{self._input.silence(now):.2f}",
             "parts_seen": len(self._tracker.parts),
+            "ids_given_up": self._given_up,
+            "ids_renamed": self._renamed,
             "detection_ms_median": f"{np.median(took):.2f}" if took else "0",
             "detection_ms_max": f"{max(took):.2f}" if took else "0",
         }
@@ -400,7 +498,8 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self._lens_message = content  # judged once, not with every image
         try:
             lens = lens_of(msg, self._vision.region.size_px)
-            self._vision = make_vision(self._rig, self._vision.options, lens)
+            known = make_vision(self._rig, self._vision.options, lens)
+            self._vision = replace(known, background=self._vision.background)
             self._lens = lens
             self._location = self._unknown_location()
             if self._location is None:

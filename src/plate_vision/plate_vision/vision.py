@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,10 +13,15 @@ from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, detect, round_patches
+from .discs import MARK_RADII
 from .errors import ImageError
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
-from .tracking import Tracker, update
+from .recognition import find_types, is_named, model_plate
+from .shapes import Background
+from .shapes.catalogue import Catalogue, make_catalogue
+from .shapes.groups import warm_up as warm_up_types
+from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
 """The plate at rest."""
@@ -39,6 +44,16 @@ blur by motion, is not in it."""
 MARK_PX = 0.08
 """Scatter of a mark's direction, times the part's radius [px]: drawn as above, at 8 px."""
 
+SHAPE_PX = 0.04
+"""Scatter of the centre of a part of a taught type along each axis [px]: `bench/stages/classes.py`
+has the figures."""
+
+UNKNOWN_PX = 0.3
+"""Scatter of the centre of what is of no type [px]: its outline is all that is known of it."""
+
+SPECK = 0.3
+"""What is of no type, and smaller than this fraction of the smallest type, is no part [-]."""
+
 ANY_ANGLE = math.pi / math.sqrt(3)
 """Standard deviation of an angle of which nothing is known [rad]: all are as likely."""
 
@@ -57,12 +72,22 @@ class Vision:
         What a part looks like.
     radius : float
         Of the parts [m].
+    catalogue : Catalogue, optional
+        Types of parts; None: they are discs of that radius.
+    background : Background, optional
+        The bare plate, for types; None: modelled from each image.
+    inner : (2,)
+        Half sides of what is plate wherever the motors are [m]: further out, what is of no type may
+        be the edge of a plate that was not at home.
     """
 
     calibration: Calibration
     region: Region
     options: DetectorOptions
     radius: float
+    catalogue: Catalogue | None = None
+    background: Background | None = None
+    inner: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
 
     def size(self, point_px: np.ndarray) -> np.ndarray:
         """Radius (n,) of a part seen at points (n, 2) [px], relative to the options' radius."""
@@ -77,7 +102,7 @@ def make_vision(
     calibration: Calibration | None = None,
     pose: np.ndarray | None = None,
 ) -> Vision:
-    """Take camera, plate and the parts' radius from a rig.
+    """Take camera, plate, and the parts' types or radius from a rig.
 
     Parameters
     ----------
@@ -115,10 +140,18 @@ def make_vision(
         make_region((rig.camera.width_px, rig.camera.height_px), outline_px),
         replace(options or DetectorOptions(), radius_px=radius_px),
         rig.parts.radius_m,
+        make_catalogue(rig.types) if rig.types else None,
+        inner=rig.plate.half - rig.limits.stroke_m,
     )
 
 
-def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -> Tracker:
+def observe(
+    vision: Vision,
+    tracker: Tracker,
+    image: np.ndarray,
+    stamp: float,
+    expected: Prediction | None = None,
+) -> Tracker:
     """Find the parts of one image and follow them: the answer is the result's `parts`.
 
     Parameters
@@ -128,9 +161,11 @@ def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -
     tracker : Tracker
         The parts so far.
     image : (H, W) or (H, W, 3) uint8
-        Grey levels.
+        Grey levels, or blue, green, red.
     stamp : float
         When it was taken [s].
+    expected : Prediction, optional
+        Where parts should be by the plate's motion, if that is known: see `tracking.update`.
 
     Raises
     ------
@@ -138,12 +173,42 @@ def observe(vision: Vision, tracker: Tracker, image: np.ndarray, stamp: float) -
         If the image is not uint8, has another shape, or not the rig's size.
     """
     check_image(image, vision)
+    if vision.catalogue is not None:
+        return _observe_types(vision, vision.catalogue, tracker, image, stamp, expected)
     size = None if vision.calibration.lens is None else vision.size
     found = detect(image, vision.options, vision.region, size)
     centre_px = np.stack([found["x_px"], found["y_px"]], axis=1)
     centre = vision.calibration.disc_centres(centre_px, found["radius_px"])
     angle, quality = _angles(vision, found, centre_px), _quality(vision, found, centre_px, centre)
-    return update(tracker, stamp, centre, found["label"], angle, quality)
+    return update(tracker, stamp, centre, found["label"], angle, quality, expected=expected)
+
+
+def _observe_types(
+    vision: Vision,
+    catalogue: Catalogue,
+    tracker: Tracker,
+    image: np.ndarray,
+    stamp: float,
+    expected: Prediction | None,
+) -> Tracker:
+    """Find and follow parts of taught types: as `observe`."""
+    bare = vision.background
+    if bare is None:
+        bare = model_plate(image, vision.region)
+    seen = find_types(image, catalogue, bare, vision.calibration, vision.region)
+    named = is_named(seen)
+    centre = np.column_stack([seen["x"], seen["y"]])
+    scale = vision.calibration.scale(centre)
+    least = SPECK * np.min(catalogue.area)
+    on_plate = np.all(np.abs(centre) <= vision.inner, axis=1)
+    kept = named | (on_plate & (np.pi * (seen["radius_px"] / scale) ** 2 > least))
+    seen, named, centre, scale = seen[kept], named[kept], centre[kept], scale[kept]
+    symmetry = np.array([catalogue.symmetry.get(label, 0) for label in seen["label"].tolist()], int)
+    place = np.where(named, SHAPE_PX, UNKNOWN_PX) / scale
+    place[~seen["whole"]] = np.nan
+    angle = np.where(symmetry > 0, seen["angle_sd"], ANY_ANGLE)
+    quality = np.column_stack([place, angle, seen["confidence"]])
+    return update(tracker, stamp, centre, seen["label"], seen["angle"], quality, symmetry, expected)
 
 
 def size_problem(vision: Vision, image: np.ndarray) -> str | None:
@@ -155,8 +220,11 @@ def size_problem(vision: Vision, image: np.ndarray) -> str | None:
     discs = round_patches(image, vision.region)
     if not len(discs):
         return None
+    bright = discs["contrast"] > 0
+    most_bright = 2 * np.count_nonzero(bright) > len(discs)
+    discs = discs[bright == most_bright]
     seen = f"{len(discs)} round patch{'es' if len(discs) > 1 else ''}"
-    if np.any(discs["contrast"] > 0):  # then all are
+    if most_bright:
         return f"{seen} brighter than what is behind, allowed: parts darker than the plate"
     centre = np.stack([discs["x_px"], discs["y_px"]], axis=1)
     scale = float(np.median(vision.size(centre))) * vision.options.radius_px / vision.radius
@@ -188,13 +256,19 @@ def follow_plate(
     check_image(image, vision)
     now, image = locate_plate(location, image)
     if now.region_pose is not location.region_pose:
-        vision = make_vision(now.rig, vision.options, calibration=now.home, pose=now.region_pose)
+        rig = replace(now.rig, types={})  # they are known
+        placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
+        vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
     return now, vision, image
 
 
 def warm_up(vision: Vision) -> None:
     """Compile what parts need, also many that touch, before the first image comes."""
     image = three_discs(vision)
+    if vision.catalogue is not None:
+        observe(vision, Tracker(), np.dstack([image] * 3), 0.0)
+        warm_up_types(vision.catalogue)
+        return
     observe(vision, Tracker(), image, 0.0)
     x, y = np.rint(np.mean(vision.region.outline_px, axis=0)).astype(int)
     half = round(CLUMP * vision.options.radius_px)
@@ -203,7 +277,8 @@ def warm_up(vision: Vision) -> None:
 
 
 def three_discs(vision: Vision) -> np.ndarray:
-    """Return an image (H, W) uint8 of two discs that touch and a third, amid the region."""
+    """Return an image (H, W) uint8 of two discs that touch and a third with a mark, amid the
+    region."""
     width, height = vision.region.size_px
     image = np.full((height, width), BRIGHT, np.uint8)
     radius = vision.options.radius_px
@@ -211,6 +286,8 @@ def three_discs(vision: Vision) -> np.ndarray:
     for place in (-1, 1, 5):
         x, y = np.rint(middle + [place * radius, 0]).astype(int)
         cv2.circle(image, (int(x), int(y)), round(radius), DARK, thickness=-1)
+    mark = (int(x) + round(radius / 2), int(y))
+    cv2.circle(image, mark, round(MARK_RADII * radius), (BRIGHT + DARK) // 2, thickness=-1)
     return image
 
 

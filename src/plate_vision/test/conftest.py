@@ -249,3 +249,53 @@ class MarkedPlate:
 @pytest.fixture
 def make_plate():
     return MarkedPlate
+
+
+TYPES_SUB = 8
+"""Sub-pixels along each side of a pixel in `draw_types`."""
+
+
+def draw_types(
+    types, poses, rng, scale=1000.0, size_px=(640, 480), plate=(88.0, 0.0, 2.0), noise=2.0,
+    blur=0.7, to_image=None,
+):  # fmt: skip
+    """Return a picture (H, W, 3) uint8 of parts of `types` at `poses`: name, x, y [m], angle [rad].
+
+    Seen from above at `scale` [px/m], the origin in the middle, y up; or by `to_image`.
+    """
+    import cv2
+
+    def bgr(lab):
+        return 255 * cv2.cvtColor(np.float32([[lab]]), cv2.COLOR_Lab2BGR)[0, 0]
+
+    width, height = size_px
+    image = np.tile(bgr(plate), (height, width, 1)).astype(np.float32)
+    for name, x, y, angle in poses:
+        c, s = np.cos(angle), np.sin(angle)
+        rings = [types[name].polygon, *map(np.array, types[name].holes)]
+        rings = [ring @ np.array([[c, s], [-s, c]]) + (x, y) for ring in rings]
+        if to_image is None:
+            rings = [ring * (scale, -scale) + ((width - 1) / 2, (height - 1) / 2) for ring in rings]
+        else:
+            rings = [to_image(ring) for ring in rings]
+        low = np.clip(np.floor(rings[0].min(axis=0)).astype(int) - 1, 0, size_px)
+        high = np.clip(np.ceil(rings[0].max(axis=0)).astype(int) + 2, 0, size_px)
+        if np.any(high <= low):
+            continue
+        fine = np.zeros(TYPES_SUB * (high - low)[::-1], np.uint8)
+        for level, ring in zip([255] + [0] * len(rings), rings, strict=False):
+            point = 16 * (TYPES_SUB * (ring - low + 0.5) - 0.5)
+            cv2.fillPoly(fine, [np.rint(point).astype(np.int32)], level, shift=4)
+        size = tuple((high - low).tolist())
+        cover = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)[:, :, None] / 255
+        window = image[low[1] : high[1], low[0] : high[0]]
+        window += cover * (bgr(types[name].colour_lab) - window)
+    if blur:
+        image = cv2.GaussianBlur(image, (0, 0), blur)
+    image = image + noise * rng.standard_normal(image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(name="draw_types")
+def draw_types_fixture():
+    return draw_types

@@ -112,8 +112,9 @@ def test_drift_of_still_parts_is_small(draw, rng):
     assert drift.std(axis=0).max() < 1e-3
 
 
-def test_what_is_compiled_first_has_parts_that_touch_and_one_that_does_not(vision):
+def test_what_is_compiled_first_has_parts_that_touch_and_one_that_does_not_with_a_mark(vision):
     parts = observe(vision, Tracker(), three_discs(vision), 0.0).parts
     x = np.sort(parts.position[:, 0])
     radius = load_rig().parts.radius_m
     assert np.diff(x) == pytest.approx([2 * radius, 4 * radius], abs=0.15 * radius)
+    assert np.count_nonzero(parts.angle) == 1

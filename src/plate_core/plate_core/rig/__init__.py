@@ -1,4 +1,5 @@
-"""Measured facts of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials.
+"""Measured facts of one rig: plate, friction, motors, limits, suspension, camera, lens, fiducials,
+part types and their polygons.
 
 Also its frames: room (`plate_home`), moving plate, image. A rig file is read by `load_rig`;
 `SECTIONS` are its keys.
@@ -21,6 +22,15 @@ from .frames import (
 )
 from .lens import Lens
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
+from .part_types import (
+    MOST_CORNERS,
+    MOST_HOLES,
+    PART_TYPE,
+    PartType,
+    load_part_types,
+    read_part_types,
+)
+from .polygons import contains, is_simple, moments, overlap, rim_distance
 from .rig import (
     SECTIONS,
     Camera,
@@ -41,7 +51,10 @@ from .suspension import Suspension, mass_matrix, modal_matrices
 __all__ = [
     "CYCLE_HZ",
     "LEAST_GAMMA",
+    "MOST_CORNERS",
+    "MOST_HOLES",
     "PART_PX",
+    "PART_TYPE",
     "PEAK_OVER_RMS",
     "SECTIONS",
     "Camera",
@@ -53,26 +66,34 @@ __all__ = [
     "Limits",
     "Motor",
     "PartFacts",
+    "PartType",
     "Plate",
     "Reach",
     "Rig",
     "Suspension",
     "camera_pose",
+    "contains",
     "default_rig_path",
     "doubts",
     "fit_homography",
     "home_pose",
     "homography",
+    "is_simple",
+    "load_part_types",
     "load_rig",
     "mass_matrix",
     "modal_matrices",
+    "moments",
     "motor_levers",
     "motor_reach",
+    "overlap",
     "part_radius_px",
     "plate_mass",
     "project",
+    "read_part_types",
     "rig_names",
     "rig_path",
+    "rim_distance",
     "row_delay",
     "surface_velocity",
     "to_home",

@@ -184,10 +184,15 @@ def _parts(rig: Rig) -> Iterator[Doubt]:
             "several parts have room to pass each other",
             radius > most,
         )
-    if rig.parts.mass_kg > 0.1 * rig.plate.mass_kg:
+    masses = {name: part.mass_kg or 0.0 for name, part in rig.types.items()}
+    heaviest = max(masses, key=lambda name: masses[name], default="")
+    where, mass = "parts", rig.parts.mass_kg
+    if heaviest and masses[heaviest] > mass:
+        where, mass = f"types: {heaviest}", masses[heaviest]
+    if mass > 0.1 * rig.plate.mass_kg:
         yield Doubt(
             "parts",
-            f"parts: mass_kg is {rig.parts.mass_kg:g} on a plate of {rig.plate.mass_kg:g} kg: the "
+            f"{where}: mass_kg is {mass:g} on a plate of {rig.plate.mass_kg:g} kg: the "
             "plate is taken not to feel the parts, advised: a tenth of it or less",
         )
 

@@ -3,7 +3,7 @@ means (docs/reference.md)."""
 
 from __future__ import annotations
 
-from ..yaml_fields import Choice, Key, Number, Numbers, Section, Table, Whole
+from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Table, Whole
 
 FAR_M = 10.0
 """No coordinate is greater [m]."""
@@ -37,6 +37,7 @@ CAMERA = Section(
             "readout_s", Number(0, 0.1), "Rolling shutter: the last row is exposed this much later "
             "than the first; 0 with a global one.", 0.0,
         ),
+        Key("colour", Flag(), "Whether it sees colours.", False),
         Key(
             "trigger_phase", Number(0, 0.999), "The motor controller triggers the camera at this "
             "fraction of each cycle.", None, "the camera runs free",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from .consistency import check
 from .fiducials import Fiducials, read_fiducials
 from .lens import Lens
 from .motors import Reach, motor_loads, reach
+from .part_types import PART_TYPE, PartType, load_part_types, read_part_types
 from .suspension import Suspension, read_suspension
 
 
@@ -60,10 +62,10 @@ class Friction:
 
 @dataclass(frozen=True)
 class PartFacts:
-    """The parts: round, all alike; mass [kg] and radius [m]."""
+    """The parts that are of no type of `types`: round, all alike; mass [kg] and radius [m]."""
 
-    mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part; all parts are alike.")
-    radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part; all parts are round.")
+    mass_kg: float = measured("mass_kg", 1e-6, 10, "Mass of a part.")
+    radius_m: float = measured("radius_m", 1e-4, 1, "Radius of a part.")
 
 
 @dataclass(frozen=True)
@@ -150,8 +152,8 @@ class CameraTrigger:
 class Camera:
     """The camera: image size [px], exposure [s], image points of the plate's corners at rest
     (4 pairs, order of `Plate.corners`) [px] as they are seen; its lens, if that is calibrated; and
-    by how much its last row is exposed later than its first [s]; and what triggers it, if that is
-    the motor controller."""
+    by how much its last row is exposed later than its first [s]; what triggers it, if that is the
+    motor controller; and whether it sees colours."""
 
     width_px: int
     height_px: int
@@ -160,12 +162,13 @@ class Camera:
     lens: Lens | None = None
     readout_s: float = 0.0
     trigger: CameraTrigger | None = None
+    colour: bool = False
 
 
 @dataclass(frozen=True)
 class Rig:
     """All facts of one rig; without a suspension the plate is rigid and does as commanded, without
-    fiducials the camera sees only the plate's edges."""
+    fiducials the camera sees only the plate's edges, without types parts are round and alike."""
 
     plate: Plate
     friction: Friction
@@ -175,6 +178,23 @@ class Rig:
     camera: Camera
     suspension: Suspension | None = None
     fiducials: Fiducials | None = None
+    types: Mapping[str, PartType] = field(default_factory=dict, hash=False)
+
+    def part_type(self, name: str) -> PartType:
+        """Return a type of part with its mass and friction; one that is not in `types` is round, as
+        `parts` says."""
+        if name not in self._part_types:
+            known = self.types.get(name) or PartType(name, radius_m=self.parts.radius_m, symmetry=0)
+            self._part_types[name] = replace(
+                known,
+                mass_kg=self.parts.mass_kg if known.mass_kg is None else known.mass_kg,
+                mu=self.friction.mu if known.mu is None else known.mu,
+            )
+        return self._part_types[name]
+
+    @cached_property
+    def _part_types(self) -> dict[str, PartType]:
+        return {}
 
     @cached_property
     def reach(self) -> Reach:
@@ -276,9 +296,19 @@ def read_rig(path: Path) -> Rig:
         camera=_camera(fields.child("camera")),
         suspension=_suspension(fields, plate),
         fiducials=read_fiducials(fields.child("fiducials")) if fields.has("fiducials") else None,
+        types=_types(fields, path.parent),
     )
     fields.finish()
     return rig
+
+
+def _types(fields: Fields, folder: Path) -> Mapping[str, PartType]:
+    """Return the part types that stand in a rig file, or in a file beside it."""
+    if not fields.has("types"):
+        return {}
+    if fields.holds_mapping("types"):
+        return read_part_types(fields.child("types"))
+    return load_part_types(folder / fields.text("types"))
 
 
 def _limits(fields: Fields) -> Limits:
@@ -332,6 +362,7 @@ def _camera(fields: Fields) -> Camera:
         corners_px=tuple((float(a), float(b)) for a, b in corners),
         lens=_lens(fields, width, height),
         trigger=_trigger(fields),
+        colour=fields.value(keys.CAMERA["colour"]),
     )
     fields.finish()
     return camera
@@ -364,11 +395,12 @@ def _lens(fields: Fields, width: int, height: int) -> Lens | None:
 SECTIONS = (
     Section("plate", "The plate.", keys_of(Plate)),
     Section("friction", "Coulomb friction between parts and plate.", keys_of(Friction)),
-    Section("parts", "The parts: round, all alike.", keys_of(PartFacts)),
+    Section("parts", "Parts of no type in `types`: round, all alike.", keys_of(PartFacts)),
     Section("limits", "What the motors and the plate can do.", keys_of(Limits)),
     keys.MOTOR,
     keys.CAMERA,
     keys.FIDUCIALS,
     keys.SUSPENSION,
+    PART_TYPE,
 )
 """All of a rig file, in the order of the reference."""

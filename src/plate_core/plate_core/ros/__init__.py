@@ -16,18 +16,29 @@ from .convert import (
     msg_to_knots,
     msg_to_motors,
     msg_to_parts,
+    msg_to_targets,
     msg_to_wanted,
     nanoseconds,
     parts_to_msg,
     pose_to_msg,
     seconds,
+    target_to_msg,
+    targets_to_msg,
     to_time,
     trajectory_to_msg,
     wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
-from .frames import camera_to_msg, plate_to_msg
-from .goals import ACTIONS, goal_to_scenario, scenario_to_goal
+from .frames import FRAME, camera_to_msg, plate_to_msg
+from .goals import (
+    ACTIONS,
+    goal_to_scenario,
+    msg_to_order,
+    msg_to_pick,
+    order_to_msg,
+    pick_to_msg,
+    scenario_to_goal,
+)
 from .lifecycle import NodeOptions, SafeLifecycleNode, start_nodes
 from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
@@ -41,6 +52,7 @@ __all__ = [
     "CAMERA",
     "DATA",
     "DIAGNOSTICS_PERIOD_S",
+    "FRAME",
     "IMAGE",
     "LATCHED",
     "NEWEST",
@@ -67,12 +79,17 @@ __all__ = [
     "msg_to_driver_status",
     "msg_to_knots",
     "msg_to_motors",
+    "msg_to_order",
     "msg_to_parts",
+    "msg_to_pick",
     "msg_to_reports",
+    "msg_to_targets",
     "msg_to_wanted",
     "nanoseconds",
+    "order_to_msg",
     "parameter",
     "parts_to_msg",
+    "pick_to_msg",
     "plate_to_msg",
     "pose_to_msg",
     "run_node",
@@ -81,6 +98,8 @@ __all__ = [
     "scene_to_msg",
     "seconds",
     "start_nodes",
+    "target_to_msg",
+    "targets_to_msg",
     "to_time",
     "trajectory_to_msg",
     "wanted_to_msg",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +16,15 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 from plate_interfaces.msg import Part, PartForce, PartForces
 from plate_interfaces.msg import Parts as PartsMsg
+from plate_interfaces.msg import Target as TargetMsg
+from plate_interfaces.msg import Targets as TargetsMsg
 
 from ..driver_status import DriverReason, DriverState, DriverStatus
 from ..errors import CycleError, PlateError
 from ..motion import PlateCycle, motor_state, plate_state
-from ..parts import MOST_PARTS, Parts, Targets, Wanted, part_class
+from ..parts import MOST_PARTS, AngleTargets, Parts, Targets, Wanted, part_class
 from ..rig import Camera, Rig
+from ..tasks import PartTarget
 from .frames import CAMERA_FRAME, FRAME
 
 PLATE_JOINTS = ["x", "y", "theta"]
@@ -37,8 +41,11 @@ INTERVALS = (
 )  # fmt: skip
 """Fields of PartForce."""
 
-TARGETS = ("target_x_min", "target_x_max", "target_y_min", "target_y_max")
-WEIGHTS = ("weight_x", "weight_y")
+TARGETS = (
+    "target_x_min", "target_x_max", "target_y_min", "target_y_max", "target_angle_min",
+    "target_angle_max",
+)  # fmt: skip
+WEIGHTS = ("weight_x", "weight_y", "weight_angle")
 """Fields of PartForce."""
 
 UNKNOWN = -1.0
@@ -151,12 +158,14 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
     low, high = wanted.force - wanted.tolerance, wanted.force + wanted.tolerance
     to = wanted.targets
     if to is None:
-        sought = np.zeros((len(parts), 6))
+        sought = np.zeros((len(parts), 9))
     else:
-        msg.to_targets, msg.clear_m = True, float(to.clear_m)
+        msg.to_targets, msg.gap_m = True, float(to.gap_m)
+        angles = to.angles or AngleTargets(*np.zeros((3, len(parts))))
         sought = np.column_stack(
-            [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], to.weight]
-        )
+            [to.low[:, 0], to.high[:, 0], to.low[:, 1], to.high[:, 1], angles.low, angles.high,
+             to.weight, angles.weight]
+        )  # fmt: skip
     turned = np.where(wanted.torque == 0, np.inf, 0.0)  # without: any turning will do
     rows = np.column_stack(
         [state[:, :2], parts.angle, state[:, 2:], parts.velocity, parts.spin, parts.friction_limit,
@@ -205,14 +214,52 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
     )
 
 
+def target_to_msg(target: PartTarget) -> TargetMsg:
+    """Return where a part is to come as a message."""
+    x, y = target.place
+    angle = math.nan if target.angle is None else target.angle
+    return TargetMsg(id=target.id, x=float(x), y=float(y), angle=float(angle))
+
+
+def targets_to_msg(targets: Sequence[PartTarget], stamp: Time) -> TargetsMsg:
+    """Return where parts are to come as a message."""
+    header = Header(stamp=stamp, frame_id=FRAME)
+    return TargetsMsg(header=header, targets=[target_to_msg(target) for target in targets])
+
+
+def msg_to_targets(msg: TargetsMsg) -> tuple[PartTarget, ...]:
+    """Return where parts are to come; whether each can be asked there, `target_problem` says.
+
+    Raises
+    ------
+    PlateError
+        If there are more than `MOST_PARTS`, a name is given twice, or the frame is another one.
+    """
+    frame, ids = msg.header.frame_id, [target.id for target in msg.targets]
+    if len(ids) > MOST_PARTS:
+        raise PlateError(f"targets: {len(ids)} targets, allowed: at most {MOST_PARTS}")
+    if frame and frame.rpartition("/")[2] != FRAME:
+        raise PlateError(f"targets: frame is {frame[:50]!r}, allowed: {FRAME}")
+    if len(set(ids)) < len(ids):
+        again = next(name for name in ids if ids.count(name) > 1)
+        raise PlateError(f"targets: {again[:50]} stands twice, allowed: each part once")
+    return tuple(
+        PartTarget(each.id, (each.x, each.y), None if math.isnan(each.angle) else each.angle)
+        for each in msg.targets
+    )
+
+
 def _targets(ids: tuple[str, ...], msg: PartForces) -> Targets:
     """Return where a message wants parts to come, if that is sane."""
     ends = np.clip(_intervals(ids, msg.forces, TARGETS), -MOST, MOST)
     weight = _checked("part_forces", ids, msg.forces, WEIGHTS)
-    for name, least in (("weight", weight.min(initial=0.0)), ("clear_m", msg.clear_m)):
+    for name, least in (("weight", weight.min(initial=0.0)), ("gap_m", msg.gap_m)):
         if not 0 <= least <= MOST:
             raise PlateError(f"part_forces: {name} is {least:g}, allowed: at least 0")
-    return Targets(ends[:, 0::2], ends[:, 1::2], weight, float(msg.clear_m))
+    angles = None
+    if np.any(weight[:, 2]):
+        angles = AngleTargets(ends[:, 4], ends[:, 5], weight[:, 2])
+    return Targets(ends[:, 0:4:2], ends[:, 1:4:2], weight[:, :2], float(msg.gap_m), angles)
 
 
 def _intervals(

@@ -6,17 +6,32 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
+from std_msgs.msg import Header
 
-from plate_interfaces.action import AssembleParts, FollowPaths, PoseParts, SortParts
-from plate_interfaces.msg import PartCount, Path, Place, Region
+from plate_interfaces.action import (
+    AssembleParts,
+    FeedParts,
+    FollowPaths,
+    MoveParts,
+    PoseParts,
+    SortParts,
+)
+from plate_interfaces.msg import FeedOrder as FeedOrderMsg
+from plate_interfaces.msg import FeedPick, PartCount, Path, Place, Region
 
-from ..errors import ScenarioError
+from ..errors import PlateError, ScenarioError
 from ..tasks import (
     AssembleTask,
     Bin,
+    FeedMode,
+    FeedOrder,
+    FeedTask,
     FollowTask,
+    MoveTask,
     PathTask,
+    Pick,
     PoseTask,
     Scenario,
     SortTask,
@@ -24,12 +39,15 @@ from ..tasks import (
     side_name,
 )
 from ..yaml_fields import Fields
+from .convert import target_to_msg
 
 ACTIONS: Mapping[str, Any] = {
     "sort_parts": SortParts,
     "follow_paths": FollowPaths,
     "assemble_parts": AssembleParts,
     "pose_parts": PoseParts,
+    "move_parts": MoveParts,
+    "feed_parts": FeedParts,
 }
 """The planner's actions, by name."""
 
@@ -40,9 +58,12 @@ def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:
     """Return the name of the action that does a scenario, and the goal to send."""
     for name, (kind, write, _) in KINDS.items():
         if isinstance(scenario.task, kind):
-            goal = ACTIONS[name].Goal(time_limit_s=float(scenario.time_limit_s))
+            limit = scenario.time_limit_s
+            goal = ACTIONS[name].Goal(time_limit_s=float(limit) if math.isfinite(limit) else 0.0)
             goal.parts = [PartCount(type=g.label, count=g.count) for g in scenario.parts]
             write(scenario.task, goal)
+            if name == "move_parts":
+                goal.marked = bool(scenario.marked)
             return name, goal
     raise TypeError(f"no action does a {type(scenario.task).__name__}")
 
@@ -58,12 +79,15 @@ def goal_to_scenario(goal: Any) -> Scenario:
     """
     name = next(name for name, action in ACTIONS.items() if isinstance(goal, action.Goal))
     kind = name.partition("_")[0]
+    endless = goal.time_limit_s == 0 and (
+        kind == "feed" or (kind == "move" and goal.until_canceled)
+    )
     data = {
         "description": name,
-        "marked": kind == "pose",
+        "marked": goal.marked if kind == "move" else kind == "pose",
         "parts": [{"class": part.type, "count": part.count} for part in goal.parts],
         "task": {"kind": kind, **KINDS[name][2](goal)},
-        "time_limit_s": goal.time_limit_s,
+        **({} if endless else {"time_limit_s": goal.time_limit_s}),
     }
     return read_scenario(Fields(data, name, ScenarioError), kind)
 
@@ -146,7 +170,7 @@ def _read_assemble(goal: Any) -> dict[str, Any]:
 
 def _write_pose(task: PoseTask, goal: Any) -> None:
     goal.tolerance_m, goal.hold_s = float(task.tolerance_m), float(task.hold_s)
-    goal.tolerance_rad = float(task.tolerance_rad)
+    goal.tolerance_rad, goal.anywhere = float(task.tolerance_rad), bool(task.anywhere)
     for pose in task.poses:
         x, y = pose.place or (NOWHERE, NOWHERE)
         goal.poses.append(Place(type=pose.label, x=float(x), y=float(y), angle=float(pose.angle)))
@@ -166,10 +190,110 @@ def _read_pose(goal: Any) -> dict[str, Any]:
             }
             for pose in goal.poses
         ],
+        "anywhere": goal.anywhere,
         "tolerance_m": goal.tolerance_m,
         "tolerance_deg": math.degrees(goal.tolerance_rad),
         "hold_s": goal.hold_s,
     }
+
+
+def _write_move(task: MoveTask, goal: Any) -> None:
+    goal.tolerance_m, goal.hold_s = float(task.tolerance_m), float(task.hold_s)
+    goal.tolerance_rad, goal.until_canceled = float(task.tolerance_rad), bool(task.until_canceled)
+    goal.targets = [target_to_msg(target) for target in task.targets]
+
+
+def _read_move(goal: Any) -> dict[str, Any]:
+    return {
+        "targets": [
+            {
+                "id": target.id,
+                "place_m": [target.x, target.y],
+                **({} if math.isnan(target.angle) else {"angle_deg": math.degrees(target.angle)}),
+            }
+            for target in goal.targets
+        ],
+        "tolerance_m": goal.tolerance_m,
+        "tolerance_deg": math.degrees(goal.tolerance_rad),
+        "hold_s": goal.hold_s,
+        "until_canceled": goal.until_canceled,
+    }
+
+
+def _write_feed(task: FeedTask, goal: Any) -> None:
+    goal.picks = [pick_to_msg(pick) for pick in task.picks]
+    goal.clearance_m = float(task.clearance_m)
+    goal.chute = "" if task.chute is None else side_name(task.chute)
+
+
+def _read_feed(goal: Any) -> dict[str, Any]:
+    picks = []
+    for msg in goal.picks:
+        pick = msg_to_pick(msg)
+        given = [*pick.low, *pick.high]
+        picks.append(
+            {
+                "class": pick.label,
+                "ready": pick.ready,
+                **({} if not all(map(math.isfinite, given)) else {
+                    "window_m": [list(pick.low), list(pick.high)]
+                }),
+                **({} if pick.angle is None else {
+                    "angle_deg": math.degrees(pick.angle),
+                    "tolerance_deg": math.degrees(pick.tolerance_rad),
+                }),
+            }
+        )  # fmt: skip
+    return {
+        "picks": picks,
+        "clearance_m": goal.clearance_m,
+        **({"chute": goal.chute} if goal.chute else {}),
+    }
+
+
+def pick_to_msg(pick: Pick) -> FeedPick:
+    """Return a pick as a message."""
+    return FeedPick(
+        type=pick.label,
+        ready=pick.ready,
+        x_min=float(pick.low[0]), x_max=float(pick.high[0]),
+        y_min=float(pick.low[1]), y_max=float(pick.high[1]),
+        angle=NOWHERE if pick.angle is None else float(pick.angle),
+        tolerance_rad=float(pick.tolerance_rad),
+    )  # fmt: skip
+
+
+def msg_to_pick(msg: FeedPick) -> Pick:
+    """Return a pick as data. A window of zeros is that of the plate; unchecked otherwise."""
+    low, high = (msg.x_min, msg.y_min), (msg.x_max, msg.y_max)
+    if not any((*low, *high)):
+        low, high = (-math.inf, -math.inf), (math.inf, math.inf)
+    angle = None if math.isnan(msg.angle) else msg.angle
+    return Pick(msg.type, msg.ready, low, high, angle, msg.tolerance_rad)
+
+
+def order_to_msg(order: FeedOrder, stamp: Time) -> FeedOrderMsg:
+    """Return what a feed is to do, as a message; `stamp`: now."""
+    return FeedOrderMsg(
+        header=Header(stamp=stamp),
+        mode=int(order.mode),
+        hidden=order.hidden,
+        picks=[pick_to_msg(pick) for pick in order.picks],
+    )
+
+
+def msg_to_order(msg: FeedOrderMsg) -> FeedOrder:
+    """Return what a feed is to do, as data.
+
+    Raises
+    ------
+    PlateError
+        If there is no such mode.
+    """
+    if msg.mode not in tuple(FeedMode):
+        known = ", ".join(f"{mode.value} ({mode.name})" for mode in FeedMode)
+        raise PlateError(f"feed_orders: mode is {msg.mode}, allowed: {known}")
+    return FeedOrder(FeedMode(msg.mode), tuple(map(msg_to_pick, msg.picks)), msg.hidden)
 
 
 KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict[str, Any]]]] = {
@@ -177,6 +301,8 @@ KINDS: Mapping[str, tuple[type, Callable[[Any, Any], None], Callable[[Any], dict
     "follow_paths": (FollowTask, _write_follow, _read_follow),
     "assemble_parts": (AssembleTask, _write_assemble, _read_assemble),
     "pose_parts": (PoseTask, _write_pose, _read_pose),
+    "move_parts": (MoveTask, _write_move, _read_move),
+    "feed_parts": (FeedTask, _write_feed, _read_feed),
 }
 """By action: the task, and how it becomes a goal and back."""
 

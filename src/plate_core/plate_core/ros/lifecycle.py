@@ -122,7 +122,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         """Let go of what ROS does not know of."""
 
     def retune(self) -> None:
-        """Take over `options` of which a live one has changed; called once configured."""
+        """Take over `options` of which a live one has changed; called once configured. What does
+        not fit together is refused by a `PlateError`: then the options before stay."""
 
     # What a subclass makes
 
@@ -226,15 +227,19 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         )
 
     def _on_options(self, given: Options) -> None:
-        self._given = given
         if not self.configured:
-            self.options = given
+            self.options = self._given = given
             return
         live = [item.name for item in fields(given) if item.metadata["spec"].live]
         before = self.options
         self.options = replace(before, **{name: getattr(given, name) for name in live})
         if self.options != before:
-            self.retune()
+            try:
+                self.retune()
+            except PlateError:
+                self.options = before
+                raise
+        self._given = given
 
     # Transitions
 

@@ -109,8 +109,8 @@ def follow(
     changed: Callable[[Options], None],
     problem: Callable[[str, Spec], str] = lambda name, spec: "",
 ) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Call `changed` with new options whenever a parameter is set; refuse wrong values, and what
-    `problem` has a reason to refuse now.
+    """Call `changed` with new options whenever a parameter is set; refuse wrong values, what
+    `problem` has a reason to refuse now, and that for which `changed` raises a `PlateError`.
     """
     current = [options]
     specs = {item.name: item for item in fields(options)}  # type: ignore[arg-type]
@@ -130,8 +130,12 @@ def follow(
             if why:
                 return SetParametersResult(successful=False, reason=why)
         if new:
-            current[0] = replace(current[0], **new)  # type: ignore[type-var]
-            changed(current[0])
+            wanted = replace(current[0], **new)  # type: ignore[type-var]
+            try:
+                changed(wanted)
+            except PlateError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            current[0] = wanted
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(on_set)

@@ -5,6 +5,7 @@
 """
 
 from .curves import circle_points
+from .feed import as_picked, free_gap, pick_problem, pick_window, ready_parts, to_turn
 from .keys import CLASSES, SECTIONS, side_name
 from .scenario import (
     check_scenario,
@@ -13,13 +14,21 @@ from .scenario import (
     region_outline,
     scenario_names,
     start_positions,
+    target_problem,
 )
 from .tasks import (
     AssembleTask,
     Bin,
+    FeedMode,
+    FeedOrder,
+    FeedTask,
     FollowTask,
+    Hopper,
+    MoveTask,
     PartGroup,
+    PartTarget,
     PathTask,
+    Pick,
     Point,
     Pose,
     PoseTask,
@@ -35,9 +44,16 @@ __all__ = [
     "SECTIONS",
     "AssembleTask",
     "Bin",
+    "FeedMode",
+    "FeedOrder",
+    "FeedTask",
     "FollowTask",
+    "Hopper",
+    "MoveTask",
     "PartGroup",
+    "PartTarget",
     "PathTask",
+    "Pick",
     "Point",
     "Pose",
     "PoseTask",
@@ -46,12 +62,19 @@ __all__ = [
     "Side",
     "SortTask",
     "Task",
+    "as_picked",
     "check_scenario",
     "circle_points",
+    "free_gap",
     "load_scenario",
+    "pick_problem",
+    "pick_window",
     "read_scenario",
+    "ready_parts",
     "region_outline",
     "scenario_names",
     "side_name",
     "start_positions",
+    "target_problem",
+    "to_turn",
 ]

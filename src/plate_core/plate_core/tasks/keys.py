@@ -18,7 +18,7 @@ def side_name(side: Side) -> str:
     return next(name for name, each in SIDES.items() if each == side)
 
 
-KINDS = ("sort", "follow", "assemble", "pose")
+KINDS = ("sort", "follow", "assemble", "pose", "move", "feed")
 """Kinds of task."""
 
 CLASSES = ("black", "grey")
@@ -59,8 +59,8 @@ FILE = Section(
     (
         Key("description", Text(), "What the task is, in a sentence."),
         Key(
-            "marked", Flag(), "Whether each part has a spot that shows its angle. A task of `pose` "
-            "needs it.", False,
+            "marked", Flag(), "Whether each round part has a spot that shows its angle. A task of "
+            "`pose` needs it for them.", False,
         ),
         Key(
             "rig", Text("a name in config/rigs, or the path of a .yaml file"), "The rig that the "
@@ -72,6 +72,7 @@ FILE = Section(
         Key(
             "time_limit_s", Number(0.1, 1e5), "Longest time from the task's beginning, in which "
             "all parts were seen, to its end; a task that takes longer has failed.",
+            None, "none; with `until_canceled` there may be no limit",
         ),
     ),
 )  # fmt: skip
@@ -81,12 +82,14 @@ GROUP = Section(
     "The parts of one class: placed, or scattered at random.",
     (
         Key(
-            "class", Choice(CLASSES), "Class of these parts, which the camera tells apart by their "
-            "brightness.",
+            "class", Text("black, grey, or a type of the rig's `types`"), "Class of these parts: "
+            "`black` and `grey` are round, as `parts` in the rig file says, and differ in "
+            "brightness; a rig with `types` has these, and no others.",
         ),
         Key(
-            "count", Whole(1, 100), "How many, scattered at random (by `seed`): five radii from "
-            "centre to centre, or less where so many do not fit, and clear of the edges.",
+            "count", Whole(0, 100), "How many, scattered at random (by `seed`): five radii from "
+            "centre to centre, or less where so many do not fit, and clear of the edges. 0 only in "
+            "a task of `feed`.",
             None, "or `positions_m`",
         ),
         Key(
@@ -205,10 +208,17 @@ ASSEMBLE = Section(
 
 POSE = Section(
     "task, kind: pose",
-    "Every part to a place and an angle. Done when all have been there for `hold_s`. Needs "
-    "`marked: true`.",
+    "Every part to a place and an angle. Done when all have been there for `hold_s`. "
+    "Round parts need `marked: true`.",
     (
         Key("poses", List(), "One pose for each part."),
+        Key(
+            "anywhere",
+            Flag(),
+            "Whether parts without `place_m` may be anywhere on the plate; else "
+            "they have to stay where they are.",
+            False,
+        ),
         TOLERANCE,
         Key("tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near."),
         HOLD,
@@ -217,7 +227,7 @@ POSE = Section(
 
 POSES = Section(
     "task, kind: pose, poses[]",
-    "Where one part is to be, and which way its mark is to point.",
+    "Where one part is to be, and which way it, or its mark, is to point.",
     (
         class_key(),
         Key("angle_deg", Number(-360, 360), "Counter-clockwise from x."),
@@ -225,5 +235,88 @@ POSES = Section(
     ),
 )
 
-SECTIONS = (FILE, GROUP, TASK, SORT, BIN, FOLLOW, PATH, CIRCLE, ASSEMBLE, POSE, POSES)
+MOVE = Section(
+    "task, kind: move",
+    "Parts to targets of their own, which may be changed while it runs: topic `targets`. A part "
+    "without one is to stay where it is, but gives way. Done when all targets have been reached "
+    "for `hold_s`.",
+    (
+        Key("targets", List(), "One for each part that is to be moved.", None, "none"),
+        TOLERANCE,
+        Key(
+            "tolerance_deg", Number(0.1, 180), "A part has turned when its angle is this near, if "
+            "its target has one.", 5.0,
+        ),
+        HOLD,
+        Key(
+            "until_canceled", Flag(), "Whether it goes on until it is canceled, and is never done.",
+            False,
+        ),
+    ),
+)  # fmt: skip
+
+MOVES = Section(
+    "task, kind: move, targets[]",
+    "Where one part is to come.",
+    (
+        Key("id", Text("a class of `parts` and a number, such as black_1"), "The part."),
+        Key("place_m", PLACE, "Its place [x, y]."),
+        Key(
+            "angle_deg", Number(-360, 360), "Counter-clockwise from x; of round parts that are "
+            "`marked`, and of others.", None, "any",
+        ),
+    ),
+)  # fmt: skip
+
+FEED = Section(
+    "task, kind: feed",
+    "A feeder: parts lie ready for a robot while parts come and go, until it is canceled. Parts of "
+    "classes without an entry in `picks` are brought to the chute.",
+    (
+        Key("picks", List(), "What is to be ready: one entry for each class that is wanted."),
+        Key(
+            "clearance_m", Number(0, 0.5), "The gripper's: least distance of a ready part's rim "
+            "from that of any other part.",
+        ),
+        Key(
+            "chute", Choice(("left", "right", "bottom", "top")), "Side of the plate over which "
+            "parts leave that nobody wants.", None, "none: they stay",
+        ),
+        Key("hopper", Table(), "Where new parts come from.", None, "none"),
+        Key("timeout_s", Number(0.1, 3600), "Longest wait for a part.", 30.0),
+        Key("valid_s", Number(0.1, 3600), "So long a part is reserved for the robot.", 10.0),
+    ),
+)  # fmt: skip
+
+PICK = Section(
+    "task, kind: feed, picks[]",
+    "Parts of one class that are to be ready.",
+    (
+        class_key(),
+        Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Two opposite corners [x, y] of the pick "
+            "window: their centres are to lie in it.", None, "the plate, two radii from its edges"),
+        Key("ready", Whole(1, 100), "How many are to be ready at once.", 1),
+        Key("angle_deg", Number(-360, 360), "In which they are to lie.", None, "any"),
+        Key("tolerance_deg", Number(0.1, 180), "How far from that they may lie.", 5.0),
+    ),
+)  # fmt: skip
+
+HOPPER = Section(
+    "task, kind: feed, hopper",
+    "It is opened for as long as the missing parts take when there are too few.",
+    (
+        Key("fill", Whole(1, 100), "How many parts are to be on the plate."),
+        Key("least", Whole(1, 100), "It is opened when there are fewer.", None, "`fill`"),
+        Key("rate_ps", Number(0.1, 1000), "Parts a second that drop while it is open."),
+        Key("place_m", PLACE, "Where they drop [x, y]."),
+        Key("spread_m", Number(0.001, 1), "How far around it they drop."),
+        Key("mix", Table("for each class a fraction, 1 in all"), "Classes of the parts that drop.",
+            None, "the classes of `picks`, each as often"),
+    ),
+)  # fmt: skip
+
+SECTIONS = (
+    FILE, GROUP, TASK, SORT, BIN, FOLLOW, PATH, CIRCLE, ASSEMBLE, POSE, POSES, MOVE, MOVES,
+    FEED, PICK, HOPPER,
+)  # fmt: skip
 """All of a scenario file, in the order of the reference."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -11,16 +12,22 @@ from types import MappingProxyType
 import numpy as np
 
 from ..errors import PlateError, ScenarioError, did_you_mean
-from ..parts import MOST_PARTS
+from ..parts import MOST_PARTS, part_class
 from ..rig import Rig, rig_names
+from ..rig.part_types import NAME
+from ..rig.polygons import cross, is_simple
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
 from .curves import circle_points, spline_points
+from .feed import check_feed, read_feed
 from .tasks import (
     AssembleTask,
     Bin,
+    FeedTask,
     FollowTask,
+    MoveTask,
     PartGroup,
+    PartTarget,
     PathTask,
     Point,
     Pose,
@@ -98,27 +105,30 @@ def read_scenario(fields: Fields, name: str, folder: Path = Path()) -> Scenario:
     labels = [group.label for group in parts]
     if len(set(labels)) < len(labels):
         raise fields.fail("parts", keys.ALL_DIFFERENT)
+    task, limit = _task(fields.child("task"), parts), keys.FILE["time_limit_s"]
+    feeds = isinstance(task, FeedTask)
+    endless = feeds or (isinstance(task, MoveTask) and task.until_canceled)
+    if not all(group.count for group in parts) and not (feeds and any(g.count for g in parts)):
+        raise ScenarioError(
+            f"{fields.where}: parts: count is 0, allowed: a whole number from 1 to {MOST_PARTS} "
+            "(in a task of feed from 0, but one part in all)"
+        )
     scenario = Scenario(
         name=name,
         description=fields.value(keys.FILE["description"]),
         parts=parts,
-        task=_task(fields.child("task"), parts),
-        time_limit_s=fields.value(keys.FILE["time_limit_s"]),
+        task=task,
+        time_limit_s=fields.value(limit if endless else required(limit)) or math.inf,
         marked=fields.value(keys.FILE["marked"]),
         rig=_rig(fields, folder),
         file=fields.where,
     )
-    if not isinstance(scenario.task, FollowTask) and (
+    if not isinstance(scenario.task, FollowTask | FeedTask) and (
         scenario.task.hold_s >= scenario.time_limit_s
     ):
         raise ScenarioError(
             f"{fields.where}: task: hold_s is {scenario.task.hold_s:g}, allowed: less than "
             f"time_limit_s, which is {scenario.time_limit_s:g}"
-        )
-    if isinstance(scenario.task, PoseTask) and not scenario.marked:
-        raise ScenarioError(
-            f"{fields.where}: marked is false, allowed with a task of poses: true (a round part "
-            "without a mark shows no angle)"
         )
     fields.finish()
     return scenario
@@ -137,6 +147,8 @@ def _rig(fields: Fields, folder: Path) -> str:
 
 def _group(fields: Fields) -> PartGroup:
     label = fields.value(keys.GROUP["class"])
+    if not NAME.fullmatch(label):
+        raise fields.fail("class", "small letters and digits, as black or nut_m4")
     if fields.one_of("count", "positions_m") == "count":
         group = PartGroup(label, fields.value(keys.GROUP["count"]))
     else:
@@ -148,7 +160,10 @@ def _group(fields: Fields) -> PartGroup:
 
 def _task(fields: Fields, parts: tuple[PartGroup, ...]) -> Task:
     kinds: dict[str, Callable[[Fields, tuple[PartGroup, ...]], Task]]
-    kinds = {"sort": _sort, "follow": _follow, "assemble": _assemble, "pose": _pose}
+    kinds = {
+        "sort": _sort, "follow": _follow, "assemble": _assemble, "pose": _pose, "move": _move,
+        "feed": read_feed,
+    }  # fmt: skip
     task = kinds[fields.value(keys.TASK["kind"])](fields, parts)
     fields.finish()
     return task
@@ -179,36 +194,10 @@ def _region(fields: Fields, label: str) -> Region:
         return keys.SIDES[fields.text(label, tuple(keys.SIDES))]
     child = fields.child(label)
     corner = child.value(keys.BIN["bin_m"])
-    if not _is_simple(corner):
+    if not is_simple(corner):
         raise child.fail("bin_m", "at least three corners, in order, of a polygon with an area")
     child.finish()
     return Bin(_pairs(corner))
-
-
-def _is_simple(corner: np.ndarray) -> bool:
-    """Whether a polygon (n, 2) has an area, and no two of its edges cross."""
-    if len(corner) < 3:
-        return False
-    after = np.roll(corner, -1, axis=0)
-    if abs(np.sum(_cross(corner, after))) < APART_M:
-        return False
-    for i in range(len(corner)):
-        for j in range(i + 2, len(corner) - (i == 0)):
-            a, b, c, d = corner[i], after[i], corner[j], after[j]
-            near = np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(
-                np.maximum(a, b), np.maximum(c, d)
-            )
-            if (
-                np.all(near)  # edges in one line need not touch
-                and _cross(b - a, c - a) * _cross(b - a, d - a) <= 0
-                and _cross(d - c, a - c) * _cross(d - c, b - c) <= 0
-            ):
-                return False
-    return True
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _follow(fields: Fields, parts: tuple[PartGroup, ...]) -> FollowTask:
@@ -318,6 +307,28 @@ def _pose(fields: Fields, parts: tuple[PartGroup, ...]) -> PoseTask:
         tolerance_m=fields.value(keys.TOLERANCE),
         tolerance_rad=float(np.radians(fields.value(keys.POSE["tolerance_deg"]))),
         hold_s=fields.value(keys.HOLD),
+        anywhere=fields.value(keys.POSE["anywhere"]),
+    )
+
+
+def _move(fields: Fields, parts: tuple[PartGroup, ...]) -> MoveTask:
+    labels = [group.label for group in parts]
+    targets = []
+    for child in fields.children("targets") if fields.has("targets") else ():
+        name, angle = child.value(keys.MOVES["id"]), child.value(keys.MOVES["angle_deg"])
+        if part_class(name) not in labels or not name.rpartition("_")[2].isdecimal():
+            raise child.fail("id", f"a class and a number, such as {labels[0]}_1")
+        (place,) = _pairs(child.value(keys.MOVES["place_m"])[None])
+        targets.append(PartTarget(name, place, None if angle is None else math.radians(angle)))
+        child.finish()
+    if len({target.id for target in targets}) < len(targets) or len(targets) > MOST_PARTS:
+        raise fields.fail("targets", f"each part once, at most {MOST_PARTS}")
+    return MoveTask(
+        targets=tuple(targets),
+        tolerance_m=fields.value(keys.TOLERANCE),
+        tolerance_rad=math.radians(fields.value(keys.MOVE["tolerance_deg"])),
+        hold_s=fields.value(keys.HOLD),
+        until_canceled=fields.value(keys.MOVE["until_canceled"]),
     )
 
 
@@ -344,17 +355,41 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         Names the file, the key, the class, and the point and the greatest `|x|` and `|y|` allowed
         for a part's centre; or two points too near each other, or two regions that overlap.
     """
-    task, radius = scenario.task, rig.parts.radius_m
+    task = scenario.task
+    known = tuple(rig.types) or keys.CLASSES  # with types the detector knows no others
+    for group in scenario.parts:
+        if group.label not in known:
+            raise ScenarioError(
+                f"{scenario.where}: parts: class is {group.label!r}"
+                f"{did_you_mean(group.label, known)}, allowed with this rig: {', '.join(known)}"
+            )
+    reach = {group.label: rig.part_type(group.label).reach_m for group in scenario.parts}
     if scenario.count > MOST_PARTS:
         raise ScenarioError(
             f"{scenario.where}: parts: {scenario.count}, allowed: at most {MOST_PARTS} in all"
         )
-    room = rig.plate.half - radius
+    for label, part in ((label, rig.part_type(label)) for label in _turned(task)):
+        if part.symmetry == 0 and label in rig.types:
+            raise ScenarioError(
+                f"{scenario.where}: angles of {label} are asked for, allowed: of parts that are "
+                "not round (marks are seen only on rigs without types)"
+            )
+        if part.symmetry == 0 and not scenario.marked:
+            raise ScenarioError(
+                f"{scenario.where}: marked is false, allowed with angles of {label}: true (a round "
+                "part without a mark shows no angle)"
+            )
     placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
     goals = _goals(task)
-    _check_on_plate(scenario, placed + goals, room)
-    _check_apart(scenario, placed, 2 * radius)
-    if isinstance(task, FollowTask):
+    _check_on_plate(scenario, placed + goals, rig.plate.half, reach)
+    _check_apart(scenario, placed, reach, 1.0)
+    if isinstance(task, MoveTask):
+        for target in task.targets:
+            if problem := target_problem(target, scenario, rig):
+                raise ScenarioError(f"{scenario.where}: task: targets: {problem}")
+    if isinstance(task, FeedTask):
+        check_feed(task, scenario.where, rig)
+    if isinstance(task, FollowTask | MoveTask | FeedTask):
         return
     if isinstance(task, SortTask):
         corners = [
@@ -363,9 +398,32 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
             if isinstance(region, Bin)
             for point in region.corner
         ]
-        _check_on_plate(scenario, corners, rig.plate.half)  # these may be on the edge
+        edge = dict.fromkeys(reach, 0.0)  # these may be on it
+        _check_on_plate(scenario, corners, rig.plate.half, edge)
         _check_regions(scenario, task, rig.plate.half)
-    _check_apart(scenario, goals, (2.5 if isinstance(task, AssembleTask) else 2) * radius)
+    _check_apart(scenario, goals, reach, 1.25 if isinstance(task, AssembleTask) else 1.0)
+
+
+def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
+    """Say why a part cannot be asked to come to a target; empty if it can."""
+    label, (x, y) = part_class(target.id), target.place
+    if label not in scenario.labels:
+        known = ", ".join(sorted(set(scenario.labels)))
+        return f"{target.id} is of no class of this task, allowed: {known}"
+    part = rig.part_type(label)
+    room = rig.plate.half - part.reach_m
+    if not np.all(np.abs((x, y)) <= room + 1e-9):  # so where one is NaN
+        return (
+            f"place of {target.id} is ({x:g}, {y:g}) m, "
+            f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
+        )
+    if target.angle is None:
+        return ""
+    if not math.isfinite(target.angle):
+        return f"angle of {target.id} is {target.angle:g}, allowed: finite, or none"
+    if part.symmetry == 0 and (label in rig.types or not scenario.marked):
+        return f"{target.id} is round and shows no angle, allowed: none for it (or a mark: marked)"
+    return ""
 
 
 Place = tuple[str, str, Point]
@@ -386,8 +444,18 @@ def _goals(task: Task) -> list[Place]:
     return []
 
 
-def _check_on_plate(scenario: Scenario, places: list[Place], room: np.ndarray) -> None:
+def _turned(task: Task) -> list[str]:
+    """Return the classes whose angles a task asks for."""
+    if isinstance(task, FeedTask):
+        return [pick.label for pick in task.picks if pick.angle is not None]
+    return [pose.label for pose in task.poses] if isinstance(task, PoseTask) else []
+
+
+def _check_on_plate(
+    scenario: Scenario, places: list[Place], half: np.ndarray, reach: Mapping[str, float]
+) -> None:
     for key, label, (x, y) in places:
+        room = half - reach[label]
         if np.any(np.abs((x, y)) > room + 1e-9):
             raise ScenarioError(
                 f"{scenario.where}: {key} of {label} is ({x:g}, {y:g}) m, "
@@ -395,8 +463,11 @@ def _check_on_plate(scenario: Scenario, places: list[Place], room: np.ndarray) -
             )
 
 
-def _check_apart(scenario: Scenario, places: list[Place], least: float) -> None:
+def _check_apart(
+    scenario: Scenario, places: list[Place], reach: Mapping[str, float], factor: float
+) -> None:
     for (key, one, a), (_, other, b) in combinations(places, 2):
+        least = factor * (reach[one] + reach[other])
         gap = float(np.hypot(a[0] - b[0], a[1] - b[1]))
         if gap < least - 1e-9:
             raise ScenarioError(
@@ -420,7 +491,7 @@ def _check_regions(scenario: Scenario, task: SortTask, half: np.ndarray) -> None
         for axis in (0, 1):
             low, high = float(np.min(outline[:, axis])), float(np.max(outline[:, axis]))
             inside = _cut(_cut(inside, axis, 1, low), axis, -1, -high)
-        shared = 0.5 * abs(float(np.sum(_cross(inside, np.roll(inside, -1, axis=0)))))
+        shared = 0.5 * abs(float(np.sum(cross(inside, np.roll(inside, -1, axis=0)))))
         if shared > APART_M:
             words = " and ".join(f"{k} is {_region_text(task, k, half)}" for k in (one, other))
             raise ScenarioError(
@@ -491,19 +562,25 @@ def start_positions(
     """
     check_scenario(scenario, rig)
     given = [p for group in scenario.parts for p in group.position or ()]
-    radius, half = rig.parts.radius_m, rig.plate.half
-    limit = np.minimum(np.array(SCATTER_FRACTION) * half, half - SCATTER_CLEAR * radius)
-    count = sum(group.count for group in scenario.parts if group.position is None)
+    half = rig.plate.half
+    reach = {group.label: rig.part_type(group.label).reach_m for group in scenario.parts}
+    sizes = [
+        np.array([reach[g.label] for g in scenario.parts for _ in range(g.count) if wanted(g)])
+        for wanted in (lambda g: g.position is not None, lambda g: g.position is None)
+    ]
+    radius, count = np.concatenate(sizes), len(sizes[1])
+    limit = np.array(SCATTER_FRACTION) * half
+    limit = np.maximum(np.minimum(limit, half - SCATTER_CLEAR * radius[:, None]), 0)
     taken, most = np.array(given).reshape(-1, 2), 0
-    for gap in np.repeat(SCATTER_GAPS, SCATTER_STARTS) * radius:
-        scattered = _scatter(count, taken, np.maximum(limit, 0), gap, rng)
+    for gap in np.repeat(SCATTER_GAPS, SCATTER_STARTS):
+        scattered = _scatter(radius, taken, limit, gap, rng)
         most = max(most, len(scattered))
         if most == count:
             break
     else:
         raise ScenarioError(
             f"{scenario.where}: parts: count: {count} to scatter, allowed: {most}; no more parts "
-            f"of {1e3 * radius:g} mm radius find room {1e3 * gap:g} mm from centre to centre on "
+            f"of up to {1e3 * radius.max():g} mm radius find room, {gap:g} radii apart, on "
             f"{2 * half[0]:g} x {2 * half[1]:g} m; fewer parts, or positions_m"
         )
     rest = iter(scattered)
@@ -516,16 +593,18 @@ def start_positions(
 
 
 def _scatter(
-    count: int, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
+    radius: np.ndarray, taken: np.ndarray, limit: np.ndarray, gap: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Throw up to `count` points (k, 2), each `gap` [m] from all before it and those taken; fewer
-    if one finds no room."""
+    """Throw up to N - T points (k, 2) beside T that are taken, of parts of radii (N,) [m]; each is
+    `gap` mean radii from all before it, and within its limits (N, 2) [m]; fewer if one finds no
+    room."""
     start = len(taken)
-    points = np.vstack([taken, np.zeros((count, 2))])
-    for i in range(start, start + count):
+    points = np.vstack([taken, np.zeros((len(radius) - start, 2))])
+    for i in range(start, len(radius)):
         for _ in range(SCATTER_TRIES):
-            points[i] = rng.uniform(-limit, limit)
-            if np.all(np.hypot(*(points[:i] - points[i]).T) >= gap):
+            points[i] = rng.uniform(-limit[i], limit[i])
+            least = gap * (radius[:i] + radius[i]) / 2
+            if np.all(np.hypot(*(points[:i] - points[i]).T) >= least):
                 break
         else:
             return points[start:i]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 Point = tuple[float, float]
 """x, y [m, plate_home]."""
@@ -136,9 +137,11 @@ class Pose:
     label : str
         Class of the part.
     place : (x, y), or None
-        [m, plate_home]; None: where the part is when the task begins, and there it has to stay.
+        [m, plate_home]; None: where the part is when the task begins, and there it has to stay,
+        unless it may be anywhere.
     angle : float
-        Counter-clockwise from x [rad].
+        Counter-clockwise from x [rad]; of a part that looks the same in several directions, of any
+        of them.
     """
 
     label: str
@@ -161,20 +164,182 @@ class PoseTask:
         It has turned when its angle is this near [rad].
     hold_s : float
         The task is done when all parts have been so for this time [s].
+    anywhere : bool
+        Whether parts without a place may be anywhere on the plate.
     """
 
     poses: tuple[Pose, ...]
     tolerance_m: float
     tolerance_rad: float
     hold_s: float
+    anywhere: bool = False
 
 
-Task = SortTask | FollowTask | AssembleTask | PoseTask
+@dataclass(frozen=True)
+class PartTarget:
+    """Where one part is to come.
+
+    Attributes
+    ----------
+    id : str
+        Of the part, such as `black_3`.
+    place : (x, y)
+        [m, plate_home].
+    angle : float or None
+        Counter-clockwise from x [rad], as in `Pose`; None: any.
+    """
+
+    id: str
+    place: Point
+    angle: float | None = None
+
+
+@dataclass(frozen=True)
+class MoveTask:
+    """Bring parts to targets of their own, which may be changed while it runs.
+
+    Attributes
+    ----------
+    targets : tuple of PartTarget
+        Of as many parts as are to be moved; the others are to stay where they are, but give way.
+    tolerance_m : float
+        A part is there when its centre is this near [m].
+    tolerance_rad : float
+        And has turned when its angle is this near [rad], if its target has one.
+    hold_s : float
+        The task is done when all have been there for this time [s].
+    until_canceled : bool
+        Whether it goes on until it is canceled: it is never done, and never stuck.
+    """
+
+    targets: tuple[PartTarget, ...]
+    tolerance_m: float
+    tolerance_rad: float
+    hold_s: float
+    until_canceled: bool = False
+
+
+@dataclass(frozen=True)
+class Pick:
+    """Parts of one class that are to be ready for a robot.
+
+    Attributes
+    ----------
+    label : str
+        Class of the parts.
+    ready : int
+        How many are to be ready at once.
+    low, high : (x, y)
+        Corners of the pick window: their centres are to lie in it [m, plate_home].
+    angle : float or None
+        In which they are to lie, counter-clockwise from x [rad]; None: any.
+    tolerance_rad : float
+        How far from that angle they may lie [rad].
+    """
+
+    label: str
+    ready: int
+    low: Point
+    high: Point
+    angle: float | None = None
+    tolerance_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Hopper:
+    """Where new parts come from.
+
+    Attributes
+    ----------
+    fill : int
+        It is opened when fewer parts than `least` are on the plate, for as long as those take that
+        are missing to `fill`.
+    least : int
+    rate : float
+        Parts that drop while it is open [1/s].
+    place : (x, y)
+        Where they drop [m, plate_home].
+    spread_m : float
+        And how far around it [m].
+    mix : mapping of str to float
+        Fractions of the classes among them; their sum is 1.
+    """
+
+    fill: int
+    least: int
+    rate: float
+    place: Point
+    spread_m: float
+    mix: Mapping[str, float]
+
+
+class FeedMode(IntEnum):
+    """What a feeder does now."""
+
+    FEED = 0
+    """Get parts ready; the plate rests when enough are."""
+    REST = 1
+    """The plate rests: a robot is over it."""
+    PURGE = 2
+    """All parts to the chute."""
+
+
+@dataclass(frozen=True)
+class FeedOrder:
+    """What a running task of `feed` is to do from now on.
+
+    Attributes
+    ----------
+    mode : FeedMode
+    picks : tuple of Pick
+        What is to be ready; none: what the task has.
+    hidden : bool
+        Whether a robot may hide parts from the camera, while the plate rests: they lie where they
+        were seen before.
+    """
+
+    mode: FeedMode = FeedMode.FEED
+    picks: tuple[Pick, ...] = ()
+    hidden: bool = False
+
+
+@dataclass(frozen=True)
+class FeedTask:
+    """Have parts ready for a robot while parts come and go, until it is canceled.
+
+    Attributes
+    ----------
+    picks : tuple of Pick
+        Each class once; parts of other classes are brought to the chute.
+    clearance_m : float
+        The gripper's: least distance of a ready part's rim from that of any other part [m].
+    chute : Side or None
+        Over this side parts leave the plate that nobody wants; None: they stay.
+    hopper : Hopper or None
+        None: parts are put on the plate by others.
+    timeout_s : float
+        Longest wait for a part [s].
+    valid_s : float
+        So long a part is reserved for the robot [s].
+    order : FeedOrder
+        What is done now; it may be changed while it runs.
+    """
+
+    picks: tuple[Pick, ...]
+    clearance_m: float
+    chute: Side | None = None
+    hopper: Hopper | None = None
+    timeout_s: float = 30.0
+    valid_s: float = 10.0
+    order: FeedOrder = FeedOrder()
+
+
+Task = SortTask | FollowTask | AssembleTask | PoseTask | MoveTask | FeedTask
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One task: its parts, what is to be done, and the time it may take [s].
+    """One task: its parts, what is to be done, and the time it may take [s], infinite if any.
 
     Parts that are `marked` show their angle by a spot, and start at any angle. `rig` is the one
     that it is made for, as `load_rig` takes it; empty: any. `file` is the name of the file that it

@@ -33,6 +33,10 @@ STATE_PERIOD_S, LIFE_PERIOD_S = 0.05, 0.5
 FAREWELL_S = 0.5
 """How long to wait until the last messages have arrived [s]."""
 
+END_S = 10.0
+"""Longest wait for the thread that spins [s]: one that outlives the interpreter crashes the
+process, and on a busy machine half a second may pass before it runs again."""
+
 THREADS = 16
 """For stops, while others wait for an answer."""
 
@@ -120,7 +124,7 @@ class SafetyNode:
         self.publish_status()
         self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         self._ended = True
-        self._thread.join(FAREWELL_S)
+        self._thread.join(END_S)
         # Only now: it destroys what a thread that still spins waits for.
         self._executor.shutdown(timeout_sec=FAREWELL_S)
         self.node.destroy_node()

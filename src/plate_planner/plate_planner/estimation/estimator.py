@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plate_core import Parts, PlateCycle, Rig
+from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
 from .cycle_log import SHORTEST_S, CycleClock, CycleLog
@@ -275,8 +275,9 @@ class Estimator:
             latency = LatencyHypotheses.of(0.0)  # from now on it is known when images are taken
         return replace(self, log=self.log.started(cycle, begin), latency=latency)
 
-    def update(self, parts: Parts, t: float) -> Estimator:
-        """Take in one image: its parts and its stamp [s]."""
+    def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
+        """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
+        for `coast` images."""
         log, hypotheses = self.log.advance(t), self.latency
         if self.clock.went_back(t):
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
@@ -292,7 +293,11 @@ class Estimator:
             taken, unsure = log.triggered(t, camera.trigger.phase) + shown / 2, 0.0
         cycles = clock.interval / log.period if log.known else 1.0
         odd = self.odd + 1 if abs(cycles - max(round(cycles), 1)) > ODD else 0
-        latency = hypotheses.update(log, parts, taken, unsure, delay, self.friction_accel, COAST)
+        types = [self.rig.part_type(part_class(name)) for name in parts.ids]
+        friction = np.array([part.mu for part in types], float) / self.rig.friction.mu
+        latency = hypotheses.update(
+            log, parts, taken, unsure, delay, self.friction_accel, coast, friction
+        )
         turning = self.turning
         if log.reported:
             turning = turning.update(log, parts, taken - latency.latency)
@@ -334,6 +339,12 @@ class Estimator:
         return -np.inf if self.clock.stamp is None else self.clock.stamp
 
     @property
+    def taken(self) -> float:
+        """When the last image was taken [s]; minus infinity before the first."""
+        stamp = -np.inf if self.clock.stamp is None else self.clock.stamp
+        return stamp - self.latency.latency
+
+    @property
     def period(self) -> float:
         """Length of a cycle [s]: of the one that runs, or what the images' stamps tell."""
         return self.log.period if self.log.known else self.clock.period
@@ -365,9 +376,18 @@ class Estimator:
             return self.seen
         estimate, best = self.latency.estimate, self.latency.best
         place = estimate.at(best, self.log, self.stamp, self.friction_accel)[:, :2]
-        grip = self.rig.force_unit * self.friction
-        angle, spin = self.turning.of(estimate.ids, self.stamp)
+        types = [self.rig.part_type(part_class(name)) for name in estimate.ids]
+        grip = self.friction_accel * self.friction * np.array([part.mass_kg for part in types])
+        angle, spin = self._angles(estimate.ids)
         return Parts.make(estimate.ids, place, self._drift(place), angle, spin, grip)
+
+    def _angles(self, ids: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Angles (K,) [rad] at the stamp and turning (K,) [rad/s] of parts; 0 of those that the
+        last image does not show."""
+        if self.log.reported:
+            return self.turning.of(ids, self.stamp)
+        row = rows_of(ids, self.seen.ids)
+        return np.append(self.seen.angle, 0.0)[row], np.append(self.seen.spin, 0.0)[row]
 
     def _drift(self, place: np.ndarray) -> np.ndarray:
         """Drift (M, 2) [m/s] of the parts that are at `place` (M, 2) [m] at the stamp: since the

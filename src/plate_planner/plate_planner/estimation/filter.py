@@ -47,7 +47,7 @@ TINY = 1e-300
 """Keeps a state that does not move in a step from a division by zero."""
 
 FRICTION_RANGE = np.log(3.0)
-"""Friction is looked for between a third and three times the rig's [log]."""
+"""Friction is looked for between a third and three times that of the part's type [log]."""
 
 SAMPLES = np.vstack([np.zeros(5), np.diag(DIFFERENCE)])
 """The state and its neighbours, (6, 5)."""
@@ -72,6 +72,8 @@ class StateEstimate:
         When the last cycle began before parts were seen in it [s]; NaN: none did.
     start_mean : (A, M, 5)
         What was expected of the parts then.
+    usual : (M,)
+        Friction of the parts' types, over the rig's [log].
     """
 
     ids: tuple[str, ...]
@@ -82,6 +84,7 @@ class StateEstimate:
     unseen: np.ndarray
     start: float
     start_mean: np.ndarray
+    usual: np.ndarray
 
     @classmethod
     def nothing(cls, count: int) -> StateEstimate:
@@ -89,6 +92,7 @@ class StateEstimate:
         return cls(
             (), np.zeros((count, 0)), np.zeros((count, 0, 5)), np.zeros((count, 0, 5, 5)),
             np.zeros((0, 2)), np.zeros(0, int), np.nan, np.zeros((count, 0, 5)),
+            np.zeros(0),
         )  # fmt: skip
 
     def of(self, hypotheses: np.ndarray | list[int]) -> StateEstimate:
@@ -116,6 +120,7 @@ class StateEstimate:
         friction_accel: float,
         most: int,
         jitter: float,
+        friction: np.ndarray,
     ) -> tuple[StateEstimate, Fit]:
         """Take in the parts of an image.
 
@@ -132,6 +137,8 @@ class StateEstimate:
             Images in a row for which a part that is not seen is kept.
         jitter : float
             Standard deviation of the images' stamps [s].
+        friction : (P,)
+            Of a part that is seen for the first time, over the rig's.
 
         Returns
         -------
@@ -148,14 +155,16 @@ class StateEstimate:
         rows = np.array([row[parts.ids[i]] for i in old], int)
         place = parts.position
         mean, covariance = now._propagated(rows, log, time[:, old], friction_accel)
-        mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter)
+        mean, covariance, fit = kalman_update(mean, covariance, place[old], jitter, now.usual[rows])
         after = [now.mean.copy(), now.covariance.copy(), now.time.copy()]
         for whole, piece in zip(after, (mean, covariance, time[:, old]), strict=True):
             whole[:, rows] = piece
         drift, unseen = now.drift.copy(), now.unseen + 1
         drift[rows], unseen[rows] = parts.velocity[old], 0
         count = len(time)
-        first = np.tile(np.hstack([place[new], np.zeros((len(new), 3))]), (count, 1, 1))
+        still = np.zeros((len(new), 2))
+        first = np.hstack([place[new], still, np.log(friction[new, None])])
+        first = np.tile(first, (count, 1, 1))
         wide = np.tile(np.diag(FIRST_SEEN**2), (count, len(new), 1, 1))
         estimate = StateEstimate(
             (*now.ids, *(parts.ids[i] for i in new)),
@@ -166,17 +175,18 @@ class StateEstimate:
             np.append(unseen, np.zeros(len(new), int)),
             now.start,
             np.concatenate([now.start_mean, first], axis=1),
+            np.append(now.usual, np.log(friction[new])),
         )
         return estimate, fit
 
     def moved(self, log: CycleLog, later: np.ndarray, friction_accel: float) -> StateEstimate:
         """Return the same places `later` (A,) [s], with the velocities of that time."""
-        count, time = len(self.ids), self.time + later[:, None]
+        time = self.time + later[:, None]
         end = propagate(
             log, self.mean.reshape(-1, 5), self.time.ravel(), time.ravel(), friction_accel
         )
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        mean[..., 2:] = end.reshape(-1, count, 5)[..., 2:]
+        mean[..., 2:] = end.reshape(mean.shape)[..., 2:]
         unsure = (friction_accel * later) ** 2
         covariance[..., 2, 2] += unsure[:, None]
         covariance[..., 3, 3] += unsure[:, None]
@@ -213,7 +223,7 @@ class StateEstimate:
         return StateEstimate(
             tuple(name for name, k in zip(self.ids, keep, strict=True) if k),
             self.time[:, keep], self.mean[:, keep], self.covariance[:, keep], self.drift[keep],
-            self.unseen[keep], self.start, self.start_mean[:, keep],
+            self.unseen[keep], self.start, self.start_mean[:, keep], self.usual[keep],
         )  # fmt: skip
 
 
@@ -239,9 +249,14 @@ class Fit:
 
 
 def kalman_update(
-    mean: np.ndarray, covariance: np.ndarray, seen: np.ndarray, jitter: float
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    seen: np.ndarray,
+    jitter: float,
+    of_type: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, Fit]:
-    """Return mean (A, K, 5) and covariance (A, K, 5, 5) after places (K, 2) [m] were seen.
+    """Return mean (A, K, 5) and covariance (A, K, 5, 5) after places (K, 2) [m] were seen of parts
+    whose types have the friction `of_type` (K,), over the rig's [log].
 
     The stamp is off by a normal deviate of `jitter` [s], the same for all parts: with v_i their
     velocities it adds v_i v_j^T jitter^2 to the innovations' covariance. The deviate's posterior is
@@ -264,7 +279,7 @@ def kalman_update(
     square = np.einsum("aki,akij,akj->ak", left, inverse, left)
     gain = covariance[..., :2] @ inverse
     after = mean + np.einsum("akij,akj->aki", gain, left)
-    after[..., 4] = np.clip(after[..., 4], -FRICTION_RANGE, FRICTION_RANGE)
+    after[..., 4] = np.clip(after[..., 4], of_type - FRICTION_RANGE, of_type + FRICTION_RANGE)
     shift = np.einsum("akij,akj->aki", gain, velocity)
     rest = covariance - gain @ covariance[..., :2, :]
     rest += variance[:, None, None, None] * shift[..., :, None] * shift[..., None, :]

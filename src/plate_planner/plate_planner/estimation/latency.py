@@ -133,6 +133,7 @@ class LatencyHypotheses:
         delay: np.ndarray,
         friction_accel: float,
         most: int,
+        friction: np.ndarray,
     ) -> LatencyHypotheses:
         """Take in the parts of an image with stamp t [s], which is off by `unsure` [s] or more
         (standard deviation); each part is seen `delay` (P,) [s] later than the middle of the image;
@@ -141,7 +142,9 @@ class LatencyHypotheses:
         last = np.max(self.estimate.time[self.best], initial=-np.inf)
         fading = np.exp(-max(t - self.latency - last, 0.0) / MEMORY_S)
         jitter = max(self.jitter.deviation, unsure)
-        estimate, fit = self.estimate.update(log, parts, time, friction_accel, most, jitter)
+        estimate, fit = self.estimate.update(
+            log, parts, time, friction_accel, most, jitter, friction
+        )
         moved = any(np.any(cycle.knot_pose) for _, cycle in log.runs[-2:])
         if not moved:
             return replace(self, estimate=estimate)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import Parts, Rig
+from plate_core import Parts, Rig, part_class
 from plate_core.rig import LEAST_GAMMA
 
 from ..estimation import LastRequest
@@ -30,13 +30,13 @@ class LastSeen(NamedTuple):
 
 
 def loss_of(name: str, last: LastSeen | None, began: float, rig: Rig, count: int) -> Failure:
-    """Say what became of a part that is no longer seen, and what would help; only its name where
-    it never was (`last` is None).
+    """Say what became of a part that is no longer seen, and what would help; `last` is None where
+    it never was.
 
     `began` is when the task did [s], `count` the number of parts.
     """
     if last is None:
-        return Failure(Reason.PART_UNSEEN, name)
+        return Failure(Reason.PART_UNSEEN, f"{name} not seen; {LOOK}")
     x, y = last.position
     where = f"at ({x:.3f}, {y:.3f}) m, {last.stamp - began:.1f} s after the start"
     edge = float(np.min(rig.plate.half - np.abs(last.position)))
@@ -65,7 +65,9 @@ def shortfall_text(
         return text
     row = request.ids.index(name)
     drift, got = request.drift[row], parts.velocity[worst]
-    force, most = 1e3 * float(np.hypot(*request.force[row])), 1e3 * rig.force_unit
+    part = rig.part_type(part_class(name))
+    most = 1e3 * (part.mass_kg or 0.0) * (part.mu or 0.0) * rig.friction.gravity
+    force = 1e3 * float(np.hypot(*request.force[row]))
     text += (
         f": asked to drift ({1e3 * drift[0]:.1f}, {1e3 * drift[1]:.1f}) mm/s (a change that takes "
         f"{force:.1f} of {most:.1f} mN of friction), it drifted ({1e3 * got[0]:.1f}, "
@@ -84,8 +86,9 @@ def outlook(rig: Rig, count: int, time_limit_s: float) -> str:
         return ""
     expect = "longer"
     if count > FEW:
-        expect = "several times as long, and some runs not to end within time_limit_s, "
-        expect += f"{time_limit_s:g} s"
+        expect = "several times as long"
+        if np.isfinite(time_limit_s):
+            expect += f", and some runs not to end within time_limit_s, {time_limit_s:g} s"
     return f"{remedy(rig, count)}; expect it to take {expect}"
 
 

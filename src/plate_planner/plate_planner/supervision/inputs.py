@@ -30,6 +30,10 @@ REPORT_TIMEOUT_S = 1.3
 LOOP = ("detector", "solver", "driver", "device", "simulator")
 """Nodes whose diagnostics count: without input for one of them the plate does not do as planned."""
 
+FEEDER_S = 1.5
+"""Silence of a feeder that has begun to say what a feed is to do, which it says again each 0.5 s
+[s]: a plate that works for nobody is to rest."""
+
 FRESH_S, LIFE_S = 0.5, 0.8
 """Silence of parts or cycles [s], unless cycles are long, and of driver_status, which is said again
 each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
@@ -72,6 +76,8 @@ class Inputs:
         Diagnostics by node.
     starts : Input or None
         Starts of cycles, where they have to be reported.
+    orders : Input or None
+        Orders of a feeder, which says them again and again; None until one came.
     """
 
     parts: Input
@@ -85,6 +91,7 @@ class Inputs:
     enabled_again: float | None = None
     reports: Mapping[str, Report] = field(default_factory=dict)
     starts: Input | None = None
+    orders: Input | None = None
 
     @classmethod
     def none_yet(cls, now: float, timeout_s: float, triggered: bool = True) -> Inputs:
@@ -107,6 +114,11 @@ class Inputs:
     def heard_start(self, now: float) -> Inputs:
         """Take in that a cycle has begun."""
         return self if self.starts is None else replace(self, starts=self.starts.heard(now))
+
+    def heard_order(self, now: float) -> Inputs:
+        """Take in that a feeder has said what a feed is to do."""
+        orders = Input("feed_orders", "feed_orders", "does the feeder run?", FEEDER_S, now, now)
+        return replace(self, orders=orders)
 
     def asked(self, now: float) -> Inputs:
         """Take in that part_forces have been published."""
@@ -244,9 +256,11 @@ class Inputs:
         elif silence > timeout:
             return Failure(Reason.NO_PARTS, self._no_parts(now, silence, publishers))
         name = self._cut_off(now, began, period)
-        if not name:
-            return None
-        return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
+        if name:
+            return Failure(Reason.CUT_OFF, f"{name}: {self.reports[name].message}")
+        orders = self.orders
+        gone = orders.gone(now) if orders is not None and orders.since >= began else None
+        return Failure(Reason.CUT_OFF, gone.message) if gone is not None else None
 
     def _cut_off(self, now: float, began: float, period: float) -> str:
         """Name the first node around the loop that says that it has no input; empty if none does.

@@ -244,6 +244,8 @@ class Findings:
         What there is to tell if the task is done now.
     loss : callable
         Tells of a missing part, by its name, what became of it.
+    all_seen : bool
+        Whether the image shows all parts: others may be where they are predicted, or gone.
     """
 
     missing: tuple[str, ...]
@@ -253,6 +255,7 @@ class Findings:
     detail: Callable[[], str] = lambda: ""
     outcome: str = ""
     loss: Callable[[str], Failure] = lambda name: Failure(Reason.PART_UNSEEN, name)
+    all_seen: bool = True
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -277,7 +280,7 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
     if found.problem:
         return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, found.problem)
     held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
-    if held and not found.missing:
+    if held and found.all_seen and not found.missing:
         return _end(state, t, Phase.DONE, Reason.NONE, found.outcome)
     reason, text = Reason.NONE, ""
     if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:

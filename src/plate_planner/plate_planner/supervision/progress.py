@@ -16,7 +16,8 @@ class Progress:
     ----------
     phase : Phase
     text : str
-        The phase; of an end the time, the result or the reason, and what would help.
+        The phase, and what there is to tell while it runs; of an end the time, the result or the
+        reason, and what would help.
     time_s : float
         Time since the task began, until now or its end [s].
     parts_total, parts_seen, parts_sorted : int

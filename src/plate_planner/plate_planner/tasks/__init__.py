@@ -9,10 +9,12 @@ from dataclasses import dataclass, field
 from typing import assert_never
 
 from plate_core import Rig
-from plate_core.tasks import AssembleTask, FollowTask, PoseTask, SortTask, Task
+from plate_core.tasks import AssembleTask, FeedTask, FollowTask, MoveTask, PoseTask, SortTask, Task
 
 from .assemble import Assembler
+from .feed import Feeder, FeedMemory, FeedReport
 from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
+from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
 from .task import Assessment, DriftRequest, Situation, TaskRules
@@ -22,9 +24,14 @@ __all__ = [
     "Assembler",
     "Assessment",
     "DriftRequest",
+    "FeedMemory",
+    "FeedReport",
+    "Feeder",
     "FollowMemory",
     "FollowOptions",
     "Follower",
+    "MoveMemory",
+    "Mover",
     "PoseMemory",
     "Poser",
     "Situation",
@@ -54,4 +61,8 @@ def rules_for(task: Task, rig: Rig, options: TaskOptions) -> TaskRules:
             return Assembler(task, rig)
         case PoseTask():
             return Poser(task, rig)
+        case MoveTask():
+            return Mover(task, rig)
+        case FeedTask():
+            return Feeder(task, rig)
     assert_never(task)

@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import Parts, Rig, Targets
 from plate_core.tasks import AssembleTask
 
-from .targets import CLEAR, assign, way_weight
+from .targets import GAP, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 BAND = 0.3
@@ -55,7 +55,7 @@ class Assembler(TaskRules):
         aim, placed = self._aim(parts)
         band, rows = BAND * self.task.tolerance_m, placed[:, None] & [True, True]
         weight = np.where(rows, way_weight(aim - parts.position), 0.0)
-        targets = Targets(aim - band, aim + band, weight, CLEAR * self.rig.parts.radius_m)
+        targets = Targets(aim - band, aim + band, weight, GAP * self.rig.parts.radius_m)
         return DriftRequest.towards(parts.position, targets)
 
     def _aim(self, parts: Parts) -> tuple[np.ndarray, np.ndarray]:

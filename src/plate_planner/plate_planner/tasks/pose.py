@@ -1,55 +1,43 @@
-"""Pose: which drift and which turning bring parts to their places and angles, and keep them.
+"""Pose: where each part is to go, and which way it is to lie.
 
-Both are proportional to the error predicted for when the answer begins to act, as in `follow`:
-
-    v = kp (place - x - T v_now)/T,    omega = kp (angle - theta - T omega_now)/T
-
-within greatest values; v_now and omega_now are what was asked of the cycle that runs now.
+As in `assemble`, each cycle is to leave as little as possible of the ways to the places, and of the
+angles: these count as the ways of the parts' rims. A part that looks the same in several directions
+turns to the nearest of them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core import Parts, Rig
-from plate_core.tasks import PoseTask
+from plate_core import AngleTargets, Parts, Rig, Targets, part_class
+from plate_core.tasks import Pose, PoseTask
 
-from ..estimation import rows_of
-from .targets import UNMATCHED, match_targets, matched_rows
+from .targets import GAP, UNMATCHED, match_by_cost, matched_rows, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
-KP = 0.5
-"""Fraction of the predicted error to correct in one cycle [-]."""
+BAND = 0.3
+"""How near to its place and angle a part is asked for [tolerance]."""
 
-DRIFT_MAX = 0.015
-"""Greatest drift to ask for [m/s]."""
-
-SPIN_MAX = 0.8
-"""Greatest turning to ask for [rad/s]: in the middle of the plate a part can turn at 1.2, near its
-ends at half of that."""
+STAY = 1.0
+"""What a metre counts for a part that has to stay where it is, beside one over an edge [-]."""
 
 
 @dataclass(frozen=True)
 class PoseMemory:
-    """What is remembered of a task of poses: which part has which, and what it was asked last.
+    """Which part has which pose.
 
     Attributes
     ----------
     match : tuple of str
         Id of the part that has each pose.
     place : (P, 2)
-        Where it is to be [m, plate_home].
-    ids : tuple of str
-    spin : (M,)
-        What was asked last [rad/s], of these parts.
+        Where it is to be [m, plate_home]; NaN for anywhere.
     """
 
     match: tuple[str, ...] = ()
     place: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    ids: tuple[str, ...] = ()
-    spin: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -64,16 +52,6 @@ class Poser(TaskRules):
         """Done when all parts have been in their poses for this long [s]."""
         return self.task.hold_s
 
-    @property
-    def estimated(self) -> bool:
-        """No: the estimator takes parts for points, which do not turn."""
-        return False
-
-    @property
-    def bias_gain(self) -> float:
-        """None is observed [-]."""
-        return 0.0
-
     def assess(
         self, memory: PoseMemory | None, now: Situation
     ) -> tuple[PoseMemory | None, Assessment]:
@@ -83,18 +61,17 @@ class Poser(TaskRules):
         parts = now.parts
         memory = self.begin(parts) if memory is None else memory
         error, angle = self.errors(memory, parts)
-        distance = error + self.rig.parts.radius_m * np.abs(angle)  # the way of the rim
+        reach = np.array([self._reach(part_class(name)) for name in parts.ids])
+        distance = error + reach * np.abs(angle)
         turn = float(np.max(np.abs(angle), initial=0.0))
-        count, problem = self.count(memory, parts), self.problem(memory, parts)
-        memory, request = self.request(memory, parts, now.predicted, now.period)
+        count = self.count(memory, parts)
         return memory, Assessment(
-            request=request,
-            torque=self.torque(memory, parts, now.period),
+            request=self.request(memory, parts),
             goal_met=count == len(self.task.poses),
             count=count,
             distance=distance,
             to_go_m=float(np.sum(distance)),
-            problem=problem,
+            problem=self.problem(memory, parts),
             rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
             max_error_m=float(np.max(error, initial=0.0)),
             turn_error=turn,
@@ -103,26 +80,27 @@ class Poser(TaskRules):
         )
 
     def begin(self, parts: Parts) -> PoseMemory:
-        """Give each part a pose of its class: one with a place to the nearest, as far as that goes;
-        then the others, each where it is."""
-        stays = np.array([pose.place is None for pose in self.task.poses])
-        place = np.array([pose.place or (0.0, 0.0) for pose in self.task.poses])
-        match = np.full(len(stays), UNMATCHED, dtype=object)
-        for rows in (np.flatnonzero(~stays), np.flatnonzero(stays)):
-            free = [k for k, part_id in enumerate(parts.ids) if part_id not in match]
-            labels = tuple(self.task.poses[row].label for row in rows)
-            match[rows] = match_targets(labels, place[rows], parts.take(free))
-        for row in np.flatnonzero(stays & (match != UNMATCHED)):
-            place[row] = parts.position[parts.ids.index(match[row])]
-        return PoseMemory(tuple(match), place)
+        """Give each part a pose of its class, so that the sum of squared ways and arcs is least."""
+        poses = self.task.poses
+        place = np.array([(np.nan, np.nan) if p.place is None else p.place for p in poses])
+        way = place[:, None] - parts.position
+        arc = np.array([self._reach(p.label) * self._missing(p, parts.angle) for p in poses])
+        square = np.nan_to_num(np.sum(way**2, axis=2)) + arc.reshape(len(poses), len(parts)) ** 2
+        match = match_by_cost(tuple(pose.label for pose in poses), square, parts)
+        for row in np.flatnonzero(np.isnan(place[:, 0])):
+            if match[row] != UNMATCHED and not self.task.anywhere:
+                place[row] = parts.position[parts.ids.index(match[row])]
+        return PoseMemory(match, place)
 
     def errors(self, memory: PoseMemory, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         """Distance from its place [m] and angle still to turn [rad] of each part (M,); 0 for one
         without a pose."""
         distance, angle = np.zeros(len(parts)), np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        distance[part] = np.hypot(*(memory.place[pose] - parts.position[part]).T)
-        angle[part] = _wrapped(self._angles[pose] - parts.angle[part])
+        away = np.hypot(*(memory.place[pose] - parts.position[part]).T)
+        distance[part] = np.nan_to_num(away)
+        for k, row in zip(pose, part, strict=True):
+            angle[row] = self._missing(self.task.poses[k], parts.angle[row])
         return distance, angle
 
     def count(self, memory: PoseMemory, parts: Parts) -> int:
@@ -146,37 +124,36 @@ class Poser(TaskRules):
         return (
             f"{parts.ids[worst]} is {1e3 * far:.1f} mm from where it was to turn, "
             f"allowed: {1e3 * self.task.tolerance_m:g} mm (tolerance_m); fewer parts, more "
-            "room from the plate's ends, or a greater tolerance would do"
+            "room from the plate's ends, a greater tolerance, or anywhere: true would do"
         )
 
-    def request(
-        self, memory: PoseMemory, parts: Parts, predicted: np.ndarray, period: float
-    ) -> tuple[PoseMemory, DriftRequest]:
-        """Return the drift wanted of each part, and the memory with the turning wanted.
-
-        `predicted` (M, 2) [m] is where the parts will be when the answer begins to act.
-        """
-        drift, spin = np.zeros((len(parts), 2)), np.zeros(len(parts))
+    def request(self, memory: PoseMemory, parts: Parts) -> DriftRequest:
+        """Return places and angles of the parts, as seen (M); one without a pose is only kept on
+        the plate."""
+        _, missing = self.errors(memory, parts)
+        aim, weight = parts.position.copy(), np.zeros((len(parts), 2))
+        turned = np.zeros(len(parts))
         pose, part = matched_rows(memory.match, parts)
-        wanted = KP * (memory.place[pose] - predicted[part]) / period
-        size = np.hypot(*wanted.T)[:, None]
-        drift[part] = wanted * np.minimum(1, DRIFT_MAX / np.maximum(size, 1e-12))
-        row = rows_of(parts.ids, memory.ids)
-        turning = np.where(row >= 0, np.append(memory.spin, 0.0)[row], 0.0)
-        missing = _wrapped(self._angles[pose] - parts.angle[part] - period * turning[part])
-        spin[part] = np.clip(KP * missing / period, -SPIN_MAX, SPIN_MAX)
-        return replace(memory, ids=parts.ids, spin=spin), DriftRequest(drift, drift)
+        placed = np.isfinite(memory.place[pose, 0])
+        aim[part[placed]] = memory.place[pose[placed]]
+        reach = np.array([self._reach(self.task.poses[k].label) for k in pose])
+        arcs = reach * missing[part]
+        counts = way_weight(np.vstack([aim - parts.position, np.column_stack([arcs, 0 * arcs])]))
+        stays = np.array([self.task.poses[k].place is None for k in pose], dtype=bool)
+        weight[part[placed]] = np.where(stays[placed], max(STAY, counts), counts)[:, None]
+        turned[part] = counts * reach
+        band, angle_band = BAND * self.task.tolerance_m, BAND * self.task.tolerance_rad
+        goal = parts.angle + missing
+        angles = AngleTargets(goal - angle_band, goal + angle_band, turned)
+        gap = GAP * self.rig.parts.radius_m
+        targets = Targets(aim - band, aim + band, weight, gap, angles)
+        return DriftRequest.towards(parts.position, targets)
 
-    def torque(self, memory: PoseMemory, parts: Parts, period: float) -> np.ndarray:
-        """Mean torques over a cycle (M,) [N m] that lead from the present turning to the wanted."""
-        inertia = self.rig.parts.mass_kg * self.rig.parts.radius_m**2 / 2
-        return np.asarray(inertia * (memory.spin - parts.spin) / period)
+    def _reach(self, label: str) -> float:
+        """Return the reach of parts of a class [m]."""
+        return self.rig.part_type(label).reach_m
 
-    @property
-    def _angles(self) -> np.ndarray:
-        return np.array([pose.angle for pose in self.task.poses])
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    """Return angles in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    def _missing(self, pose: Pose, angle: np.ndarray) -> np.ndarray:
+        """Return by how much parts of its class at angles (...) [rad] have to turn [rad]."""
+        period = 2 * np.pi / max(self.rig.part_type(pose.label).symmetry, 1)
+        return np.asarray((pose.angle - angle + period / 2) % period - period / 2)

@@ -13,9 +13,10 @@ from itertools import combinations
 import numpy as np
 
 from plate_core import Parts, Rig, ScenarioError, Targets, part_class
+from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, Scenario, Side, SortTask
 
-from .targets import CLEAR, assign, way_weight
+from .targets import GAP, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
@@ -112,8 +113,8 @@ class Sorter(TaskRules):
         result[~np.any(sign, axis=1)] = np.nan
         for rows, corner, _ in self._binned(parts):
             point = parts.position[rows]
-            away = np.maximum(outline_distance(point, corner), np.finfo(float).tiny)
-            result[rows] = np.where(inside(point, corner), 0, away)
+            away = np.maximum(rim_distance(corner, point), np.finfo(float).tiny)
+            result[rows] = np.where(contains(corner, point), 0, away)
         return result
 
     def hand(self, before: float | None, parts: Parts) -> float:
@@ -139,7 +140,7 @@ class Sorter(TaskRules):
             mine = parts.take(rows)
             label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
-            room = max(float(outline_distance(place, corner).min()) - self.rig.parts.radius_m, 0.0)
+            room = max(float(rim_distance(corner, place).min()) - self.rig.parts.radius_m, 0.0)
             low[rows], high[rows] = place - room, place + room
             way[rows] = place - parts.position[rows]
         asked = (low > -half) | (high < half)
@@ -156,8 +157,8 @@ class Sorter(TaskRules):
         low[:, 1] = np.where((lane > 0) & upper, middle, low[:, 1])
         high[:, 1] = np.where((lane > 0) & ~upper, -middle, high[:, 1])
         weight[:, 1] = np.where(lane > 0, lane, weight[:, 1])
-        clear = CLEAR * self.rig.parts.radius_m
-        return DriftRequest.towards(parts.position, Targets(low, high, weight, clear))
+        gap = GAP * self.rig.parts.radius_m
+        return DriftRequest.towards(parts.position, Targets(low, high, weight, gap))
 
     def _ways(self, parts: Parts, sign: np.ndarray) -> np.ndarray:
         """Ways (M, 2) [m] to a little beyond the goal lines of sides (M, 2)."""
@@ -191,26 +192,6 @@ def _diagonal(sign: np.ndarray) -> float:
     return float(side[0])
 
 
-def inside(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Whether points (..., 2) are in a polygon (n, 2): a ray from each crosses it an odd number."""
-    after = np.roll(corner, -1, axis=0)
-    x, y = point[..., 0, None], point[..., 1, None]
-    crosses = (corner[:, 1] > y) != (after[:, 1] > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = (y - corner[:, 1]) / (after[:, 1] - corner[:, 1])
-        right = x < corner[:, 0] + fraction * (after[:, 0] - corner[:, 0])
-    return np.asarray(np.sum(crosses & right, axis=-1) % 2 == 1)
-
-
-def outline_distance(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Distance (...) [m] of points (..., 2) from the sides of a polygon (n, 2) [m]."""
-    edge = np.roll(corner, -1, axis=0) - corner
-    offset = point[..., None, :] - corner
-    fraction = np.clip(np.sum(offset * edge, axis=-1) / np.sum(edge**2, axis=-1), 0, 1)
-    nearest = offset - fraction[..., None] * edge
-    return np.asarray(np.min(np.hypot(nearest[..., 0], nearest[..., 1]), axis=-1))
-
-
 def slots(region: Bin, rig: Rig) -> np.ndarray:
     """Return places (n, 2) [m] in a bin, on a square grid, apart from each other and its sides."""
     corner = np.array(region.corner)
@@ -221,7 +202,7 @@ def slots(region: Bin, rig: Rig) -> np.ndarray:
         start = low + clear + spacing * np.array(shift) / GRID_TRIES
         axes = [np.arange(a, b - clear + 1e-9, spacing) for a, b in zip(start, high, strict=True)]
         point = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        fits = inside(point, corner) & (outline_distance(point, corner) >= clear - 1e-9)
+        fits = contains(corner, point) & (rim_distance(corner, point) >= clear - 1e-9)
         if np.sum(fits) > len(best):
             best = point[fits]
     return best

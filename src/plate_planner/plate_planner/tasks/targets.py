@@ -21,8 +21,8 @@ FULL_WAY_M, LEAST_WAY_M = 0.012, 0.01
 """The longest way of all counts as if it were so long beside ways over an edge, so that those with
 the longest ways come first; ways below the second are no longer stretched so [m]."""
 
-CLEAR = 2.5
-"""Least distance of the centres of two parts [part radii]."""
+GAP = 0.5
+"""Least distance of the rims of two parts on their ways [radii of the rig's parts]."""
 
 
 def match_targets(
@@ -46,14 +46,23 @@ def match_targets(
     tuple of P ids
         Id of the part of each target, UNMATCHED where there is none.
     """
+    target = np.reshape(target, (-1, 2))
+    square = np.sum((target[:, None] - parts.position[None]) ** 2, axis=2)
+    return match_by_cost(labels, square, parts, reach_m**2)
+
+
+def match_by_cost(
+    labels: Sequence[str], cost: np.ndarray, parts: Parts, most: float = np.inf
+) -> tuple[str, ...]:
+    """Match parts to P targets of their class so that the sum of costs (P, M) [m2] is least; pairs
+    that cost more than `most` are not matched. Returns as `match_targets`."""
     match = [UNMATCHED] * len(labels)
     if not len(parts) or not labels:
         return tuple(match)
-    distance = np.hypot(*(target[:, None] - parts.position[None]).transpose(2, 0, 1))
     same = np.array([[part_class(i) == label for i in parts.ids] for label in labels])
-    cost = np.where(same, distance**2, WRONG_CLASS_M**2)
-    for k, part in zip(*linear_sum_assignment(cost), strict=True):
-        if same[k, part] and distance[k, part] <= reach_m:
+    every = np.where(same, cost, WRONG_CLASS_M**2)
+    for k, part in zip(*linear_sum_assignment(every), strict=True):
+        if same[k, part] and cost[k, part] <= most:
             match[k] = parts.ids[part]
     return tuple(match)
 

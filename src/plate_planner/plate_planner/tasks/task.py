@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from plate_core import Parts, Rig, Targets
+from plate_core import Parts, Rig, Targets, part_class
 from plate_core.tasks import Scenario
 
 NEARER_M = 0.002
@@ -59,7 +59,7 @@ class DriftRequest:
         """Return what is left to ask for if parts have a drift of their own (M, 2) [m/s]."""
         return replace(self, low=self.low - bias, high=self.high - bias)
 
-    def force(self, velocity: np.ndarray, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
+    def force(self, parts: Parts, rig: Rig, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean force over a cycle that leads from the present drift to the wanted.
 
         F = m (v_wanted - v)/T. If v is known, v_wanted results, so an error of v, as
@@ -67,8 +67,8 @@ class DriftRequest:
 
         Parameters
         ----------
-        velocity : (M, 2)
-            Present drift [m/s, plate_home].
+        parts : Parts
+            M parts with their present drift.
         rig : Rig
         period : float
             Length of a cycle, T [s].
@@ -78,9 +78,11 @@ class DriftRequest:
         force, tolerance : (M, 2)
             Middle and half width of the wanted force [N].
         """
-        gain, bound = rig.parts.mass_kg / period, rig.force_unit
+        types = [rig.part_type(part_class(name)) for name in parts.ids]
+        gain = np.array([[part.mass_kg] for part in types]) / period
+        bound = gain * period * np.array([[part.mu] for part in types]) * rig.friction.gravity
         return (
-            np.clip(gain * (self.centre - velocity), -bound, bound),
+            np.clip(gain * (self.centre - parts.velocity), -bound, bound),
             gain * (self.high - self.low) / 2,
         )
 
@@ -109,6 +111,10 @@ class Situation:
         Drift that the running cycle, by the motion model, lacks of what was asked of it [m/s].
     active : bool
         Whether it goes on: it has begun and not ended.
+    seen : Parts
+        Parts on the plate as the last image shows them.
+    taken : float
+        When that was taken [s].
     """
 
     parts: Parts
@@ -120,6 +126,8 @@ class Situation:
     predicted: np.ndarray
     shortfall: np.ndarray
     active: bool
+    seen: Parts
+    taken: float
 
 
 @dataclass(frozen=True)
@@ -130,8 +138,6 @@ class Assessment:
     ----------
     request : DriftRequest or None
         What is wanted of the M parts; None: nothing.
-    torque : (M,), or None
-        Mean torques wanted over a cycle [N m]; None: any turning will do.
     goal_met : bool
         Whether the goal is met in this image.
     count : int
@@ -152,10 +158,11 @@ class Assessment:
         Speed of references over that of their paths, now and on average [-].
     outcome : str
         What there is to tell if the task is done now.
+    doing : str
+        What there is to tell while it runs.
     """
 
     request: DriftRequest | None = None
-    torque: np.ndarray | None = None
     goal_met: bool = False
     count: int = 0
     distance: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -168,6 +175,7 @@ class Assessment:
     speed_scaling: float = 1.0
     pace: float = 1.0
     outcome: str = ""
+    doing: str = ""
 
 
 class TaskRules(Protocol):
@@ -199,6 +207,20 @@ class TaskRules(Protocol):
         ...
 
     @property
+    def endless(self) -> bool:
+        """Whether it goes on until it is canceled: it is never done, and never stuck."""
+        return False
+
+    @property
+    def open_ended(self) -> bool:
+        """Whether parts may come and go: it begins with any, and misses none."""
+        return False
+
+    def keeps_last(self, memory: Any) -> bool:
+        """Whether parts are where they were seen last, whatever an image shows."""
+        return False
+
+    @property
     def nearer_m(self) -> float:
         """What counts as nearer to the goal [m]; a task that comes no nearer is stuck."""
         return NEARER_M
@@ -210,11 +232,6 @@ class TaskRules(Protocol):
     def doubts(self) -> tuple[str, ...]:
         """Say what is asked that this rig will probably not do, and what would do."""
         return ()
-
-    @property
-    def estimated(self) -> bool:
-        """Whether it plans on the estimated parts; else on parts as vision saw them."""
-        return True
 
     @property
     def bias_gain(self) -> float:

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from plate_core import PlateError, Rig
-from plate_core.rig import homography, project, to_home
+from plate_core.colours import lab_to_srgb
+from plate_core.rig import PartType, homography, project, to_home
 
-from .raster import DISCS, Outline, Sprites, draw_parts, draw_plate, expose, outlines_of
+from .raster import Outlines, Sprites, draw_parts, draw_plate, expose, outlines_of
 
 BACKGROUND, PLATE = 60.0, 220.0
 """Grey values of the room and the plate at full light."""
 
 GREY_OF_CLASS = {"black": 40.0, "grey": 130.0}
 """Grey values of the parts at full light, by class."""
+
+UNKNOWN_GREY = 80.0
+"""Of parts of a type whose colour is not known."""
 
 SHADING = 0.10
 """Fraction of the light that is missing in the image's corners."""
@@ -50,8 +55,59 @@ its pixels are kept."""
 FAR = 1e6
 """What a pixel looks at that no light reaches through the lens [m]: not the plate."""
 
+SHADOW_M, SHADOW_WAY, PENUMBRA = 2.5e-3, (0.8, -0.6), (0.4, 0.7, 1.0)
+"""A shadow reaches so far out from under a part [m], in this direction (plate_home); what it is
+made of: the part's outline at these fractions of that."""
+
+HIGHLIGHT_OPACITY, HIGHLIGHT_WIDEST = 0.9, 0.8
+"""How much of a part's own colour the lamp's image hides: a disc of white; and its greatest radius,
+as a fraction of the distance from the rim."""
+
+WHITE = 255.0
+
+ARM_M, HEAD_M, ARM_END_M = 0.06, 0.04, 1.0
+"""Width of a robot's arm, diameter of the gripper under it, and how far the arm reaches along +y,
+out of the image [m]. Perspective is left out: they are drawn as if they lay on the plate."""
+
+ROBOT = (
+    PartType(
+        "arm",
+        outline=((-ARM_M / 2, 0), (ARM_M / 2, 0), (ARM_M / 2, ARM_END_M), (-ARM_M / 2, ARM_END_M)),
+    ),
+    PartType("wrist", radius_m=ARM_M / 2),
+    PartType("gripper", radius_m=HEAD_M / 2),
+)
+ROBOT_GREY = (150.0, 150.0, 100.0)
+"""What is drawn of a robot, from its gripper on, and its grey values at full light: metal."""
+
 MARGIN_PX = 2.0
 """Pixels looked at around a part, beyond where its edge should be."""
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """What a lamp does to parts: it is mirrored in a share of each part's area, and makes shadows
+    in which the plate is darker by a share."""
+
+    highlights: float = 0.0
+    shadows: float = 0.0
+
+
+EVEN = Lighting()
+"""From all sides."""
+
+
+def part_colours(types: Sequence[PartType], colour: bool) -> np.ndarray:
+    """Return the grey values (M,) at full light of parts of these types, or blue, green and red
+    (M, 3); a type whose colour is not known is black or grey by its name, or else dark grey.
+    """
+    greys = [GREY_OF_CLASS.get(part.name, UNKNOWN_GREY) for part in types]
+    result = np.tile(np.array(greys)[:, None], (1, 3))
+    for row, part in zip(result, types, strict=True):
+        if part.colour_lab is not None:
+            lab = np.array(part.colour_lab) * (1.0 if colour else [1.0, 0.0, 0.0])
+            row[:] = lab_to_srgb(lab)[::-1]
+    return result if colour else result[:, 0]
 
 
 def part_greys(classes: list[str]) -> np.ndarray:
@@ -82,7 +138,7 @@ class Camera:
 
     def __init__(self, rig: Rig, noise: float = NOISE) -> None:
         self._rig = rig
-        self._noise = noise
+        self.noise = noise
         self._lens = rig.camera.lens
         if self._lens is not None and not self._lens.bends:
             self._lens = None
@@ -98,8 +154,8 @@ class Camera:
         self._empty = np.empty((height, width), np.float32)
         self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
         self._canvas = np.empty_like(self._empty)
-        self._outline: Sequence[Outline | None] | None = None
-        self._outlines = DISCS
+        self._types = [PartType("", radius_m=rig.parts.radius_m, symmetry=0)]
+        self._outlines = outlines_of(self._types)
 
     def render(
         self,
@@ -110,17 +166,19 @@ class Camera:
         pose: np.ndarray | None = None,
         *,
         angle: np.ndarray | None = None,
-        outline: Sequence[Outline | None] | None = None,
+        types: Sequence[PartType] | None = None,
+        lighting: Lighting = EVEN,
+        gripper: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the image (height, width), uint8, of parts on the plate.
+        """Return the image (height, width) or (height, width, 3), uint8, of parts on the plate.
 
         Parameters
         ----------
         position : (M, 2) or (s, M, 2)
             Parts when the exposure begins [m], plate_home; or s times, equally spaced from the
             exposure's beginning to its end.
-        grey : (M,)
-            Their grey values at full light.
+        grey : (M,) or (M, 3)
+            Their grey values at full light; or blue, green and red: the image then has colours.
         rng : numpy.random.Generator
             Picks the part of the noise bank that is used: one number per image.
         velocity : (M, 2), optional
@@ -131,11 +189,15 @@ class Camera:
             bands of rows; at home if missing, as at every start of a cycle that a rigid plate
             makes.
         angle : (M,), optional
-            Of the parts [rad], counter-clockwise. Discs then carry a mark in the direction of
-            their angle: grey on black, black on grey.
-        outline : sequence of M, optional
-            What a part looks like, such as `Footprint.outline`; None for a disc of the rig's
-            radius. Prepared once as long as it is the same object.
+            Of the parts [rad], counter-clockwise. Without types they then carry a mark in that
+            direction: grey on black, black on grey.
+        types : sequence of M, optional
+            What the parts look like; if missing, discs of the rig's radius.
+        lighting : Lighting
+            Highlights and shadows.
+        gripper : (2,), optional
+            Of a robot over the plate [m, plate_home]: it hides what is below it, and its arm does
+            from there on along +y.
 
         Raises
         ------
@@ -144,22 +206,32 @@ class Camera:
         """
         path = self._path(position, velocity)
         count = path.shape[1]
-        grey = _checked("grey", grey, (count,))
-        canvas = self._canvas
-        np.copyto(canvas, self._empty)
-        if pose is not None and np.any(pose):
-            bands = pose if np.ndim(pose) == 3 else [pose]
-            ends = len(canvas) * np.arange(len(bands) + 1) // len(bands)
-            for k, poses in enumerate(bands):
-                self._move_plate(canvas, _samples("pose", poses, (3,)), ends[k : k + 2])
-        if count:
-            turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
-            self._draw(canvas, path, grey, turns, angle is not None, outline)
-        image = np.empty(canvas.shape, np.uint8)
-        offset = rng.integers(NOISE_BANK)
-        bank = _noise_bank(canvas.size)[offset : offset + canvas.size]
-        expose(canvas.ravel(), bank, self._noise, image.ravel())
-        return image
+        colour = np.ndim(grey) == 2
+        values = _checked("grey", grey, (count, 3) if colour else (count,))
+        turns = np.zeros(count) if angle is None else _checked("angle", angle, (count,))
+        sprites, outlines, layer = self._sprites(path, turns, angle is not None, types, lighting)
+        robot = None if gripper is None else self._robot(_checked("gripper", gripper, (2,)))
+        channels = []
+        for value in values.T if colour else [values]:
+            canvas = self._canvas
+            np.copyto(canvas, self._empty)
+            if pose is not None and np.any(pose):
+                bands = pose if np.ndim(pose) == 3 else [pose]
+                ends = len(canvas) * np.arange(len(bands) + 1) // len(bands)
+                for k, poses in enumerate(bands):
+                    self._move_plate(canvas, _samples("pose", poses, (3,)), ends[k : k + 2])
+            marks = np.where(value < LIGHT, MARK_OF_DARK, MARK_OF_LIGHT)
+            black, white = np.zeros(count), np.full(count, WHITE)
+            shades = np.concatenate([[black, value, marks, white][kind] for kind in layer])
+            draw_parts(canvas, self._light, self._places, sprites._replace(grey=shades), outlines)
+            if robot is not None:
+                draw_parts(canvas, self._light, self._places, robot, _robot_outlines())
+            image = np.empty(canvas.shape, np.uint8)
+            offset = rng.integers(NOISE_BANK)
+            bank = _noise_bank(canvas.size)[offset : offset + canvas.size]
+            expose(canvas.ravel(), bank, self.noise, image.ravel())
+            channels.append(image)
+        return np.stack(channels, axis=2) if colour else channels[0]
 
     def _pixel_places(self) -> np.ndarray:
         """Return the places (n, 2) [m, plate_home] that the pixels look at, row by row."""
@@ -185,37 +257,70 @@ class Camera:
         velocity = _checked("velocity", velocity, path.shape[1:])
         return np.concatenate([path, path + self._rig.camera.exposure_s * velocity])
 
-    def _draw(
+    def _outlines_of(self, types: Sequence[PartType] | None, count: int) -> Outlines:
+        """Return the outlines of M parts; those of a type are made once."""
+        if types is not None and len(types) != count:
+            raise PlateError(f"types: {len(types)} for {count} parts, allowed: as many")
+        new = [part for part in dict.fromkeys(types or ()) if part not in self._types]
+        if new:
+            self._types += new
+            self._outlines = outlines_of(self._types)
+        row = [0] * count if types is None else [self._types.index(part) for part in types]
+        return self._outlines.take(np.array(row, int))
+
+    def _sprites(
         self,
-        canvas: np.ndarray,
         path: np.ndarray,
-        grey: np.ndarray,
         angle: np.ndarray,
         marked: bool,
-        outline: Sequence[Outline | None] | None,
-    ) -> None:
-        """Draw parts, and then the marks on those that are discs."""
-        if outline is not self._outline:
-            self._outlines = DISCS if outline is None else outlines_of(outline)
-            self._outline = outline
-        first, reach = self._outlines.first, self._outlines.reach
-        if outline is None:
-            first, reach = np.zeros(len(grey) + 1, np.int64), np.zeros(len(grey))
-        if len(reach) != len(grey):
-            raise PlateError(f"outline: {len(reach)} for {len(grey)} parts, allowed: as many")
-        disc = reach == 0
-        radius = np.where(disc, self._rig.parts.radius_m, reach)
-        turn = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if marked and np.any(disc):
-            there = path[:, disc] + MARK_PLACE * self._rig.parts.radius_m * turn[disc]
-            path = np.concatenate([path, there], axis=1)
-            grey = np.append(grey, np.where(grey[disc] < LIGHT, MARK_OF_DARK, MARK_OF_LIGHT))
-            radius = np.append(radius, MARK_RADIUS * radius[disc])
-            turn = np.concatenate([turn, turn[disc]])
-            first = np.append(first, np.full(there.shape[1], first[-1]))
-        sprites = Sprites(*self._windows(path, radius), path, radius, turn, grey)
-        outlines = self._outlines._replace(first=first)
-        draw_parts(canvas, self._light, self._places, sprites, outlines)
+        types: Sequence[PartType] | None,
+        lighting: Lighting,
+    ) -> tuple[Sprites, Outlines, list[int]]:
+        """Return what is drawn, all white, in layers of M: shadows, parts, the marks on discs of no
+        type, and highlights; and of what kind each layer is: 0 to 3."""
+        count = path.shape[1]
+        own = self._outlines_of(types, count)
+        turn, lamp = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array(SHADOW_WAY)
+        layers = [(1, path, own, 1.0)]
+        if lighting.shadows:
+            # Each layer hides as much, and all of them the whole.
+            opacity = 1 - (1 - lighting.shadows) ** (1 / len(PENUMBRA))
+            offsets = [SHADOW_M * part * lamp for part in PENUMBRA]
+            layers = [*((0, path + offset, own, opacity) for offset in offsets), *layers]
+        if marked and types is None:
+            marks = own.discs(MARK_RADIUS * own.reach)
+            layers.append((2, path + MARK_PLACE * own.reach[:, None] * turn, marks, 1.0))
+        if lighting.highlights:
+            x, y, depth, area = own.spot.T
+            radius = np.minimum(
+                np.sqrt(lighting.highlights * area / np.pi), HIGHLIGHT_WIDEST * depth
+            )
+            (c, s), there = turn.T, np.empty((count, 2))
+            there[:, 0], there[:, 1] = c * x - s * y, s * x + c * y
+            layers.append((3, path + there, own.discs(radius), HIGHLIGHT_OPACITY))
+        kinds, paths, every, opacities = zip(*layers, strict=True)
+        there, outlines = np.concatenate(paths, axis=1), every[0].joined(every[1:])
+        sprites = Sprites(
+            *self._windows(there, outlines.reach), there, outlines.reach,
+            np.tile(turn, (len(layers), 1)), np.full(there.shape[1], WHITE),
+            np.repeat(opacities, count),
+        )  # fmt: skip
+        return sprites, outlines, list(kinds)
+
+    def _robot(self, gripper: np.ndarray) -> Sprites:
+        """Return what is drawn of a robot whose gripper is at a place (2,) [m, plate_home]."""
+        outlines, count = _robot_outlines(), len(ROBOT)
+        path = np.tile(gripper, (2, count, 1))
+        window, scale, copies = self._windows(path, outlines.reach)
+        offset = self._places - gripper
+        covered = (np.abs(offset[..., 0]) < ARM_M) & (offset[..., 1] > -ARM_M)
+        for axis in (0, 1):
+            lines = np.flatnonzero(covered.any(axis=1 - axis))
+            window[0, 2 * axis : 2 * axis + 2] = (lines[0], lines[-1] + 1) if len(lines) else (0, 0)
+        turn = np.tile([1.0, 0.0], (count, 1))
+        return Sprites(
+            window, scale, copies, path, outlines.reach, turn, np.array(ROBOT_GREY), np.ones(count)
+        )
 
     def _windows(
         self, path: np.ndarray, radius: np.ndarray
@@ -300,6 +405,11 @@ def _light(width: int, height: int) -> np.ndarray:
     x = np.linspace(-1, 1, width, dtype=np.float32)
     y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
     return 1 - np.float32(SHADING) * (x * x + y * y) / 2
+
+
+@lru_cache(maxsize=1)
+def _robot_outlines() -> Outlines:
+    return outlines_of(ROBOT)
 
 
 @lru_cache(maxsize=4)

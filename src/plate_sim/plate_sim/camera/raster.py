@@ -12,18 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import PlateError
 from plate_core.kernels import inner_kernel, kernel
+from plate_core.rig import PartType, contains, rim_distance
 
-Outline = Sequence[np.ndarray]
-"""Convex polygons (k, 2) that a part consists of [m, part's frame], corners counter-clockwise."""
+from ..friction.outline import convex_pieces
 
-MIN_SIDE = 1e-6
-"""Shortest side of a polygon [m]: far below a pixel."""
+SPOT_GRID = 25
+"""Places along each axis that are tried for the one furthest from the rim."""
 
 
 class Outlines(NamedTuple):
-    """Outlines of M parts.
+    """Outlines of M parts: convex polygons that lie side by side, then those of holes.
 
     Attributes
     ----------
@@ -31,16 +30,38 @@ class Outlines(NamedTuple):
         Outward normal, and distance from the part's centre [m], of all polygons' edges.
     pieces : (p + 1,)
         The first edge of every polygon; the end.
-    first : (M + 1,)
-        The first polygon of every part; the end.
+    first, hole : (M,)
+        The first polygon of every part, and of its holes; the same for a disc.
+    end : (M,)
+        The polygon after its last.
     reach : (M,)
-        How far the part reaches from its centre [m]; 0 for a disc.
+        How far the part reaches from its centre [m].
+    spot : (M, 4)
+        The place that is furthest from the rim [m, part's frame], how far that is, and the part's
+        area [m2].
     """
 
     edges: np.ndarray
     pieces: np.ndarray
     first: np.ndarray
+    hole: np.ndarray
+    end: np.ndarray
     reach: np.ndarray
+    spot: np.ndarray
+
+    def discs(self, radius: np.ndarray) -> Outlines:
+        """Return discs of radii (n,) [m] in place of the parts."""
+        none = np.zeros(len(radius), np.int64)
+        return self._replace(first=none, hole=none, end=none, reach=radius)
+
+    def joined(self, others: Sequence[Outlines]) -> Outlines:
+        """Return these parts, and then those of others, which have the same polygons."""
+        rows = zip(self[2:], *(other[2:] for other in others), strict=True)
+        return Outlines(self.edges, self.pieces, *(np.concatenate(row) for row in rows))
+
+    def take(self, rows: np.ndarray) -> Outlines:
+        """Return those of some parts (k,)."""
+        return Outlines(self.edges, self.pieces, *(each[rows] for each in self[2:]))
 
 
 class Sprites(NamedTuple):
@@ -62,6 +83,8 @@ class Sprites(NamedTuple):
         Cosine and sine of the angle.
     grey : (n,)
         Grey values at full light.
+    opacity : (n,)
+        Fraction of what is beneath that they hide.
     """
 
     window: np.ndarray
@@ -71,51 +94,45 @@ class Sprites(NamedTuple):
     radius: np.ndarray
     turn: np.ndarray
     grey: np.ndarray
+    opacity: np.ndarray
 
 
-DISCS = Outlines(
-    np.empty((0, 3)), np.zeros(1, np.int64), np.zeros(1, np.int64), np.empty(0)
-)  # fmt: skip
-"""Of no polygons at all."""
+def outlines_of(types: Sequence[PartType]) -> Outlines:
+    """Return what drawing needs of parts of these types."""
+    edges: list[np.ndarray] = [np.empty((0, 3))]
+    pieces, rows = [0], []
+    for part in types:
+        solid = [] if part.radius_m else convex_pieces(part.polygon)
+        holes = [piece for hole in part.holes for piece in convex_pieces(np.array(hole))]
+        begin = len(pieces) - 1
+        for polygon in (*solid, *holes):
+            edges.append(_edges(polygon))
+            pieces.append(pieces[-1] + len(polygon))
+        rows.append((begin, begin + len(solid), len(pieces) - 1))
+    first, hole, end = np.array(rows, np.int64).reshape(-1, 3).T.copy()
+    reach = np.array([part.reach_m for part in types])
+    spot = np.array([_spot(part) for part in types])
+    return Outlines(np.concatenate(edges), np.array(pieces), first, hole, end, reach, spot)
 
 
-def outlines_of(outlines: Sequence[Outline | None]) -> Outlines:
-    """Return what drawing needs of outlines, None for a disc.
-
-    Raises
-    ------
-    PlateError
-        If an outline is not made of convex polygons with their corners counter-clockwise.
-    """
-    edges, pieces, first, reach = [np.empty((0, 3))], [0], [0], []
-    for part, outline in enumerate(outlines):
-        far = 0.0
-        for polygon in () if outline is None else outline:
-            sides = _edges(part, np.asarray(polygon, dtype=float))
-            edges.append(sides)
-            pieces.append(pieces[-1] + len(sides))
-            far = max(far, float(np.linalg.norm(polygon, axis=1).max()))
-        first.append(len(pieces) - 1)
-        reach.append(far)
-    return Outlines(np.concatenate(edges), np.array(pieces), np.array(first), np.array(reach))
+def _spot(part: PartType) -> tuple[float, float, float, float]:
+    """Return `Outlines.spot` of a part, to a part of its reach."""
+    axis = part.reach_m * np.linspace(-1, 1, SPOT_GRID)
+    place = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    depth = np.where(contains(part.polygon, place), rim_distance(part.polygon, place), 0.0)
+    for hole in part.holes:
+        corner = np.array(hole)
+        beside = np.where(contains(corner, place), 0.0, rim_distance(corner, place))
+        depth = np.minimum(depth, beside)
+    best = int(np.argmax(depth))
+    return float(place[best, 0]), float(place[best, 1]), float(depth[best]), part.area_m2
 
 
-def _edges(part: int, corner: np.ndarray) -> np.ndarray:
-    """Return the edges (k, 3) of a polygon (k, 2)."""
-    allowed = "at least 3 corners [m] counter-clockwise around a convex polygon"
-    wrong = PlateError(f"outline: of part {part} is {corner.tolist()}, allowed: {allowed}")
-    if corner.ndim != 2 or corner.shape[1:] != (2,) or len(corner) < 3:
-        raise wrong
+def _edges(corner: np.ndarray) -> np.ndarray:
+    """Return the edges (k, 3) of a convex polygon (k, 2), counter-clockwise."""
     side = np.roll(corner, -1, axis=0) - corner
-    length = np.hypot(side[:, 0], side[:, 1])
-    if not np.all(np.isfinite(corner)) or length.min() < MIN_SIDE:
-        raise wrong
-    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / length[:, None]
-    offset = np.sum(normal * corner, axis=1)
-    outside = corner @ normal.T - offset
-    if outside.max() > 1e-9:
-        raise wrong
-    return np.column_stack([normal, offset])
+    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
+    return np.column_stack([normal, np.sum(normal * corner, axis=1)])
 
 
 @inner_kernel
@@ -205,15 +222,18 @@ def draw_parts(canvas, light, places, sprites, outlines):
         What pixels look at [m, plate_home].
     sprites : Sprites
     outlines : Outlines
-        Of as many; one without polygons is a disc.
+        Of as many.
     """
     for i in range(len(sprites.grey)):
         scale, radius, copies = sprites.scale[i], sprites.radius[i], sprites.copies[i]
         grey, cos, sin = sprites.grey[i], sprites.turn[i, 0], sprites.turn[i, 1]
-        begin, end = outlines.first[i], outlines.first[i + 1]
+        begin, hole, end = outlines.first[i], outlines.hole[i], outlines.end[i]
+        opacity = sprites.opacity[i]
         centre, middle, spread = positions(sprites.path[:, i], copies)
         outer = radius + spread + 1 / scale
-        inner = max(inner_radius(radius, outlines, begin, end) - spread - 0.5 / scale, 0.0)
+        inner = 0.0
+        if hole == end:
+            inner = inner_radius(radius, outlines, begin, end) - spread - 0.5 / scale
         top, bottom, left, right = sprites.window[i]
         for row in range(top, bottom):
             for col in range(left, right):
@@ -221,19 +241,20 @@ def draw_parts(canvas, light, places, sprites, outlines):
                 square = (x - middle[0]) ** 2 + (y - middle[1]) ** 2
                 if square > outer * outer:
                     continue
-                if square < inner * inner:
-                    canvas[row, col] = grey * light[row, col]
-                    continue
-                cover = 0.0
-                for k in range(copies):
-                    dx, dy = x - centre[k, 0], y - centre[k, 1]
-                    if begin == end:
-                        inside = (radius - np.sqrt(dx * dx + dy * dy)) * scale
-                        cover += min(max(inside + 0.5, 0.0), 1.0)
-                    else:
+                cover = 1.0 * copies
+                if inner < 0 or square >= inner * inner:
+                    cover = 0.0
+                    for k in range(copies):
+                        dx, dy = x - centre[k, 0], y - centre[k, 1]
                         along_x, along_y = cos * dx + sin * dy, cos * dy - sin * dx
-                        cover += polygons_cover(along_x, along_y, scale, outlines, begin, end)
-                fraction = cover / copies
+                        if begin == hole:
+                            inside = (radius - np.sqrt(dx * dx + dy * dy)) * scale
+                            own = min(max(inside + 0.5, 0.0), 1.0)
+                        else:
+                            own = polygons_cover(along_x, along_y, scale, outlines, begin, hole)
+                        own -= polygons_cover(along_x, along_y, scale, outlines, hole, end)
+                        cover += max(own, 0.0)
+                fraction = opacity * cover / copies
                 canvas[row, col] += fraction * (grey * light[row, col] - canvas[row, col])
 
 

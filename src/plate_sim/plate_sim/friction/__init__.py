@@ -2,6 +2,7 @@
 Public: the names below; `simulate` is the judge of all other integrators."""
 
 from .footprint import Footprint, bar, disc, on_feet, polygon, union
+from .outline import footprint_of
 from .point_events import TOLERANCE, Trajectory, simulate
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "Trajectory",
     "bar",
     "disc",
+    "footprint_of",
     "on_feet",
     "polygon",
     "simulate",

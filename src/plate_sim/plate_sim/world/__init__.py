@@ -3,17 +3,21 @@ Public: the names below."""
 
 from .bodies import STEP, BodyTrajectory, simulate_bodies
 from .disturbances import NONE, RANGES, Disturbances
+from .feeding import LONGEST_OPEN_S, Grip, Move
 from .simulation import WORLD_RANGES, Simulation
 from .state import WorldState
 from .step import record_cycle, run_cycle
 
 __all__ = [
+    "LONGEST_OPEN_S",
     "NONE",
     "RANGES",
     "STEP",
     "WORLD_RANGES",
     "BodyTrajectory",
     "Disturbances",
+    "Grip",
+    "Move",
     "Simulation",
     "WorldState",
     "record_cycle",

@@ -20,6 +20,9 @@ RANGES: dict[str, tuple[float, float]] = {
     "missed_images": (0.0, 0.95),
     "missed_parts": (0.0, 1.0),
     "false_parts": (0.0, 1.0),
+    "highlights": (0.0, 0.2),
+    "shadows": (0.0, 0.9),
+    "pick_failure": (0.0, 1.0),
 }
 """Allowed values."""
 
@@ -57,6 +60,12 @@ class Disturbances:
         Share of parts that an image does not show.
     false_parts : float
         False parts, over true ones, that an image shows: reflections and specks.
+    highlights : float
+        Share of each part's area on which it mirrors the light.
+    shadows : float
+        How much darker the plate is in the parts' shadows, as a share.
+    pick_failure : float
+        Share of the robot's grips in which the part slips.
 
     Raises
     ------
@@ -76,6 +85,9 @@ class Disturbances:
     missed_images: float = 0.0
     missed_parts: float = 0.0
     false_parts: float = 0.0
+    highlights: float = 0.0
+    shadows: float = 0.0
+    pick_failure: float = 0.0
 
     def __post_init__(self) -> None:
         for name, (low, high) in RANGES.items():

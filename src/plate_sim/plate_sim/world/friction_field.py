@@ -33,8 +33,10 @@ class FrictionField:
 
     Attributes
     ----------
-    part : (M,)
-        Friction of each part over the nominal one.
+    unit : (M,)
+        How much more friction each part has than the nominal one, from -1 to 1 times `spread`.
+    spread : float
+        How far friction goes up and down between parts.
     share : float
         How far friction goes up and down over the plate.
     wave : (K, 2)
@@ -43,7 +45,8 @@ class FrictionField:
         Their phases [rad].
     """
 
-    part: np.ndarray
+    unit: np.ndarray
+    spread: float
     share: float
     wave: np.ndarray
     phase: np.ndarray
@@ -53,20 +56,25 @@ class FrictionField:
         cls, disturbances: Disturbances, count: int, rng: np.random.Generator
     ) -> FrictionField:
         """Draw the friction of `count` parts and of the plate; the same numbers at any share."""
-        spread = rng.uniform(-1, 1, count)
+        unit = rng.uniform(-1, 1, count)
         direction, phase = rng.uniform(0, 2 * pi, (2, WAVES))
         wave = 2 * pi / WAVELENGTH * np.column_stack([np.cos(direction), np.sin(direction)])
-        return cls(
-            1 + disturbances.friction_spread * spread, disturbances.friction_patches, wave, phase
-        )
+        return cls(unit, disturbances.friction_spread, disturbances.friction_patches, wave, phase)
 
-    def friction(self, mu: float, position: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    @property
+    def part(self) -> np.ndarray:
+        """Friction of each part over the nominal one (M,)."""
+        return 1 + self.spread * self.unit
+
+    def friction(
+        self, mu: float | np.ndarray, position: np.ndarray, pose: np.ndarray
+    ) -> np.ndarray:
         """Return the friction coefficients (M,) of parts.
 
         Parameters
         ----------
-        mu : float
-            Nominal coefficient.
+        mu : float or (M,)
+            Nominal coefficient, of all parts or of each.
         position : (M, 2)
             Parts [m], plate_home.
         pose : (3,)

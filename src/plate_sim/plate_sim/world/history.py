@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,6 +66,50 @@ class History:
                 break
             kept, age = (older, *kept), age + older.motion.period
         return History(kept)
+
+    def take(self, rows: np.ndarray) -> History:
+        """Return the past of the parts in these rows (M,), bool."""
+        return History(
+            tuple(
+                Passage(
+                    each.motion,
+                    replace(
+                        each.run, position=each.run.position[:, rows],
+                        velocity=each.run.velocity[:, rows], angle=each.run.angle[:, rows],
+                        spin=each.run.spin[:, rows], on_plate=each.run.on_plate[rows],
+                    ),
+                    each.on_plate[rows],
+                )
+                for each in self.passages
+            )
+        )  # fmt: skip
+
+    def joined(self, position: np.ndarray) -> History:
+        """Return the same past with a part more at a place (2,) [m]: it was not there yet."""
+
+        def beside(values: np.ndarray, value: np.ndarray | float) -> np.ndarray:
+            new = np.broadcast_to(value, (len(values), 1, *values.shape[2:]))
+            return np.concatenate([values, new], axis=1)
+
+        return History(
+            tuple(
+                Passage(
+                    each.motion,
+                    replace(
+                        each.run, position=beside(each.run.position, position),
+                        velocity=beside(each.run.velocity, 0.0), angle=beside(each.run.angle, 0.0),
+                        spin=beside(each.run.spin, 0.0),
+                        on_plate=np.append(each.run.on_plate, False),
+                    ),
+                    np.append(each.on_plate, False),
+                )
+                for each in self.passages
+            )
+        )  # fmt: skip
+
+    def shows(self, count: int) -> np.ndarray:
+        """Whether each of M parts was there at the end of a cycle that is kept (M,)."""
+        return np.any([np.zeros(count, bool), *(each.on_plate for each in self.passages)], axis=0)
 
     def ago(self, age: float) -> View:
         """Return what there was `age` [s] before the end of the last cycle.

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig, part_class
+from plate_core import MOST_PARTS, PlateCycle, PlateError, Rig, did_you_mean, part_class
 from plate_core.rig import row_delay
-from plate_core.tasks import Scenario
+from plate_core.tasks import CLASSES, FeedTask, Scenario
 
-from ..camera import NOISE, Camera, part_greys
+from ..camera import NOISE, Camera, Lighting, part_colours
 from ..contacts import INELASTIC, Contacts
 from ..plate import PlateMotion, PlateState, realise
 from .disturbances import NONE, Disturbances
+from .feeding import (
+    Flow,
+    Grip,
+    Move,
+    check_duration,
+    check_gripper,
+    drop_part,
+    grip,
+    nudged,
+    went_over,
+)
 from .friction_field import FrictionField
 from .history import History, Passage
 from .state import WorldState
@@ -30,6 +42,12 @@ WORLD_RANGES = {"noise": (0.0, 50.0), "mu_scale": (0.1, 10.0)}
 
 FINEST_STAMP_S = 1e-4
 """Least distance of two stamps [s]."""
+
+TRIAL_S = 1e-3
+"""Length of the rest in which a part that is put down must lie clear of the others [s]."""
+
+SHORTEST_S = 1e-6
+"""Shorter pieces of a cycle are not run for themselves [s]."""
 
 BANDS = 8
 """Bands of rows in which a rolling shutter shows the plate's edges."""
@@ -68,6 +86,19 @@ class Simulation:
     ------
     PlateError
         If noise or mu_scale is out of range.
+
+    Attributes
+    ----------
+    state : WorldState
+        The parts. Where the task is to feed, those that have left the plate are forgotten when the
+        next cycle begins; so are, everywhere, those that the robot has taken.
+    plate : PlateState
+    disturbances : Disturbances
+    dropped, chuted : int
+        How many parts have left the plate otherwise than by hand or robot, since the beginning:
+        elsewhere than over the side of the task's chute, and over it.
+    chuted_classes : Counter of str
+        The latter by class.
     """
 
     def __init__(
@@ -81,33 +112,298 @@ class Simulation:
         mu_scale: float = 1.0,
         contacts: Contacts = INELASTIC,
     ) -> None:
-        for name, value in (("noise", noise), ("mu_scale", mu_scale)):
-            low, high = WORLD_RANGES[name]
-            if not low <= value <= high:
-                raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
+        _check(noise=noise, mu_scale=mu_scale)
         if disturbances.image_rate > 0 and rig.camera.trigger is not None:
             raise PlateError(
                 f"image_rate is {disturbances.image_rate:g} with a trigger_phase, allowed: 0, "
                 "as the rig file has the motor controller trigger the camera"
             )
+        generators = np.random.default_rng(seed).spawn(9)
         layout, self._pixel_rng, field, self._image_rng, self._part_rng, self._stamp_rng = (
-            np.random.default_rng(seed).spawn(6)
+            generators[:6]
         )
+        self._hand_rng, self._hopper_rng, self._robot_rng = generators[6:]
         self.state = WorldState.of_scenario(scenario, rig, layout)
         self.plate = PlateState.at_rest()
         self.disturbances = disturbances
         self._rig, self._contacts = rig, contacts
-        self._mu = rig.friction.mu * mu_scale
         self._field = FrictionField.draw(disturbances, len(self.state.ids), field)
         self._camera = Camera(rig, noise)
-        self._grey = part_greys([part_class(name) for name in self.state.ids])
-        self._history = History()
+        self._mu_scale = mu_scale
         self._marked = scenario.marked
+        self._feed = scenario.task if isinstance(scenario.task, FeedTask) else None
+        self._flow, self._time = Flow(), 0.0
+        self._robot: list[tuple[float, np.ndarray | None]] = [(0.0, None)]  # since when, where
+        self._taken: frozenset[str] = frozenset()
+        self._last_number: dict[str, int] = {}
+        self._gone_dropped, self._gone_chuted = 0, Counter[str]()  # of parts that are forgotten
+        self._history = History()
+        self._know_types()
+
+    def _know_types(self) -> None:
+        """Look up what the parts are."""
+        labels = [part_class(name) for name in self.state.ids]
+        self._types = [self._rig.part_type(label) for label in labels]
+        self._grey = part_colours(self._types, self._rig.camera.colour)
+        self._typed = any(label in self._rig.types for label in labels)
 
     @property
     def mu(self) -> np.ndarray:
         """True friction coefficients (M,) now."""
-        return self._field.friction(self._mu, self.state.position, self.plate.pose)
+        mu = np.array([part.mu for part in self._types], dtype=float) * self._mu_scale
+        return self._field.friction(mu, self.state.position, self.plate.pose)
+
+    def change(self, disturbances: Disturbances, noise: float, mu_scale: float) -> None:
+        """Go on in another world. When images are taken does not change: `latency`, `image_rate`.
+
+        A run is then no longer repeated by its seed alone.
+
+        Raises
+        ------
+        PlateError
+            If noise or mu_scale is out of range.
+        """
+        _check(noise=noise, mu_scale=mu_scale)
+        self.disturbances, self._mu_scale, self._camera.noise = disturbances, mu_scale, noise
+        self._field = replace(
+            self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
+        )
+
+    def place(self, part_id: str, label: str, position: np.ndarray, angle: float = 0.0) -> str:
+        """Put a part down at rest, by hand.
+
+        Parameters
+        ----------
+        part_id : str
+            Of a part that is there, or has left the plate and is not forgotten; empty: a new one.
+        label : str
+            Type of the new one.
+        position : (2,)
+            Its centre [m, plate_home].
+        angle : float
+            [rad].
+
+        Returns
+        -------
+        str
+            Its id: of a new one the next number of its type.
+
+        Raises
+        ------
+        PlateError
+            If there is no such part or type, no more parts are allowed, or it would not lie on the
+            plate, or on another part. Then nothing has changed.
+        """
+        state = self.state
+        if part_id and part_id not in state.ids:
+            raise PlateError(self._unknown(part_id))
+        kinds = tuple(self._rig.types) or CLASSES
+        label = part_class(part_id) if part_id else label
+        if label not in kinds:
+            hint = did_you_mean(label[:50], kinds)
+            raise PlateError(f"type is {label[:50]!r}{hint}, allowed: {', '.join(kinds)}")
+        if not part_id and len(state.ids) >= MOST_PARTS:
+            raise PlateError(f"{len(state.ids)} parts are there, allowed: at most {MOST_PARTS}")
+        room = self._rig.plate.half - self._rig.part_type(label).reach_m
+        if not np.all(np.abs(position) <= room + 1e-9):  # so where one is NaN
+            raise PlateError(
+                f"place is ({position[0]:g}, {position[1]:g}) m, allowed for {label}: |x| up to "
+                f"{room[0]:g}, |y| up to {room[1]:g} m"
+            )
+        if not np.isfinite(angle):
+            raise PlateError(f"angle is {angle:g}, allowed: finite")
+        unit = self._field.unit
+        number = 0
+        if not part_id:
+            number = self._next_number(label)
+            part_id, unit = f"{label}_{number}", np.append(unit, self._hand_rng.uniform(-1, 1))
+            state = state.joined(part_id, position, 0.0)
+        row = np.array([name == part_id for name in state.ids])
+        state = replace(
+            state,
+            position=np.where(row[:, None], position, state.position),
+            velocity=np.where(row[:, None], 0.0, state.velocity),
+            on_plate=state.on_plate | row,
+            angle=np.where(row, np.remainder(angle, 2 * np.pi), state.angle),
+            spin=np.where(row, 0.0, state.spin),
+        )
+        run_cycle(state, PlateCycle.rest(TRIAL_S), self._rig)
+        if number:
+            self._last_number[label] = number
+        self._take_over(state, unit, History())
+        return part_id
+
+    def remove(self, part_id: str) -> None:
+        """Take a part off the plate, by hand.
+
+        Raises
+        ------
+        PlateError
+            If there is no such part.
+        """
+        state = self.state
+        if part_id not in state.ids:
+            raise PlateError(self._unknown(part_id))
+        keep = np.array([name != part_id for name in state.ids])
+        self._take_over(state.take(keep), self._field.unit[keep], History())
+
+    def _take_over(self, state: WorldState, unit: np.ndarray, history: History) -> None:
+        """Go on with other parts."""
+        for name in self.state.ids:
+            label = part_class(name)
+            self._last_number[label] = max(_number(name), self._last_number.get(label, 0))
+        self.state, self._field, self._history = state, replace(self._field, unit=unit), history
+        self._know_types()
+
+    def _next_number(self, label: str) -> int:
+        """Return the number of the next part of a class: none is used twice."""
+        there = max((_number(i) for i in self.state.ids if part_class(i) == label), default=0)
+        return 1 + max(there, self._last_number.get(label, 0))
+
+    def open_hopper(self, duration_s: float) -> int:
+        """Let parts drop for a time from now [s], in place of what is left of an earlier one.
+
+        One drops after each 1/rate s in which it is open. A part for which there is no room stays
+        in the hopper: while `MOST_PARTS` are on the plate, or where the heap reaches its edge.
+
+        Returns
+        -------
+        int
+            How many parts drop in that time if there is room.
+
+        Raises
+        ------
+        PlateError
+            If the task has no hopper, the time is not allowed, or the plate is full.
+        """
+        hopper = self._feed.hopper if self._feed is not None else None
+        if hopper is None:
+            raise PlateError("this scenario has no hopper, allowed: one of the kind feed that does")
+        check_duration(duration_s)
+        there = int(np.count_nonzero(self.state.on_plate))
+        if duration_s > 0 and there >= MOST_PARTS:
+            raise PlateError(f"{there} parts are on the plate, allowed: at most {MOST_PARTS}")
+        self._flow = replace(self._flow, left_s=float(duration_s))
+        return len(self._flow.after(duration_s, hopper.rate)[1])
+
+    def move_robot(self, to: int, x: float = 0.0, y: float = 0.0, angle: float = 0.0) -> Grip:
+        """Move the robot, at once: images from now on show it where it then is.
+
+        Parameters
+        ----------
+        to : int
+            A `Move`: away; over a place, where its arm hides what is below it; or there, and to
+            grip the nearest part, which then leaves the plate. With the probability `pick_failure`
+            the part slips, and may be moved a little.
+        x, y, angle : float
+            Of the gripper [m, m, rad, plate_home]; not used if it goes away.
+
+        Raises
+        ------
+        PlateError
+            If the move is not known, or the gripper would not be over the plate.
+        """
+        if to not in set(Move):
+            raise PlateError(f"to is {to}, allowed: 0 (away), 1 (over), 2 (grip)")
+        if to == Move.AWAY:
+            self._robot_goes(None)
+            return Grip(True, message="the robot is away")
+        check_gripper(x, y, angle, self._rig)
+        self._robot_goes(np.array([x, y]))
+        if to == Move.OVER:
+            return Grip(True, message=f"the robot is over ({x:.4f}, {y:.4f}) m")
+        state = self.state
+        rng = self._robot_rng.spawn(1)[0]  # so that what a grip draws does not depend on others
+        slips = bool(rng.random() < self.disturbances.pick_failure)
+        result = grip(state, self._rig, (x, y, angle), slips, self._marked)
+        row = np.array([name == result.id for name in state.ids], bool)
+        if result.success:
+            self._taken |= {result.id}
+            self.state = replace(state, on_plate=state.on_plate & ~row)
+        elif result.id:
+            place, turned = nudged(state, self._rig, result.id, rng)
+            self.state = replace(
+                state,
+                position=np.where(row[:, None], place, state.position),
+                velocity=np.where(row[:, None], 0.0, state.velocity),
+                angle=np.where(row, turned, state.angle),
+                spin=np.where(row, 0.0, state.spin),
+            )
+        return result
+
+    def _robot_goes(self, place: np.ndarray | None) -> None:
+        shown = self._time - self._past
+        begin = max(i for i, (since, _) in enumerate(self._robot) if since <= max(shown, 0.0))
+        self._robot = [*self._robot[begin:], (self._time, place)]
+
+    def _robot_ago(self, age: float) -> np.ndarray | None:
+        """Return where the gripper (2,) was some time ago [m, plate_home]; None: away."""
+        there = [place for since, place in self._robot if since <= max(self._time - age, 0.0)]
+        return there[-1]
+
+    @property
+    def dropped(self) -> int:
+        """See above."""
+        return self._gone_dropped + self._gone()[0]
+
+    @property
+    def chuted(self) -> int:
+        """See above."""
+        return self.chuted_classes.total()
+
+    @property
+    def chuted_classes(self) -> Counter[str]:
+        """See above."""
+        return self._gone_chuted + self._gone()[1]
+
+    def _gone(self, rows: np.ndarray | None = None) -> tuple[int, Counter[str]]:
+        """Return how many parts, of all or of those in some rows (M,), left the plate elsewhere
+        than over the chute, and by class over it."""
+        state = self.state
+        taken = np.array([name in self._taken for name in state.ids], bool)
+        left = ~state.on_plate & ~taken & (True if rows is None else rows)
+        chute = self._feed.chute if self._feed is not None else None
+        if chute is None:
+            return int(np.count_nonzero(left)), Counter()
+        over = went_over(chute, state.position, self._rig)
+        labels = Counter(part_class(state.ids[k]) for k in np.flatnonzero(left & over))
+        return int(np.count_nonzero(left & ~over)), labels
+
+    def _forget(self) -> None:
+        """Forget parts that are gone, and that no image will show."""
+        state = self.state
+        if np.all(state.on_plate) or not (self._feed or self._taken):
+            return
+        away = ~state.on_plate & ~self._history.shows(len(state.ids))
+        if self._feed is None:
+            away &= np.array([name in self._taken for name in state.ids])
+        if not np.any(away):
+            return
+        dropped, chuted = self._gone(away)
+        self._gone_dropped, self._gone_chuted = (
+            self._gone_dropped + dropped, self._gone_chuted + chuted,
+        )  # fmt: skip
+        self._take_over(state.take(~away), self._field.unit[~away], self._history.take(~away))
+        self._taken &= set(self.state.ids)
+
+    def _drop(self) -> None:
+        """Let a part fall out of the hopper, if there is room for it."""
+        assert self._feed is not None
+        assert self._feed.hopper is not None
+        if np.count_nonzero(self.state.on_plate) >= MOST_PARTS:
+            return
+        rng = self._hopper_rng.spawn(1)[0]  # so that what is drawn for a part is its own
+        part = drop_part(self._feed.hopper, self.state, self._rig, rng)
+        if part is None:
+            return
+        name = f"{part.label}_{self._next_number(part.label)}"
+        state = self.state.joined(name, part.position, part.angle)
+        unit = np.append(self._field.unit, part.unit)
+        self._take_over(state, unit, self._history.joined(part.position))
+
+    def _unknown(self, part_id: str) -> str:
+        hint = did_you_mean(part_id[:50], self.state.ids)
+        return f"id is {part_id[:50]!r}{hint}, allowed: {', '.join(self.state.ids) or 'none'}"
 
     def shots(self, begin: float) -> Iterator[Shot]:
         """Yield the images of a camera that runs free, from `begin` [s] on, without end."""
@@ -129,25 +425,61 @@ class Simulation:
         `latency` ago.
         """
         missed = self._image_rng.random() < self.disturbances.missed_images
-        hidden = self._part_rng.random(len(self._grey)) < self.disturbances.missed_parts
-        false = self._part_rng.binomial(len(self._grey), self.disturbances.false_parts)
+        count = len(self._types)
+        hidden = self._part_rng.random(count) < self.disturbances.missed_parts
+        false = self._part_rng.binomial(count, self.disturbances.false_parts)
         place = self._rig.plate.half * self._part_rng.uniform(-1, 1, (false, 2))
-        grey = self._part_rng.choice(self._grey, false)
+        like = self._part_rng.choice(count, false)
         if missed:
             return None
         path, angle, seen, pose = self._view(age)
-        seen = seen & ~hidden
+        drawn = np.append(np.flatnonzero(seen & ~hidden), like)
         spots = np.broadcast_to(place, (len(path), false, 2))
+        there = path[:, drawn[: len(drawn) - false]]
+        turned = self._marked or self._typed
         return self._camera.render(
-            np.concatenate([path[:, seen], spots], axis=1),
-            np.concatenate([self._grey[seen], grey]),
+            np.concatenate([there, spots], axis=1),
+            self._grey[drawn],
             self._pixel_rng,
             pose=pose,
-            angle=np.append(angle[seen], np.zeros(false)) if self._marked else None,
+            angle=np.append(angle[drawn[: len(drawn) - false]], np.zeros(false))
+            if turned
+            else None,
+            types=[self._types[i] for i in drawn] if self._typed else None,
+            lighting=Lighting(self.disturbances.highlights, self.disturbances.shadows),
+            gripper=self._robot_ago(self.disturbances.latency if age is None else age),
         )
 
+    def capture_bare(self) -> np.ndarray:
+        """Return an image (height, width) or (height, width, 3), uint8, of the bare plate at
+        home."""
+        return self._camera.render(np.zeros((0, 2)), self._grey[:0], self._pixel_rng)
+
     def run(self, cycle: PlateCycle | PlateMotion) -> None:
-        """Command a cycle, or what a motor controller has played, and move the parts to its end."""
+        """Command a cycle, or what a motor controller has played, and move the parts to its end;
+        some may drop out of the hopper meanwhile."""
+        self._forget()
+        if not self._flow.left_s:
+            self._run(cycle)
+            return
+        assert self._feed is not None
+        assert self._feed.hopper is not None
+        self._flow, drops = self._flow.after(cycle.period, self._feed.hopper.rate)
+        begin, end = 0.0, cycle.period
+        for at in drops:
+            if at - begin > SHORTEST_S:
+                at = at if end - at > SHORTEST_S else end
+                self._run(PlateMotion.piece(cycle, begin, at))
+                begin = at
+            self._drop()
+        if begin == 0:
+            self._run(cycle)
+        elif begin < end:
+            self._run(PlateMotion.piece(cycle, begin, end))
+
+    def _run(self, cycle: PlateCycle | PlateMotion) -> None:
+        """Move the parts to the end of a cycle, or of a piece of one."""
+        self._time += cycle.period
         motion: PlateCycle | PlateMotion = cycle
         mu, ground = self.mu, self.disturbances.ground
         if self._rig.suspension is not None:
@@ -197,8 +529,10 @@ class Simulation:
         views = [self._history.ago(first - t) for t in time]
         path, pose = (np.stack([getattr(v, n) for v in views]) for n in ("position", "pose"))
         middle, readout = views[count // 2], self._rig.camera.readout_s
+        # Parts that came or were taken since the last cycle are not in its history.
+        there = middle.on_plate if first >= time[count // 2] else self.state.on_plate
         if readout == 0:
-            return path, middle.angle, middle.on_plate, pose
+            return path, middle.angle, there, pose
         row = np.clip(row_delay(self._rig, middle.position) / readout + 0.5, 0, 1)
         begin = readout * np.append(row, (np.arange(BANDS) + 0.5) / BANDS)
         at = begin[:, None] + exposure * np.linspace(0, 1, EXPOSURES)
@@ -211,4 +545,15 @@ class Simulation:
         for band in range(BANDS):
             for axis in range(3):
                 poses[band, :, axis] = np.interp(at[parts + band], time, pose[:, axis])
-        return seen, middle.angle, middle.on_plate, poses
+        return seen, middle.angle, there, poses
+
+
+def _check(**values: float) -> None:
+    for name, value in values.items():
+        low, high = WORLD_RANGES[name]
+        if not low <= value <= high:
+            raise PlateError(f"{name} is {value:g}, allowed: {low:g} to {high:g}")
+
+
+def _number(part_id: str) -> int:
+    return int(part_id.rpartition("_")[2])

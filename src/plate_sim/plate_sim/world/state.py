@@ -59,13 +59,33 @@ class WorldState:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario, rig: Rig, rng: np.random.Generator) -> WorldState:
-        """Return a scenario's parts at rest, where it says or scattered: black_1, black_2, ..."""
+        """Return a scenario's parts at rest, where it says or scattered: black_1, black_2, ...
+
+        They lie at any angle, unless they are all round and without marks.
+        """
         labels, position = start_positions(scenario, rig, rng)
         ids = tuple(f"{label}_{labels[:i].count(label) + 1}" for i, label in enumerate(labels))
         state = cls.at_rest(ids, position)
-        if not scenario.marked:
+        round_ = all(rig.part_type(label).symmetry == 0 for label in set(labels))
+        if round_ and not scenario.marked:
             return state
         return replace(state, angle=rng.uniform(-np.pi, np.pi, len(ids)))
+
+    def take(self, rows: np.ndarray) -> WorldState:
+        """Return the parts in these rows (M,), bool."""
+        ids = tuple(name for name, kept in zip(self.ids, rows, strict=True) if kept)
+        return WorldState(
+            ids, self.position[rows], self.velocity[rows], self.on_plate[rows], self.angle[rows],
+            self.spin[rows],
+        )  # fmt: skip
+
+    def joined(self, part_id: str, position: np.ndarray, angle: float) -> WorldState:
+        """Return these parts and another, at rest at a place (2,) [m, plate_home]."""
+        return WorldState(
+            (*self.ids, part_id), np.vstack([self.position, position]),
+            np.vstack([self.velocity, np.zeros(2)]), np.append(self.on_plate, True),
+            np.append(self.angle, angle), np.append(self.spin, 0.0),
+        )  # fmt: skip
 
     @property
     def dropped(self) -> int:

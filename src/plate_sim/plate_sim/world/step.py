@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
-from plate_core import PlateCycle, PlateError, Rig
+from plate_core import PlateCycle, PlateError, Rig, part_class
 
 from ..contacts import INELASTIC, Contacts
 from ..friction.checks import friction_accel
-from ..friction.footprint import disc
+from ..friction.outline import footprint_of
 from ..plate import LEVEL, Ground, PlateMotion
 from .bodies import STEP, BodyTrajectory, equal_steps, run_bodies
 from .state import WorldState
@@ -35,7 +34,7 @@ def run_cycle(
     cycle : PlateCycle or PlateMotion
         Motion of the plate; only a PlateCycle can be repeated.
     mu : float or (M,), optional
-        True friction coefficient, of all parts or of each; the rig's if missing.
+        True friction coefficient, of all parts or of each; that of their types if missing.
     step : float
         Longest integration step [s].
     contacts : Contacts
@@ -83,12 +82,17 @@ def _run(
     if cycles < 1:
         raise PlateError(f"cycles is {cycles!r}, allowed: at least 1")
     count, gravity = len(state.ids), rig.friction.gravity
-    limit = friction_accel(rig.friction.mu if mu is None else mu, gravity, count)
+    labels = [part_class(name) for name in state.ids]
+    types = {label: rig.part_type(label) for label in dict.fromkeys(labels)}
+    footprints = {label: footprint_of(part) for label, part in types.items()}
+    if mu is None:
+        mu = np.array([types[label].mu for label in labels], dtype=float)
+    limit = friction_accel(mu, gravity, count)
     on_plate = np.array(state.on_plate, bool)
     if on_plate.shape != (count,):
         raise PlateError(f"on_plate has shape {on_plate.shape}, allowed: ({count},)")
     path = run_bodies(
-        cycle, _disc(rig.parts.radius_m), limit,
+        cycle, [footprints[label] for label in labels], limit,
         (state.position, state.angle, state.velocity, state.spin), on_plate, gravity, contacts,
         ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
     )  # fmt: skip
@@ -97,6 +101,3 @@ def _run(
         angle=path.angle[-1].copy(), spin=path.spin[-1].copy(), on_plate=path.on_plate,
     )  # fmt: skip
     return end, path
-
-
-_disc = lru_cache(maxsize=8)(disc)

@@ -3,7 +3,8 @@
 A part that is outside the interval asked of it errs by how far, times its weight. So an exact drift
 is an interval without width and weight 1, and a region far away is one that counts little for each
 metre: then the parts with the longest ways come first. Where parts are too near to each other each
-metre counts in full, beyond a wall more and more.
+metre counts in full, beyond a wall more and more. An angle is a coordinate like x and y; what a
+radian of it counts is the weight.
 """
 
 from __future__ import annotations
@@ -21,20 +22,23 @@ push one that is at home over the edge."""
 
 
 class Ends(NamedTuple):
-    """What is asked of the places of M parts at the end of a cycle: x of all, then y of all.
+    """What is asked of M parts at the end of a cycle: x of all, then y of all, then, where angles
+    count, those of all; C = 2 M or 3 M coordinates.
 
     Attributes
     ----------
-    low, high : (2 M,)
-        Anywhere between is as good [m, plate_home]; infinite where all is.
-    weight : (2 M,)
-        What a metre beside it counts [-].
-    edge_low, edge_high : (2 M,)
-        Walls [m].
+    low, high : (C,)
+        Anywhere between is as good [m, plate_home; rad]; infinite where all is.
+    weight : (C,)
+        What a metre beside it counts [-], or a radian [m].
+    edge_low, edge_high : (C,)
+        Walls [m]; infinite for angles.
     pair : (K, 2)
         Rows of parts that may come near each other.
-    clear : float
-        Least distance of their centres [m].
+    clear : (K,)
+        Least distances of their centres [m].
+    parts : int
+        M.
     """
 
     low: np.ndarray
@@ -43,17 +47,18 @@ class Ends(NamedTuple):
     edge_low: np.ndarray
     edge_high: np.ndarray
     pair: np.ndarray
-    clear: float
+    clear: np.ndarray
+    parts: int
 
 
 @kernel(fastmath=False, error_model="numpy")
 def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors (R,) of places (2 M,) [m], and minus their derivatives (R, 2 M).
+    """Return the errors (R,) of ends (C,) [m, rad], and minus their derivatives (R, C).
 
-    The first 2 M are those of the coordinates, then come pairs that are too near.
+    The first C are those of the coordinates, then come pairs that are too near.
     """
-    size = len(place)
-    count, rows = size // 2, size
+    size, count = len(place), ends.parts
+    rows = size
     error, slope = np.zeros(size + len(ends.pair)), np.zeros((size + len(ends.pair), size))
     for j in range(size):
         at = place[j]
@@ -75,8 +80,8 @@ def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
         a, b = ends.pair[k, 0], ends.pair[k, 1]
         dx, dy = place[b] - place[a], place[count + b] - place[count + a]
         distance = max(sqrt(dx * dx + dy * dy), 1e-9)
-        if distance < ends.clear:
-            error[rows] = ends.clear - distance
+        if distance < ends.clear[k]:
+            error[rows] = ends.clear[k] - distance
             slope[rows, b], slope[rows, a] = dx / distance, -dx / distance
             slope[rows, count + b], slope[rows, count + a] = dy / distance, -dy / distance
             rows += 1

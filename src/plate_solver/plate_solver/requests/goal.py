@@ -17,13 +17,12 @@ from plate_core import PlateCycle
 
 from ..fit import Fit, fit
 from ..maps import (
-    end_disc,
-    end_disc_gradient,
     end_state,
     end_state_gradient,
+    end_turning,
+    end_turning_gradient,
     finely_sampled,
 )
-from ..maps.disc import POINTS
 from .ends import Ends, end_errors
 from .solution import Solution
 
@@ -33,45 +32,39 @@ COMING_M = 0.05
 
 @dataclass(frozen=True)
 class Turns:
-    """What one cycle is to do with the angles of M round parts.
+    """What one cycle is to do with the angles of M parts.
 
     Attributes
     ----------
     spin : (M,)
         At the start of the cycle [rad/s].
-    wanted : (M,)
-        Turn over the cycle [rad]; NaN where any will do.
-    radius : float
-        Of the parts [m].
+    spread : (M, 3)
+        Second moments xx, xy, yy of their contacts then [m2], as they lie in plate_home.
+    low, high : (M,)
+        Any turn over the cycle between is as good [rad].
+    weight : (M,)
+        What a radian beside it counts [m]; 0: any turn will do.
     """
 
     spin: np.ndarray
-    wanted: np.ndarray
-    radius: float
+    spread: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    weight: np.ndarray
 
     @property
-    def asked(self) -> np.ndarray:
-        """Which parts (M,) are to turn."""
-        return np.isfinite(self.wanted)
+    def middle(self) -> np.ndarray:
+        """Middle of the wanted turns (M,) [rad]; 0 where any will do."""
+        return np.where(self.weight > 0, (self.low + self.high) / 2, 0.0)
 
     @property
     def count(self) -> int:
         """How many are to turn."""
-        return int(np.count_nonzero(self.asked))
+        return int(np.count_nonzero(self.weight))
 
-    @property
-    def points(self) -> np.ndarray:
-        """Points (k, 2) of a part [m]."""
-        return np.asarray(self.radius * POINTS)
-
-    @property
-    def arc(self) -> np.ndarray:
-        """What is asked, as ways of the rims (Q,) [m]."""
-        return np.asarray(self.radius * self.wanted[self.asked])
-
-    def times(self, fraction: float) -> Turns:
-        """Return a fraction of what is asked."""
-        return Turns(self.spin, fraction * self.wanted, self.radius)
+    def shifted(self, way: np.ndarray | float) -> Turns:
+        """Return the same for turns that are greater by `way` (M,) [rad]."""
+        return replace(self, low=self.low + way, high=self.high + way)
 
 
 @dataclass(frozen=True)
@@ -94,12 +87,12 @@ class Goal:
         Whether it is for many cycles: then no motion misses it, but leaves more or less of it.
     weight : (M, 2)
         What a metre that is missed counts [-]; one number stands for all.
-    edge : (2,)
+    edge : (2,) or (M, 2)
         No part is to end further from the middle along x and y [m]; infinite if left out.
-    clear : float
+    clear : (M, M) or float
         No two parts are to end with their centres nearer to each other [m].
     coast : float
-        Where parts end counts as if they kept their last velocity for so long [s].
+        Where parts end counts as if they kept their last velocity and spin for so long [s].
     """
 
     position: np.ndarray
@@ -111,7 +104,7 @@ class Goal:
     lasting: bool = False
     weight: np.ndarray | float = 1.0
     edge: np.ndarray | float = np.inf
-    clear: float = 0.0
+    clear: np.ndarray | float = 0.0
     coast: float = 0.0
 
     def __post_init__(self) -> None:
@@ -128,41 +121,61 @@ class Goal:
             return np.array(np.broadcast_to(values, shape).T, order="C").ravel()
 
         low, high = middle - self.tolerance, middle + self.tolerance
-        edge = np.maximum(self.edge, np.maximum(low, -high))  # not where a part is to be beyond
+        weighed = np.broadcast_to(self.weight, shape) > 0
+        beyond = np.where(weighed, np.maximum(low, -high), -np.inf)
+        edge = np.maximum(self.edge, beyond)  # not where a part is to be beyond
         gap = self.position[None] - self.position[:, None]
-        near = np.hypot(gap[..., 0], gap[..., 1]) < self.clear + COMING_M
-        pair = np.ascontiguousarray(np.argwhere(np.triu(near & (self.clear > 0), 1)))
-        return Ends(
-            flat(low), flat(high), flat(self.weight), flat(-edge), flat(edge), pair, self.clear
-        )
+        clear = np.broadcast_to(self.clear, (len(middle), len(middle)))
+        near = np.hypot(gap[..., 0], gap[..., 1]) < clear + COMING_M
+        pair = np.ascontiguousarray(np.argwhere(np.triu(near & (clear > 0), 1)))
+        wanted = np.array([flat(low), flat(high), flat(self.weight), flat(-edge), flat(edge)])
+        if self.turns is not None:
+            turns, free = self.turns, np.full(len(self.position), np.inf)
+            angles = np.array([turns.low, turns.high, turns.weight, -free, free])
+            wanted = np.ascontiguousarray(np.hstack([wanted, angles]))
+        low, high, weight, edge_low, edge_high = wanted
+        clear = clear[pair[:, 0], pair[:, 1]]
+        return Ends(low, high, weight, edge_low, edge_high, pair, clear, len(self.position))
 
     @property
     def rows(self) -> int:
-        """Number of errors: two for each part, one for each turn that is asked."""
+        """Number of errors: two for each part, or three where angles count."""
+        return self.position.size + (0 if self.turns is None else len(self.position))
+
+    @property
+    def asked(self) -> int:
+        """Number of errors that are not always 0."""
         return self.position.size + (0 if self.turns is None else self.turns.count)
 
     @property
     def size(self) -> float:
-        """What is asked, root mean square over displacements and ways of rims [m]."""
+        """What is asked, root mean square over displacements and turns by their weights [m]."""
         asked = self.displacement.ravel()
         if self.turns is not None:
-            asked = np.concatenate([asked, self.turns.arc])
+            arc = self.turns.weight * self.turns.middle
+            asked = np.concatenate([asked, arc[self.turns.weight > 0]])
         return float(np.sqrt(np.mean(asked**2)))
 
     def times(self, fraction: float) -> Goal:
         """Return a goal that asks for less: for a fraction of the displacements; of a lasting one
         for ways that count less beside edges and other parts."""
+        turns = self.turns
         if self.lasting:
-            return replace(self, weight=fraction**2 * self.weight)
-        turns = None if self.turns is None else self.turns.times(fraction)
+            if turns is not None:
+                turns = replace(turns, weight=fraction**2 * turns.weight)
+            return replace(self, weight=fraction**2 * self.weight, turns=turns)
+        if turns is not None:
+            turns = turns.shifted((fraction - 1) * turns.middle)
         return replace(self, displacement=fraction * self.displacement, turns=turns)
 
     def downhill(self, most: float) -> np.ndarray:
         """Return the displacements (M, 2) [m] that make errors less most quickly, the longest of
         which is `most` [m]."""
         place = (self.position + self.coast * self.velocity).T.ravel()
+        if self.turns is not None:
+            place = np.append(place, self.coast * self.turns.spin)
         error, slope = end_errors(place, self.ends)
-        way = (error @ slope).reshape(2, -1).T
+        way = (error @ slope)[: self.position.size].reshape(2, -1).T
         return np.asarray(way * (most / max(float(np.max(np.hypot(*way.T))), 1e-12)))
 
     def left(self, end: np.ndarray) -> np.ndarray:
@@ -171,57 +184,47 @@ class Goal:
         beyond = np.sign(miss) * np.maximum(np.abs(miss) - self.tolerance, 0.0)
         return np.where(np.asarray(self.weight) > 0, beyond, 0.0)
 
+    def left_to_turn(self, end: np.ndarray) -> np.ndarray:
+        """Return by how much (Q,) [rad] the turns that are asked are missed, signed."""
+        if self.turns is None:
+            return np.zeros(0)
+        turns, turn = self.turns, end[self.position.size :]
+        return (np.clip(turn, turns.low, turns.high) - turn)[turns.weight > 0]
+
     def shifted(self, way: np.ndarray) -> Goal:
-        """Return the goal to end elsewhere: by `way` (Q,) [m, rad], as `end` gives it."""
+        """Return the goal to end elsewhere: by `way` (C,) [m, rad], as `end` gives it."""
         places = self.position.size
-        shift, turns = way[:places].reshape(2, -1).T, self.turns
-        if turns is not None:
-            wanted = turns.wanted.copy()
-            wanted[turns.asked] += way[places:]
-            turns = replace(turns, wanted=wanted)
+        shift = way[:places].reshape(2, -1).T
+        turns = None if self.turns is None else self.turns.shifted(way[places:])
         return replace(self, displacement=self.displacement + shift, turns=turns)
 
     def end(self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """Predict the end (Q,) of a sampled motion: x of all parts [m], y of all, then the turns
-        that are asked for [rad]."""
+        """Predict the end (C,) of a sampled motion: x of all parts [m], y of all, then, where
+        angles count, the turns of all [rad]."""
         moved = pose, twist, dt, self.friction_accel
         if self.turns is None:
             place, velocity = end_state(self.position, self.velocity, *moved)
             return (place + self.coast * velocity).T.ravel()
-        turns = self.turns
-        place, _, turn, _ = end_disc(self.position, self.velocity, turns.spin, *moved, turns.points)
-        return np.concatenate([place.T.ravel(), turn[turns.asked]])
+        place, velocity, turn, spin = end_turning(
+            self.position, self.velocity, self.turns.spin, self.turns.spread, *moved
+        )
+        place += self.coast * velocity
+        return np.concatenate([place.T.ravel(), turn + self.coast * spin])
 
     def end_slopes(
         self, pose: np.ndarray, twist: np.ndarray, dt: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the derivatives of `end` by pose (2, n, Q), twist (3, n, Q) and dt (n, Q)."""
+        """Return the derivatives of `end` by pose (2, n, C), twist (3, n, C) and dt (n, C)."""
         moved = pose, twist, dt, self.friction_accel
         if self.turns is None:
             return end_state_gradient(self.position, self.velocity, *moved, self.coast)
-        turns = self.turns
-        every = end_disc_gradient(self.position, self.velocity, turns.spin, *moved, turns.points)
-        places = 2 * len(self.position)
-        kept = np.concatenate([np.arange(places), places + np.flatnonzero(turns.asked)])
-        by_pose, by_twist, by_dt = (np.ascontiguousarray(array[..., kept]) for array in every)
-        return by_pose, by_twist, by_dt
+        return end_turning_gradient(
+            self.position, self.velocity, self.turns.spin, self.turns.spread, *moved, self.coast
+        )
 
     def error(self, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors (R,) of an end [m], and minus their derivatives (R, Q).
-
-        First places, then pairs of parts that are too near, then turns: these count as the arcs
-        that they make at the parts' rims.
-        """
-        places = self.position.size
-        error, slope = end_errors(end[:places], self.ends)
-        if self.turns is None:
-            return error, slope
-        turns = self.turns
-        missed = turns.radius * (turns.wanted[turns.asked] - end[places:])
-        every = np.zeros((len(error) + len(missed), len(end)))
-        every[: len(error), :places] = slope
-        every[len(error) :, places:] = turns.radius * np.eye(len(missed))
-        return np.concatenate([error, missed]), every
+        """Return the errors (R,) of an end [m], and minus their derivatives (R, C)."""
+        return end_errors(end, self.ends)
 
 
 class Family(Protocol):
@@ -280,10 +283,13 @@ def goal_solution(
     error, _ = goal.error(end)
     if goal.lasting:
         message = f"{1e3 * float(np.sqrt(np.mean(left**2))):.3g} mm to go"
+        if goal.turns is not None and goal.turns.count:
+            turn = float(np.sqrt(np.mean(goal.left_to_turn(end) ** 2)))
+            message += f", {np.degrees(turn):.2g} deg to turn"
     else:
         message = f"displacement error {1e3 * float(np.max(np.abs(error))):.3g} mm"
     return Solution(
-        success=goal.lasting or bool(np.sqrt(np.mean(error**2)) <= good_enough),
+        success=goal.lasting or bool(np.sqrt(np.sum(error**2) / goal.asked) <= good_enough),
         message=f"{message} after {iterations} iterations",
         cycle=cycle,
         residual=left / unit,

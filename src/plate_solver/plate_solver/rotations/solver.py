@@ -216,7 +216,7 @@ class RotationSolver(MotionSolver):
         return cycle, error
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        options, enough = self.options, good_enough**2 * goal.rows
+        options, enough = self.options, good_enough**2 * goal.asked
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:
             self._warm = None  # other parts
@@ -263,7 +263,9 @@ class RotationSolver(MotionSolver):
         force = np.sign(push) * np.maximum(np.abs(push) - slack, 0.0) / unit
         curl = None
         if goal.turns is not None:  # what turns a disc from rest by what is asked
-            curl = goal.turns.wanted * 4 / (goal.friction_accel * period**2)
+            turns = goal.turns
+            curl = turns.middle * 4 / (goal.friction_accel * period**2)
+            curl = np.where(turns.weight > 0, curl, np.nan)
         plan = self._plan(goal.position, force, curl, spread)
         if self.options.order != "simulated":
             return self._family(plan, period)

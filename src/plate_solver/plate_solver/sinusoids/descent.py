@@ -15,7 +15,18 @@ from plate_core.kernels import kernel
 
 from ..fit import Damping, Fit, levenberg_marquardt
 from ..limits import EQUAL_WEIGHT, Limits, limit_use
-from ..maps import LANES, TRACE, adjoint, blocks_of, trace
+from ..maps import (
+    LANES,
+    TRACE,
+    TURNING_TRACE,
+    adjoint,
+    adjoint_turning,
+    blocks_of,
+    trace,
+    trace_turning,
+    turning_blocks_of,
+)
+from ..maps.turning import TURN
 from ..requests import Ends, Goal, end_errors
 from .basis import SinusoidBasis
 from .limits import EXCESS_M, LOOKS_PER_HARMONIC, excess, force_excess
@@ -75,10 +86,12 @@ class Problem(NamedTuple):
     Attributes
     ----------
     motions : Motions
-    start : (b, STATE)
+    start : (b, STATE) or (b, TURNING_STATE)
         Parts at the start, in blocks.
     parts : int
         How many.
+    turning : bool
+        Whether their angles count.
     ends : Ends
     coast : float
         [s].
@@ -91,6 +104,7 @@ class Problem(NamedTuple):
     motions: Motions
     start: np.ndarray
     parts: int
+    turning: bool
     ends: Ends
     coast: float
     most: float
@@ -100,19 +114,28 @@ class Problem(NamedTuple):
 
     @classmethod
     def of(cls, goal: Goal, motions: Motions, most: float) -> Problem:
-        """Take a goal without turns."""
-        start = blocks_of(goal.position, goal.velocity, goal.friction_accel, motions.dt)
+        """Take a goal."""
+        state = goal.position, goal.velocity, goal.friction_accel, motions.dt
+        turns, axes, size = goal.turns, 2, TRACE
+        if turns is None:
+            start = blocks_of(*state)
+        else:
+            start, axes, size = (
+                turning_blocks_of(*state, turns.spin, turns.spread),
+                3,
+                TURNING_TRACE,
+            )
         blocks, bins = len(start), len(motions.pose_bins)
         return cls(
-            motions, start, len(goal.position), goal.ends, goal.coast, most,
-            np.empty((len(motions.pose), blocks, TRACE)),
-            np.empty((bins, blocks, 2, 3 * LANES)), np.empty((bins, blocks, 2, 2 * LANES)),
+            motions, start, len(goal.position), turns is not None, goal.ends, goal.coast, most,
+            np.empty((len(motions.pose), blocks, size)),
+            np.empty((bins, blocks, axes, 3 * LANES)), np.empty((bins, blocks, axes, 2 * LANES)),
         )  # fmt: skip
 
 
 class Notes(NamedTuple):
     """What slopes need of an evaluation: twists (n, 3), minus the derivatives of the ends' errors
-    (R, 2 M), those of the excesses by the coefficients (K, h, 3)."""
+    (R, C), those of the excesses by the coefficients (K, h, 3)."""
 
     twist: np.ndarray
     by_place: np.ndarray
@@ -135,14 +158,21 @@ def _evaluate(problem: Problem, theta: np.ndarray) -> tuple[np.ndarray, np.ndarr
     theta = theta * min(1.0, problem.most / max(_use(theta, motions), 1e-300))
     own = theta.reshape(-1, 3) * motions.scale
     twist, state = motions.twist @ own, problem.start.copy()
-    trace(state, motions.pose @ own, twist, motions.dt, problem.steps)
-    place = np.empty(2 * count)
+    if problem.turning:
+        trace_turning(state, motions.pose @ own, twist, motions.dt, problem.steps)
+    else:
+        trace(state, motions.pose @ own, twist, motions.dt, problem.steps)
+    place = np.empty(problem.by_twist.shape[2] * count)
     for axis in range(2):
         for i in range(count):
             block, lane = i // LANES, axis * LANES + i % LANES
             place[axis * count + i] = (
                 state[block, lane] + problem.coast * state[block, 2 * LANES + lane]
             )
+    if problem.turning:
+        for i in range(count):
+            block, lane = i // LANES, TURN + i % LANES
+            place[2 * count + i] = state[block, lane] + problem.coast * state[block, LANES + lane]
     error, by_place = end_errors(place, problem.ends)
     looks, limits = motions.looks, motions.limits
     over, by_own = excess(own, looks[0], looks[1], looks[2], limits)
@@ -157,16 +187,21 @@ def _slopes(problem: Problem, theta: np.ndarray, notes: Notes) -> np.ndarray:
     """Return minus the derivatives (R + K, 3 h) of the errors."""
     motions, count = problem.motions, problem.parts
     size, scale = motions.pose.shape[1], motions.scale
-    adjoint(
-        problem.steps, notes.twist, motions.dt, problem.coast, problem.by_twist, problem.by_pose
-    )
-    bins, blocks = len(problem.by_twist), problem.by_twist.shape[1]
+    if problem.turning:
+        adjoint_turning(
+            problem.steps, notes.twist, motions.dt, problem.coast, problem.by_twist, problem.by_pose
+        )
+    else:
+        adjoint(
+            problem.steps, notes.twist, motions.dt, problem.coast, problem.by_twist, problem.by_pose
+        )
+    bins, blocks, axes, _ = problem.by_twist.shape
     on_twist = motions.twist_bins.T @ problem.by_twist.reshape(bins, -1)
     on_pose = motions.pose_bins.T @ problem.by_pose.reshape(bins, -1)
-    by_twist = on_twist.reshape(size, blocks, 2, 3 * LANES)
-    by_pose = on_pose.reshape(size, blocks, 2, 2 * LANES)
-    ends = np.empty((2 * count, 3 * size))
-    for axis in range(2):
+    by_twist = on_twist.reshape(size, blocks, axes, 3 * LANES)
+    by_pose = on_pose.reshape(size, blocks, axes, 2 * LANES)
+    ends = np.empty((axes * count, 3 * size))
+    for axis in range(axes):
         for i in range(count):
             block, lane, row = i // LANES, i % LANES, ends[axis * count + i]
             for h in range(size):

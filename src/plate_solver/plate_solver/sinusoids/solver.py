@@ -180,7 +180,7 @@ class SinusoidSolver(MotionSolver):
         )
 
     def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
-        number, period, _ = self._key(goal.rows, True, goal.lasting)
+        number, period, _ = self._key(goal.asked, True, goal.lasting)
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng
         )

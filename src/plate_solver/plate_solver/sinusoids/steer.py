@@ -12,7 +12,7 @@ from plate_core import PlateCycle
 from ..fit import Fit
 from ..limits import Limits
 from ..maps import finely_sampled
-from ..requests import Goal, fit_goal
+from ..requests import Goal
 from .basis import STEPS_PER_HARMONIC, sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
@@ -105,8 +105,8 @@ class SinusoidSteering:
         """
         step = ROUGH_STEP if goal.lasting else STEP
         family = limited_sinusoids(number, period, self._limits, BEYOND, step)
-        to = self._descend(number, period, step, tolerance, goal)
-        known, enough = self._warm.get((number, period)), good_enough**2 * goal.rows
+        to = self._descend(number, period, step, tolerance)
+        known, enough = self._warm.get((number, period)), good_enough**2 * goal.asked
         start = family.random(rng) if known is None else known
         best = to(goal, start, BEYOND, self._iterations)  # in a new process it loads its kernel
         iterations, clock = best.iterations, Clock(LONGEST * period)
@@ -137,15 +137,8 @@ class SinusoidSteering:
         condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
         return strict.cycle(last.parameters), iterations, condition
 
-    def _descend(
-        self, number: int, period: float, step: float, tolerance: float, goal: Goal
-    ) -> Descend:
+    def _descend(self, number: int, period: float, step: float, tolerance: float) -> Descend:
         """Return what improves a motion."""
-        if goal.turns is not None:
-            return lambda aim, start, most, iterations: fit_goal(
-                aim, limited_sinusoids(number, period, self._limits, most, step), start,
-                tolerance, iterations,
-            )  # fmt: skip
         key = number, period, step
         if key not in self._motions:
             basis = limited_sinusoids(number, period, self._limits, 1.0, step).basis

@@ -1,8 +1,32 @@
-"""Parts of any outline, size and brightness, on a background that is learned from the image.
+"""Parts of any outline: what differs from the bare plate, or from a photograph's background.
 
-`detection` calls `find_outlines` where nothing is known of the parts.
+`learn_plate` or `model_background` give a background, `find_patches` what lies on it. `teach`
+learns types of parts, `plate_vision.find_parts` names them; `teach_parts` is the program `teach`.
 """
 
-from .segmentation import OUTLINE, find_outlines
+from .background import Background, learn_plate, model_background
+from .catalogue import make_catalogue
+from .classes import GROUP, UNKNOWN, recognise, to_lab
+from .patch import Patch
+from .photograph import OUTLINE, find_outlines
+from .segmentation import find_patches
+from .teaching import Example, Lesson, learn_type, teach
 
-__all__ = ["OUTLINE", "find_outlines"]
+__all__ = [
+    "GROUP",
+    "OUTLINE",
+    "UNKNOWN",
+    "Background",
+    "Example",
+    "Lesson",
+    "Patch",
+    "find_outlines",
+    "find_patches",
+    "learn_plate",
+    "learn_type",
+    "make_catalogue",
+    "model_background",
+    "recognise",
+    "teach",
+    "to_lab",
+]

@@ -1,268 +1,421 @@
-"""Parts of unknown size, shape and brightness, by their outlines: for photographs.
+"""Parts of any outline, size and colour: what an image shows beside its background.
 
-The image's border shows the background, which is learned first: a smooth surface. What differs from
-it as a compact, convex patch is a part, all brighter or all darker, whichever differ more.
+The way of an image: its deviation from the background in Lab; shadows taken out; each patch cut off
+at half of its own contrast; holes told from highlights; patches split where parts touch.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
-from ..plate.region import quadratic
+from plate_core.kernels import kernel
 
-BORDER = 0.05
-"""Width of the border that shows mostly background, as a fraction of the image's shorter side."""
+from ..plate.region import Region
+from .background import Background, colours_like, deviation
+from .grouping import Piece, pieces_of
+from .patch import HALF, Patch
+from .shadows import take_out_shadows
 
-SAMPLES = 6000
-"""Pixels to which the background is fitted."""
+LEAST_AREA_PX2 = 30.0
+"""Smallest part: a disc of 3 px radius."""
 
-NEAR_SIGMA = 2.5
-"""Deviation, in standard deviations of the background, up to which a pixel may belong to it."""
+LEAST_DEPTH_PX = 1.8
+"""How far the inside of a part is from its rim at least [px]: a scratch is thinner."""
 
-MIN_SIGMA = 1.5
-"""Least standard deviation that the background is thought to have [grey levels]."""
+LEAST_HOLE_PX2 = 6
+"""Smallest hole: less is a speck on the part."""
 
-CONTRAST_SIGMA = 3.5
-"""Least deviation of a part from the background, in the background's standard deviations."""
+STRONG = 1.2
+"""Contrast of a part, relative to the deviation up to which a pixel may show the background."""
 
-MOST_PIXELS = 500_000
-"""Larger images are made smaller first: a part is then still more than large enough."""
+NEAR_PX = 12
+"""How far the level of a part's inside reaches to its rim [px]."""
 
-MIN_AREA_PX2 = 50.0
-"""Smallest part: a disc of 4 px radius."""
+WEAKER = 0.35
+"""Least contrast of another colour of a part, relative to that of its main one."""
 
-MAX_FRACTION = 0.9
-"""Largest fraction of the image that a part can fill."""
+BRIGHTER = 0.25
+"""The same of one on the other side of the plate's lightness: the halo of a sharpened edge has
+less."""
 
-SOLID = (0.75, 0.88)
-"""Least fraction of its convex hull that a patch fills: at first, and with its own threshold."""
+EVEN = 0.3
+"""Steepest slope of what is even, relative to the steepest of the patch."""
 
-COMPACT = 0.55
-"""Least 4 pi area / length2 of a part's hull: a triangle with equal sides has 0.60."""
+BRIDGE = 0.3
+"""Least cover of a line of one pixel between two colours of a part."""
 
-SOFT = 0.5
-"""Widest edge of a part, in radii: that of a round shadow without a core is 1.4 wide."""
+LEAP = 1.2
+"""Least step in L from one colour of a part to another on the other side of the plate's, relative
+to the larger of their contrasts."""
 
-SMOOTH_PX = 1.0
-"""Standard deviation [px] of the blur against noise."""
+HOLE = 0.35
+"""Deviation of a hole from the plate relative to the part's contrast: a highlight has more."""
 
-RINGS = (0.6, 1.5)
-"""A part's own level is taken within so many radii, that of its surroundings around so many."""
+NOISE_STEP = 16
+"""Of so many rows and columns one is looked at for the usual noise."""
 
-RING_WIDTH = 0.2
-"""Half width of the ring of surroundings, in radii."""
+REMNANT, LEFT = 0.35, 0.25
+"""A patch smaller than so much of a usual part, around which a shadow of so much of its own area
+was taken out, is left of that."""
 
-PASSES = 3
-"""Times that an outline is traced again: from where it was found last."""
+FILLED = 0.3
+"""Of what a ring encloses so much belongs to it that it is one part with it."""
 
-ROUND = 0.95
-"""From this 4 pi area / length2 on a hull is a disc: a regular octagon has 0.948."""
+DUST = 0.04
+"""Area of dust, relative to that of a usual part."""
+
+LEAST_SIDE_PX = 8
+"""Smaller images show no part as a whole."""
+
+LEAST_RIM_PX = 12
+"""Shortest rim of a part [px]."""
+
+ROUND = 0.8
+"""4 pi area / length2 from which on what is enclosed is a part's hole, not a gap between parts."""
+
+CONVEX_HOLE, LARGE_HOLE_PX2 = 0.75, 40.0
+"""So is what fills so much of its convex hull: a gap has thin corners, which are seen if it is not
+small [px2]."""
 
 
-OUTLINE = np.dtype(
-    [
-        ("x_px", "f8"),
-        ("y_px", "f8"),
-        ("radius_px", "f8"),
-        ("angle_rad", "f8"),
-        ("contrast", "f8"),
-        ("background", "f8"),
-        ("round", "?"),
-        ("confidence", "f8"),
+def find_patches(
+    image: np.ndarray, background: Background, region: Region | None = None
+) -> list[Patch]:
+    """Find what lies on the background.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+    background : Background
+        As `learn_plate` or `model_background` give it, of images of the same shape.
+    region : Region, optional
+        Where the plate is; the whole image if None.
+
+    Returns
+    -------
+    list of Patch
+        One for each part; one for all parts of a group that could not be split.
+
+    Raises
+    ------
+    ImageError
+        If the image has another shape than the background.
+    """
+    lab = colours_like(image, background)
+    if min(lab.shape[:2]) < LEAST_SIDE_PX:
+        return []
+    limit = background.limit
+    away = deviation(lab, background.lab, background.chroma)
+    seen = cv2.compare(away, limit, cv2.CMP_GT)
+    if region is not None:
+        seen[~region.usable] = 0
+    away = cv2.bitwise_and(away, seen)
+    count, labels = cv2.connectedComponents(seen)
+    take_out_shadows(lab, background.lab, background.chroma, limit, away, labels, count)
+    light = cv2.extractChannel(lab, 0)
+    brighter = cv2.compare(light, cv2.extractChannel(background.lab, 0), cv2.CMP_GT)
+    cover = _cover(away, brighter, limit, labels, count)
+    mask = _bridged(cover, away, light)
+    noise = float(np.median(limit[::NOISE_STEP, ::NOISE_STEP]))
+    patches = _patches(mask, cover, away, lab, noise, region)
+    usual = _usual_area(patches)
+    return [
+        patch
+        for patch in patches
+        if patch.area_px2 >= DUST * usual
+        and not (patch.area_px2 < REMNANT * usual and _of_shadow(patch, seen, away))
     ]
-)
-"""A part found by its outline: centre of its area [px]; radius of the disc of the same area [px];
-direction of the longest side, 0 to pi, counter-clockwise as seen, 0 for discs; difference from the
-background around it [grey levels], negative if darker; grey levels behind it; whether it is a disc;
-confidence, 0 to 1: how much of the hull is filled, less for little contrast."""
 
 
-def find_outlines(grey: np.ndarray) -> np.ndarray:
-    """Find compact, convex patches (n,) OUTLINE in an image (H, W) uint8 that differ from its
+def _cover(
+    away: np.ndarray, brighter: np.ndarray, limit: np.ndarray, labels: np.ndarray, count: int
+) -> np.ndarray:
+    """Return how much of each pixel is part (H, W) float32: its deviation relative to that of the
+    part around it; 0 where there is none."""
+    slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    contrast, steepest, bright = _contrasts(labels, away, brighter, slope, count)
+    side = 2 * NEAR_PX + 1
+    around = cv2.dilate(away, np.ones((side, side), np.uint8))
+    return _relative(away, around, brighter, slope, labels, contrast, steepest, bright, limit)
+
+
+@kernel(error_model="numpy")
+def _contrasts(
+    labels: np.ndarray, away: np.ndarray, brighter: np.ndarray, slope: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return of each patch (count,) the deviation that most of its inside has, the median of its
+    upper half, 0 if it is too small; its steepest slope; whether most of it is brighter than the
     background."""
-    factor = int(np.ceil(np.sqrt(grey.size / MOST_PIXELS)))
-    if factor > 1:
-        size = (max(grey.shape[1] // factor, 1), max(grey.shape[0] // factor, 1))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX)
-    learned = learn_background(smooth)
-    if learned is None:
-        return np.empty(0, OUTLINE)
-    background, sigma = learned
-    both = [_of_sign(sign * (smooth - background), sigma, sign) for sign in (1.0, -1.0)]
-    # The higher contrast is that of parts, the lower that of shadows.
-    found = max(
-        both, key=lambda found: float(np.median(np.abs(found["contrast"]))) if len(found) else 0.0
-    )
-    column, row = np.rint([found["x_px"], found["y_px"]]).astype(int)
-    found["background"] = background[row, column]
-    # The middle of the first pixel is 0 in the small image, and (factor - 1) / 2 in the large one.
-    for name in ("x_px", "y_px"):
-        found[name] = factor * found[name] + 0.5 * (factor - 1)
-    found["radius_px"] *= factor
-    return found
+    balance = np.zeros(count, np.int64)
+    histogram = np.zeros((count, 256), np.int32)
+    steepest = np.zeros(count, np.float32)
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            if labels[y, x]:
+                histogram[labels[y, x], away[y, x]] += 1
+                steepest[labels[y, x]] = max(steepest[labels[y, x]], np.float32(slope[y, x]))
+                balance[labels[y, x]] += 1 if brighter[y, x] > 0 else -1
+    contrast = np.zeros(count, np.float32)
+    for k in range(1, count):
+        total = 0
+        for level in range(1, 256):
+            total += histogram[k, level]
+        if total < LEAST_AREA_PX2:
+            continue
+        # The upper half of the range below the brightest tenth.
+        passed, high = 0, 255
+        while high > 0 and passed + histogram[k, high] < 0.1 * total:
+            passed += histogram[k, high]
+            high -= 1
+        low = high // 2
+        above = 0
+        for level in range(low, 256):
+            above += histogram[k, level]
+        passed, middle = 0, 255
+        while middle > low and 2 * (passed + histogram[k, middle]) < above:
+            passed += histogram[k, middle]
+            middle -= 1
+        contrast[k] = middle
+    return contrast, steepest, balance > 0
 
 
-def learn_background(image: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """Learn what is behind the parts of an image (H, W): a quadratic surface.
+@kernel(error_model="numpy")
+def _relative(
+    away: np.ndarray,
+    around: np.ndarray,
+    brighter: np.ndarray,
+    slope: np.ndarray,
+    labels: np.ndarray,
+    contrast: np.ndarray,
+    steepest: np.ndarray,
+    bright: np.ndarray,
+    limit: np.ndarray,
+) -> np.ndarray:
+    height, width = away.shape
+    cover = np.zeros((height, width), np.float32)
+    for y in range(height):
+        for x in range(width):
+            k = labels[y, x]
+            if k == 0:
+                continue
+            full = min(contrast[k], np.float32(around[y, x]))
+            here = np.float32(away[y, x])
+            if full <= STRONG * limit[y, x]:
+                continue
+            cover[y, x] = min(here / full, np.float32(1))
+            # A highlight on a dark part may differ less from the plate than the part.
+            if (brighter[y, x] > 0) != bright[k] and here > max(
+                BRIGHTER * contrast[k], STRONG * limit[y, x]
+            ):
+                cover[y, x] = 1
+            # Of several colours the weaker: far from the background, but even.
+            if here > WEAKER * contrast[k] and slope[y, x] < EVEN * steepest[k]:
+                cover[y, x] = 1
+    return cover
 
-    It is flat and taken from the border at first; then tilted, then curved, and grows over all that
-    is like it. Returns it (H, W), and the standard deviation [grey levels] of what belongs to it;
-    None if the image is too small.
+
+def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return the pixels (H, W) uint8 of parts.
+
+    Between two colours of a part there may be one that is like the plate's, as where a highlight
+    ends on a dark part. It is crossed in a step larger than that from the part to the plate.
     """
-    height, width = image.shape
-    if min(height, width) < 8:
-        return None
-    step = max(1, int(np.sqrt(height * width / SAMPLES)))
-    y, x = np.mgrid[step // 2 : height : step, step // 2 : width : step].reshape(2, -1)
-    value = image[y, x].astype(float)
-    scale = 0.5 * max(height, width)
-    u, v = (x - 0.5 * width) / scale, (y - 0.5 * height) / scale
-    design = quadratic(u, v)
-    depth = np.min([x, y, width - 1 - x, height - 1 - y], axis=0)
-    border = depth <= max(BORDER * min(height, width), step)
-    fitted = np.full(len(value), np.median(value[border]))
-    sigma = _spread(value[border] - fitted[border])
-    surface = np.zeros(6)
-    for terms, inside in ((1, border), (3, border), (3, True), (3, True), (6, True), (6, True)):
-        kept = (np.abs(value - fitted) < NEAR_SIGMA * sigma) & inside
-        if np.count_nonzero(kept) < 2 * terms:
-            return None
-        surface = np.zeros(6)
-        surface[:terms] = np.linalg.lstsq(design[kept, :terms], value[kept], rcond=None)[0]
-        fitted = design @ surface
-        sigma = _spread((value - fitted)[kept])
-    row, column = np.mgrid[:height, :width].astype(np.float32)
-    a, b, c, d, e, f = surface.astype(np.float32)
-    u, v = (column - 0.5 * width) / scale, (row - 0.5 * height) / scale
-    return (a + u * (b + d * u + e * v) + v * (c + f * v)).astype(np.float32), sigma
+    mask = (cover >= HALF).astype(np.uint8)
+    narrow, wide = np.ones((3, 3), np.uint8), np.ones((5, 5), np.uint8)
+    step = cv2.morphologyEx(light, cv2.MORPH_GRADIENT, narrow)
+    near = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, narrow)
+    far = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
+    _bridge(mask, cover, near, far, step, cv2.dilate(away, wide))
+    return np.asarray(mask)
 
 
-def _spread(values: np.ndarray) -> float:
-    """Return the standard deviation of values, by their median deviation from zero."""
-    return max(1.4826 * float(np.median(np.abs(values))), MIN_SIGMA)
+@kernel(error_model="numpy")
+def _bridge(
+    mask: np.ndarray,
+    cover: np.ndarray,
+    near: np.ndarray,
+    far: np.ndarray,
+    step: np.ndarray,
+    around: np.ndarray,
+) -> None:
+    height, width = mask.shape
+    for y in range(height):
+        for x in range(width):
+            if far[y, x] and not mask[y, x]:
+                leap = np.float32(step[y, x]) > LEAP * np.float32(around[y, x])
+                if leap or (near[y, x] and cover[y, x] > BRIDGE):
+                    mask[y, x] = 1
+                    cover[y, x] = 1
 
 
-def _of_sign(height: np.ndarray, sigma: float, sign: float) -> np.ndarray:
-    """Return patches (n,) OUTLINE of one sign, the background left out.
+def _patches(
+    mask: np.ndarray,
+    cover: np.ndarray,
+    away: np.ndarray,
+    lab: np.ndarray,
+    noise: float,
+    region: Region | None,
+) -> list[Patch]:
+    """Return the patches of a cover (H, W), of which the pixels of parts are known (H, W)."""
+    traced, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[-2:]
+    rims = [np.asarray(rim) for rim in traced]
+    windows = [
+        _window(number, rims, family[0], cover, away)
+        for number, rim in enumerate(rims)
+        if family[0][number][3] < 0 and len(rim) >= LEAST_RIM_PX
+    ]
+    windows = _without_inner(windows)
+    solids = [(window.solid, window.amount, lab[window.place]) for window in windows]
+    return [
+        patch
+        for piece in pieces_of(solids, LEAST_AREA_PX2, noise)
+        if (patch := _patch(piece, windows[piece.rank], cover.shape, region)) is not None
+    ]
 
-    `height` (H, W) is how far the image rises above the background: positive for parts.
+
+def _of_shadow(patch: Patch, seen: np.ndarray, away: np.ndarray) -> bool:
+    """Whether a patch is what was left of a shadow that was taken out around it."""
+    (x0, y0), (height, width) = patch.corner, patch.mask.shape
+    here = np.s_[max(y0 - 2, 0) : y0 + height + 2, max(x0 - 2, 0) : x0 + width + 2]
+    taken = np.count_nonzero((seen[here] > 0) & (away[here] == 0))
+    return bool(taken > LEFT * patch.area_px2)
+
+
+def _without_inner(windows: list[Window]) -> list[Window]:
+    """Return windows, those filled and left out that are a ring and what nearly fills it: the rim
+    and the inside of one part, where it is like the plate between them."""
+    kept = []
+    inner: set[int] = set()
+    for outer, window in enumerate(windows):
+        enclosed = window.enclosed
+        if np.any(enclosed):
+            total = 0
+            inside = []
+            for k, other in enumerate(windows):
+                x, y = np.subtract(other.corner, window.corner)
+                h, w = other.solid.shape
+                if k != outer and x >= 0 and y >= 0:
+                    here = enclosed[y : y + h, x : x + w]
+                    if here.shape == (h, w) and np.all(here[other.solid]):
+                        inside.append(k)
+                        total += int(np.count_nonzero(other.solid))
+            if total > FILLED * np.count_nonzero(enclosed):
+                inner.update(inside)
+                window = window.filled()
+        kept.append(window)
+    return [window for k, window in enumerate(kept) if k not in inner]
+
+
+def _usual_area(patches: list[Patch]) -> float:
+    """Return the area of the part to which half of all parts' pixels belong, or to larger ones."""
+    area = np.sort([patch.area_px2 for patch in patches if patch.whole and not patch.group])
+    if not len(area):
+        return 0.0
+    return float(area[np.searchsorted(np.cumsum(area), 0.5 * np.sum(area))])
+
+
+class Window(NamedTuple):
+    """What is within one outer rim.
+
+    Attributes
+    ----------
+    corner : (int, int)
+        First column and row in the image.
+    solid : (h, w) bool
+        Pixels of parts, their holes filled; not the gaps between parts.
+    holes : (h, w) bool
+        Pixels of the parts' holes.
+    amount : (h, w) float32
+        How much of each pixel is part, its holes filled.
+    cover : (h, w) float32
+        The same, less the holes.
+    enclosed : (h, w) bool
+        Pixels of holes and gaps, and of what lies in them.
     """
-    threshold = _otsu(np.maximum(height, 0))
-    if threshold is None:
-        return np.empty(0, OUTLINE)
-    slopes = np.gradient(height)
-    found: list[tuple[float | bool, ...]] = []
-    for outline in _patches(height > threshold):
-        shape = _shape(outline)
-        if shape is None or shape[2] < SOLID[0] or _touches(outline, height.shape):
-            continue
-        for _ in range(PASSES):
-            refined = _refine(height, shape[0], shape[1])
-            shape = None if refined is None else _shape(refined[0])
-            if shape is None:
-                break
-        if refined is None or shape is None:
-            continue
-        outline, contrast = refined
-        level = _middle(height, shape[0], shape[1])
-        if shape[2] < SOLID[1] or min(contrast, level) < CONTRAST_SIGMA * sigma:
-            continue
-        centre, radius, solid, compact = shape
-        if compact < COMPACT or np.pi * radius**2 > MAX_FRACTION * height.size:
-            continue
-        if contrast > SOFT * radius * _fall(slopes, outline[:, 0], centre):
-            continue
-        angle = 0.0 if compact > ROUND else _angle(outline)
-        confidence = solid * min(1.0, contrast / (2 * CONTRAST_SIGMA * sigma))
-        found.append((*centre, radius, angle, sign * contrast, 0, compact > ROUND, confidence))
-    return np.array(found, OUTLINE)
+
+    corner: tuple[int, int]
+    solid: np.ndarray
+    holes: np.ndarray
+    amount: np.ndarray
+    cover: np.ndarray
+    enclosed: np.ndarray
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Rows and columns of the image."""
+        (x0, y0), (height, width) = self.corner, self.solid.shape
+        return np.s_[y0 : y0 + height, x0 : x0 + width]
+
+    def filled(self) -> Window:
+        """Return it without holes and gaps."""
+        solid = self.solid | self.enclosed
+        amount = np.where(self.enclosed, np.float32(1), self.amount)
+        return Window(self.corner, solid, np.zeros_like(solid), amount, amount, self.enclosed)
 
 
-def _fall(slopes: list[np.ndarray], outline: np.ndarray, centre: tuple[float, float]) -> float:
-    """Return how steeply [grey levels/px] an image falls outwards at an outline (k, 2), on average;
-    `slopes` are its derivatives along y and x (H, W)."""
-    x, y = outline.T
-    ray = (outline - centre) / np.maximum(np.linalg.norm(outline - centre, axis=1), 1)[:, None]
-    return float(-np.mean(slopes[1][y, x] * ray[:, 0] + slopes[0][y, x] * ray[:, 1]))
+def _window(
+    number: int, rims: list[np.ndarray], family: np.ndarray, cover: np.ndarray, away: np.ndarray
+) -> Window:
+    """Return what is within one outer rim: what it encloses is a hole, a gap or a highlight."""
+    x, y, w, h = cv2.boundingRect(rims[number])
+    x0, y0 = max(x - 1, 0), max(y - 1, 0)
+    here = np.s_[y0 : y + h + 1, x0 : x + w + 1]
+    own, deviation_here = cover[here], away[here]
+    offset = (-x0, -y0)
+    inside = np.zeros(own.shape, np.uint8)
+    cv2.drawContours(inside, rims, number, 1, cv2.FILLED, offset=offset)
+    holes, gaps, enclosed = (np.zeros_like(inside) for _ in range(3))
+    child = family[number][2]
+    full = np.mean(deviation_here[inside > 0]) if child >= 0 else 0
+    while child >= 0:
+        one = np.zeros_like(inside)
+        cv2.drawContours(one, rims, child, 1, cv2.FILLED, offset=offset)
+        ring = np.zeros_like(inside)
+        cv2.drawContours(ring, rims, child, 1, 1, offset=offset)
+        one[ring > 0] = 0
+        enclosed |= one
+        level = deviation_here[(one > 0) & (own < HALF)]
+        if len(level) >= LEAST_HOLE_PX2 and np.median(level) < HOLE * full:
+            area, hull = cv2.contourArea(rims[child]), cv2.contourArea(cv2.convexHull(rims[child]))
+            around = 4 * np.pi * area / max(cv2.arcLength(rims[child], True), 1) ** 2
+            convex = area > max(CONVEX_HOLE * hull, LARGE_HOLE_PX2)
+            (holes if convex or around > ROUND else gaps)[one > 0] = 1
+        child = family[child][0]
+    solid = inside > gaps
+    # Inside its rim a part covers all of a pixel, whatever its colours.
+    amount = np.where(solid, np.maximum(own, np.float32(HALF)), own)
+    amount[cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1) > gaps] = 1
+    true = np.where(holes, own, amount) if np.any(holes) else amount
+    return Window((x0, y0), solid, holes > 0, amount, true, enclosed > 0)
 
 
-def _middle(height: np.ndarray, centre: tuple[float, float], radius: float) -> float:
-    """Return the median of an image (H, W) in the middle of a part."""
-    reach = max(int(RINGS[0] * radius), 1)
-    x, y = round(centre[0]), round(centre[1])
-    inner = height[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
-    return float(np.median(inner))
-
-
-def _otsu(values: np.ndarray) -> float | None:
-    """Return the threshold that parts values (H, W) best in two; None if none is above 0."""
-    top = float(values.max())
-    if top <= 0:
+def _patch(
+    piece: Piece, window: Window, shape: tuple[int, ...], region: Region | None
+) -> Patch | None:
+    """Return one patch, in a window of its own; None if it is thinner than a part."""
+    left, top, width, height = cv2.boundingRect(piece.inside.astype(np.uint8))
+    x0, y0 = max(left - 1, 0), max(top - 1, 0)
+    here = np.s_[y0 : top + height + 1, x0 : left + width + 1]
+    inside = piece.inside[here].astype(np.uint8)
+    framed = cv2.copyMakeBorder(inside, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    if np.max(cv2.distanceTransform(framed, cv2.DIST_L2, 3)) < LEAST_DEPTH_PX:
         return None
-    bins = np.minimum(values * (256 / top), 255).astype(np.uint8)
-    return (1 + cv2.threshold(bins, 0, 255, cv2.THRESH_OTSU)[0]) * top / 256
-
-
-def _patches(mask: np.ndarray) -> list[np.ndarray]:
-    """Return the outer outlines (k, 1, 2) of patches that are more than a few pixels wide."""
-    small = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, small)
-    return list(cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0])
-
-
-def _touches(outline: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Tell whether an outline reaches the image's border: then it is not all seen."""
-    low, high = outline.min(axis=(0, 1)), outline.max(axis=(0, 1))
-    return bool(np.any(low <= 0) or high[0] >= shape[1] - 1 or high[1] >= shape[0] - 1)
-
-
-def _shape(outline: np.ndarray) -> tuple[tuple[float, float], float, float, float] | None:
-    """Return an outline's centre [px], radius by area [px], and how solid and compact it is."""
-    area = cv2.contourArea(outline)
-    if area < MIN_AREA_PX2:
-        return None
-    hull = cv2.convexHull(outline)
-    whole = cv2.contourArea(hull)
-    moments = cv2.moments(outline)
-    centre = (moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
-    length = cv2.arcLength(hull, True)
-    # The outline runs through the middles of the outermost pixels: half a pixel inside.
-    radius = float(np.sqrt(area / np.pi)) + 0.5
-    return centre, radius, area / whole, 4 * np.pi * whole / length**2
-
-
-def _refine(
-    height: np.ndarray, centre: tuple[float, float], radius: float
-) -> tuple[np.ndarray, float] | None:
-    """Trace a patch again, halfway between its own level and that of its surroundings: outline
-    (k, 1, 2) int, and contrast [grey levels]."""
-    reach = int(np.ceil(2 * RINGS[1] * radius))
-    x0, y0 = max(int(centre[0]) - reach, 0), max(int(centre[1]) - reach, 0)
-    window = height[y0 : int(centre[1]) + reach + 1, x0 : int(centre[0]) + reach + 1]
-    y, x = np.mgrid[: window.shape[0], : window.shape[1]]
-    distance = np.hypot(x - (centre[0] - x0), y - (centre[1] - y0)) / radius
-    inner = distance < RINGS[0]
-    # The light falls off across the part: its surroundings are a plane, of their darker half.
-    ring = np.abs(distance - RINGS[1]) < RING_WIDTH
-    design = np.stack([np.ones_like(distance), x - x.mean(), y - y.mean()], axis=-1)
-    outer = np.full(window.shape, np.median(window[ring]) if np.any(ring) else 0.0)
-    for _ in range(2):
-        low = ring & (window <= outer + MIN_SIGMA)
-        if np.count_nonzero(low) > 9:
-            outer = design @ np.linalg.lstsq(design[low], window[low], rcond=None)[0]
-    contrast = float(np.median((window - outer)[inner]))
-    patches = _patches((window - outer > 0.5 * contrast) & (distance < RINGS[1]))
-    offset = np.array([[x0, y0]], np.int32)
-    middle = (centre[0] - x0, centre[1] - y0)
-    around = [p for p in patches if cv2.pointPolygonTest(p, middle, False) >= 0]
-    return (around[0] + offset, contrast) if around else None
-
-
-def _angle(outline: np.ndarray) -> float:
-    """Return the direction [rad] of the longest side of the tightest rectangle around it."""
-    corners = cv2.boxPoints(cv2.minAreaRect(outline))
-    sides = np.diff(corners[:3], axis=0)
-    x, y = sides[np.argmax(np.hypot(*sides.T))]
-    return float(np.arctan2(-y, x) % np.pi)
+    mask = (inside > 0) & ~window.holes[here]
+    # Pixels of the rim that are less than half part belong to it if it is next to them.
+    near = cv2.dilate(inside, np.ones((3, 3), np.uint8)) > 0
+    others = window.solid[here] & (inside == 0)
+    cover = np.where(near & ~others, window.cover[here], np.float32(0))
+    column, row = window.corner[0] + x0, window.corner[1] + y0
+    bottom, right = row + mask.shape[0], column + mask.shape[1]
+    if region is None:
+        edge = (row, column, shape[0] - bottom, shape[1] - right)
+        rims = (mask[0], mask[:, 0], mask[-1], mask[:, -1])
+        whole = not any(gap == 0 and np.any(rim) for gap, rim in zip(edge, rims, strict=True))
+    else:
+        whole = bool(np.all(region.usable[row:bottom, column:right][near]))
+    return Patch(mask, (column, row), cover, whole, piece.group)

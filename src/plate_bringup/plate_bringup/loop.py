@@ -3,7 +3,7 @@
 Image k is taken at the start of cycle k; its answer runs as cycle k + 1, as in the graph. A camera
 that runs free takes images at any time, and each cycle is answered a while before its end. Where
 no answer comes, the plate repeats what it did. How answers get to the plate is an argument: at once
-(`Direct`), or over a serial line (`harness.serial.SerialLine`).
+(`Direct`), or over a serial line (`SerialLine` of `bench/harness/serial.py`).
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from time import process_time as cpu_time
 from typing import Any, Protocol
 
 import numpy as np
 
-from harness.race import cpu_time
 from plate_core import (
     Parts,
     PlateCycle,
@@ -32,7 +32,11 @@ from plate_core.kernels import when_compiling
 from plate_core.status import COMPILING
 from plate_core.tasks import (
     AssembleTask,
+    FeedOrder,
+    FeedTask,
     FollowTask,
+    MoveTask,
+    PartTarget,
     PoseTask,
     Scenario,
     SortTask,
@@ -47,12 +51,18 @@ from plate_planner import (
     PlannerState,
     Progress,
 )
-from plate_planner.tasks import Assembler, Follower, Poser, Sorter
+from plate_planner.tasks import Assembler, FeedReport, Follower, Poser, Sorter
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion, Playback, next_playback
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
 from plate_solver import METHODS, Answer, Controller
-from plate_vision import Tracker, make_vision, observe
+from plate_vision import Prediction, Tracker, make_vision, observe
+from plate_vision.shapes import learn_plate
+
+__all__ = [
+    "BARE_IMAGES", "HOLD_CYCLES", "IDLE_PERIOD", "Cell", "Direct", "Moment", "Setup", "Transport",
+    "as_asked", "load_planner", "predicted", "run", "seen_by", "summary", "with_settings",
+]  # fmt: skip
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers that make an answer take longer, and better."""
@@ -71,6 +81,9 @@ NUMBERS = {
 }  # fmt: skip
 """Settings of `Setup` itself that are numbers, and what is allowed."""
 
+BARE_IMAGES = 5
+"""From which the bare plate is learned, for rigs with types of parts."""
+
 HOLD_CYCLES, IDLE_PERIOD = 2, 0.1
 """Repetitions of a cycle when none follows, and the length of a cycle at rest [s]: as the simulator
 node's."""
@@ -82,8 +95,8 @@ class Setup:
 
     Attributes
     ----------
-    scenario : str
-        Name or path.
+    scenario : str or Scenario
+        Name or path, or itself.
     seed : int
         Of scattered parts, image noise and the solver's restarts.
     method : str
@@ -106,7 +119,7 @@ class Setup:
         ours, which then only judges: it says when the task is done, stuck or has lost a part.
     """
 
-    scenario: str
+    scenario: str | Scenario
     seed: int = 0
     method: str = "sinusoids"
     noise: float = NOISE
@@ -118,6 +131,13 @@ class Setup:
     image_age_s: float | None = None
     effort: Mapping[str, Any] = field(default_factory=dict)
     own_planner: str = ""
+
+    @property
+    def recipe(self) -> Scenario:
+        """The scenario itself."""
+        return (
+            self.scenario if isinstance(self.scenario, Scenario) else load_scenario(self.scenario)
+        )
 
 
 def with_settings(setup: Setup, settings: Mapping[str, str]) -> Setup:
@@ -262,6 +282,16 @@ class Transport(Protocol):
         motions until then."""
 
 
+class Cell(Protocol):
+    """What is around the plate, such as a hopper and a robot, and gives a task of `feed` orders."""
+
+    def act(self, simulation: Simulation, now: float) -> None:
+        """Do what is due at a time [s], before an image is taken."""
+
+    def order(self, report: FeedReport, now: float) -> FeedOrder:
+        """Take in what the last image showed, and say what is to be done from now [s] on."""
+
+
 class ControlLaw(Protocol):
     """An own planner: made from the rig, asked once for each image."""
 
@@ -341,16 +371,27 @@ class Direct:
 
 
 def run(
-    setup: Setup, rig: Rig | None = None, transport: Transport | None = None
+    setup: Setup,
+    rig: Rig | None = None,
+    transport: Transport | None = None,
+    drag: Callable[[float], Sequence[PartTarget]] | None = None,
+    cell: Cell | None = None,
 ) -> Iterator[Moment]:
-    """Run the loop until the task has ended; yields every cycle with an image."""
+    """Run the loop until the task has ended; yields every cycle with an image.
+
+    `drag` gives, for a task of `move` that has begun, targets to be replaced at a time [s]; `cell`
+    is for one of `feed`.
+    """
     line = transport or Direct()
-    scenario = load_scenario(setup.scenario)
+    scenario = setup.recipe
     rig = seen_by(setup, rig or load_rig(scenario.rig))
     simulation = Simulation(
         rig, scenario, setup.seed, setup.disturbances, noise=setup.noise, mu_scale=setup.mu_scale
     )
     vision, tracker = make_vision(rig), Tracker()
+    if vision.catalogue is not None:
+        bare = np.stack([simulation.capture_bare() for _ in range(BARE_IMAGES)])
+        vision = replace(vision, background=learn_plate(bare))
     planner = Planner(rig, scenario, replace(setup.planner, image_age_s=setup.image_age_s))
     state = planner.start(planner.initial())
     own = load_planner(setup.own_planner, rig) if setup.own_planner else None
@@ -358,13 +399,16 @@ def run(
     free = setup.disturbances.image_rate > 0
     shots = simulation.shots(line.now)
     shot = next(shots) if free else None
-    held, began, start, image = -1, -np.inf, simulation.state, None
+    held, began, start, image, expected = -1, -np.inf, simulation.state, None, None
     while True:
         world, now, at_work = simulation.state, line.now, cpu_time()
         if line.began > began:  # another cycle
             held, began, start = held + 1, line.began, world
             state = planner.started(state, line.running, began) if free else state
         new, stamp = None, now
+        if cell is not None:
+            cell.act(simulation, now)
+            world = simulation.state
         if shot is None:
             new = simulation.capture()
         elif shot.delivered <= now:
@@ -372,11 +416,16 @@ def run(
             shot = next(shots)
         if new is not None:
             image, at_work = new, cpu_time()
-            tracker = observe(vision, tracker, image, stamp)
+            tracker = observe(vision, tracker, image, stamp, expected)
             state = planner.see(state, tracker.parts, stamp)
         due = new is not None if shot is None else state.due <= now
         if due and image is not None:
+            if drag is not None and state.task.active:
+                planner, state, _ = planner.retarget(state, drag(now))
+            if cell is not None and state.memory is not None:
+                planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
+            expected = predicted(wanted, state)
             if own is not None:
                 wanted = _checked(own.plan(tracker.parts, began), setup.own_planner)
             solving = cpu_time()
@@ -386,7 +435,7 @@ def run(
             line.send(table)
             state = planner.hear(state, answer.cycle, now)
             step_s = cpu_time() - at_work
-            error = _true_error(scenario, rig, state, tracker.parts, start, began)
+            error = _true_error(planner.scenario, rig, state, tracker.parts, start, began)
             turned = _true_turn_error(scenario, rig, state, tracker.parts, start)
             used = fitted.usage
             yield Moment(
@@ -402,6 +451,13 @@ def run(
         until = np.inf if shot is None else min(shot.delivered, max(answer_at, now + MOMENT_S))
         for motion in line.play(until):
             simulation.run(motion)
+
+
+def predicted(wanted: Wanted, state: PlannerState) -> Prediction | None:
+    """Return what the planner's answer says of where parts will be; None if it does not."""
+    if wanted.start is None:
+        return None
+    return Prediction(wanted.parts.ids, state.estimator.next_start, wanted.start[:, :2])
 
 
 def seen_by(setup: Setup, rig: Rig) -> Rig:
@@ -427,6 +483,11 @@ def _true_error(
     if isinstance(task, PoseTask) and state.memory is not None and len(true):
         true_parts = _named(parts, state.memory.match, world)
         return Poser(task, rig).errors(state.memory, true_parts)[0]
+    if isinstance(task, MoveTask) and state.memory is not None and len(true):
+        true_parts = _named(parts, tuple(target.id for target in task.targets), world)
+        place = {target.id: target.place for target in task.targets}
+        goal = np.array([place[name] for name in true_parts.ids]).reshape(-1, 2)
+        return np.hypot(*(true_parts.position - goal).T)
     if not isinstance(task, FollowTask) or state.memory is None or not len(true):
         return np.zeros(0)
     if state.memory.leading:  # the path has not begun
@@ -466,6 +527,8 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
     """
     if moment.world.dropped:
         return False
+    if isinstance(task, FeedTask):
+        return True
     if isinstance(task, SortTask):
         true = Parts.make(moment.world.ids, moment.world.position)
         return float(np.max(np.nan_to_num(Sorter(task, rig).to_go(true)))) <= SIGHT_M
@@ -487,7 +550,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
-    task = load_scenario(setup.scenario).task
+    task = setup.recipe.task
     for moment in run(setup, rig):
         held += moment.held
         late += moment.step_s > moment.answer.cycle.period
@@ -499,7 +562,8 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         shares.append((moment.limit_share, moment.force_share, moment.heat_share))
         scaled += moment.scaled
         errors.append(moment.error_m)
-    all_along = isinstance(task, FollowTask | PoseTask)
+    stay = isinstance(task, PoseTask) and all(pose.place is None for pose in task.poses)
+    all_along = stay or isinstance(task, FollowTask)
     error = np.concatenate(errors) if all_along else errors[-1]  # assembled: the end counts
     turned = np.degrees(np.max(moment.turn_error, initial=0.0))
     milliseconds = 1e3 * np.array(solve_s[1:] or [0.0])  # the first one makes tables

@@ -1,21 +1,18 @@
-"""Names for the parts that stay with them from image to image, and their drift."""
+"""The parts followed so far: a step takes in what one image shows."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from plate_core import Parts
 
-from .errors import TrackError, check_ranges
-
-UNKNOWN = (math.nan, math.nan, math.nan)
-"""The quality of what was seen nobody knows how well."""
+from ..errors import TrackError, check_ranges
+from .assignment import assign
+from .track import UNKNOWN, Prediction, Sighting, Track
 
 
 @dataclass(frozen=True)
@@ -54,99 +51,6 @@ class TrackerOptions:
         check_ranges(self, self.RANGES)
 
 
-@dataclass(frozen=True)
-class Track:
-    """One part.
-
-    Attributes
-    ----------
-    label : str
-        Class.
-    number : int
-        Running number within the class, from 1; 0 while it is not confirmed.
-    history : tuple of (stamp [s], x [m], y [m])
-        When and where in plate_home it was seen, oldest first; at most `velocity_frames` + 1.
-        Plain numbers: for so few of them they are ten times faster than arrays.
-    missed : int
-        Images since it was last seen.
-    hits : int
-        Images in which it was seen.
-    turns : tuple of (stamp [s], angle [rad])
-        The same for its angle, which does not jump by whole turns.
-    quality : tuple of 3 float
-        How well it was seen last, see `Tracker.quality`.
-    """
-
-    label: str
-    number: int
-    history: tuple[tuple[float, float, float], ...]
-    missed: int = 0
-    hits: int = 0
-    turns: tuple[tuple[float, float], ...] = ()
-    quality: tuple[float, ...] = UNKNOWN
-
-    @property
-    def id(self) -> str:
-        """Such as `black_3`."""
-        return f"{self.label}_{self.number}"
-
-    @property
-    def position(self) -> tuple[float, float]:
-        """Where it was last seen: x, y [m]."""
-        return self.history[-1][1:]
-
-    @property
-    def velocity(self) -> tuple[float, float]:
-        """Drift along x, y [m/s]: zero until it has been seen twice."""
-        (t0, x0, y0), (t1, x1, y1) = self.history[0], self.history[-1]
-        if t1 == t0:
-            return 0.0, 0.0
-        return (x1 - x0) / (t1 - t0), (y1 - y0) / (t1 - t0)
-
-    @property
-    def angle(self) -> float:
-        """Angle in which it was last seen [rad]."""
-        return self.turns[-1][1] if self.turns else 0.0
-
-    @property
-    def spin(self) -> float:
-        """Turning [rad/s]: zero until it has been seen twice."""
-        if len(self.turns) < 2:
-            return 0.0
-        (t0, angle0), (t1, angle1) = self.turns[0], self.turns[-1]
-        return (angle1 - angle0) / (t1 - t0)
-
-    def predicted(self, stamp: float, reach: float) -> tuple[float, float]:
-        """Where it should be: x, y [m] at `stamp` [s], if it drifts on by at most `reach` [m].
-
-        Stamps of a camera that runs free scatter, and two may be next to each other: since then it
-        has moved no further than its last way in each image, and once more.
-        """
-        (first, x0, y0), (last, x, y) = self.history[0], self.history[-1]
-        if last == first:
-            return x, y
-        ways = min((stamp - last) / (last - first), self.missed + 2)
-        ways = min(ways, reach / max(math.hypot(x - x0, y - y0), 1e-12))
-        return x + (x - x0) * ways, y + (y - y0) * ways
-
-    def extended(
-        self, stamp: float, position: np.ndarray, angle: float, keep: int,
-        quality: tuple[float, ...] = UNKNOWN,
-    ) -> Track:  # fmt: skip
-        """Return the track with one more position (2,) [m] and angle [rad]; the last `keep` are
-        kept."""
-        point = (stamp, float(position[0]), float(position[1]))
-        turn = (stamp, self.angle + math.remainder(angle - self.angle, math.tau))
-        return Track(
-            self.label,
-            self.number,
-            (*self.history, point)[-keep:],
-            hits=self.hits + 1,
-            turns=(*self.turns, turn)[-keep:],
-            quality=quality,
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Tracker:
     """The parts followed so far.
@@ -160,12 +64,18 @@ class Tracker:
         By class and number; also those that were missed in the last image.
     last_number : mapping of str to int
         Greatest number given so far, by class; no number is given twice.
+    given_up : tuple of str
+        Ids that were given up with the last image.
+    renamed : tuple of (id before, id now)
+        Parts that have another class since the last image.
     """
 
     options: TrackerOptions = field(default_factory=TrackerOptions)
     stamp: float | None = None
     tracks: tuple[Track, ...] = ()
     last_number: Mapping[str, int] = field(default_factory=dict)
+    given_up: tuple[str, ...] = ()
+    renamed: tuple[tuple[str, str], ...] = ()
 
     @property
     def found(self) -> tuple[Track, ...]:
@@ -212,6 +122,8 @@ def update(
     label: Sequence[str] | np.ndarray,
     angle: np.ndarray | None = None,
     quality: np.ndarray | None = None,
+    symmetry: np.ndarray | None = None,
+    expected: Prediction | None = None,
 ) -> Tracker:
     """Take in what was found in one image.
 
@@ -232,6 +144,11 @@ def update(
         Angles [rad, plate_home]; zero if left out.
     quality : (M, 3), optional
         How well they were seen, see `Tracker.quality`; not known if left out.
+    symmetry : (M,) int, optional
+        In how many directions they look the same; 0: in all. 1 if left out.
+    expected : Prediction, optional
+        Where parts should be by the plate's motion; used if it is of an instant after the last
+        image. Of other parts their drift tells it.
 
     Returns
     -------
@@ -243,36 +160,49 @@ def update(
         If shapes disagree or a value is not finite.
     """
     position, labels = _checked(stamp, position, label)
-    angles = np.zeros(len(labels)) if angle is None else np.asarray(angle, dtype=float)
-    how_well = [UNKNOWN] * len(labels) if quality is None else [*map(tuple, quality.tolist())]
-    stamp = float(stamp)
+    count, stamp = len(labels), float(stamp)
     if tracker.stamp is not None and stamp == tracker.stamp:
         return tracker
     if tracker.stamp is not None and stamp < tracker.stamp:
         tracker = Tracker(tracker.options)
+    angles = _column("angle", np.zeros(count) if angle is None else angle, (count,))
+    if not np.all(np.isfinite(angles)):
+        raise TrackError(f"angle is {angles.tolist()}, allowed: finite numbers")
+    how_well = [UNKNOWN] * count if quality is None else quality
+    how_well = _column("quality", how_well, (count, 3)).tolist()
+    alike = _column("symmetry", np.ones(count) if symmetry is None else symmetry, (count,))
+    places = map(tuple, position.tolist())
+    seen = [*map(Sighting, labels, places, angles.tolist(), map(tuple, how_well), map(int, alike))]
     options = tracker.options
     keep = options.velocity_frames + 1
-    tracks = []
-    is_new = np.ones(len(labels), dtype=bool)
-    for track, found in zip(tracker.tracks, _assign(tracker, stamp, position, labels), strict=True):
+    tracks, before, given_up = [], [], []
+    is_new = np.ones(count, dtype=bool)
+    fresh = expected is not None and tracker.stamp is not None and tracker.stamp < expected.stamp
+    chosen = assign(tracker.tracks, stamp, seen, options.gate_m, expected if fresh else None)
+    for track, found in zip(tracker.tracks, chosen, strict=True):
         if found >= 0:
             is_new[found] = False
-            turn, well = float(angles[found]), how_well[found]
-            tracks.append(track.extended(stamp, position[found], turn, keep, well))
+            tracks.append(track.extended(stamp, seen[found], keep))
+            before.append(track)
         elif track.number and track.missed < options.max_missed:
             tracks.append(replace(track, missed=track.missed + 1))
+            before.append(track)
+        elif track.number:
+            given_up.append(track.id)
     for i in np.flatnonzero(is_new):
-        new = Track(labels[i], 0, ())
-        tracks.append(new.extended(stamp, position[i], float(angles[i]), keep, how_well[i]))
+        tracks.append(Track(labels[i], 0, ()).extended(stamp, seen[i], keep))
     confirm = options.confirm if tracker.last_number else 1
-    tracks, numbers = _number(tracks, tracker.last_number, confirm)
-    return Tracker(options, stamp, tuple(tracks), numbers)
+    numbers = _number(tracks, tracker.last_number, confirm)
+    renamed = tuple(
+        (old.id, new.id) for old, new in zip(before, tracks, strict=False)
+        if old.number and old.id != new.id
+    )  # fmt: skip
+    tracks.sort(key=lambda track: (track.label, track.number))
+    return Tracker(options, stamp, tuple(tracks), numbers, tuple(given_up), renamed)
 
 
-def _number(
-    tracks: list[Track], numbers: Mapping[str, int], confirm: int
-) -> tuple[list[Track], dict[str, int]]:
-    """Number tracks that have been seen `confirm` times; all by class and number."""
+def _number(tracks: list[Track], numbers: Mapping[str, int], confirm: int) -> dict[str, int]:
+    """Number, in place, tracks that have been seen `confirm` times; returns the last numbers."""
     numbers = dict(numbers)
     # From left to right, so that the first names do not depend on the order of detection.
     for i in sorted(range(len(tracks)), key=lambda i: (*tracks[i].position, tracks[i].label)):
@@ -280,7 +210,17 @@ def _number(
         if track.number == 0 and track.hits >= confirm:
             numbers[track.label] = numbers.get(track.label, 0) + 1
             tracks[i] = replace(track, number=numbers[track.label])
-    return sorted(tracks, key=lambda track: (track.label, track.number)), numbers
+    return numbers
+
+
+def _column(name: str, values: Sequence[Any] | np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return what is known of each sighting, if it is of this shape."""
+    array = np.asarray(values, dtype=float)
+    if array.size == 0:
+        array = array.reshape(-1, *shape[1:])
+    if array.shape != shape:
+        raise TrackError(f"{name} has shape {array.shape}, allowed: {shape}, as many as positions")
+    return array
 
 
 def _checked(
@@ -298,30 +238,3 @@ def _checked(
             f"position {bad[0]} is {position[bad[0]].tolist()}, allowed: finite numbers"
         )
     return position, labels
-
-
-def _assign(
-    tracker: Tracker, stamp: float, position: np.ndarray, labels: Sequence[str]
-) -> np.ndarray:
-    """Return for each track the index of its position (T,), or -1.
-
-    As many pairs as possible of one class and within the gate, and of all such choices the one
-    with the least sum of squared distances.
-    """
-    found = np.full(len(tracker.tracks), -1)
-    if not len(found) or not len(labels):
-        return found
-    reach = tracker.options.gate_m * np.array([1 + track.missed for track in tracker.tracks])
-    expected = [
-        track.predicted(stamp, gate) for track, gate in zip(tracker.tracks, reach, strict=True)
-    ]
-    gap = np.array(expected)[:, None] - position[None, :]
-    square = np.sum(gap**2, axis=2)
-    same = np.array([track.label for track in tracker.tracks])[:, None] == np.array(labels)[None, :]
-    allowed = same & (square <= reach[:, None] ** 2)
-    # One forbidden pair costs more than all allowed pairs together.
-    forbidden = 1.0 + np.sum(reach**2)
-    rows, columns = linear_sum_assignment(np.where(allowed, square, forbidden))
-    kept = allowed[rows, columns]
-    found[rows[kept]] = columns[kept]
-    return found

@@ -1,0 +1,139 @@
+"""Detectors that are compared: ours, and peers with settings as their guides give them.
+
+None knows how many parts there are, nor of what size; nothing is set for one picture. Where a guide
+names no value for a peer's setting, it has the best of a few on the half for tuning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from harness import optional
+from plate_vision import detect
+
+FOUND = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("angle_deg", "f8"),
+        ("label", "U32"),
+    ]
+)
+"""One part that was found: centre and radius of the disc of the same area [px]; angle, NaN without;
+class, empty without."""
+
+Finder = Callable[[np.ndarray], np.ndarray]
+"""Image (H, W, 3) uint8 -> (n,) FOUND."""
+
+LEAST_PX2 = 30.0
+"""Smallest patch that a peer reports [px2]."""
+
+LARGEST = 0.25
+"""Largest, as a fraction of the picture."""
+
+DEEPER_PX = 1.5
+"""How much further from the rim the middles of two parts are than where they touch [px]."""
+
+OURS = "ours, untaught"
+
+WHITE = 255
+
+
+def make_finders() -> dict[str, Finder]:
+    """Return detectors that are taught nothing, by name; peers that are not installed are left
+    out."""
+    finders: dict[str, Finder] = {
+        OURS: find_ours,
+        "Lab threshold": lab_threshold,
+    }
+    if optional("skimage.segmentation") is not None:
+        finders["scikit-image watershed"] = watershed
+    finders["SimpleBlobDetector"] = simple_blobs
+    finders["HoughCircles"] = hough_circles
+    return finders
+
+
+def find_ours(image: np.ndarray) -> np.ndarray:
+    """Find parts by `plate_vision.detect`, without options; groups are no parts."""
+    seen = detect(image)
+    seen = seen[seen["method"] != "group"]
+    found = np.zeros(len(seen), FOUND)
+    for name in ("x_px", "y_px", "radius_px", "label"):
+        found[name] = seen[name]
+    found["angle_deg"] = np.degrees(seen["angle_rad"])
+    return found
+
+
+def lab_threshold(image: np.ndarray) -> np.ndarray:
+    """Find patches whose colour is further from the commonest one than Otsu's threshold."""
+    _, _, boxes, centres = cv2.connectedComponentsWithStats(_far_from_background(image))
+    area = boxes[1:, cv2.CC_STAT_AREA].astype(float)
+    return _found(centres[1:, 0], centres[1:, 1], area, image)
+
+
+def watershed(image: np.ndarray) -> np.ndarray:
+    """Find such patches, split by a watershed on the distance to their rim."""
+    measure, morphology = optional("skimage.measure"), optional("skimage.morphology")
+    segmentation = optional("skimage.segmentation")
+    mask = _far_from_background(image)
+    depth = cv2.GaussianBlur(cv2.distanceTransform(mask, cv2.DIST_L2, 5), (0, 0), 1.0)
+    seeds = measure.label(morphology.h_maxima(depth, DEEPER_PX))
+    labels = segmentation.watershed(-depth, seeds, mask=mask > 0)
+    props = measure.regionprops(labels)
+    y, x = np.array([p.centroid for p in props]).reshape(-1, 2).T
+    found = _found(x, y, np.array([p.area for p in props], float), image)
+    angle = {(p.centroid[1], p.centroid[0]): np.degrees(p.orientation) + 90 for p in props}
+    found["angle_deg"] = [angle[x, y] for x, y in zip(found["x_px"], found["y_px"], strict=True)]
+    return found
+
+
+def simple_blobs(image: np.ndarray) -> np.ndarray:
+    """Find blobs by OpenCV's detector as it comes, of any colour and size."""
+    opencv: Any = cv2  # whose types lack this
+    params = opencv.SimpleBlobDetector_Params()
+    params.filterByColor = False
+    params.minArea = LEAST_PX2
+    params.maxArea = LARGEST * image.shape[0] * image.shape[1]
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    points = opencv.SimpleBlobDetector_create(params).detect(grey)
+    rows = [(p.pt[0], p.pt[1], 0.5 * p.size, np.nan, "") for p in points]
+    return np.array(rows, FOUND)
+
+
+def hough_circles(image: np.ndarray) -> np.ndarray:
+    """Find circles by OpenCV's Hough transform, from 1/60 to 1/4 of the picture's side."""
+    side = min(image.shape[:2])
+    grey = cv2.medianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 5)
+    circles = cv2.HoughCircles(
+        grey, cv2.HOUGH_GRADIENT, 1, side / 30, param1=100, param2=30,
+        minRadius=side // 60, maxRadius=side // 4,
+    )  # fmt: skip
+    rows = [] if circles is None else [(*c, np.nan, "") for c in circles.reshape(-1, 3)]
+    return np.array(rows, FOUND)
+
+
+def _far_from_background(image: np.ndarray) -> np.ndarray:
+    """Return a mask (H, W) uint8 of what differs from the median colour, holes filled."""
+    image = cv2.medianBlur(image, 3)
+    lab = cv2.cvtColor(image.astype(np.float32) / WHITE, cv2.COLOR_BGR2Lab)
+    away = np.linalg.norm(lab - np.median(lab.reshape(-1, 3), axis=0), axis=2)
+    bins = np.minimum(2 * away, WHITE).astype(np.uint8)
+    mask = cv2.threshold(bins, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    rims = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    return np.asarray(cv2.drawContours(mask, rims, -1, 1, cv2.FILLED))
+
+
+def _found(x: np.ndarray, y: np.ndarray, area: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Return patches (n,) FOUND by centre [px] and area [px2], without specks and backgrounds."""
+    found = np.zeros(len(area), FOUND)
+    found["x_px"], found["y_px"] = x, y
+    found["radius_px"] = np.sqrt(area / np.pi)
+    found["angle_deg"] = np.nan
+    size = image.shape[0] * image.shape[1]
+    return found[(area >= LEAST_PX2) & (area <= LARGEST * size)]

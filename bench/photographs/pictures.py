@@ -1,0 +1,126 @@
+"""The photographs and what is true of them: read from `photographs.yaml`.
+
+Angles are in degrees, counter-clockwise as seen; image coordinates are x to the right and y down,
+the centre of the first pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+LIST = Path(__file__).with_name("photographs.yaml")
+
+ROOT = Path(__file__).resolve().parents[2]
+
+FOLDER = ROOT / "out/photographs"
+"""Where fetched files and figures are."""
+
+HALVES = ("tuning", "held_out")
+"""To tune on, and to look at once at the end."""
+
+TRUTH = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("angle_deg", "f8"),
+        ("symmetry", "i4"),
+        ("label", "U32"),
+        ("touching", "?"),
+    ]
+)
+"""One part: centre of its area with holes filled, radius of the disc of the same area [px]; angle,
+NaN if it has none; in how many directions it looks the same, 0 for a disc and for what is seen too
+much from the side; class; whether it touches another part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A picture and its truth.
+
+    Attributes
+    ----------
+    name : str
+    half : str
+        One of `HALVES`, by the name's digest: see `half_of`.
+    source : mapping
+        `github`, `commit` and `path`; or `package`, `version` and `path` in the folder of packages.
+    licence, by : str
+    sha256 : str
+        Of the file.
+    crop_px : (4,) of int, optional
+        x, y, width, height of what is used of the file.
+    shrink : int
+        What is used is then made smaller by this factor.
+    parts : (n,) TRUTH
+    ignore : (m, 3)
+        x, y, radius [px] of what is cut or doubtful: found or not, it does not count.
+    plate : (k, 2), optional
+        Corners [px] of a polygon; what is found outside does not count.
+    """
+
+    name: str
+    half: str
+    source: Mapping[str, str]
+    licence: str
+    by: str
+    sha256: str
+    crop_px: tuple[int, int, int, int] | None
+    shrink: int
+    parts: np.ndarray
+    ignore: np.ndarray
+    plate: np.ndarray | None
+
+    @property
+    def file(self) -> Path:
+        """Where the fetched file is."""
+        return FOLDER / "files" / (self.name + Path(self.source["path"]).suffix.lower())
+
+    def image(self) -> np.ndarray:
+        """Return what is used of the picture, (H, W, 3) uint8: blue, green, red."""
+        image = cv2.imread(str(self.file), cv2.IMREAD_COLOR)
+        if image is None:
+            raise FileNotFoundError(f"{self.file}: no picture, allowed: what `fetch` brought")
+        if self.crop_px is not None:
+            x, y, width, height = self.crop_px
+            image = image[y : y + height, x : x + width]
+        if self.shrink > 1:
+            size = (image.shape[1] // self.shrink, image.shape[0] // self.shrink)
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        return np.ascontiguousarray(image)
+
+
+def load_photographs(path: Path = LIST) -> list[Photograph]:
+    """Read the list of photographs."""
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return [_photograph(name, entry) for name, entry in data.items()]
+
+
+def _photograph(name: str, entry: dict[str, Any]) -> Photograph:
+    rows = [
+        (*row[:3], row[3] if len(row) > 3 else np.nan, kind["symmetry"], label, touching)
+        for label, kind in entry["parts"].items()
+        for key, touching in (("apart", False), ("touching", True))
+        for row in kind.get(key, ())
+    ]
+    crop, plate = entry.get("crop_px"), entry.get("plate")
+    return Photograph(
+        name=name,
+        half=entry["half"],
+        source=entry["source"],
+        licence=entry["licence"],
+        by=entry["by"],
+        sha256=entry["sha256"],
+        crop_px=None if crop is None else (crop[0], crop[1], crop[2], crop[3]),
+        shrink=entry.get("shrink", 1),
+        parts=np.array(rows, TRUTH),
+        ignore=np.array(entry.get("ignore", []), float).reshape(-1, 3),
+        plate=None if plate is None else np.array(plate, float),
+    )

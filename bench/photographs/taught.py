@@ -1,0 +1,90 @@
+"""Ours, taught: of each class at most five are shown, the rest is to be found and named.
+
+A class as `coin` may hold several types in the detector's sense: where its examples are refused
+together, because they differ, each is taught as a type of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from photographs.finders import FOUND
+from plate_core import PlateError
+from plate_vision import calibrate_by_scale, find_parts
+from plate_vision.shapes import Example, model_background, teach
+
+MOST_EXAMPLES = 5
+"""Of one class."""
+
+SCALE = 1000.0
+"""A pixel is thought to be a millimetre [px/m]: nothing is known of the pictures' scale."""
+
+UNNAMED = ("unknown", "group")
+"""Labels that say that no class is known: not counted as parts."""
+
+
+def teach_examples(
+    image: np.ndarray, parts: np.ndarray
+) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, list[str]]:
+    """Teach the classes of a picture by examples in it.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        Blue, green, red.
+    parts : (n,) TRUTH
+        Those that stand alone are shown first, at most `MOST_EXAMPLES` of a class.
+
+    Returns
+    -------
+    finder, shown, refused
+        The taught detector: image to (m,) FOUND; which parts (n,) bool were shown; what was
+        refused, with the reasons.
+    """
+    calibration = calibrate_by_scale(SCALE)
+    bare = model_background(image)
+    types: dict[str, Any] = {}
+    class_of: dict[str, str] = {}
+    refused = []
+    shown = np.zeros(len(parts), bool)
+    for label in sorted(set(parts["label"])):
+        those = np.flatnonzero(parts["label"] == label)
+        those = those[np.argsort(parts["touching"][those], kind="stable")][:MOST_EXAMPLES]
+        together = {label: those}
+        apart = {f"{label}_{letter}": [i] for letter, i in zip("vwxyz", those, strict=False)}
+        for lessons in (together, apart):
+            for name, indices in lessons.items():
+                examples = [Example(image, _box(parts[i])) for i in indices]
+                try:
+                    types |= teach({name: examples}, calibration, bare)
+                except PlateError as problem:
+                    refused.append(str(problem))
+                else:
+                    shown[indices] = True
+                    class_of[name] = label
+            if label in types:
+                break
+
+    def finder(picture: np.ndarray) -> np.ndarray:
+        if not types:
+            return np.zeros(0, FOUND)
+        seen = find_parts(picture, types, scale=SCALE)
+        seen = seen[~np.isin(seen["label"], UNNAMED)]
+        found = np.zeros(len(seen), FOUND)
+        for name in ("x_px", "y_px", "radius_px"):
+            found[name] = seen[name]
+        found["label"] = [class_of[label] for label in seen["label"]]
+        found["angle_deg"] = np.degrees(seen["angle_rad"])
+        return found
+
+    return finder, shown, refused
+
+
+def _box(part: np.ndarray) -> tuple[float, float, float, float]:
+    """Return where the centre of an example is: x0, y0, x1, y1 [px]."""
+    reach = 0.5 * float(part["radius_px"])
+    x, y = float(part["x_px"]), float(part["y_px"])
+    return x - reach, y - reach, x + reach, y + reach

@@ -1,0 +1,401 @@
+"""Hostile scenes of parts of any outline: drawn at sub-pixels, lit, shaded, blurred, photographed.
+
+The parts are those of config/parts.yaml at the default rig's scale; the plate was seen bare before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from harness import ROOT
+from plate_core.rig import PartType, load_part_types, moments
+from plate_vision.shapes import Background, learn_plate
+
+SIZE_PX = (640, 480)
+"""Width and height of the scenes."""
+
+SCALE_PX_M = 1000.0
+"""Of a millimetre one pixel, as the default rig's camera sees it."""
+
+SUB = 8
+"""Sub-pixels along each side of a pixel."""
+
+PARTS = 20
+"""In a scene."""
+
+PLATES_LAB = ((80.0, 0.0, 2.0), (78.0, 6.0, 28.0), (14.0, 0.0, 0.0))
+"""Colours of the plate, in turns: light, wooden, black."""
+
+BARE = 5
+"""Images of the bare plate."""
+
+NOISE = 2.0
+"""Standard deviation of the camera's noise [grey levels], of each colour by itself."""
+
+TRIES = 4000
+"""To find a place for a part."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part in a scene: its type, centre (2,) [px] and angle [rad]."""
+
+    kind: PartType
+    centre_px: np.ndarray
+    angle_rad: float
+
+    @property
+    def reach_px(self) -> float:
+        """Greatest distance of its rim from its centre [px]."""
+        return self.kind.reach_m * SCALE_PX_M
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of the disc of its area [px]."""
+        return float(np.sqrt(self.kind.area_m2 / np.pi)) * SCALE_PX_M
+
+    def corners_px(self, polygon: np.ndarray) -> np.ndarray:
+        """Corners (n, 2) [px] of a polygon (n, 2) [m] of its type; y down."""
+        c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        return np.asarray(
+            SCALE_PX_M * (polygon @ np.array([[c, s], [-s, c]])) * (1, -1) + self.centre_px
+        )
+
+    @property
+    def middle_px(self) -> np.ndarray:
+        """Centre (2,) [px] of its area as it was drawn."""
+        kind = self.kind
+        return self.corners_px(
+            moments(kind.polygon, [np.array(hole) for hole in kind.holes])[1][None]
+        )[0]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of scene: how it differs from an easy one."""
+
+    name: str
+    types: tuple[str, ...] = ()
+    place: Callable[..., list[Part]] | None = None
+    gap_px: float = 3.0
+    count: int = PARTS
+    blur_px: tuple[float, float] = (0.6, 0.6)
+    highlight: bool = False
+    shadow: bool = False
+    jpeg: bool = False
+    bayer: bool = False
+    texture: bool = False
+    vignetting: bool = False
+    two_colours: bool = False
+    grey: bool = False
+
+
+def kinds() -> list[Kind]:
+    """Return all kinds of scenes."""
+    convex = ("nut", "washer", "square", "bar", "coin_small", "coin_middle", "coin_large")
+    return [
+        Kind("easy"),
+        Kind("easy, grey levels", grey=True),
+        Kind("highlight of 2 to 5 %", highlight=True),
+        Kind("shadow", shadow=True, gap_px=8),
+        Kind("shadow, grey levels", shadow=True, gap_px=8, grey=True),
+        *(
+            Kind(f"blur of {sigma} px", blur_px=(sigma, sigma), gap_px=3 * sigma)
+            for sigma in (1, 2, 4, 6)
+        ),
+        Kind("JPEG quality 50 to 75", jpeg=True),
+        Kind("Bayer mosaic", bayer=True),
+        Kind("texture", texture=True),
+        Kind("vignetting, other light", vignetting=True),
+        Kind("holes", types=("nut", "washer")),
+        Kind("two colours", two_colours=True),
+        Kind("partly outside", place=at_the_border, gap_px=6),
+        Kind("chains of convex parts", types=convex, place=chains),
+        Kind("chains of discs", types=convex[4:], place=chains),
+        Kind("clusters of convex parts", types=convex, place=clusters),
+        Kind("chains of brackets and screws", types=("bracket", "screw"), place=chains),
+        Kind("chains of all", place=chains),
+        Kind(
+            "all but touching", highlight=True, shadow=True, jpeg=True, bayer=True, texture=True,
+            vignetting=True, gap_px=8, blur_px=(1, 1),
+        ),
+    ]  # fmt: skip
+
+
+def has_room(part: Part, others: list[Part], gap_px: float) -> bool:
+    """Whether a part is further from others than a gap, each taken for a disc about its centre."""
+    return all(
+        np.hypot(*(part.centre_px - other.centre_px)) > part.reach_px + other.reach_px + gap_px
+        for other in others
+    )
+
+
+def apart(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
+    """Scatter parts that lie wholly in the image, with a gap between any two."""
+    parts: list[Part] = []
+    for _ in range(TRIES):
+        if len(parts) == kind.count:
+            break
+        part = any_part(types, rng)
+        room = part.reach_px + 4
+        part = moved(part, rng.uniform((room, room), np.array(SIZE_PX) - room))
+        if has_room(part, parts, kind.gap_px):
+            parts.append(part)
+    return parts
+
+
+def at_the_border(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
+    """Scatter parts, and eight more that the border of the image cuts."""
+    parts = apart(kind, types, rng)
+    width, height = SIZE_PX
+    for _ in range(TRIES):
+        if len(parts) >= kind.count + 8:
+            break
+        part = any_part(types, rng)
+        side, along, out = rng.integers(4), rng.uniform(0.1, 0.9), rng.uniform(-0.4, 0.4)
+        away = out * part.radius_px
+        part = moved(
+            part,
+            np.array(
+                [
+                    (along * width, away), (along * width, height - 1 - away),
+                    (away, along * height), (width - 1 - away, along * height),
+                ][side]
+            ),
+        )  # fmt: skip
+        if has_room(part, parts, kind.gap_px):
+            parts.append(part)
+    return parts
+
+
+def chains(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
+    """Rows of three to five parts, each of which touches the one before."""
+    return touching(kind, types, rng, np.deg2rad(40), (3, 6))
+
+
+def clusters(kind: Kind, types: list[PartType], rng: np.random.Generator) -> list[Part]:
+    """Heaps of three to five parts that lie around the first of them."""
+    return touching(kind, types, rng, np.pi, (3, 6), around=True)
+
+
+def touching(
+    kind: Kind,
+    types: list[PartType],
+    rng: np.random.Generator,
+    bend: float,
+    size: tuple[int, int],
+    around: bool = False,
+) -> list[Part]:
+    """Scatter groups of parts that touch each other."""
+    parts: list[Part] = []
+    for _ in range(60):
+        if len(parts) >= kind.count:
+            break
+        group: list[Part] = []
+        heading = rng.uniform(0, 2 * np.pi)
+        first = moved(any_part(types, rng), rng.uniform((60, 60), np.array(SIZE_PX) - 60))
+        for _ in range(int(rng.integers(*size))):
+            part = any_part(types, rng)
+            if not group:
+                part = first
+            else:
+                base = group[0] if around else group[-1]
+                for _ in range(20):
+                    way = heading + rng.uniform(-bend, bend)
+                    part = pushed(part, base, way)
+                    if not any(overlap(part, other) for other in group if other is not base):
+                        break
+                else:
+                    break
+            group.append(part)
+        if all(
+            np.all(part.centre_px > part.reach_px + 3)
+            and np.all(part.centre_px < np.array(SIZE_PX) - part.reach_px - 3)
+            and all(
+                np.hypot(*(part.centre_px - other.centre_px))
+                > part.reach_px + other.reach_px + kind.gap_px
+                for other in parts
+            )
+            for part in group
+        ):
+            parts += group
+    return parts
+
+
+def pushed(part: Part, base: Part, way: float) -> Part:
+    """Return a part pushed against another one from a direction [rad], until it touches."""
+    ray = np.array([np.cos(way), np.sin(way)])
+    near, far = 0.0, base.reach_px + part.reach_px + 1
+    while far - near > 0.05:
+        middle = 0.5 * (near + far)
+        if overlap(moved(part, base.centre_px + middle * ray), base):
+            near = middle
+        else:
+            far = middle
+    return moved(part, base.centre_px + far * ray)
+
+
+def overlap(one: Part, other: Part) -> bool:
+    """Whether two parts overlap by more than a few sub-pixels."""
+    if np.hypot(*(one.centre_px - other.centre_px)) > one.reach_px + other.reach_px:
+        return False
+    low = np.floor(one.centre_px - one.reach_px - 1).astype(int)
+    side = int(2 * one.reach_px + 4)
+    both = solid(one, low, side) & solid(other, low, side)
+    return bool(np.count_nonzero(both) > SUB)
+
+
+def any_part(types: list[PartType], rng: np.random.Generator) -> Part:
+    """Return a part of any of the types, at any angle."""
+    return Part(types[rng.integers(len(types))], np.zeros(2), float(rng.uniform(0, 2 * np.pi)))
+
+
+def moved(part: Part, centre_px: np.ndarray) -> Part:
+    """Return a part elsewhere."""
+    return Part(part.kind, np.asarray(centre_px, float), part.angle_rad)
+
+
+def seen_whole(part: Part) -> bool:
+    """Whether a part lies wholly in the image."""
+    corners = part.corners_px(part.kind.polygon)
+    return bool(np.all(corners > 0.5) and np.all(corners < np.array(SIZE_PX) - 1.5))
+
+
+def solid(part: Part, low: np.ndarray, side: int) -> np.ndarray:
+    """Return the sub-pixels (SUB side, SUB side) bool of a part, less its holes, in a window of the
+    image whose first pixel is `low`."""
+    inside = np.zeros((SUB * side, SUB * side), np.uint8)
+    kind = part.kind
+    for polygon, value in [(kind.polygon, 1), *((np.array(hole), 0) for hole in kind.holes)]:
+        corners = (part.corners_px(polygon) - low + 0.5) * SUB - 0.5
+        fixed = np.rint(corners * 16).astype(np.int32)
+        cv2.fillPoly(inside, [fixed], value, shift=4)
+    return np.asarray(inside > 0)
+
+
+def window(part: Part) -> tuple[np.ndarray, int]:
+    """Return the first pixel (2,) and the side [px] of a window of the image around a part."""
+    low = np.floor(part.centre_px - part.reach_px - 2).astype(int)
+    return low, int(2 * part.reach_px + 6)
+
+
+def draw(
+    kind: Kind, parts: list[Part], plate: np.ndarray, light: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return the picture (H, W, 3) or (H, W) uint8 of parts on a plate (H, W, 3)."""
+    width, height = SIZE_PX
+    picture = plate.astype(np.float32)
+    covers = []
+    for part in parts:
+        low, side = window(part)
+        cover = solid(part, low, side).reshape(side, SUB, side, SUB).mean(axis=(1, 3))
+        covers.append(np.zeros((height, width), np.float32))
+        x0, y0 = np.maximum(low, 0)
+        x1, y1 = np.minimum(low + side, SIZE_PX)
+        covers[-1][y0:y1, x0:x1] = cover[y0 - low[1] : y1 - low[1], x0 - low[0] : x1 - low[0]]
+    if kind.shadow:
+        way, depth = rng.uniform(0, 2 * np.pi), rng.uniform(0.2, 0.4)
+        shift = np.array([[1, 0, 4 * np.cos(way)], [0, 1, 4 * np.sin(way)]])
+        cast = cv2.warpAffine(np.max(covers, axis=0), shift, SIZE_PX)
+        picture *= 1 - depth * cv2.GaussianBlur(cast, (0, 0), rng.uniform(1.5, 3))[:, :, None]
+    for part, cover in zip(parts, covers, strict=True):
+        low, side = np.maximum(window(part)[0], 0), window(part)[1]
+        here = np.s_[low[1] : low[1] + side, low[0] : low[0] + side]
+        paint = np.tile(bgr(lab_of(part, rng)), (*cover[here].shape, 1))
+        y, x = np.mgrid[: paint.shape[0], : paint.shape[1]] + low[::-1][:, None, None]
+        way = rng.uniform(0, 2 * np.pi)
+        along = (x - part.centre_px[0]) * np.cos(way) + (y - part.centre_px[1]) * np.sin(way)
+        if kind.two_colours:
+            lab = rng.uniform((25, -40, -40), (60, 40, 40))
+            paint[along > rng.uniform(-0.3, 0.3) * part.radius_px] = bgr(lab)
+        if kind.highlight:
+            paint = shine(paint, cover[here], x, y, part, rng)
+        cover = cover[here][:, :, None]
+        picture[here] = picture[here] * (1 - cover) + paint * cover
+    return photographed(kind, picture, light, rng)
+
+
+def shine(
+    paint: np.ndarray,
+    cover: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    part: Part,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Return the colours (h, w, 3) of a part with a white spot of 2 to 5 % of its area on it."""
+    rows, columns = np.nonzero(cover > 0.99)
+    spot = rng.integers(len(rows))
+    radius = part.radius_px * np.sqrt(rng.uniform(0.02, 0.05))
+    gap = np.hypot(x - x[rows[spot], columns[spot]], y - y[rows[spot], columns[spot]])
+    share = np.clip(radius + 0.5 - gap, 0, 1)[:, :, None]
+    return np.asarray(paint * (1 - share) + 252 * share)
+
+
+def photographed(
+    kind: Kind, picture: np.ndarray, light: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return what the camera makes of a scene (H, W, 3): uint8."""
+    blur = rng.uniform(*kind.blur_px)
+    picture = cv2.GaussianBlur(picture, (0, 0), blur) * light
+    if kind.vignetting:
+        y, x = np.mgrid[-1 : 1 : SIZE_PX[1] * 1j, -1 : 1 : SIZE_PX[0] * 1j]
+        picture = picture * (1 - 0.2 * (x * x + y * y))[:, :, None]
+    picture = picture + NOISE * rng.standard_normal(picture.shape)
+    image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    if kind.bayer:
+        mosaic = image[:, :, 1].copy()
+        mosaic[::2, ::2], mosaic[1::2, 1::2] = image[::2, ::2, 2], image[1::2, 1::2, 0]
+        image = np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerBG2BGR))
+    if kind.jpeg:
+        quality = int(rng.integers(50, 76))
+        data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) if kind.grey else image
+
+
+def bare_plate(kind: Kind, lab: tuple[float, ...], rng: np.random.Generator) -> np.ndarray:
+    """Return the colours (H, W, 3) of a plate without parts."""
+    width, height = SIZE_PX
+    plate = np.tile(bgr(np.array(lab)), (height, width, 1))
+    if kind.texture:
+        grain = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 1.2)
+        scratches = cv2.GaussianBlur(rng.standard_normal((height, width)), (31, 1), 10, sigmaY=0.1)
+        both = grain / np.std(grain) + scratches / np.std(scratches)
+        plate = plate * (1 + 0.05 * both[:, :, None])
+    return plate
+
+
+def lab_of(part: Part, rng: np.random.Generator) -> np.ndarray:
+    """Return the colour (3,) of one part: that of its type, a little off."""
+    return np.asarray(part.kind.colour_lab) + rng.normal(0, 2, 3)
+
+
+def bgr(lab: np.ndarray) -> np.ndarray:
+    """Return blue, green, red (3,) [grey levels] of a colour L, a, b."""
+    colour = cv2.cvtColor(np.asarray(lab, np.float32)[None, None], cv2.COLOR_Lab2BGR)
+    return np.asarray(255 * colour[0, 0], float)
+
+
+def scenes(
+    kind: Kind, numbers: Iterable[int]
+) -> Iterator[tuple[Background, np.ndarray, list[Part]]]:
+    """Give scenes of one kind: the plate as it was learned, a picture, and the parts in it."""
+    every = all_types()
+    types = [every[name] for name in kind.types or every]
+    for number in numbers:
+        rng = np.random.default_rng([number, *kind.name.encode()])
+        plate = bare_plate(kind, PLATES_LAB[number % len(PLATES_LAB)], rng)
+        learned = learn_plate(np.stack([photographed(kind, plate, 1, rng) for _ in range(BARE)]))
+        parts = (kind.place or apart)(kind, types, rng)
+        light = float(rng.uniform(0.88, 1.08)) if kind.vignetting else 1.0
+        yield learned, draw(kind, parts, plate, light, rng), parts
+
+
+def all_types() -> Mapping[str, PartType]:
+    """Return all types of parts, by their names."""
+    return load_part_types(ROOT / "config/parts.yaml")

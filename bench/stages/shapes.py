@@ -1,0 +1,229 @@
+"""Parts of any outline in hostile scenes of our own: what is found, how exactly, in what time.
+
+Nothing is known of the parts; the plate was seen bare before. The scenes: `hostile`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+from harness import Result, Table, cpu_time
+from plate_vision import calibrate_by_scale, find_types
+from plate_vision.shapes import GROUP, UNKNOWN, Background, Patch, find_patches, make_catalogue
+from stages.hostile import (
+    PARTS,
+    SCALE_PX_M,
+    SIZE_PX,
+    Kind,
+    Part,
+    all_types,
+    kinds,
+    scenes,
+    seen_whole,
+)
+
+SCENES, QUICK_SCENES = 20, 1
+"""Of each kind."""
+
+FIRST = 100
+"""Number of the first scene that is measured: those before were for tuning."""
+
+REACH = 0.5
+"""How near to a part's true centre a patch must be to count, in radii of the disc of its area."""
+
+GOAL_PERCENT = (98, 99)
+"""Recall and precision that are wanted."""
+
+LEAST_PX2 = 30
+"""Smallest patch of the peer."""
+
+OURS, TAUGHT, PEER = METHODS = (
+    "find_patches",
+    "find_types",
+    "difference + findContours",
+)
+
+DIFFERENCE = 25
+"""Least difference from the bare plate, of the greatest of blue, green, red, for the peer."""
+
+
+SEEN = np.dtype(
+    [("x_px", "f8"), ("y_px", "f8"), ("radius_px", "f8"), ("label", "U32"), ("whole", "?")]
+)
+"""What a method says of a part; the label is empty if it knows no types."""
+
+HELD = 2.0
+"""How far from the middle of a group its parts may be, in radii of the disc of its area."""
+
+
+@dataclass
+class Tally:
+    """What was found in the scenes of one kind."""
+
+    true: int = 0
+    found: int = 0
+    false: int = 0
+    wrong: int = 0
+    unknown: int = 0
+    groups: int = 0
+    in_groups: int = 0
+    errors: list[float] = field(default_factory=list)
+
+    def add(self, seen: np.ndarray, parts: list[Part]) -> None:
+        """Count one scene: pairs of sightings (n,) SEEN and parts, nearest first."""
+        centres = np.array([part.middle_px for part in parts]).reshape(-1, 2)
+        inside = np.array([seen_whole(part) for part in parts], bool)
+        used = np.zeros(len(parts), bool)
+        gaps = np.hypot(
+            seen["x_px"][:, None] - centres[:, 0], seen["y_px"][:, None] - centres[:, 1]
+        )
+        group = seen["label"] == GROUP
+        free = ~group
+        for k, i in zip(*np.unravel_index(np.argsort(gaps, axis=None), gaps.shape), strict=True):
+            part = parts[i]
+            if free[k] and not used[i] and gaps[k, i] <= REACH * part.radius_px:
+                used[i], free[k] = True, False
+                if inside[i]:
+                    self.errors.append(float(gaps[k, i]))
+                    self.unknown += bool(seen["label"][k] == UNKNOWN)
+                    self.wrong += seen["label"][k] not in ("", UNKNOWN, part.kind.name)
+        self.true += int(np.sum(inside))
+        self.found += int(np.sum(used & inside))
+        self.false += int(np.sum(free & seen["whole"]))
+        self.groups += int(np.sum(group))
+        held = np.any(gaps[group] <= HELD * seen["radius_px"][group, None], axis=0)
+        self.in_groups += int(np.sum(held & inside & ~used))
+
+
+def measure(quick: bool) -> Result:
+    """Measure all kinds of scenes."""
+    cv2.setNumThreads(1)
+    rows: list[dict[str, Any]] = []
+    for kind in kinds():
+        rows += kind_rows(kind, QUICK_SCENES if quick else SCENES)
+    return Result(
+        [
+            Table(
+                "shapes",
+                f"{PARTS} parts of any outline in hostile scenes, {SIZE_PX[0]} x {SIZE_PX[1]} px, "
+                "the bare plate known",
+                {
+                    "kind": "scenes", "method": "method", "true": "parts",
+                    "recall_percent": "recall [%]", "precision_percent": "precision [%]",
+                    "wrong": "wrong type", "unknown": "unknown",
+                    "groups": "groups", "in_groups": "parts in groups",
+                    "rms_px": "centre RMS [px]", "median_px": "centre, median [px]",
+                    "ms": "median [ms]",
+                },
+                rows,
+                f"{OURS} knows nothing of the parts, {TAUGHT} all nine types of the file, sharp. "
+                "Found: a whole patch, not called a group, within half a radius (of the disc of "
+                "the part's area) of a true centre, one to one. Groups: patches said to hold "
+                "several parts: neither found nor false. Parts cut by the image's border count "
+                "neither as true nor as false. Times of the core. Thresholds were chosen on other "
+                "scenes, three of each kind.",
+            )
+        ],
+        [sentence(rows, name) for name in (OURS, TAUGHT)],
+    )  # fmt: skip
+
+
+def sentence(rows: list[dict[str, Any]], method: str) -> str:
+    """Say in how many kinds of scenes a method does what is wanted, and in what time."""
+    own = [row for row in rows if row["method"] == method]
+    below = [
+        f"{row['kind']} ({row['recall_percent']:.1f}, {row['precision_percent']:.1f})"
+        for row in own
+        if row["recall_percent"] < GOAL_PERCENT[0] or row["precision_percent"] < GOAL_PERCENT[1]
+    ]
+    ms = [row["ms"] for row in own]
+    return (
+        f"{method}: recall {GOAL_PERCENT[0]} % and precision {GOAL_PERCENT[1]} % in "
+        f"{len(own) - len(below)} of {len(own)} kinds of scenes, {float(np.median(ms)):.1f} ms for "
+        f"{PARTS} parts, median of the kinds; not: {', '.join(below) or 'none'}"
+    )
+
+
+def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
+    """Measure ours, with and without types, and their peer in scenes of one kind."""
+    catalogue, calibration = make_catalogue(all_types()), calibrate_by_scale(SCALE_PX_M)
+    tallies = {name: Tally() for name in METHODS}
+    times: dict[str, list[float]] = {name: [] for name in tallies}
+    for learned, image, parts in scenes(kind, range(FIRST, FIRST + count)):
+        background = learned.followed(image)
+        finders: dict[str, Callable[[], Any]] = {
+            OURS: partial(find_patches, image, background),
+            TAUGHT: partial(find_types, image, catalogue, background, calibration),
+            PEER: partial(by_difference, image, bare_image(background)),
+        }
+        for name, find in finders.items():
+            if not times[name]:
+                find()  # compiles
+            began = cpu_time()
+            found = find()
+            times[name].append(cpu_time() - began)
+            tallies[name].add(as_seen(found), parts)
+    rows = []
+    for name, tally in tallies.items():
+        errors = np.array(tally.errors)
+        rows.append(
+            {
+                "kind": kind.name,
+                "method": name,
+                "true": tally.true,
+                "recall_percent": 100 * tally.found / max(tally.true, 1),
+                "precision_percent": 100 * tally.found / max(tally.found + tally.false, 1),
+                "wrong": tally.wrong if name == TAUGHT else None,
+                "unknown": tally.unknown if name == TAUGHT else None,
+                "groups": tally.groups,
+                "in_groups": tally.in_groups,
+                "rms_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None,
+                "median_px": float(np.median(errors)) if len(errors) else None,
+                "ms": 1e3 * float(np.median(times[name])),
+            }
+        )
+    return rows
+
+
+def as_seen(found: list[Patch] | np.ndarray) -> np.ndarray:
+    """Return sightings (n,) SIGHTING, or patches, as (n,) SEEN."""
+    seen = np.zeros(len(found), SEEN)
+    if isinstance(found, np.ndarray):
+        for name in SEEN.names or ():
+            seen[name] = found[name]
+        return seen
+    for k, patch in enumerate(found):
+        label = GROUP if patch.group else ""
+        seen[k] = (*patch.centre_px, patch.radius_px, label, patch.whole)
+    return seen
+
+
+def bare_image(background: Background) -> np.ndarray:
+    """Return the bare plate (H, W) or (H, W, 3) uint8."""
+    lab = background.lab
+    return lab[:, :, 0] if lab.shape[2] == 1 else np.asarray(cv2.cvtColor(lab, cv2.COLOR_LAB2BGR))
+
+
+def by_difference(image: np.ndarray, bare: np.ndarray) -> list[Patch]:
+    """Find patches as most programs do: the difference from the bare plate (H, W) or (H, W, 3), a
+    threshold, outer contours."""
+    change = cv2.absdiff(image, bare).reshape(*image.shape[:2], -1).max(axis=2)
+    mask = cv2.morphologyEx(
+        (change > DIFFERENCE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)
+    )
+    found = []
+    for rim in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]:
+        x, y, w, h = cv2.boundingRect(rim)
+        if w * h < LEAST_PX2:
+            continue
+        inside = np.zeros((h, w), np.uint8)
+        cv2.drawContours(inside, [rim], 0, 1, cv2.FILLED, offset=(-x, -y))
+        whole = x > 0 and y > 0 and x + w < SIZE_PX[0] and y + h < SIZE_PX[1]
+        found.append(Patch(inside > 0, (x, y), inside.astype(np.float32), whole))
+    return found

@@ -1,0 +1,186 @@
+"""A feeder in production, beside peers that shake and look: parts a minute, waiting, accuracy.
+
+One case is the base; in the others one thing is changed: how full the plate is, the gripper's
+clearance, the robot's cycle, the pick window, the type of part. The peers are those of
+`tasks.shaking`; all have the same hopper, robot, camera and noise. Only parts that are wanted come
+out of the hopper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from plate_bringup.loop import Setup
+from plate_bringup.production import filled, produce
+from plate_core.tasks import FeedTask, Scenario, load_scenario
+from tasks.shaking import Shaking, shake_and_look
+
+RECIPES = {"discs": "feed", "nuts": "feed_nuts", "bars": "feed_bars"}
+"""Type of part -> recipe; of bars an angle is asked, within 5 degrees."""
+
+METHODS: Mapping[str, Shaking | None] = MappingProxyType(
+    {"ours": None, "vibrated": Shaking(), "thrown": Shaking(thrown=True)}
+)
+"""Our feeder, and its peers."""
+
+SEEDS = range(60_000, 60_010)
+TIME_S, QUICK_S = 60.0, 10.0
+"""Of one production [s]."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is produced.
+
+    Attributes
+    ----------
+    kind : str
+        Type of part: a key of `RECIPES`.
+    fill : int
+        Parts that the hopper keeps on the plate.
+    clearance_m : float
+        The gripper's [m].
+    cycle_s : float
+        The robot's [s].
+    window_m : float or None
+        Side of a square pick window in the middle of the recipe's [m]; None: that one.
+    """
+
+    kind: str = "discs"
+    fill: int = 20
+    clearance_m: float = 6e-3
+    cycle_s: float = 2.0
+    window_m: float | None = None
+
+    @property
+    def recipe(self) -> Scenario:
+        """As a scenario."""
+        recipe = filled(load_scenario(RECIPES[self.kind]), self.fill)
+        task = recipe.task
+        assert isinstance(task, FeedTask)
+        assert task.hopper is not None
+        pick = task.picks[0]
+        hopper = replace(task.hopper, mix={pick.label: 1.0})
+        if self.window_m is not None:
+            (x0, y0), (x1, y1), half = pick.low, pick.high, self.window_m / 2
+            x, y = (x0 + x1) / 2, (y0 + y1) / 2
+            pick = replace(pick, low=(x - half, y - half), high=(x + half, y + half))
+        task = replace(task, hopper=hopper, picks=(pick,), clearance_m=self.clearance_m)
+        return replace(recipe, task=task)
+
+
+BASE = Case()
+
+CASES: Mapping[str, tuple[Case, ...]] = MappingProxyType(
+    {
+        "fill": tuple(replace(BASE, fill=n) for n in (5, 10, 20, 40)),
+        "clearance": tuple(replace(BASE, clearance_m=c) for c in (3e-3, 6e-3, 12e-3)),
+        "cycle": tuple(replace(BASE, cycle_s=s) for s in (1.0, 2.0, 4.0)),
+        "window": (replace(BASE, window_m=0.1), BASE),
+        "kind": tuple(replace(BASE, kind=k) for k in RECIPES),
+    }
+)
+"""What is changed -> cases, the base among them."""
+
+COLUMNS = {
+    "changed": "changed", "kind": "parts", "fill": "fill", "clearance_mm": "clearance [mm]",
+    "window_mm": "window's side [mm]",
+    "cycle_s": "robot's cycle [s]", "method": "feeder", "runs": "runs",
+    "parts_per_min": "parts a minute", "least_per_min": "worst run",
+    "waiting": "robot waits [%]", "most_waiting": "worst run [%]", "first_s": "first pick [s]",
+    "failed": "picks failed", "lost": "over the edge", "error_mm": "pose error, median [mm]",
+    "error_95_mm": "95 % [mm]", "error_most_mm": "worst [mm]", "turn_95_deg": "turned, 95 % [deg]",
+    "turn_most_deg": "worst [deg]", "cpu": "core [%]",
+}  # fmt: skip
+
+
+def measure(quick: bool) -> Result:
+    """Run all cases with all feeders."""
+    cache = Cache.of(__name__)
+    seeds, time_s = (SEEDS[:1], QUICK_S) if quick else (SEEDS, TIME_S)
+    kept = [
+        (changed, case, method)
+        for changed in CASES
+        for case in CASES[changed]
+        if not quick or case == BASE or changed == "kind"
+        for method in METHODS
+    ]
+    work = {
+        f"{case} {method} {seed} {time_s}": (case, method, seed, time_s)
+        for _, case, method in kept
+        for seed in seeds
+    }
+    with processes() as pool:
+        found = dict(zip(work, resumed(pool, run_case, work, cache), strict=True))
+    rows = [
+        row(changed, case, method, [found[f"{case} {method} {s} {time_s}"] for s in seeds])
+        for changed, case, method in kept
+    ]
+    note = (
+        f"{time_s:g} s of production from an almost empty plate, seeds {seeds[0]} to {seeds[-1]}; "
+        "means over the runs, errors over all picks' median, 95 % and worst. Waiting: since the "
+        "first pick. vibrated: the plate shaken in its plane, looks, shakes again; thrown: "
+        "idealised, each shake of 0.6 s lays all parts anew at random. Parts over the edge are "
+        "put back by the hopper; a rim would have kept the peer's. Window: 310 x 240 mm, of nuts "
+        "and bars 300 x 220, where no side is given."
+    )
+    return Result([Table("feeding", "A feeder in production", COLUMNS, rows, note)], told(rows))
+
+
+def run_case(case: Case, method: str, seed: int, time_s: float) -> dict[str, Any]:
+    """Run one production; returns it as JSON has it."""
+    setup, shaking = Setup(case.recipe, seed), METHODS[method]
+    if shaking is None:
+        return produce(setup, case.cycle_s, time_s).row
+    return shake_and_look(setup, case.cycle_s, time_s, shaking).row
+
+
+def row(changed: str, case: Case, method: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Sum up the runs of a case."""
+
+    def mean(values: list[float]) -> float:
+        there = [v for v in values if v is not None and np.isfinite(v)]
+        return float(np.mean(there)) if there else np.nan
+
+    def most(values: list[float]) -> float:
+        there = [v for v in values if v is not None and np.isfinite(v)]
+        return max(there, default=np.nan)
+
+    return {
+        "changed": changed, "kind": case.kind, "fill": case.fill,
+        "clearance_mm": 1e3 * case.clearance_m,
+        "window_mm": None if case.window_m is None else 1e3 * case.window_m,
+        "cycle_s": case.cycle_s, "method": method,
+        "runs": len(runs),
+        "parts_per_min": mean([r["parts_per_min"] for r in runs]),
+        "least_per_min": min(r["parts_per_min"] for r in runs),
+        "waiting": 100 * mean([r["waiting"] for r in runs]),
+        "most_waiting": 100 * most([r["waiting"] for r in runs]),
+        "first_s": mean([r["first_s"] for r in runs]),
+        "failed": sum(r["failed"] for r in runs), "lost": sum(r["lost"] for r in runs),
+        "error_mm": mean([r["error_mm"][0] for r in runs]),
+        "error_95_mm": mean([r["error_mm"][1] for r in runs]),
+        "error_most_mm": most([r["error_mm"][2] for r in runs]),
+        "turn_95_deg": mean([r["error_deg"][1] for r in runs]),
+        "turn_most_deg": most([r["error_deg"][2] for r in runs]),
+        "cpu": 100 * mean([r["cpu"] for r in runs]) if method == "ours" else None,
+    }  # fmt: skip
+
+
+def told(rows: list[dict[str, Any]]) -> list[str]:
+    """Sum up the types of parts and the small window."""
+    small = {True: " in a small window", False: ""}
+    return [
+        f"{r['kind']}{small[r['window_mm'] is not None]}, {r['method']}: "
+        f"{r['parts_per_min']:.1f} parts a minute, the robot waits {r['waiting']:.1f} %, first "
+        f"pick after {r['first_s']:.1f} s, {r['lost']} over the edge, worst error "
+        f"{r['error_most_mm']:.2f} mm"
+        for r in rows
+        if r["changed"] == "kind" or r["window_mm"] is not None
+    ]

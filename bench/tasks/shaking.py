@@ -1,0 +1,294 @@
+"""The peer of the feeder: a plate that shakes all parts, looks, and shakes again, as flexible
+feeders on the market do. Simulator, camera, vision, robot and hopper are those of our feeder.
+
+It looks while the robot is away and the plate rests. All parts that lie ready in one image are
+picked one after the other, with no further look. When none is left it shakes, from the grip of the
+last one on (ours moves only when the robot has left the view), and again until a look shows one.
+The hopper is opened with a shake, by the same rule as ours. A look takes 0.2 s: settling, exposure,
+evaluation.
+
+Two kinds of shakes:
+
+- Vibrated: the simulated plate, moved in its plane as strongly as the rig allows, slow one way and
+  fast back (a Fejer kernel as velocity). Conveying brings the parts' centre to that of the pick
+  window, along x, then y. Stirring turns the plate about two centres on its long axis, one after
+  the other (a blinking vortex, which mixes well); which way round is drawn for each shake. Parts
+  that leave over an edge cost only the time until the next drop: such feeders have a rim, this
+  plate has none. In its plane no vibration spreads parts that lie still: the mean friction force
+  has no sources, as that of each centre of rotation has none.
+- Thrown: idealised vertical shakes, better than any that exist. In 0.6 s with settling all parts
+  come to lie anew, evenly distributed over the plate and turned evenly, the discs about them clear
+  of each other. What the other kind lacks in spreading cannot flatter us here.
+
+How vibrating was tuned: 20 discs, clearance 6 mm, a robot of 2 s, seeds 0 to 9, 60 s each; a grid
+of 3 times of stirring, 3 shares of the way conveyed and 2 waveforms. The most parts a minute won:
+the defaults of `Shaking`. Throwing has nothing to tune. Figures are of other seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plate_bringup.loop import BARE_IMAGES, Setup
+from plate_bringup.production import Act, Production, Robot, Tally
+from plate_core import Parts, PlateCycle, Rig, load_rig, part_class
+from plate_core.motion import usage
+from plate_core.tasks import FeedTask, free_gap, pick_window, ready_parts
+from plate_sim import Move, Simulation, simulate
+from plate_vision import Tracker, make_vision, observe
+from plate_vision.shapes import learn_plate
+
+TICK_S = 0.1
+"""The robot is asked so often while the plate rests [s]: as in our loop."""
+
+LOOK_TICKS, THROW_TICKS = 2, 6
+"""Time of a look, and of an idealised shake [ticks]."""
+
+SAMPLES = 240
+"""Of a cycle."""
+
+MOST_CYCLES, COAST_S = 10, 0.5
+"""Of one conveying; and how long parts slide on at most [s]."""
+
+TRIES = 2000
+"""Places drawn for a part that is thrown, until there is room."""
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """How the plate is shaken.
+
+    Attributes
+    ----------
+    thrown : bool
+        Idealised.
+    stir_s : float
+        Time of stirring in a shake [s].
+    convey : float
+        Fraction of the way to the window's centre that parts are conveyed.
+    period_s : float
+        Of a cycle [s].
+    harmonics : int
+    """
+
+    thrown: bool = False
+    stir_s: float = 0.8
+    convey: float = 0.5
+    period_s: float = 0.1
+    harmonics: int = 2
+
+
+def waveform(harmonics: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacement and velocity (SAMPLES,) over a period of 1 s: slow one way, fast back."""
+    t = 2 * np.pi * np.arange(SAMPLES) / SAMPLES
+    order = np.arange(1, harmonics + 1)
+    share = 2 * (1 - order / (harmonics + 1))
+    velocity = -share @ np.cos(order[:, None] * t)
+    place = -(share / order) @ np.sin(order[:, None] * t) / (2 * np.pi)
+    return place, velocity
+
+
+def shaken(rig: Rig, axis: np.ndarray, shaking: Shaking) -> PlateCycle:
+    """Return the strongest cycle that the rig allows along an axis (3,) of the plate's pose."""
+    place, velocity = waveform(shaking.harmonics)
+    unit = 1e-3
+    cycle = PlateCycle.from_samples(
+        shaking.period_s,
+        unit * place[:, None] * axis,
+        unit * velocity[:, None] * axis / shaking.period_s,
+    )
+    return cycle.scaled(1 / usage(rig, cycle).overall)
+
+
+def conveyed(rig: Rig, cycle: PlateCycle, axis: int) -> np.ndarray:
+    """Return how far (MOST_CYCLES,) [m] one part gets along an axis in 1, 2, ... cycles, until it
+    lies still again."""
+    ways = []
+    for count in range(1, MOST_CYCLES + 1):
+        position, velocity = np.zeros((1, 2)), np.zeros((1, 2))
+        for motion, repeats in ((cycle, count), (PlateCycle.rest(COAST_S), 1)):
+            found = simulate(
+                motion, position, velocity, rig.friction.mu, rig.friction.gravity, repeats
+            )
+            position, velocity = found.position[-1], found.velocity[-1]
+        ways.append(float(position[0, axis]))
+    return np.array(ways)
+
+
+class Shaker:
+    """A plate that shakes and looks, with its robot.
+
+    Parameters
+    ----------
+    setup : Setup
+        Its scenario is a recipe with a hopper.
+    cycle_s : float
+        The robot's [s].
+    shaking : Shaking
+    """
+
+    def __init__(self, setup: Setup, cycle_s: float, shaking: Shaking) -> None:
+        recipe = setup.recipe
+        self.rig, self.shaking = load_rig(recipe.rig), shaking
+        assert isinstance(recipe.task, FeedTask)
+        self.task: FeedTask = recipe.task
+        self.simulation = Simulation(
+            self.rig, recipe, setup.seed, setup.disturbances, noise=setup.noise
+        )
+        self.robot, self.tally = Robot.ready(cycle_s), Tally()
+        self.listed: list[tuple[float, float, float]] = []
+        self.parts = Parts.make((), np.zeros((0, 2)))
+        self._asked = self._in_view = False
+        self._rng = np.random.default_rng([setup.seed, 7])
+        self._rest = PlateCycle.rest(TICK_S)
+        self._vision = make_vision(self.rig)
+        if self._vision.catalogue is not None:
+            bare = np.stack([self.simulation.capture_bare() for _ in range(BARE_IMAGES)])
+            self._vision = replace(self._vision, background=learn_plate(bare))
+        along, across = np.eye(3)[:2]
+        centre = np.array([self.rig.plate.half[0] / 2, 0.0])
+        self._along = shaken(self.rig, along, shaking)
+        self._across = shaken(self.rig, across, shaking)
+        self._turns = [shaken(self.rig, turn_about(c), shaking) for c in (centre, -centre)]
+        self._conveyed = [
+            conveyed(self.rig, cycle, axis)
+            for axis, cycle in enumerate((self._along, self._across))
+        ]
+
+    def run(self, time_s: float) -> Production:
+        """Produce for a time [s]."""
+        steps = self._steps()
+        while self.tally.time_s < time_s:
+            self._act()
+            self._play(next(steps))
+        return Production.of(self.tally, self.robot, self.simulation, self.task)
+
+    def _steps(self) -> Iterator[PlateCycle]:
+        """Yield what the plate does, without end."""
+        while True:
+            if self.shaking.thrown:
+                yield from self._thrown()
+            else:
+                yield from self._vibrated()
+            while self._in_view:
+                yield self._rest
+            image, stamp = None, self.tally.time_s
+            for _ in range(LOOK_TICKS):
+                yield self._rest
+                image = self.simulation.capture() if image is None else image
+            if image is not None:
+                self.parts = observe(self._vision, Tracker(), image, stamp, None).parts
+                self.listed = self._ready()
+            while self.listed or self._in_view_with_part:
+                yield self._rest
+
+    @property
+    def _in_view_with_part(self) -> bool:
+        """Whether the robot has been told of a part that lies there still."""
+        return self.robot.place is not None
+
+    def _ready(self) -> list[tuple[float, float, float]]:
+        """Return the parts that may be gripped."""
+        found = np.zeros(len(self.parts), dtype=bool)
+        gap = free_gap(self.parts, self.rig)
+        for pick in self.task.picks:
+            found |= ready_parts(self.parts, pick, self.task.clearance_m, self.rig, gap)
+        rows = np.flatnonzero(found)
+        return [(*self.parts.position[i].tolist(), float(self.parts.angle[i])) for i in rows]
+
+    def _open(self) -> float:
+        """Open the hopper if parts are missing; returns for how long [s]."""
+        hopper, count = self.task.hopper, len(self.parts)
+        if hopper is None or count >= hopper.least:
+            return 0.0
+        open_s = (hopper.fill - count) / hopper.rate
+        self.simulation.open_hopper(open_s)
+        return open_s
+
+    def _thrown(self) -> Iterator[PlateCycle]:
+        ticks = max(THROW_TICKS, int(np.ceil(self._open() / TICK_S)))
+        for _ in range(ticks):
+            yield self._rest
+        state = self.simulation.state
+        there = np.flatnonzero(state.on_plate)
+        reach = np.array([self.rig.part_type(part_class(state.ids[i])).reach_m for i in there])
+        place = thrown(reach, self.rig.plate.half, self._rng)
+        position, angle = state.position.copy(), state.angle.copy()
+        position[there] = place
+        angle[there] = self._rng.uniform(-np.pi, np.pi, len(there))
+        self.simulation.state = replace(state, position=position, angle=angle)
+
+    def _vibrated(self) -> Iterator[PlateCycle]:
+        open_s, began = self._open(), self.tally.time_s
+        mine = [part_class(name) == self.task.picks[0].label for name in self.parts.ids]
+        if np.any(mine):
+            low, high = pick_window(self.task.picks[0], self.rig)
+            way = (low + high) / 2 - self.parts.position[mine].mean(axis=0)
+            for axis, cycle in enumerate((self._along, self._across)):
+                far = self.shaking.convey * abs(way[axis])
+                for _ in range(int(np.searchsorted(self._conveyed[axis], far))):
+                    yield cycle if way[axis] > 0 else mirrored(cycle)
+        for cycle in self._turns:
+            turn = mirrored(cycle) if self._rng.random() < 0.5 else cycle
+            for _ in range(round(self.shaking.stir_s / 2 / cycle.period)):
+                yield turn
+        while self.tally.time_s < began + open_s:
+            yield self._rest
+
+    def _act(self) -> None:
+        """Have the robot do what is due."""
+        while True:
+            before = self.robot
+            self.robot, act = before.step(self.tally.time_s)
+            if act is Act.ASK:
+                self._asked = True
+            if self._asked and self.listed:
+                self.robot = self.robot.told(self.listed[0], self.tally.time_s)
+                self._asked = False
+            if act is None:
+                return
+            if act is Act.LEAVE:
+                self.simulation.move_robot(Move.AWAY)
+                self._in_view = False
+            elif act is Act.COME and before.place is not None:
+                self.simulation.move_robot(Move.OVER, *before.place)
+                self._in_view = True
+            elif act is Act.GRIP and before.place is not None:
+                result = self.simulation.move_robot(Move.GRIP, *before.place)
+                self.tally.gripped(before, result)
+                self.listed = self.listed[1:]
+
+    def _play(self, cycle: PlateCycle) -> None:
+        """Let a cycle pass."""
+        self.simulation.run(cycle)
+        self.tally.time_s += cycle.period
+
+
+def turn_about(centre: np.ndarray) -> np.ndarray:
+    """Return the axis (3,) [m, m, rad] of small turns about a point (2,) [m]."""
+    return np.array([centre[1], -centre[0], 1.0])
+
+
+def mirrored(cycle: PlateCycle) -> PlateCycle:
+    """Return a cycle the other way round."""
+    return cycle.scaled(-1.0)
+
+
+def thrown(reach: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return places (M, 2) [m] for discs of radii `reach` (M,) [m] on a plate of half sizes (2,)
+    [m], clear of each other; one for which there is no room lies on others."""
+    place = np.zeros((len(reach), 2))
+    for i, mine in enumerate(reach):
+        for _ in range(TRIES):
+            place[i] = (half - mine) * rng.uniform(-1, 1, 2)
+            if np.all(np.hypot(*(place[:i] - place[i]).T) >= reach[:i] + mine):
+                break
+    return place
+
+
+def shake_and_look(setup: Setup, cycle_s: float, time_s: float, shaking: Shaking) -> Production:
+    """Run the peer with a robot of a cycle [s] for a time [s], as `produce` runs our feeder."""
+    return Shaker(setup, cycle_s, shaking).run(time_s)

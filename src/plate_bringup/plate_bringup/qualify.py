@@ -1,0 +1,349 @@
+"""Say how many parts a minute a feeder will do, before a rig is set up: simulated production with
+several fills of the plate, as `ros2 run plate_bringup qualify`.
+
+Needs no ROS: `python -m plate_bringup.qualify` does the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from plate_core import MOST_PARTS, PlateError, Rig, load_rig
+from plate_core.kernels import when_compiling
+from plate_core.rig import rig_names, rig_path
+from plate_core.status import COMPILING
+from plate_core.tasks import Scenario, load_scenario
+
+from .loop import Setup
+from .production import FeederCell, Production, filled, percentiles, produce
+
+__all__ = ["Row", "page", "qualified"]
+
+AS_GOOD = 0.99
+"""Of fills that do nearly as much [of the most parts a minute], the smallest is the best."""
+
+CYCLE_S, MINUTES = (0.2, 60.0), (0.05, 60.0)
+"""A robot's cycle [s] and the time of one production [min] that may be asked for."""
+
+MOST_SEEDS = 100
+
+HEADINGS = (
+    "fill", "parts/min", "worst", "robot waits", "first pick", "failed", "lost", "chute",
+    "error 95 %", "turned 95 %", "CPU",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of one fill.
+
+    Attributes
+    ----------
+    fill : int
+        Parts that the hopper keeps on the plate.
+    runs : tuple of Production
+        One for each seed.
+    """
+
+    fill: int
+    runs: tuple[Production, ...]
+
+    @property
+    def parts_per_min(self) -> float:
+        """Mean over the runs."""
+        return float(np.mean([run.parts_per_min for run in self.runs]))
+
+    @property
+    def waiting(self) -> float:
+        """Mean share of time in which the robot waits [-]."""
+        return float(np.mean([run.waiting for run in self.runs]))
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """As text, under `HEADINGS`."""
+        runs = self.runs
+        first = percentiles([run.first_s for run in runs], 1.0)[0]
+        error = percentiles([run.error_mm[1] for run in runs], 1.0)[2]
+        turned = percentiles([run.error_deg[1] for run in runs], 1.0)[2]
+        return (
+            str(self.fill), f"{self.parts_per_min:.1f}",
+            f"{min(run.parts_per_min for run in runs):.1f}", f"{100 * self.waiting:.1f} %",
+            _shown(first, "s", 1), str(sum(run.failed for run in runs)),
+            str(sum(run.lost for run in runs)), str(sum(run.discharged for run in runs)),
+            _shown(error, "mm", 2), _shown(turned, "deg", 1),
+            f"{100 * np.mean([run.cpu for run in runs]):.0f} %",
+        )  # fmt: skip
+
+
+def _shown(value: float, unit: str, digits: int) -> str:
+    return f"{value:.{digits}f} {unit}" if np.isfinite(value) else "-"
+
+
+def best(rows: Sequence[Row]) -> Row | None:
+    """Return the smallest fill that does nearly the most parts a minute; None if none does any."""
+    most = max(row.parts_per_min for row in rows)
+    good = [row for row in rows if row.parts_per_min >= AS_GOOD * most]
+    return min(good, key=lambda row: row.fill) if most > 0 else None
+
+
+def qualified(
+    recipe: Scenario,
+    rig: Rig,
+    fill: int,
+    cycle_s: float,
+    time_s: float,
+    seeds: Sequence[int],
+    note: Callable[[int, FeederCell], None],
+) -> Row:
+    """Run a recipe with one fill.
+
+    Parameters
+    ----------
+    recipe : Scenario
+        Of a feeder with a hopper.
+    rig : Rig
+    fill : int
+    cycle_s, time_s : float
+        The robot's cycle and the time of one production [s].
+    seeds : sequence of int
+    note : callable
+        Called with the seed after each image.
+
+    Raises
+    ------
+    PlateError
+        If the recipe, the rig and the fill do not fit each other.
+    """
+    setups = [Setup(filled(recipe, fill), seed) for seed in seeds]
+    runs = [
+        produce(one, cycle_s, time_s, rig, lambda cell, one=one: note(one.seed, cell))  # type: ignore[misc]
+        for one in setups
+    ]
+    return Row(fill, tuple(runs))
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows for a terminal; the best is marked."""
+    chosen = best(rows)
+    cells = [HEADINGS, *(row.cells for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(HEADINGS))]
+    marks = ["", *(" <- best fill" if row is chosen else "" for row in rows)]
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + mark
+        for line, mark in zip(cells, marks, strict=True)
+    )
+
+
+def page(path: Path, title: str, about: str, rows: Sequence[Row]) -> None:
+    """Write a page with the chart and the table.
+
+    Raises
+    ------
+    PlateError
+        If it cannot be written.
+    """
+    chosen = best(rows)
+    head = "".join(f"<th>{escape(word)}</th>" for word in HEADINGS)
+    body = "\n".join(
+        f"<tr{' class=best' if row is chosen else ''}>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in row.cells)
+        + "</tr>"
+        for row in rows
+    )
+    best_fill = f"Best fill: {chosen.fill} parts." if chosen else "No part was picked."
+    text = f"""<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>
+<style>
+body {{ font: 16px/1.5 sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1em }}
+table {{ border-collapse: collapse }} td, th {{ padding: .2em .7em; text-align: right }}
+tr {{ border-bottom: 1px solid #ddd }} .best {{ background: #e3f0f7; font-weight: bold }}
+svg {{ max-width: 100%; height: auto }}
+</style>
+<h1>{escape(title)}</h1>
+<p>{escape(about)}</p>
+<p><b>{escape(best_fill)}</b></p>
+{chart(rows)}
+<table><tr>{head}</tr>
+{body}
+</table>
+<p>Best fill: the smallest with {100 * AS_GOOD:.0f} % of the most parts a minute, or more. Worst:
+the run with the fewest parts a minute. Robot waits: share of the time since its first pick. Lost:
+parts that left the plate over an edge, and wanted ones over the chute's. Chute: others over the
+chute's. Errors: of the part's place and angle at the grip, against where the robot was told to
+grip. CPU: share of one core of this machine for vision, planner, solver and driver.</p>
+</html>
+"""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise PlateError(f"page is {path}: {error.strerror}, allowed: a file in a folder") from None
+
+
+def chart(rows: Sequence[Row]) -> str:
+    """Return parts a minute and waiting against fill as SVG; a dot is one run."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context({"svg.fonttype": "none", "font.size": 11}):
+        figure = Figure(figsize=(9, 3.4), layout="constrained")
+        panels = figure.subplots(1, 2)
+        told = (
+            ("parts a minute", [[run.parts_per_min for run in row.runs] for row in rows]),
+            ("robot waits [%]", [[100 * run.waiting for run in row.runs] for row in rows]),
+        )
+        fills = [row.fill for row in rows]
+        for panel, (label, values) in zip(panels, told, strict=True):
+            for fill, found in zip(fills, values, strict=True):
+                panel.plot([fill] * len(found), found, ".", color="#767676")
+            panel.plot(fills, [np.mean(found) for found in values], "o-", color="#0b5f8a")
+            panel.set(xlabel="fill [parts]", ylabel=label, xticks=fills)
+            panel.set_ylim(0, 1.1 * max(1.0, *(max(found) for found in values)))
+            panel.grid(color="#e4e4e4")
+        file = io.StringIO()
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    return file.getvalue()[file.getvalue().index("<svg") :]
+
+
+def main() -> None:
+    """Run the command line; exit code 0: parts were picked, 1: none, 2: wrong arguments."""
+    args = arguments()
+    try:
+        recipe = load_scenario(args.recipe)
+        rig_name = args.rig or recipe.rig
+        rig = load_rig(rig_name)
+        if args.page is not None and not args.page.resolve().parent.is_dir():
+            raise PlateError(f"page is {args.page}, allowed: a file in a folder that is there")
+        for fill in args.fill:
+            filled(recipe, fill)
+        about = (
+            f"Recipe {recipe.name} on {rig_path(rig_name).name}, a robot that picks every "
+            f"{args.robot_cycle:g} s, {args.minutes:g} min for each of {args.seeds} seeds."
+        )
+        print(about, flush=True)
+        rows = []
+        for fill in args.fill:
+            tell = Progress(fill, args.seeds, 60 * args.minutes)
+            with when_compiling(_say_compiling):
+                rows.append(
+                    qualified(
+                        recipe, rig, fill, args.robot_cycle, 60 * args.minutes,
+                        range(args.seeds), tell,
+                    )
+                )  # fmt: skip
+            tell.done(rows[-1])
+        if args.page is not None:
+            page(args.page, f"Feeder: {recipe.name}", about, rows)
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    print(table(rows))
+    if args.page is not None:
+        print(args.page)
+    sys.exit(0 if best(rows) else 1)
+
+
+def _say_compiling() -> None:
+    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
+
+
+class Progress:
+    """Tells on stderr how far the runs of a fill are; on a terminal in one line."""
+
+    def __init__(self, fill: int, seeds: int, time_s: float) -> None:
+        self._fill, self._seeds, self._time_s = fill, seeds, time_s
+        self._told = -1
+
+    def __call__(self, seed: int, cell: FeederCell) -> None:
+        """Take in one image."""
+        tally = cell.tally
+        done = int(100 * (seed + min(tally.time_s / self._time_s, 1.0)) / self._seeds)
+        if done == self._told or not sys.stderr.isatty():
+            return
+        self._told = done
+        print(
+            f"\r\033[Kfill {self._fill}: {done} %, seed {seed}: {tally.picks} parts in "
+            f"{tally.time_s:.0f} s",
+            end="", file=sys.stderr, flush=True,
+        )  # fmt: skip
+
+    def done(self, row: Row) -> None:
+        """Tell what came of it."""
+        begin = "\r\033[K" if sys.stderr.isatty() else ""
+        print(
+            f"{begin}fill {row.fill}: {row.parts_per_min:.1f} parts a minute, the robot waits "
+            f"{100 * row.waiting:.1f} % of the time",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
+
+
+def arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="qualify",
+        description="Simulate a feeder in production, with several fills of the plate, before a "
+        "rig is set up. Exit code: 0 parts were picked, 1 none, 2 wrong arguments.",
+    )
+    parser.add_argument("--recipe", required=True, help="name or file of a scenario of kind feed")
+    parser.add_argument(
+        "--rig", default="",
+        help=f"rig file, or one of {', '.join(rig_names())} (the recipe's, or the default rig)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--robot-cycle", type=_within("robot-cycle", *CYCLE_S), default=2.0, metavar="S",
+        help="time from pick to pick of the robot [s] (2)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--minutes", type=_within("minutes", *MINUTES), default=2.0, metavar="MIN",
+        help="simulated time of each production (2)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seeds", type=_whole("seeds", MOST_SEEDS), default=3, metavar="N",
+        help="productions for each fill (3)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fill", type=_fills, default=[5, 10, 15, 20, 30], metavar="N,N,...",
+        help="parts that the hopper keeps on the plate (5,10,15,20,30)",
+    )  # fmt: skip
+    parser.add_argument("--page", type=Path, metavar="FILE.html", help="write a page with a chart")
+    return parser.parse_args()
+
+
+def _within(name: str, low: float, high: float) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{name} is {text}, allowed: {low:g} to {high:g}")
+        return value
+
+    return read
+
+
+def _whole(name: str, high: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not text.isdecimal() or not 1 <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"{name} is {text}, allowed: 1 to {high}")
+        return int(text)
+
+    return read
+
+
+def _fills(text: str) -> list[int]:
+    fill = _whole("fill", MOST_PARTS)
+    return list(dict.fromkeys(fill(word.strip()) for word in text.split(",")))
+
+
+if __name__ == "__main__":
+    main()

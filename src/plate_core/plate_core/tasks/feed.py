@@ -1,0 +1,253 @@
+"""Feeding: its keys read and checked, and which parts are ready to be gripped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from ..errors import ScenarioError, did_you_mean
+from ..parts import MOST_PARTS, Parts, part_class
+from ..rig import Rig
+from ..rig.part_types import PartType
+from ..rig.polygons import contains, rim_distance
+from ..yaml_fields import Fields
+from . import keys
+from .tasks import FeedTask, Hopper, PartGroup, Pick
+
+EDGE_RADII = 2.0
+"""Without a window of its own a ready part is so far from the plate's edges [its reach]."""
+
+ROUNDING_RAD = 1e-6
+"""Angles that were degrees are rounded by less [rad]."""
+
+WHOLE = 1e-6
+"""How near to 1 fractions have to sum up."""
+
+FULL = ((-math.inf, -math.inf), (math.inf, math.inf))
+"""A window that is not given: cut to the plate by the rig."""
+
+
+def read_feed(fields: Fields, parts: Sequence[PartGroup]) -> FeedTask:
+    """Return the task of these keys; errors as `load_scenario`."""
+    labels = tuple(group.label for group in parts)
+    picks = tuple(_pick(child, labels) for child in fields.children("picks"))
+    if not picks or len({pick.label for pick in picks}) < len(picks):
+        raise fields.fail("picks", "at least one, each class once")
+    hopper = None
+    if fields.has("hopper"):
+        hopper = _hopper(fields.child("hopper"), labels, picks)
+    ready = sum(pick.ready for pick in picks)
+    if hopper is not None and ready > hopper.fill:
+        raise fields.fail(
+            "picks", f"ready, summed up, at most the hopper's fill: it is {ready} of {hopper.fill}"
+        )
+    chute = fields.value(keys.FEED["chute"])
+    return FeedTask(
+        picks=picks,
+        clearance_m=fields.value(keys.FEED["clearance_m"]),
+        chute=None if chute is None else keys.SIDES[chute],
+        hopper=hopper,
+        timeout_s=fields.value(keys.FEED["timeout_s"]),
+        valid_s=fields.value(keys.FEED["valid_s"]),
+    )
+
+
+def _pick(fields: Fields, labels: tuple[str, ...]) -> Pick:
+    window = fields.value(keys.PICK["window_m"])
+    low, high = FULL
+    if window is not None:
+        (x0, y0), (x1, y1) = np.min(window, axis=0).tolist(), np.max(window, axis=0).tolist()
+        low, high = (x0, y0), (x1, y1)
+    angle = fields.value(keys.PICK["angle_deg"])
+    pick = Pick(
+        label=fields.value(keys.class_key(*labels)),
+        ready=fields.value(keys.PICK["ready"]),
+        low=low,
+        high=high,
+        angle=None if angle is None else math.radians(angle),
+        tolerance_rad=math.radians(fields.value(keys.PICK["tolerance_deg"])),
+    )
+    fields.finish()
+    return pick
+
+
+def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) -> Hopper:
+    mix = {pick.label: 1 / len(picks) for pick in picks}
+    if fields.has("mix"):
+        child = fields.child("mix")
+        mix = {label: child.number(label, 0, 1) for label in child.keys()}  # noqa: SIM118 - no mapping
+        child.finish()
+        known = ", ".join(labels)
+        if unknown := [label for label in mix if label not in labels]:
+            hint = did_you_mean(unknown[0], labels)
+            raise fields.fail("mix", f"the classes of parts: {known}; not {unknown[0]!r}{hint}")
+        if abs(sum(mix.values()) - 1) > WHOLE:
+            raise fields.fail("mix", f"fractions of {known} that sum up to 1")
+    fill = fields.value(keys.HOPPER["fill"])
+    least = fields.value(keys.HOPPER["least"])
+    if least is not None and least > fill:
+        raise fields.fail("least", f"at most fill, which is {fill}")
+    place = fields.value(keys.HOPPER["place_m"])
+    hopper = Hopper(
+        fill=fill,
+        least=fill if least is None else least,
+        rate=fields.value(keys.HOPPER["rate_ps"]),
+        place=(float(place[0]), float(place[1])),
+        spread_m=fields.value(keys.HOPPER["spread_m"]),
+        mix=MappingProxyType(mix),
+    )
+    fields.finish()
+    return hopper
+
+
+def check_feed(task: FeedTask, where: str, rig: Rig) -> None:
+    """Refuse a task that does not fit this rig.
+
+    Raises
+    ------
+    ScenarioError
+        Names the file, the key, its value and what is allowed.
+    """
+    for pick in task.picks:
+        if problem := pick_problem(pick, rig) or _room_problem(pick, task.clearance_m, rig):
+            raise ScenarioError(f"{where}: task: picks: {problem}")
+    if task.hopper is not None:
+        reach = max(rig.part_type(label).reach_m for label in task.hopper.mix)
+        room = rig.plate.half - reach
+        if np.any(np.abs(task.hopper.place) > room):
+            x, y = task.hopper.place
+            raise ScenarioError(
+                f"{where}: task: hopper: place_m is ({x:g}, {y:g}) m, allowed: |x| up to "
+                f"{room[0]:g}, |y| up to {room[1]:g} m on this plate"
+            )
+
+
+def _room_problem(pick: Pick, clearance_m: float, rig: Rig) -> str:
+    """Say why so many parts cannot be ready at once; empty unless that is sure.
+
+    Each has about itself the disc that fits into it, and half the clearance more; these discs do
+    not overlap, and lie in the window and so much about it.
+    """
+    (low, high), centre = pick_window(pick, rig), np.zeros((1, 2))
+    outline = rig.part_type(pick.label).polygon
+    if not np.all(contains(outline, centre)):  # of an L
+        return ""
+    free = clearance_m / 2 + float(np.min(rim_distance(outline, centre)))
+    most = int(np.prod(high - low + 2 * free) / (np.pi * free**2))
+    if pick.ready <= max(most, 1):
+        return ""
+    return (
+        f"ready of {pick.label} is {pick.ready}, allowed: at most {max(most, 1)}: the window of "
+        f"{1e3 * (high[0] - low[0]):g} by {1e3 * (high[1] - low[1]):g} mm has no room for more at "
+        f"a clearance of {1e3 * clearance_m:g} mm"
+    )
+
+
+def pick_problem(pick: Pick, rig: Rig) -> str:
+    """Say why parts cannot be got ready as asked; empty if they can."""
+    low, high = pick_window(pick, rig)
+    room = rig.plate.half - rig.part_type(pick.label).reach_m
+    if not (np.all(low <= high) and np.all(low >= -room - 1e-9) and np.all(high <= room + 1e-9)):
+        return (
+            f"window of {pick.label} is ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) m, "
+            f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m, the lower corner first"
+        )
+    if not 1 <= pick.ready <= MOST_PARTS:
+        return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MOST_PARTS}"
+    if pick.angle is None:
+        return ""
+    if not (math.isfinite(pick.angle) and 0 < pick.tolerance_rad <= math.pi):
+        return (
+            f"angle of {pick.label} is {pick.angle:g}, its tolerance {pick.tolerance_rad:g} rad, "
+            "allowed: finite, and up to 3.14"
+        )
+    if rig.part_type(pick.label).symmetry == 0:
+        return f"angle of {pick.label} is asked for, allowed: none, it is round"
+    return ""
+
+
+def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (2,), (2,) [m, plate_home] of a pick window on this rig's plate."""
+    room = rig.plate.half - EDGE_RADII * rig.part_type(pick.label).reach_m
+    low, high = np.array(pick.low, dtype=float), np.array(pick.high, dtype=float)
+    return np.where(np.isinf(low), -room, low), np.where(np.isinf(high), room, high)
+
+
+def to_turn(parts: Parts, angle: float, symmetry: int) -> np.ndarray:
+    """Return the angle (M,) that parts have to turn to lie in one [rad], the shorter way."""
+    period = 2 * np.pi / max(symmetry, 1)
+    return np.asarray((angle - parts.angle + period / 2) % period - period / 2)
+
+
+def ready_parts(
+    parts: Parts, pick: Pick, clearance_m: float, rig: Rig, gap: np.ndarray | None = None
+) -> np.ndarray:
+    """Whether parts (M,) may be gripped: of the class, in the window, at the angle, alone.
+
+    Parameters
+    ----------
+    parts : Parts
+        All that are on the plate.
+    pick : Pick
+    clearance_m : float
+        Least distance from any other part, rim to rim [m].
+    rig : Rig
+    gap : (M,) or None
+        What `free_gap` says of them; None: found out.
+    """
+    gap = free_gap(parts, rig) if gap is None else gap
+    return np.asarray(as_picked(parts, pick, rig) & (gap >= clearance_m))
+
+
+def as_picked(parts: Parts, pick: Pick, rig: Rig) -> np.ndarray:
+    """Whether parts (M,) are of the class, in the window, and at the angle."""
+    mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
+    low, high = pick_window(pick, rig)
+    mine &= np.all((parts.position >= low) & (parts.position <= high), axis=1)
+    if pick.angle is not None:
+        turn = to_turn(parts, pick.angle, rig.part_type(pick.label).symmetry)
+        mine &= np.abs(turn) <= pick.tolerance_rad + ROUNDING_RAD
+    return mine
+
+
+def free_gap(parts: Parts, rig: Rig) -> np.ndarray:
+    """Return the distance (M,) [m] of each part's rim from the nearest of another; at most 0 where
+    they overlap, infinite for one that is alone."""
+    types = [rig.part_type(part_class(name)) for name in parts.ids]
+    count, reach = len(parts), np.array([kind.reach_m for kind in types])
+    if count < 2:
+        return np.full(count, np.inf)
+    apart = np.hypot(*(parts.position[:, None] - parts.position[None]).transpose(2, 0, 1))
+    gap = apart - reach[:, None] - reach[None]  # of the discs about them: too little, if at all
+    np.fill_diagonal(gap, np.inf)
+    if all(kind.radius_m for kind in types):
+        return np.asarray(gap.min(axis=1))
+    corners = [_outline(kind, parts, row) for row, kind in enumerate(types)]
+    exact = np.zeros((count, count), dtype=bool)
+    for i in range(count):
+        known = math.inf
+        for j in np.argsort(gap[i]):
+            if gap[i, j] >= known:
+                break
+            if not exact[i, j]:
+                gap[i, j] = gap[j, i] = outline_gap(corners[i], corners[j])
+                exact[i, j] = exact[j, i] = True
+            known = min(known, gap[i, j])
+    return np.asarray(gap.min(axis=1))
+
+
+def _outline(kind: PartType, parts: Parts, row: int) -> np.ndarray:
+    """Return the corners (n, 2) of one part's outline [m, plate_home]."""
+    cos, sin = np.cos(parts.angle[row]), np.sin(parts.angle[row])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(kind.polygon @ turn + parts.position[row])
+
+
+def outline_gap(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the distance of two polygons (n, 2), (k, 2) [m]; at most 0 where they overlap."""
+    if np.any(contains(one, other)) or np.any(contains(other, one)):
+        return 0.0
+    return float(min(np.min(rim_distance(one, other)), np.min(rim_distance(other, one))))

@@ -1,0 +1,29 @@
+"""A feeder: hands out parts to a robot one by one, and has the planner get the next ones ready."""
+
+from .codes import MEANINGS, Code
+from .feeder import (
+    Feeder,
+    FeedStatus,
+    Output,
+    Quantity,
+    ReadyPart,
+    Reply,
+    State,
+)
+from .hand_eye import HandEye, HandEyeError, fit_hand_eye, load_hand_eye
+
+__all__ = [
+    "MEANINGS",
+    "Code",
+    "FeedStatus",
+    "Feeder",
+    "HandEye",
+    "HandEyeError",
+    "Output",
+    "Quantity",
+    "ReadyPart",
+    "Reply",
+    "State",
+    "fit_hand_eye",
+    "load_hand_eye",
+]

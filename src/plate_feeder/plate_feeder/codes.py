@@ -1,0 +1,49 @@
+"""The answers of the feeder: one table of codes for ROS and TCP."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Code(IntEnum):
+    """2xx: done. 4xx: the client has to ask otherwise. 5xx: the feeder cannot do it now."""
+
+    DONE = 200
+    BAD_LINE = 400
+    UNKNOWN_COMMAND = 404
+    BUSY = 409
+    NOT_RESERVED = 410
+    BAD_ARGUMENT = 422
+    TOO_MANY = 429
+    CANCELED = 499
+    FAULT = 500
+    SILENT = 502
+    STOPPED = 503
+    NO_PART = 504
+    HOPPER_EMPTY = 507
+    NOT_PURGED = 508
+
+    @property
+    def done(self) -> bool:
+        """Whether what was asked for is done."""
+        return self < 300
+
+
+MEANINGS = {
+    Code.DONE: "done; what follows is the answer",
+    Code.BAD_LINE: "the line is too long, not complete in time, or not plain text",
+    Code.UNKNOWN_COMMAND: "there is no such command",
+    Code.BUSY: "another command waits, a part is reserved by another client, or the plate is "
+    "being purged",
+    Code.NOT_RESERVED: "the part is not reserved (any more)",
+    Code.BAD_ARGUMENT: "an argument is wrong, or does not fit the recipe or the plate",
+    Code.TOO_MANY: "too many clients, or too many commands wait",
+    Code.CANCELED: "the command was withdrawn",
+    Code.FAULT: "an error of the feeder itself: see its log",
+    Code.SILENT: "the planner is silent, or has not begun in time",
+    Code.STOPPED: "the plate was stopped, the task has failed, or the feeder is not active",
+    Code.NO_PART: "no part was ready in time",
+    Code.HOPPER_EMPTY: "no part is left, and nothing came from the hopper",
+    Code.NOT_PURGED: "there is no chute, or parts are left after the time",
+}
+"""What each code says, as docs/guide/feeder.md has it."""

@@ -1,0 +1,739 @@
+"""The feeder's rules, without ROS: which part a robot gets, when the plate rests, when the hopper
+opens.
+
+A `Feeder` takes the planner's statuses (`hear`) and commands; `step` says after each of
+them, and every 0.1 s or so, what is to be done. All times are of one steady clock and arguments.
+A loop without ROS runs it like this::
+
+    feeder = Feeder(task, rig)
+    reply = feeder.get_part("robot", now=t)  # None: it comes with a later `step`
+    output = feeder.step(t)
+    # do output.order and output.open_s, read output.replies; then, for each image:
+    feeder.hear(status, t)
+    output = feeder.step(t)
+
+The rules:
+
+- The planner gets parts ready (`FEED`) until it has nothing left to do and rests; then it is
+  ordered to stay so (`REST`), and a robot need not wait. A command that waits has the plate rest as
+  soon as one part is ready.
+- A part is offered only from a status that the planner made under an order to rest, and that says
+  that the plate is at rest. An order is not changed before a status has shown that it is in force:
+  so no status of an earlier rest is mistaken for one of this.
+- From the answer on the part is reserved, and the plate rests, until `part_taken`, `prepare_part`
+  or the end of its time. Only one part is reserved, for one client. If the same client asks for the
+  next one, or for a purge, it gives the part up; others get `BUSY`.
+- A part that was reserved is not told again before an image that is `SEEN_ANEW_S` younger than the
+  newest one then shows it ready. After `MOST_FAILURES` failed picks at one place it is left aside
+  until it lies elsewhere. Meanwhile one more is got ready in its place, for the planner counts it.
+- Of several parts the one with the fewest failed picks is offered; of these the one nearest to the
+  middle of its pick window.
+- The hopper is opened for what is missing to `fill` when there are fewer parts than `least`, unless
+  a part is reserved or the plate is purged, and not again within `FALLEN_S` of its closing. Until
+  then no part is offered that lies within two spreads of the place where they fall. After
+  `MOST_OPENINGS` that brought nothing it counts as empty; each new command has it tried once more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from plate_core import MOST_PARTS, Parts, PlateError, Rig, part_class
+from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, as_picked, pick_problem
+
+from .codes import Code
+
+SEEN_ANEW_S = 1.0
+"""An image so much younger than the newest known one was taken after now [s]: images are late by
+up to 0.3 s, and the tracker keeps a part that is gone for some images."""
+
+SILENT_S = 1.0
+"""Longest time between two statuses of a task that runs [s]: ten usual cycles."""
+
+START_S = 10.0
+"""Longest time from a command to the first status of the task that does it [s]."""
+
+SETTLED = 2
+"""In the first image at rest a part may have moved since the one before, and so not be ready; in
+one more it is."""
+
+FALLEN_S = 1.0
+"""So long after the hopper has closed everything that fell is seen [s]."""
+
+MOST_OPENINGS = 3
+"""After so many openings that brought nothing the hopper is empty."""
+
+MOST_FAILURES = 3
+"""After so many failed picks at one place a part is left aside."""
+
+MOVED_M = 0.002
+"""A part that is further from there lies elsewhere [m]: more than the camera errs."""
+
+SPREADS = 2.0
+"""Parts fall no further from the hopper's place than this [its spread]."""
+
+LONGEST_S = 3600.0
+"""Longest `timeout_s` that may be asked for [s]."""
+
+
+@dataclass(frozen=True)
+class ReadyPart:
+    """A part that may be gripped.
+
+    Attributes
+    ----------
+    id : str
+        Such as `black_3`.
+    x, y : float
+        Centre [m, plate_home].
+    angle : float
+        Counter-clockwise from x [rad].
+    covariance : tuple of 9 floats
+        Of (x, y, angle), row by row [m2, m rad, rad2]; the first is -1 if it is not known.
+    """
+
+    id: str
+    x: float
+    y: float
+    angle: float = 0.0
+    covariance: tuple[float, ...] = (-1.0, *8 * (0.0,))
+
+    @property
+    def label(self) -> str:
+        """Its class."""
+        return part_class(self.id)
+
+    @property
+    def alone(self) -> Parts:
+        """The same as parts, one."""
+        return Parts.make((self.id,), np.array([[self.x, self.y]]), angle=np.array([self.angle]))
+
+
+@dataclass(frozen=True)
+class FeedStatus:
+    """How the planner gets on, as of one image.
+
+    Attributes
+    ----------
+    stamp : float
+        Of the image [s, the camera's clock: compared with other stamps only].
+    mode : FeedMode
+        What the planner does.
+    at_rest : bool
+        Whether parts lie where they are shown.
+    ready : tuple of ReadyPart
+    seen : mapping of str to int
+        Parts on the plate, by class.
+    discharged, lost : int
+        Parts that left over the chute and elsewhere, since this task began.
+    """
+
+    stamp: float
+    mode: FeedMode
+    at_rest: bool
+    ready: tuple[ReadyPart, ...] = ()
+    seen: Mapping[str, int] = field(default_factory=dict)
+    discharged: int = 0
+    lost: int = 0
+
+    @property
+    def total(self) -> int:
+        """Parts on the plate."""
+        return sum(self.seen.values())
+
+
+@dataclass(frozen=True)
+class Reply:
+    """The answer to a command.
+
+    Attributes
+    ----------
+    code : Code
+    text : str
+        What was done, or why it was not.
+    part : ReadyPart or None
+        For the robot.
+    valid_until : float
+        So long it is reserved [s, the clock of `now`].
+    left : int
+        Parts that are left after a purge.
+    """
+
+    code: Code
+    text: str
+    part: ReadyPart | None = None
+    valid_until: float = math.nan
+    left: int = 0
+
+
+@dataclass(frozen=True)
+class Output:
+    """What is to be done now.
+
+    Attributes
+    ----------
+    run : bool
+        Whether the planner's task is to run; false: it is to be canceled if it does.
+    order : FeedOrder
+        For a task that runs.
+    open_s : float
+        The hopper is to be opened for so long, now [s]; 0: not.
+    replies : tuple of (client, Reply)
+        To commands that waited.
+    """
+
+    run: bool
+    order: FeedOrder
+    open_s: float = 0.0
+    replies: tuple[tuple[Hashable, Reply], ...] = ()
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """How many parts there are: on the plate by class, of them ready; and gone since the feeder
+    began: taken by the robot, over the chute, over other edges."""
+
+    seen: Mapping[str, int]
+    ready: int
+    taken: int
+    discharged: int
+    lost: int
+
+
+class State(Enum):
+    """What the feeder does, in a word."""
+
+    IDLE = "idle"  # no task runs; the next command begins it
+    STOPPED = "stopped"  # it was, or has failed; the next command begins it anew
+    STARTING = "starting"  # the task has been asked for
+    FEEDING = "feeding"  # parts are got ready
+    READY = "ready"  # enough of them are, and the plate rests
+    WAITING = "waiting"  # a get_part waits
+    RESERVED = "reserved"  # a part is reserved, the plate rests
+    PURGING = "purging"
+    SILENT = "silent"  # the planner is
+
+
+class _Task(Enum):
+    IDLE = 0
+    ASKED = 1
+    RUNNING = 2
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What a command asks for: a class, or any (""), and perhaps another pick than the recipe's."""
+
+    label: str = ""
+    pick: Pick | None = None
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """A command that waits."""
+
+    client: Hashable
+    wanted: _Wanted
+    until: float
+    timeout_s: float
+    purge: bool = False
+
+
+@dataclass(frozen=True)
+class _Reserved:
+    """A part that is reserved."""
+
+    client: Hashable
+    part: ReadyPart
+    until: float
+
+
+@dataclass(frozen=True)
+class _Failures:
+    """Failed picks of a part at a place [m]."""
+
+    count: int
+    x: float
+    y: float
+
+
+class Feeder:
+    """Hands out parts to robots, one at a time; see the top of this file.
+
+    Parameters
+    ----------
+    task : FeedTask
+        The recipe.
+    rig : Rig
+
+    Notes
+    -----
+    A `client` is any key that tells one from another. Commands answer at once by a `Reply`;
+    `get_part` and `purge` return None if they wait: then the reply comes with a later `step`.
+    """
+
+    def __init__(self, task: FeedTask, rig: Rig) -> None:
+        self.task, self._rig = task, rig
+        self._status: FeedStatus | None = None
+        self._stopped = False
+        self._task, self._since = _Task.IDLE, -math.inf  # since the command, or the last status
+        self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
+        self._rested = 0  # statuses since the plate rests by order
+        self._content = False  # whether the planner has rested by itself since the last part
+        self._waiting: _Waiting | None = None
+        self._prepared: _Wanted | None = None
+        self._reserved: _Reserved | None = None
+        self._late: _Reserved | None = None  # given up, and not reported yet
+        self._held: dict[str, float] = {}  # newest stamp when it was given up, by id
+        self._failures: dict[str, _Failures] = {}
+        self._replies: list[tuple[Hashable, Reply]] = []
+        self._taken = self._discharged = self._lost = 0  # the latter two: by tasks that have ended
+        self._opened: int | None = None  # parts that had come until it was opened
+        self._look_at, self._barren = -math.inf, 0
+
+    # What it takes in
+
+    def hear(self, status: FeedStatus, now: float) -> None:
+        """Take a status of the planner."""
+        self._status = status
+        self._held = {
+            part: since
+            for part, since in self._held.items()
+            # A clock that was set back holds nothing back for ever.
+            if -SEEN_ANEW_S < status.stamp - since < SEEN_ANEW_S
+        }
+        if self._task is _Task.IDLE:
+            return
+        self._task, self._since = _Task.RUNNING, now
+        self._in_force |= status.mode is self._sent.mode
+        self._rested = self._rested + 1 if self._rests() else 0
+        self._content |= status.mode is FeedMode.FEED and status.at_rest
+
+    def task_ended(self, text: str) -> None:
+        """The planner's task has ended, was refused, or is to end: what waits is answered so."""
+        self._answer_waiting(Code.STOPPED, text)
+        self._end()
+        self._stopped = True
+
+    def get_part(
+        self,
+        client: Hashable,
+        label: str = "",
+        pick: Pick | None = None,
+        timeout_s: float = 0.0,
+        *,
+        now: float,
+    ) -> Reply | None:
+        """Wait for a part.
+
+        Parameters
+        ----------
+        client : hashable
+        label : str
+            Its class; empty: that of `pick`, or what was prepared, or any of the recipe's.
+        pick : Pick, optional
+            Another window, angle or number than the recipe's, for this command.
+        timeout_s : float
+            Longest wait [s]; 0: the recipe's.
+        now : float
+            [s]
+
+        Returns
+        -------
+        Reply or None
+            None: it waits.
+        """
+        wanted = self._read(label, pick, timeout_s)
+        if isinstance(wanted, Reply):
+            return wanted
+        if busy := self._busy(client):
+            return busy
+        if wanted == _Wanted() and self._prepared is not None:
+            wanted = self._prepared
+        self._prepared = None
+        self._give_up()
+        timeout_s = timeout_s or self.task.timeout_s
+        self._waiting = _Waiting(client, wanted, now + timeout_s, timeout_s)
+        self._begin(now)
+        return None
+
+    def prepare_part(
+        self, client: Hashable, label: str = "", pick: Pick | None = None, *, now: float
+    ) -> Reply:
+        """Get a part ready for the next `get_part` that names none; as there."""
+        wanted = self._read(label, pick)
+        if isinstance(wanted, Reply):
+            return wanted
+        if busy := self._busy(client):
+            return busy
+        self._give_up()
+        self._prepared = wanted
+        self._begin(now)
+        return Reply(Code.DONE, f"{wanted.label or 'a part'} is being got ready")
+
+    def part_taken(self, client: Hashable, part: str = "", taken: bool = True) -> Reply:
+        """The robot has tried to take a part, and no longer stands over it.
+
+        Parameters
+        ----------
+        client : hashable
+        part : str
+            Its id, from any client; empty: the one reserved for this client. A part whose time is
+            over may still be reported, until the next one is reserved.
+        taken : bool
+            False: it lies there still.
+        """
+        known = self._reserved or self._late
+        if known is None:
+            return Reply(Code.NOT_RESERVED, "no part is reserved")
+        if part not in ("", known.part.id):
+            return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
+        if not part and known.client != client:
+            text = f"another client has reserved {known.part.id}, allowed: with its id"
+            return Reply(Code.NOT_RESERVED, text)
+        self._hold(known.part)
+        self._reserved = self._late = None
+        name = known.part.id
+        if taken:
+            self._taken += 1
+            self._failures.pop(name, None)
+            return Reply(Code.DONE, f"{name} is taken")
+        x, y = known.part.x, known.part.y
+        before = self._failures.pop(name, _Failures(0, x, y))
+        count = before.count + 1 if math.hypot(x - before.x, y - before.y) <= MOVED_M else 1
+        self._failures[name] = _Failures(count, x, y)
+        while len(self._failures) > MOST_PARTS:
+            del self._failures[next(iter(self._failures))]
+        return Reply(Code.DONE, f"{name} lies there still, picks failed there: {count}")
+
+    def purge(self, client: Hashable, timeout_s: float = 0.0, *, now: float) -> Reply | None:
+        """Bring all parts to the chute, and end the task then; None: it waits."""
+        problem = _time_problem(timeout_s)
+        if problem:
+            return Reply(Code.BAD_ARGUMENT, problem)
+        left = self._status.total if self._status is not None else 0
+        if self.task.chute is None:
+            return Reply(Code.NOT_PURGED, "the recipe has no chute, allowed: with one", left=left)
+        if busy := self._busy(client):
+            return replace(busy, left=left)
+        self._prepared = None
+        self._give_up()
+        timeout_s = timeout_s or self.task.timeout_s
+        self._waiting = _Waiting(client, _Wanted(), now + timeout_s, timeout_s, purge=True)
+        self._begin(now)
+        return None
+
+    def cancel(self, client: Hashable) -> None:
+        """Withdraw the command of a client that waits: it gets no reply. A part that is reserved
+        stays so, for the robot may stand over it. A purge ends the task."""
+        waiting = self._waiting
+        if waiting is not None and waiting.client == client:
+            self._waiting = None
+            if waiting.purge:
+                self._end()
+
+    # What it tells
+
+    def step(self, now: float) -> Output:
+        """Return what is to be done now [s]."""
+        if self._reserved is not None and now >= self._reserved.until:
+            self._give_up()
+        if self._waiting is not None:
+            self._answer(self._waiting, now)
+        open_s = self._open(now)
+        self._decide()
+        replies, self._replies = tuple(self._replies), []
+        return Output(self._task is not _Task.IDLE, self._sent, open_s, replies)
+
+    def quantity(self) -> Quantity:
+        """Return how many parts there are, and were."""
+        status = self._status or FeedStatus(0.0, FeedMode.FEED, False)
+        running = self._task is _Task.RUNNING
+        return Quantity(
+            seen=status.seen,
+            ready=len(self._offers(_Wanted())) if running else 0,
+            taken=self._taken,
+            discharged=self._discharged + running * status.discharged,
+            lost=self._lost + running * status.lost,
+        )
+
+    def state(self, now: float) -> State:
+        """Return what it does, in a word."""
+        waiting = self._waiting
+        if self._stopped:
+            return State.STOPPED
+        if self._reserved is not None:
+            return State.RESERVED
+        if self._task is _Task.ASKED:
+            return State.STARTING
+        if self.silence(now):
+            return State.SILENT
+        if waiting is not None:
+            return State.PURGING if waiting.purge else State.WAITING
+        if self._task is _Task.IDLE:
+            return State.IDLE
+        return State.FEEDING if self._sent.mode is FeedMode.FEED else State.READY
+
+    @property
+    def reserved(self) -> tuple[ReadyPart, float] | None:
+        """The part that is reserved, and until when [s]; None if none is."""
+        kept = self._reserved
+        return None if kept is None else (kept.part, kept.until)
+
+    @property
+    def hopper_empty(self) -> bool:
+        """Whether the last openings of the hopper brought nothing."""
+        return self._barren >= MOST_OPENINGS
+
+    def silence(self, now: float) -> str:
+        """Say what is silent for too long; empty if nothing is."""
+        silent = now - self._since
+        if self._task is _Task.ASKED and silent > START_S:
+            return f"the planner has not begun feed_parts within {START_S:g} s"
+        if self._task is _Task.RUNNING and silent > SILENT_S:
+            return f"no feed_status for {silent:.1f} s: does the planner run?"
+        return ""
+
+    # Commands
+
+    def _read(self, label: str, pick: Pick | None, timeout_s: float = 0.0) -> _Wanted | Reply:
+        """Return what is asked for, or why that is wrong."""
+        labels = [each.label for each in self.task.picks]
+        problem = _time_problem(timeout_s)
+        if pick is not None:
+            label, pick = label or pick.label, replace(pick, label=pick.label or label)
+        if (label or pick is not None) and label not in labels:
+            problem = f"class is {label!r}, allowed: {', '.join(labels)}"
+        elif pick is not None and pick.label != label:
+            problem = f"class is {label}, its pick is of {pick.label}, allowed: the same"
+        elif pick is not None:
+            try:
+                problem = problem or pick_problem(pick, self._rig)
+            except PlateError as error:
+                problem = str(error)
+        return Reply(Code.BAD_ARGUMENT, problem) if problem else _Wanted(label, pick)
+
+    def _busy(self, client: Hashable) -> Reply | None:
+        waiting, reserved = self._waiting, self._reserved
+        if waiting is not None:
+            what = "the plate is being purged" if waiting.purge else "another get_part waits"
+            return Reply(Code.BUSY, what)
+        if reserved is not None and reserved.client != client:
+            return Reply(Code.BUSY, f"another client has reserved {reserved.part.id}")
+        return None
+
+    def _begin(self, now: float) -> None:
+        self._barren = min(self._barren, MOST_OPENINGS - 1)
+        if self._task is _Task.IDLE:
+            self._task, self._since, self._stopped = _Task.ASKED, now, False
+            self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
+
+    def _end(self) -> None:
+        if self._task is _Task.RUNNING and self._status is not None:
+            self._discharged += self._status.discharged
+            self._lost += self._status.lost
+        self._task, self._prepared, self._opened = _Task.IDLE, None, None
+
+    def _give_up(self) -> None:
+        """End the reservation; whether the part is still there is seen later."""
+        if self._reserved is not None:
+            self._hold(self._reserved.part)
+            self._late, self._reserved = self._reserved, None
+
+    def _hold(self, part: ReadyPart) -> None:
+        assert self._status is not None  # it was told from one
+        self._held[part.id] = self._status.stamp
+
+    # Answers to commands that wait
+
+    def _answer_waiting(
+        self, code: Code, text: str, part: ReadyPart | None = None, until: float = math.nan
+    ) -> None:
+        waiting, self._waiting = self._waiting, None
+        left = self._status.total if self._status is not None else 0
+        if waiting is not None:
+            reply = Reply(code, text, part, until, left if waiting.purge else 0)
+            self._replies.append((waiting.client, reply))
+
+    def _answer(self, waiting: _Waiting, now: float) -> None:
+        silence = self.silence(now)
+        if silence:
+            self._answer_waiting(Code.SILENT, silence)
+            if self._task is _Task.ASKED:  # later nobody would expect it
+                self._end()
+        elif waiting.purge:
+            self._answer_purge(waiting, now)
+        elif self._rests() and (offers := self._offers(waiting.wanted)):
+            part, until = self._best(offers), now + self.task.valid_s
+            self._answer_waiting(Code.DONE, f"{part.id} is ready", part, until)
+            self._reserved, self._late = _Reserved(waiting.client, part, until), None
+            self._content = False
+        elif self.hopper_empty and not self._on_plate(waiting.wanted.label):
+            self._answer_waiting(
+                Code.HOPPER_EMPTY,
+                f"no {waiting.wanted.label or 'part'} is on the plate, and {MOST_OPENINGS} "
+                "openings of the hopper brought nothing",
+            )
+        elif now >= waiting.until:
+            quantity = self.quantity()
+            self._answer_waiting(
+                Code.NO_PART,
+                f"no {waiting.wanted.label or 'part'} was ready within {waiting.timeout_s:g} s: "
+                f"{sum(quantity.seen.values())} on the plate, {quantity.ready} of any class ready"
+                + (", the hopper is empty" if self.hopper_empty else ""),
+            )
+
+    def _answer_purge(self, waiting: _Waiting, now: float) -> None:
+        purging = self._in_force and self._sent.mode is FeedMode.PURGE
+        left = self._status.total if self._status is not None else 0
+        if purging and not left:
+            self._answer_waiting(Code.DONE, "the plate is empty")
+            self._end()
+        elif now >= waiting.until:
+            text = f"{left} parts are left after {waiting.timeout_s:g} s"
+            self._answer_waiting(Code.NOT_PURGED, text)
+            self._end()
+
+    def _rests(self) -> bool:
+        """Whether the newest status is of a plate that rests until the order is changed."""
+        status = self._status
+        return (
+            self._task is _Task.RUNNING
+            and self._in_force
+            and self._sent.mode is FeedMode.REST
+            and status is not None
+            and status.mode is FeedMode.REST
+            and status.at_rest
+        )
+
+    # Parts
+
+    def _picks(self) -> tuple[Pick, ...]:
+        """Return what is to be ready; more of a class of which some parts are not offered."""
+        wanted = self._waiting.wanted if self._waiting is not None else self._prepared
+        other = None if wanted is None else wanted.pick
+        picks = [
+            other if other is not None and other.label == pick.label else pick
+            for pick in self.task.picks
+        ]
+        kept = {*self._held, *(part.id for part in self._ready() if self._is_aside(part))}
+        labels = [part_class(name) for name in kept]
+        return tuple(
+            replace(pick, ready=min(pick.ready + labels.count(pick.label), MOST_PARTS))
+            for pick in picks
+        )
+
+    def _ready(self) -> tuple[ReadyPart, ...]:
+        return () if self._status is None else self._status.ready
+
+    def _offers(self, wanted: _Wanted) -> list[ReadyPart]:
+        """Return the parts of the newest status that a robot may get."""
+        picks = {pick.label: pick for pick in self._picks()}
+        return [
+            part
+            for part in self._ready()
+            if wanted.label in ("", part.label)
+            and part.label in picks
+            and as_picked(part.alone, picks[part.label], self._rig)[0]
+            and part.id not in self._held
+            and not self._is_aside(part)
+            and not self._is_fallen_on(part)
+        ]
+
+    def _is_aside(self, part: ReadyPart) -> bool:
+        failed = self._failures.get(part.id)
+        return (
+            failed is not None
+            and failed.count >= MOST_FAILURES
+            and math.hypot(part.x - failed.x, part.y - failed.y) <= MOVED_M
+        )
+
+    def _is_fallen_on(self, part: ReadyPart) -> bool:
+        """Whether parts may fall on it, or have done so since the image."""
+        hopper = self.task.hopper
+        if hopper is None or self._opened is None:
+            return False
+        x, y = hopper.place
+        return math.hypot(part.x - x, part.y - y) <= SPREADS * hopper.spread_m
+
+    def _best(self, offers: list[ReadyPart]) -> ReadyPart:
+        picks = {pick.label: pick for pick in self._picks()}
+
+        def rank(part: ReadyPart) -> tuple[int, float, str]:
+            low, high = picks[part.label].low, picks[part.label].high
+            middle = [
+                (a + b) / 2 if math.isfinite(a + b) else 0.0 for a, b in zip(low, high, strict=True)
+            ]
+            failed = self._failures.get(part.id)
+            away = math.hypot(part.x - middle[0], part.y - middle[1])
+            return (0 if failed is None else failed.count), away, part.id
+
+        return min(offers, key=rank)
+
+    def _on_plate(self, label: str) -> int:
+        seen = {} if self._status is None else self._status.seen
+        labels = [label] if label else [pick.label for pick in self.task.picks]
+        return sum(seen.get(each, 0) for each in labels)
+
+    # Orders
+
+    def _decide(self) -> None:
+        """Change the order, if the one before is in force."""
+        if self._task is not _Task.RUNNING:
+            return
+        order = FeedOrder(self._mode(), self._picks(), hidden=self._reserved is not None)
+        if order.mode is self._sent.mode:
+            self._sent = order
+        elif self._in_force:
+            self._sent, self._in_force = order, False
+
+    def _mode(self) -> FeedMode:
+        waiting = self._waiting
+        if self._reserved is not None:
+            return FeedMode.REST
+        if waiting is not None and waiting.purge:
+            return FeedMode.PURGE
+        if waiting is not None:
+            stopping = self._sent.mode is FeedMode.REST and self._rested < SETTLED
+            ready = stopping or self._offers(waiting.wanted)  # which is it when the plate rests?
+            return FeedMode.REST if ready else FeedMode.FEED
+        offers = [part.label for part in self._offers(self._prepared or _Wanted())]
+        wanted = {pick.label: pick.ready for pick in self.task.picks}
+        if self._prepared is not None and self._prepared.label:
+            label, pick = self._prepared.label, self._prepared.pick
+            wanted = {label: wanted[label] if pick is None else pick.ready}
+        enough = all(offers.count(label) >= count for label, count in wanted.items())
+        self._content &= enough
+        return FeedMode.REST if self._content else FeedMode.FEED
+
+    # The hopper
+
+    def _open(self, now: float) -> float:
+        """Return for how long the hopper is to be opened now [s]; 0: it is not."""
+        hopper, status = self.task.hopper, self._status
+        if hopper is None or status is None or self._task is not _Task.RUNNING:
+            return 0.0
+        total, quantity = status.total, self.quantity()
+        came = total + quantity.taken + quantity.discharged + quantity.lost
+        if self._opened is not None and now >= self._look_at:
+            self._barren = 0 if came > self._opened else self._barren + 1
+            self._opened = None
+        purging = self._waiting is not None and self._waiting.purge
+        if self._reserved is not None or purging or self.silence(now):
+            return 0.0
+        if self._opened is not None or self.hopper_empty or total >= hopper.least:
+            return 0.0
+        open_s = (hopper.fill - total) / hopper.rate
+        self._opened, self._look_at = came, now + open_s + FALLEN_S
+        return open_s
+
+
+def _time_problem(timeout_s: float) -> str:
+    if 0 <= timeout_s <= LONGEST_S:
+        return ""
+    return f"timeout_s is {timeout_s:g}, allowed: 0 (the recipe's) to {LONGEST_S:g}"

@@ -1,0 +1,157 @@
+"""Where the plate is in the robot's frame: by points that the robot's tool has touched."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from plate_core import PlateError
+from plate_core.yaml_fields import Key, List, Numbers, Section, Text, read_yaml
+
+from .feeder import ReadyPart
+
+LARGEST_RESIDUAL_M = 1e-3
+"""A point that lies further from where the others say was measured wrongly [m]."""
+
+LEAST_BASE_M = 0.05
+"""The points on the plate reach at least so far [m]: nearer ones give no angle."""
+
+FAR_M = 10.0
+"""No coordinate is greater [m]."""
+
+FILE = Section(
+    "hand-eye file",
+    "The robot's frame, by points.",
+    (
+        Key("frame", Text("a name"), "Name of the robot's frame, whose z points up."),
+        Key("points", List(), "Two points or more; with three a wrong one is found."),
+    ),
+)
+
+POINT = Section(
+    "points[]",
+    "One point, in both frames.",
+    (
+        Key("plate_m", Numbers((2,), -FAR_M, FAR_M), "On the plate at rest [x, y, plate_home]."),
+        Key("robot_m", Numbers((2,), -FAR_M, FAR_M), "The same for the robot [x, y]."),
+    ),
+)
+
+
+class HandEyeError(PlateError):
+    """The points do not say where the plate is."""
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """The plate in a frame: turned, then shifted.
+
+    Attributes
+    ----------
+    frame : str
+    angle : float
+        Of the plate's x in this frame [rad].
+    x, y : float
+        Of the plate's middle in this frame [m].
+    residual_m : float
+        Greatest distance of a point from where the plate's says it is [m].
+    """
+
+    frame: str = "plate_home"
+    angle: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    residual_m: float = 0.0
+
+    def part(self, part: ReadyPart) -> ReadyPart:
+        """Return a part of plate_home as it is in this frame."""
+        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        covariance = part.covariance
+        if covariance[0] >= 0:  # known
+            turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            turned = turn @ np.reshape(covariance, (3, 3)) @ turn.T
+            covariance = tuple(turned.ravel().tolist())
+        return replace(
+            part,
+            x=cos * part.x - sin * part.y + self.x,
+            y=sin * part.x + cos * part.y + self.y,
+            angle=math.remainder(part.angle + self.angle, 2 * math.pi),
+            covariance=covariance,
+        )
+
+
+def load_hand_eye(path: str | Path) -> HandEye:
+    """Read a hand-eye file; see docs/guide/feeder.md.
+
+    Raises
+    ------
+    HandEyeError
+        Names the file, the key, its value and what is allowed.
+    """
+    fields = read_yaml(path, HandEyeError)
+    frame = fields.value(FILE["frame"])
+    children = fields.children("points")
+    plate = [child.value(POINT["plate_m"]) for child in children]
+    robot = [child.value(POINT["robot_m"]) for child in children]
+    for each in (*children, fields):
+        each.finish()
+    try:
+        return fit_hand_eye(frame, np.reshape(plate, (-1, 2)), np.reshape(robot, (-1, 2)))
+    except HandEyeError as error:
+        raise HandEyeError(f"{path}: {error}") from None
+
+
+def fit_hand_eye(frame: str, plate: np.ndarray, robot: np.ndarray) -> HandEye:
+    """Return the rigid motion that brings points nearest to others, by least squares.
+
+    Parameters
+    ----------
+    frame : str
+        Name of the frame of `robot`.
+    plate, robot : (N, 2)
+        The same points in both frames [m].
+
+    Raises
+    ------
+    HandEyeError
+        If there are too few, they are too near together, or do not fit.
+
+    Notes
+    -----
+    In the plane the best turn about the points' means has a closed form: the angle of the sum of
+    conj(p) q over the points as complex numbers (Horn 1987, J. Opt. Soc. Am. A 4(4), 629-642, in
+    three dimensions).
+    """
+    count = len(plate)
+    if count < 2:
+        raise HandEyeError(f"points are {count}, allowed: 2 or more")
+    p, q = plate @ (1, 1j), robot @ (1, 1j)
+    base = float(np.max(np.abs(p[:, None] - p)))
+    if base < LEAST_BASE_M:
+        raise HandEyeError(
+            f"points lie {1e3 * base:.1f} mm apart on the plate, allowed: "
+            f"{1e3 * LEAST_BASE_M:g} mm or more"
+        )
+    residuals, turn, shift = _fit(p, q)
+    worst = int(np.argmax(residuals))
+    if not residuals[worst] <= LARGEST_RESIDUAL_M:
+        mirrored, *_ = _fit(p.conj(), q)
+        hint = "; they fit mirrored: does z of the robot's frame point down?"
+        raise HandEyeError(
+            f"points[{worst}] is {1e3 * residuals[worst]:.2f} mm from where the others say, "
+            f"allowed: {1e3 * LARGEST_RESIDUAL_M:g} mm"
+            + (hint if np.max(mirrored) <= LARGEST_RESIDUAL_M else "")
+        )
+    angle = float(np.angle(turn))
+    return HandEye(frame, angle, shift.real, shift.imag, float(residuals[worst]))
+
+
+def _fit(p: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, complex, complex]:
+    """Return residuals (N,) [m], turn and shift of points (N,) as complex numbers [m]."""
+    turn = np.sum((p - p.mean()).conj() * (q - q.mean()))
+    turn = turn / max(abs(turn), np.finfo(float).tiny)
+    shift = q.mean() - turn * p.mean()
+    return np.abs(turn * p + shift - q), complex(turn), complex(shift)

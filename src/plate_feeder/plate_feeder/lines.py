@@ -1,0 +1,144 @@
+"""What robots say and hear over TCP: one line per command, one numbered line as its answer."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from plate_core import PlateError, did_you_mean
+
+from .codes import Code
+from .feeder import Quantity, ReadyPart
+
+LONGEST_LINE = 256
+"""Of a robot [bytes]."""
+
+LONGEST_ANSWER = 250
+"""Characters; longer texts are cut."""
+
+NUMBER = re.compile(r"[-+.\d]")
+"""What begins so is to be a number: no class and no id does."""
+
+SECONDS = re.compile(r"\d{1,6}(\.\d{1,6})?")
+
+COMMANDS: Mapping[str, str] = {
+    "get_part": "[class] [timeout_s]",
+    "prepare_part": "[class]",
+    "part_taken": "[id] [ok|failed]",
+    "part_quantity": "",
+    "purge": "[timeout_s]",
+    "state": "",
+    "help": "",
+}
+"""All commands, and what may follow."""
+
+WAITING = ("get_part", "purge")
+"""Those whose answer may take long."""
+
+
+class LineError(PlateError):
+    """A line is no command; `code` says why."""
+
+    def __init__(self, code: Code, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of a robot.
+
+    Attributes
+    ----------
+    name : str
+        One of `COMMANDS`.
+    label, part : str
+        Class and id; empty: none given.
+    timeout_s : float
+        [s]; 0: none given.
+    taken : bool
+        Whether the pick has succeeded.
+    """
+
+    name: str
+    label: str = ""
+    part: str = ""
+    timeout_s: float = 0.0
+    taken: bool = True
+
+
+def read_line(line: bytes) -> Command:
+    """Return the command of a line, without its end.
+
+    Raises
+    ------
+    LineError
+        Names what is wrong and what is allowed.
+    """
+    if len(line) > LONGEST_LINE:
+        raise LineError(Code.BAD_LINE, f"more than {LONGEST_LINE} bytes in a line")
+    text = line.decode("ascii", "replace")
+    if not text.isascii() or not text.replace("\t", " ").isprintable():
+        raise LineError(Code.BAD_LINE, "the line has other than printable ASCII characters")
+    name, *rest = text.split() or [""]
+    name = name.lower()
+    if name not in COMMANDS:
+        near = did_you_mean(name, COMMANDS)
+        raise LineError(
+            Code.UNKNOWN_COMMAND, f"command is {name!r}{near}, allowed: {', '.join(COMMANDS)}"
+        )
+    timeout_s, taken = 0.0, True
+    if name in WAITING and rest and NUMBER.match(rest[-1]):
+        timeout_s = _seconds(rest.pop())
+    elif name == "part_taken" and rest and rest[-1].lower() in ("ok", "failed"):
+        taken = rest.pop().lower() == "ok"
+    word = ""
+    if rest and ("[class]" in COMMANDS[name] or "[id]" in COMMANDS[name]):
+        word = rest.pop(0)
+    if rest:
+        usage = f"{name} {COMMANDS[name]}".strip()
+        raise LineError(Code.BAD_ARGUMENT, f"{rest[0]!r} is too much, allowed: {usage}")
+    if name == "part_taken":
+        return Command(name, part=word, taken=taken)
+    return Command(name, label=word, timeout_s=timeout_s)
+
+
+def _seconds(word: str) -> float:
+    if not SECONDS.fullmatch(word):
+        raise LineError(Code.BAD_ARGUMENT, f"timeout_s is {word!r}, allowed: such as 2.5")
+    return float(word)
+
+
+def answer_line(code: Code, text: str) -> bytes:
+    """Return the line that answers a command."""
+    plain = " ".join(text.encode("ascii", "replace").decode().split())
+    return f"{code:d} {plain}"[:LONGEST_ANSWER].encode() + b"\r\n"
+
+
+def part_text(part: ReadyPart, valid_s: float) -> str:
+    """Say where a part lies, in the robot's frame: mm and degrees; and for how long [s]."""
+    degrees = math.degrees(math.remainder(part.angle, 2 * math.pi))
+    return (
+        f"x={_rounded(1e3 * part.x)} y={_rounded(1e3 * part.y)} angle={_rounded(degrees)} "
+        f"id={part.id} class={part.label} valid_s={valid_s:.1f}"
+    )
+
+
+def quantity_text(quantity: Quantity) -> str:
+    """Say how many parts there are, on the plate also by class."""
+    counts = {
+        "seen": sum(quantity.seen.values()), "ready": quantity.ready, "taken": quantity.taken,
+        "discharged": quantity.discharged, "lost": quantity.lost, **quantity.seen,
+    }  # fmt: skip
+    return " ".join(f"{name}={count}" for name, count in counts.items())
+
+
+def help_text() -> str:
+    """Name all commands."""
+    return "; ".join(f"{name} {usage}".strip() for name, usage in COMMANDS.items())
+
+
+def _rounded(value: float) -> str:
+    return f"{round(value, 2) + 0.0:.2f}"  # never -0.00

@@ -1,0 +1,472 @@
+"""The node `feeder`: hands out parts to a robot, by actions and services or over TCP."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.action import ActionServer, CancelResponse
+
+from plate_core import PlateError, load_rig
+from plate_core.ros import (
+    CALLS,
+    DATA,
+    LATCHED,
+    NodeOptions,
+    SafeLifecycleNode,
+    msg_to_pick,
+    order_to_msg,
+    parameter,
+    run_node,
+    scenario_to_goal,
+    seconds,
+    to_time,
+)
+from plate_core.status import Finding, Level, worst
+from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, check_scenario, load_scenario
+from plate_interfaces.action import GetPart, PurgePlate
+from plate_interfaces.msg import FeedOrder as FeedOrderMsg
+from plate_interfaces.msg import FeedPick, FeedStatus, Part, PartCount, TaskStatus
+from plate_interfaces.srv import OpenHopper, PartQuantity, PartTaken, PreparePart
+
+from . import feeder as core
+from .codes import Code
+from .feeder import Feeder, ReadyPart, Reply
+from .hand_eye import HandEye, load_hand_eye
+from .lines import Command, part_text, quantity_text
+from .ros import FeedGoal
+from .server import Answer, RobotServer
+
+STEP_S = 0.05
+"""Time between two looks at what waits [s]."""
+
+ORDER_S = 0.5
+"""An order is said again after this time [s]: the planner may have missed it."""
+
+HOPPER_S = 1.0
+"""A hopper has to answer so long after it was to close, at the latest [s]."""
+
+FEEDBACK_S = 0.5
+"""Time between two feedbacks [s]."""
+
+WARN_PERIOD_S = 10.0
+"""Least time between two equal warnings [s]."""
+
+ROS = 0
+"""The client that stands for all of ROS; those on TCP are 1 and more."""
+
+ONE_MACHINE = ("127.0.0.1", "::1", "localhost")
+"""Hosts that no other machine reaches."""
+
+STOPPED = "the feeder was deactivated"
+
+Replied = Callable[[Reply], None]
+
+
+@dataclass(frozen=True)
+class Options(NodeOptions):
+    """Parameters of the feeder."""
+
+    recipe: str = parameter("feed", "Recipe: a scenario of kind feed, name or path of a .yaml file")
+    host: str = parameter(
+        "127.0.0.1", "Address on which robots are served over TCP, without a password; 0.0.0.0: "
+        "all networks",
+    )  # fmt: skip
+    port: int = parameter(7171, "TCP port; 0: any free one, which the log tells", 0, 65535)
+    hand_eye: str = parameter(
+        "", "File of points (YAML) that say where the plate is in the robot's frame; empty: robots "
+        "get places in plate_home",
+    )  # fmt: skip
+
+
+class FeederNode(SafeLifecycleNode[Options]):
+    """Node `feeder`: hands out parts to a robot one by one, and has the planner get the next ready.
+
+    Actions get_part, purge_plate. Services part_taken, prepare_part, part_quantity. A TCP server
+    for robots that speak no ROS.
+    Subscribes feed_status, task_status. Publishes feed_orders, diagnostics. Sends feed_parts to the
+    planner when a command needs it, and calls hopper/open.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("feeder", Options)
+        self._server: RobotServer | None = None
+        self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
+        self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # on their way, by goal
+        self.report(self._find, self._values)
+
+    def configure(self) -> None:
+        """Read recipe and hand-eye points, and offer actions and services."""
+        options = self.options
+        scenario = load_scenario(options.recipe)
+        self._rig = load_rig(options.rig_file or scenario.rig)
+        if not isinstance(scenario.task, FeedTask):
+            raise PlateError(f"recipe is {options.recipe}, allowed: a scenario of kind feed")
+        check_scenario(scenario, self._rig)
+        self._recipe = scenario.task
+        self._hand_eye = load_hand_eye(options.hand_eye) if options.hand_eye else HandEye()
+        self._orders = self.managed_publisher(FeedOrderMsg, "feed_orders", DATA)
+        self.managed_subscription(FeedStatus, "feed_status", self._on_status, DATA)
+        self.managed_subscription(TaskStatus, "task_status", self._on_task, LATCHED)
+        self.managed_service(PartTaken, "part_taken", self._on_taken)
+        self.managed_service(PreparePart, "prepare_part", self._on_prepare)
+        quantity = self.create_service(
+            PartQuantity, "part_quantity", self._on_quantity, qos_profile=CALLS
+        )
+        self.keep(self.destroy_service, quantity)
+        self._hopper: Any = None
+        if self._recipe.hopper is not None:
+            self._hopper = self.create_client(OpenHopper, "hopper/open", qos_profile=CALLS)
+            self.keep(self.destroy_client, self._hopper)
+        for action, name, accepted in (
+            (GetPart, "get_part", self._on_get_part),
+            (PurgePlate, "purge_plate", self._on_purge),
+        ):
+            server = ActionServer(
+                self, action, name, self._result, handle_accepted_callback=accepted,
+                cancel_callback=self._on_cancel,
+            )  # fmt: skip
+            self.keep(ActionServer.destroy, server)
+        _, goal = scenario_to_goal(scenario)
+        self._task = FeedGoal(self, goal, self._on_end)
+        self.keep(FeedGoal.close, self._task)
+        self.managed_timer(STEP_S, self._step)
+        self.managed_timer(FEEDBACK_S, self._tell_progress)
+
+    def begin(self) -> None:
+        """Know nothing of what was before, and serve robots."""
+        options = self.options
+        self._feeder = Feeder(self._recipe, self._rig)
+        self._parts: dict[str, Part] = {}  # ready in the newest status, by id
+        self._waiting: dict[int, Replied] = {}  # who takes the reply, by client
+        self._goal: Any = None  # of ROS that waits
+        self._order, self._ordered = FeedOrder(), -math.inf
+        self._hopper_problem = ""
+        self._opening: tuple[Any, float] | None = None  # the hopper's answer, and when it is due
+        self._inbox.clear()
+        self._server = RobotServer(options.host, options.port, self._ask, self._gone)
+        self.get_logger().info(f"robots are served at {options.host}:{self._server.port}")
+        if options.host not in ONE_MACHINE:
+            self.get_logger().warning(f"any machine that reaches {options.host} may command")
+
+    def rest(self) -> None:
+        """Answer what waits, end the task, and serve no more."""
+        self._feeder.task_ended(STOPPED)
+        self._step()
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+
+    # The rules
+
+    def _step(self) -> None:
+        """Do what the rules say now."""
+        now = time.monotonic()
+        output = self._feeder.step(now)
+        self._task.want(output.run)
+        if self._task.runs:
+            self._send(output.order, now)
+        if self._opening is not None and now >= self._opening[1]:
+            self._hopper.remove_pending_request(self._opening[0])
+            self._opening = None
+            self._warn_of_hopper("hopper/open does not answer: does the hopper run?")
+        if output.open_s:
+            self._open(output.open_s, now)
+        for client, reply in output.replies:
+            if reply.code is Code.HOPPER_EMPTY and self._hopper_problem:
+                reply = replace(reply, text=f"{reply.text}; {self._hopper_problem}")
+            waiting = self._waiting.pop(client, None)  # type: ignore[call-overload]
+            if waiting is not None:
+                waiting(reply)
+
+    def _send(self, order: FeedOrder, now: float) -> None:
+        if order != self._order or now > self._ordered + ORDER_S:
+            self._order, self._ordered = order, now
+            stamp = self.get_clock().now().to_msg()
+            self._orders.publish(order_to_msg(order, stamp))
+
+    def _open(self, open_s: float, now: float) -> None:
+        if not self._hopper.service_is_ready():
+            self._warn_of_hopper("hopper/open is not there: does the hopper run?")
+            return
+
+        def answered(future: Any) -> None:
+            response = future.result()
+            self._opening, self._hopper_problem = None, ""
+            if response is not None and not response.success:
+                self._warn_of_hopper(f"hopper/open: {response.message or 'refused'}")
+
+        request = OpenHopper.Request(duration_s=float(open_s))
+        future = self._hopper.call_async(request)
+        self._opening = future, now + open_s + HOPPER_S
+        future.add_done_callback(answered)
+
+    def _warn_of_hopper(self, text: str) -> None:
+        self._hopper_problem = text
+        self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
+
+    def _wait(self, client: int, reply: Reply | None, replied: Replied) -> None:
+        """Have a command answered: now, or when the rules do so."""
+        if reply is None:
+            self._waiting[client] = replied
+        else:
+            replied(reply)
+        self._step()
+
+    # From the planner
+
+    def _on_status(self, msg: FeedStatus) -> None:
+        if not self._task.runs or msg.mode not in tuple(FeedMode):
+            return
+        self._parts = {part.id: part for part in msg.ready}
+        status = core.FeedStatus(
+            stamp=seconds(msg.header.stamp),
+            mode=FeedMode(msg.mode),
+            at_rest=msg.at_rest,
+            ready=tuple(
+                ReadyPart(part.id, part.x, part.y, part.angle, tuple(part.covariance.tolist()))
+                for part in msg.ready
+            ),
+            seen={each.type: each.count for each in msg.seen},
+            discharged=msg.discharged,
+            lost=msg.lost,
+        )
+        self._feeder.hear(status, time.monotonic())
+        self._step()
+
+    def _on_task(self, msg: TaskStatus) -> None:
+        self._task.hear(msg)
+
+    def _on_end(self, text: str) -> None:
+        self.get_logger().info(f"no longer feeding: {text}")
+        self._feeder.task_ended(text)
+        if self.active:
+            self._step()
+
+    # Over ROS
+
+    def _on_get_part(self, goal: Any) -> None:
+        request = goal.request
+        if not self.active:
+            self._finish(goal, Reply(Code.STOPPED, STOPPED))
+            return
+        reply = self._feeder.get_part(
+            ROS, request.type, _pick(request.pick), request.timeout_s, now=time.monotonic()
+        )
+        self._accept(goal, reply)
+
+    def _on_purge(self, goal: Any) -> None:
+        if not self.active:
+            self._finish(goal, Reply(Code.STOPPED, STOPPED))
+            return
+        reply = self._feeder.purge(ROS, goal.request.timeout_s, now=time.monotonic())
+        self._accept(goal, reply)
+
+    def _accept(self, goal: Any, reply: Reply | None) -> None:
+        if reply is None:
+            self._goal = goal
+        self._wait(ROS, reply, lambda reply: self._finish(goal, reply))
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        if goal is not self._goal:
+            return CancelResponse.REJECT
+        self._feeder.cancel(ROS)
+        self._waiting.pop(ROS, None)
+        self._finish(goal, Reply(Code.CANCELED, "canceled"))
+        self._step()
+        return CancelResponse.ACCEPT
+
+    def _finish(self, goal: Any, reply: Reply) -> None:
+        """Give a goal its result, by `_result`."""
+        if goal is self._goal:
+            self._goal = None
+        part = None if reply.part is None else self._parts[reply.part.id]
+        self._results[bytes(goal.goal_id.uuid)] = reply, part
+        goal.execute()
+
+    def _result(self, goal: Any) -> Any:
+        reply, part = self._results.pop(bytes(goal.goal_id.uuid))
+        if reply.code.done:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        if isinstance(goal.request, PurgePlate.Goal):
+            return PurgePlate.Result(success=reply.code.done, message=reply.text, left=reply.left)
+        result = GetPart.Result(success=reply.code.done, message=reply.text)
+        if reply.part is not None:
+            now = self.get_clock().now()
+            left = reply.valid_until - time.monotonic()
+            result.part = part
+            result.pose = pose_to_msg(self._hand_eye.part(reply.part))
+            result.pose.header.frame_id = self._hand_eye.frame
+            result.pose.header.stamp = now.to_msg()
+            result.valid_until = to_time(now.nanoseconds + round(1e9 * left))
+        return result
+
+    def _tell_progress(self) -> None:
+        if self._goal is None:
+            return
+        if isinstance(self._goal.request, PurgePlate.Goal):
+            left = sum(self._feeder.quantity().seen.values())
+            self._goal.publish_feedback(PurgePlate.Feedback(left=left))
+        else:
+            self._goal.publish_feedback(GetPart.Feedback(doing=self._doing(time.monotonic())))
+
+    def _on_taken(
+        self, request: PartTaken.Request, response: PartTaken.Response
+    ) -> PartTaken.Response:
+        return self._respond(self._feeder.part_taken(ROS, request.id, request.taken), response)
+
+    def _on_prepare(
+        self, request: PreparePart.Request, response: PreparePart.Response
+    ) -> PreparePart.Response:
+        pick, now = _pick(request.pick), time.monotonic()
+        return self._respond(self._feeder.prepare_part(ROS, request.type, pick, now=now), response)
+
+    def _respond(self, reply: Reply, response: Any) -> Any:
+        response.success, response.message = reply.code.done, reply.text
+        self._step()
+        return response
+
+    def _on_quantity(
+        self, request: PartQuantity.Request, response: PartQuantity.Response
+    ) -> PartQuantity.Response:
+        if self.active:
+            quantity = self._feeder.quantity()
+            response.seen = [PartCount(type=k, count=n) for k, n in quantity.seen.items()]
+            response.ready, response.taken = quantity.ready, quantity.taken
+            response.discharged, response.lost = quantity.discharged, quantity.lost
+        return response
+
+    # Over TCP: on the server's thread, handed over to the graph's
+
+    def _ask(self, client: int, command: Command, answer: Answer) -> None:
+        self._soon(lambda: self._do(client, command, answer))
+
+    def _gone(self, client: int) -> None:
+        self._soon(lambda: self._forget(client))
+
+    def _soon(self, work: Callable[[], None]) -> None:
+        executor = self.executor
+        if executor is not None:
+            self._inbox.append(work)
+            executor.create_task(self._do_next)
+
+    def _do_next(self) -> None:
+        if self._inbox and self.active:
+            self._inbox.popleft()()
+
+    def _forget(self, client: int) -> None:
+        self._feeder.cancel(client)
+        self._waiting.pop(client, None)
+        self._step()
+
+    def _do(self, client: int, command: Command, answer: Answer) -> None:
+        """Do a robot's command."""
+        feeder, now = self._feeder, time.monotonic()
+
+        def tell(reply: Reply) -> None:
+            text = reply.text
+            if reply.part is not None:
+                part = self._hand_eye.part(reply.part)
+                text = part_text(part, reply.valid_until - time.monotonic())
+            elif command.name == "purge" and reply.code.done:
+                text = f"left={reply.left}"
+            answer(reply.code, text)
+
+        if command.name == "get_part":
+            reply = feeder.get_part(client, command.label, None, command.timeout_s, now=now)
+        elif command.name == "purge":
+            reply = feeder.purge(client, command.timeout_s, now=now)
+        elif command.name == "prepare_part":
+            reply = feeder.prepare_part(client, command.label, now=now)
+        elif command.name == "part_taken":
+            reply = feeder.part_taken(client, command.part, command.taken)
+        elif command.name == "part_quantity":
+            reply = Reply(Code.DONE, quantity_text(feeder.quantity()))
+        else:
+            reply = Reply(Code.DONE, self._state_text(now))
+        self._wait(client, reply, tell)
+
+    def _state_text(self, now: float) -> str:
+        feeder = self._feeder
+        hopper = "none" if self._recipe.hopper is None else "ok"
+        if feeder.hopper_empty:
+            hopper = "empty"
+        text = f"state={feeder.state(now).value} ready={feeder.quantity().ready} hopper={hopper}"
+        if feeder.reserved is not None:
+            part, until = feeder.reserved
+            text += f" id={part.id} valid_s={max(until - now, 0.0):.1f}"
+        return text
+
+    # What it reports
+
+    def _doing(self, now: float) -> str:
+        quantity = self._feeder.quantity()
+        return (
+            f"{self._feeder.state(now).value}: {quantity.ready} ready of "
+            f"{sum(quantity.seen.values())} on the plate"
+        )
+
+    def _find(self, now: float) -> Finding:
+        """Judge the feeder; see `plate_core.status`."""
+        feeder, quantity = self._feeder, self._feeder.quantity()
+        found: list[Finding] = []
+        if silence := feeder.silence(now):
+            found.append(Finding(Level.STALE, silence))
+        if feeder.hopper_empty:
+            found.append(Finding(Level.WARN, "the hopper is empty"))
+        if self._hopper_problem:
+            found.append(Finding(Level.WARN, self._hopper_problem))
+        if quantity.lost:
+            found.append(Finding(Level.WARN, f"{quantity.lost} parts left the plate over an edge"))
+        return worst(found, self._doing(now))
+
+    def _values(self) -> Mapping[str, Any]:
+        quantity, server = self._feeder.quantity(), self._server
+        return {
+            "state": self._feeder.state(time.monotonic()).value,
+            "on_plate": sum(quantity.seen.values()),
+            "ready": quantity.ready,
+            "taken": quantity.taken,
+            "discharged": quantity.discharged,
+            "lost": quantity.lost,
+            "robots": 0 if server is None else server.clients,
+            "port": 0 if server is None else server.port,
+            "hand_eye_residual_mm": f"{1e3 * self._hand_eye.residual_m:.3f}",
+        }
+
+
+def _pick(msgs: list[FeedPick]) -> Pick | None:
+    """Return the pick of a request, if it has one; of how many that are to be ready it may say
+    nothing."""
+    if not msgs:
+        return None
+    pick = msg_to_pick(msgs[0])
+    return replace(pick, ready=pick.ready or 1)
+
+
+def pose_to_msg(part: ReadyPart) -> PoseWithCovarianceStamped:
+    """Return where a part lies, as a message without header."""
+    msg = PoseWithCovarianceStamped()
+    pose = msg.pose.pose
+    pose.position.x, pose.position.y = float(part.x), float(part.y)
+    pose.orientation.z, pose.orientation.w = math.sin(part.angle / 2), math.cos(part.angle / 2)
+    covariance = np.zeros((6, 6))
+    rows = [0, 1, 5]  # x, y, and the angle about z
+    covariance[np.ix_(rows, rows)] = np.reshape(part.covariance, (3, 3))
+    msg.pose.covariance = covariance.ravel()
+    return msg
+
+
+def main() -> None:
+    """Run the node."""
+    run_node(FeederNode, Options)

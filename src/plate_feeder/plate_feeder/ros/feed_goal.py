@@ -1,0 +1,94 @@
+"""The planner's task of feeding: begun when it is wanted, canceled when it is not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionClient
+from rclpy.node import Node
+
+from plate_interfaces.action import FeedParts
+from plate_interfaces.msg import TaskStatus
+
+END_S = 5.0
+"""A planner that does not end a canceled task within this time is not waited for [s]."""
+
+
+class FeedGoal:
+    """The goal of `feed_parts`, kept as it is wanted.
+
+    Parameters
+    ----------
+    node : Node
+    goal : FeedParts.Goal
+    ended : callable
+        Called with the planner's text when the task has ended by itself, or was refused.
+
+    Attributes
+    ----------
+    runs : bool
+        Whether the planner has accepted it.
+    """
+
+    def __init__(self, node: Node, goal: FeedParts.Goal, ended: Callable[[str], None]) -> None:
+        self._goal, self._ended = goal, ended
+        self._client = ActionClient(node, FeedParts, "feed_parts")
+        self._handle: Any = None
+        self._number = 0  # of the goal that is wanted; answers to others are of no use
+        self._sent = self.runs = self._seen = False
+        self._ending, self._until = 0, 0.0  # number of the one that was canceled
+
+    def want(self, run: bool) -> None:
+        """Begin the task if it does not run, or cancel it if it does; call it again and again."""
+        if self._sent and not run:
+            self._cancel()
+        waits = self._ending and time.monotonic() < self._until
+        if run and not self._sent and not waits and self._client.server_is_ready():
+            self._number, self._sent, self._ending = self._number + 1, True, 0
+            number = self._number
+            future = self._client.send_goal_async(self._goal)
+            future.add_done_callback(lambda done: self._on_answer(number, done))
+
+    def hear(self, status: TaskStatus) -> None:
+        """Notice that a planner has begun anew, and knows nothing of the task any more."""
+        running = status.state == TaskStatus.RUNNING and status.task == "feed"
+        if self.runs and self._seen and not running:
+            self._over(f"the planner's task has ended: {status.text}")
+        elif self.runs:
+            self._seen = running
+
+    def close(self) -> None:
+        """Let go of the planner."""
+        self._client.destroy()
+
+    def _cancel(self) -> None:
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+        self._ending, self._until = self._number, time.monotonic() + END_S
+        self._sent = self.runs = self._seen = False
+        self._handle = None
+
+    def _over(self, text: str) -> None:
+        self._sent = self.runs = self._seen = False
+        self._handle = None
+        self._ended(text)
+
+    def _on_answer(self, number: int, future: Any) -> None:
+        handle = future.result()
+        wanted = self._sent and number == self._number
+        if handle is not None and handle.accepted:
+            handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
+            if wanted:
+                self._handle, self.runs = handle, True
+            else:
+                handle.cancel_goal_async()
+        elif wanted:
+            self._over("the planner refused the goal")
+
+    def _on_end(self, number: int, future: Any) -> None:
+        if self._ending == number:
+            self._ending = 0
+        if self._sent and number == self._number:
+            self._over(future.result().result.status.text)

@@ -1,0 +1,285 @@
+"""The TCP server for robots, on a thread of its own. Nothing of it may hold up the graph.
+
+A client's commands are done one after the other, and answered in this order. Few clients, short
+lines and few commands that wait: what is too much is refused with a code. A client that leaves a
+line unfinished, or takes no answers, is let go; one that is only quiet may stay for an hour.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+
+from plate_core import PlateError
+
+from .codes import Code
+from .feeder import LONGEST_S
+from .lines import LONGEST_LINE, WAITING, Command, LineError, answer_line, help_text, read_line
+
+MOST_CLIENTS = 8
+
+MOST_WAITING = 4
+"""Commands of one client that wait for the one before; more are refused."""
+
+MOST_ANSWERS = 100
+"""Lines of one client that wait for their answers, refused ones too; with more it is let go."""
+
+IDLE_S = 3600.0
+"""A client that says nothing for longer is let go [s]."""
+
+LINE_S = 5.0
+"""Longest time from the first byte of a line to its end [s]."""
+
+SENT_S = 5.0
+"""A client that takes no answer for longer is let go [s]."""
+
+LAST_S = 0.5
+"""Commands of a client that has closed its side are done for so long [s]."""
+
+ANSWER_S = 5.0
+"""Longest time for an answer to a command that does not wait [s]."""
+
+PAUSE_S = 0.01
+"""Between two commands of a client [s]: one that sends them without end does not keep the graph's
+thread busy."""
+
+KEEPALIVE = {socket.TCP_KEEPIDLE: 30, socket.TCP_KEEPINTVL: 10, socket.TCP_KEEPCNT: 3}
+"""A robot that was switched off or cut off is let go within a minute."""
+
+CHUNK = 4096
+"""Read at once [bytes]."""
+
+WEB = b" http/"
+"""In the first line of a browser: no web page may command."""
+
+Answer = Callable[[Code, str], None]
+Ask = Callable[[int, Command, Answer], None]
+
+
+class RobotServer:
+    """Takes commands of robots; made and closed from the graph's thread.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on.
+    port : int
+        0: any free one.
+    ask : callable
+        Called on the server's thread with a client's number, its command, and what takes the
+        answer, once, on any thread.
+    gone : callable
+        Called on the server's thread with the number of a client that has gone.
+
+    Attributes
+    ----------
+    port : int
+    clients : int
+        How many there are.
+
+    Raises
+    ------
+    PlateError
+        If the port is taken, or the address is not of this machine.
+    """
+
+    def __init__(self, host: str, port: int, ask: Ask, gone: Callable[[int], None]) -> None:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        try:
+            self._socket = socket.create_server((host, port), family=family, backlog=MOST_CLIENTS)
+        except OSError as error:
+            raise PlateError(
+                f"host and port are {host}:{port}, allowed: a free port of an address of this "
+                f"machine ({error.strerror or error})"
+            ) from None
+        self.port: int = self._socket.getsockname()[1]
+        self._ask, self._gone = ask, gone
+        self._count, self._tasks = 0, set[asyncio.Task[None]]()
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="robots", daemon=True)
+        self._thread.start()
+
+    @property
+    def clients(self) -> int:
+        """How many clients there are."""
+        return len(self._tasks)
+
+    def close(self) -> None:
+        """Serve no more; answers that were given before are still sent."""
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(2 * LAST_S + 1)
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        server = await asyncio.start_server(self._meet, sock=self._socket, limit=CHUNK)
+        await self._stop.wait()
+        server.close()
+        if self._tasks:
+            await asyncio.wait(tuple(self._tasks), timeout=LAST_S)
+        for task in tuple(self._tasks):
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(tuple(self._tasks), timeout=LAST_S)
+
+    async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a client until it goes."""
+        task = asyncio.current_task()
+        assert task is not None
+        self._count += 1
+        client = _Client(self._count, reader, writer, self._ask, self._stop)
+        if len(self._tasks) >= MOST_CLIENTS:
+            await client.refuse(f"there are {MOST_CLIENTS} clients, allowed: no more")
+            return
+        self._tasks.add(task)
+        try:
+            await client.serve()
+        except asyncio.CancelledError:
+            if not self._stop.is_set():
+                raise
+        finally:
+            self._tasks.discard(task)
+            writer.transport.abort()
+            self._gone(client.number)
+
+
+class _Client:
+    """One robot: its lines as they come, and its commands as they wait."""
+
+    def __init__(
+        self,
+        number: int,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        ask: Ask,
+        stop: asyncio.Event,
+    ) -> None:
+        self.number = number
+        self._reader, self._writer, self._ask, self._stop = reader, writer, ask, stop
+        self._queue: asyncio.Queue[Command | tuple[Code, str]] = asyncio.Queue()
+        self._waiting, self._busy = 0, False
+        writer.transport.set_write_buffer_limits(high=CHUNK)
+        own: socket.socket = writer.get_extra_info("socket")
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in KEEPALIVE.items():
+            own.setsockopt(socket.IPPROTO_TCP, option, value)
+
+    async def refuse(self, text: str) -> None:
+        """Say why it may not stay."""
+        with contextlib.suppress(OSError, TimeoutError):
+            await self._send(Code.TOO_MANY, text)
+            self._writer.close()
+            await asyncio.wait_for(self._writer.wait_closed(), SENT_S)
+        self._writer.transport.abort()
+
+    async def serve(self) -> None:
+        """Read and do its commands, until it goes or the server stops."""
+        reading, doing, stop = (
+            asyncio.ensure_future(each) for each in (self._read(), self._do(), self._stop.wait())
+        )
+        try:
+            await asyncio.wait((reading, doing, stop), return_when=asyncio.FIRST_COMPLETED)
+            if not doing.done():  # what it has asked for last
+                reading.cancel()
+                drained = asyncio.ensure_future(self._queue.join())
+                await asyncio.wait((drained, doing), timeout=LAST_S,
+                                   return_when=asyncio.FIRST_COMPLETED)  # fmt: skip
+                drained.cancel()
+        finally:
+            for each in (reading, doing, stop):
+                each.cancel()
+            await asyncio.gather(reading, doing, stop, return_exceptions=True)
+        with contextlib.suppress(OSError, TimeoutError):
+            self._writer.close()
+            await asyncio.wait_for(self._writer.wait_closed(), LAST_S)
+
+    async def _read(self) -> None:
+        """Queue what comes, line by line, until the client closes or is let go."""
+        loop, buffer, began = asyncio.get_running_loop(), b"", 0.0
+        while True:
+            limit = IDLE_S if not buffer else began + LINE_S - loop.time()
+            try:
+                chunk = await asyncio.wait_for(self._reader.read(CHUNK), max(limit, 0.0))
+            except TimeoutError:
+                if buffer:
+                    self._queue.put_nowait(
+                        (Code.BAD_LINE, f"the line was not complete within {LINE_S:g} s")
+                    )
+                elif self._busy:
+                    continue
+                return
+            except OSError:
+                return
+            if not chunk:
+                return
+            *lines, rest = (buffer + chunk).replace(b"\r", b"\n").split(b"\n")
+            for line in filter(None, lines):
+                if WEB in line.lower() or not self._take(line):
+                    return
+            if len(rest) > LONGEST_LINE:
+                self._take(rest)
+                return
+            if lines or not buffer:
+                began = loop.time()
+            buffer = rest
+
+    def _take(self, line: bytes) -> bool:
+        """Queue a line; false: there are too many."""
+        item: Command | tuple[Code, str]
+        try:
+            item = read_line(line)
+            if self._waiting >= MOST_WAITING:
+                item = Code.TOO_MANY, f"{MOST_WAITING} commands wait, allowed: no more"
+            else:
+                self._waiting += 1
+        except LineError as error:
+            item = error.code, str(error)
+        self._queue.put_nowait(item)
+        return self._queue.qsize() <= MOST_ANSWERS
+
+    async def _do(self) -> None:
+        """Do what is queued, one after the other, as long as the client takes the answers."""
+        with contextlib.suppress(OSError, TimeoutError):
+            while True:
+                item = await self._queue.get()
+                if isinstance(item, Command):
+                    self._waiting -= 1
+                    self._busy = True
+                    item = await self._answer(item)
+                    self._busy = False
+                    await self._send(*item)
+                    await asyncio.sleep(PAUSE_S)
+                else:
+                    await self._send(*item)
+                self._queue.task_done()
+
+    async def _answer(self, command: Command) -> tuple[Code, str]:
+        if command.name == "help":
+            return Code.DONE, help_text()
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[tuple[Code, str]] = loop.create_future()
+
+        def answer(code: Code, text: str) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has closed meanwhile
+                loop.call_soon_threadsafe(take, code, text)
+
+        def take(code: Code, text: str) -> None:
+            if not answered.done():
+                answered.set_result((code, text))
+
+        self._ask(self.number, command, answer)
+        limit = ANSWER_S + (LONGEST_S if command.name in WAITING else 0)
+        try:
+            return await asyncio.wait_for(answered, limit)
+        except TimeoutError:
+            return Code.FAULT, f"no answer within {limit:g} s"
+
+    async def _send(self, code: Code, text: str) -> None:
+        self._writer.write(answer_line(code, text))
+        await asyncio.wait_for(self._writer.drain(), SENT_S)

@@ -1,0 +1,395 @@
+"""The node with a planner and a hopper that do as ordered."""
+
+import math
+import socket
+import time
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from action_msgs.msg import GoalStatus  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.task import Future  # noqa: E402
+
+from plate_core import PlateError  # noqa: E402
+from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
+from plate_core.tasks import FeedMode  # noqa: E402
+from plate_feeder.node import STOPPED, FeederNode  # noqa: E402
+from plate_interfaces.action import FeedParts, GetPart, PurgePlate  # noqa: E402
+from plate_interfaces.msg import (  # noqa: E402
+    FeedOrder,
+    FeedPick,
+    FeedStatus,
+    Part,
+    PartCount,
+    TaskStatus,
+)
+from plate_interfaces.srv import OpenHopper, PartQuantity, PartTaken, PreparePart  # noqa: E402
+
+WAIT_S = 20.0
+COVARIANCE = [1e-8, 0.0, 0.0, 0.0, 4e-8, 0.0, 0.0, 0.0, 1e-4]
+
+
+class Planner:
+    """Says of each image that the plate rests if it was told so, and what is ready."""
+
+    def __init__(self):
+        self.node = rclpy.create_node("planner")
+        self.goal, self.results, self.orders, self.opened = None, {}, [], []
+        self.mode, self.ready, self.seen, self.began = FeedMode.FEED, {}, 15, 0
+        self.silent, self.jam = False, ""
+        self.publish = self.node.create_publisher(FeedStatus, "feed_status", DATA).publish
+        self.tell = self.node.create_publisher(TaskStatus, "task_status", LATCHED).publish
+        self.node.create_subscription(FeedOrder, "feed_orders", self.on_order, DATA)
+        self.node.create_service(OpenHopper, "hopper/open", self.on_open)
+        self.node.create_timer(0.03, self.look)
+        ActionServer(
+            self.node, FeedParts, "feed_parts", self.result, handle_accepted_callback=self.begin,
+            cancel_callback=self.cancel,
+        )  # fmt: skip
+
+    def begin(self, goal):
+        self.goal, self.mode, self.began = goal, FeedMode.FEED, self.began + 1
+
+    def cancel(self, goal):
+        self.end("canceled")
+        return CancelResponse.ACCEPT
+
+    def end(self, text):
+        goal, self.goal = self.goal, None
+        self.results[bytes(goal.goal_id.uuid)] = text
+        goal.execute()
+
+    def result(self, goal):
+        text = self.results.pop(bytes(goal.goal_id.uuid))
+        (goal.canceled if goal.is_cancel_requested else goal.abort)()
+        return FeedParts.Result(status=TaskStatus(state=TaskStatus.ABORTED, text=text))
+
+    def on_order(self, msg):
+        self.orders.append(msg)
+        self.mode = msg_to_order(msg).mode
+
+    def on_open(self, request, response):
+        self.opened.append(request.duration_s)
+        response.success, response.message = not self.jam, self.jam
+        return response
+
+    def look(self):
+        if self.goal is None or self.silent:
+            return
+        msg = FeedStatus(mode=int(self.mode), at_rest=self.mode is FeedMode.REST)
+        msg.header.stamp = self.node.get_clock().now().to_msg()
+        msg.ready = [
+            Part(id=name, type="black", x=x, y=y, angle=0.1, covariance=COVARIANCE)
+            for name, (x, y) in self.ready.items()
+        ]
+        msg.seen = [PartCount(type="black", count=self.seen)]
+        self.publish(msg)
+        self.tell(TaskStatus(task="feed", state=TaskStatus.RUNNING))
+
+
+class Graph:
+    def __init__(self, **parameters):
+        given = {"port": 0, **parameters}
+        args = ["--ros-args", "-r", "__ns:=/feeder_test"]
+        for name, value in given.items():
+            args += ["-p", f"{name}:={value}"]
+        rclpy.init(args=args)
+        self.robots = []
+        try:
+            self.feeder = FeederNode()
+            self.executor = SingleThreadedExecutor()
+            self.executor.add_node(self.feeder)
+            start_nodes(self.feeder)
+        except BaseException:
+            rclpy.try_shutdown()
+            raise
+        self.planner = Planner()
+        self.node = self.planner.node
+        self.executor.add_node(self.node)
+        self.actions = {
+            "get_part": ActionClient(self.node, GetPart, "get_part"),
+            "purge_plate": ActionClient(self.node, PurgePlate, "purge_plate"),
+        }
+        self.reports = []
+        self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
+        self.until(lambda: all(each.server_is_ready() for each in self.actions.values()))
+        self.until(lambda: self.feeder.count_publishers("feed_status"))
+        self.until(lambda: self.node.count_subscribers("feed_status"))
+        self.until(lambda: self.node.count_publishers("feed_orders"))
+        self.until(self.feeder._hopper.service_is_ready)
+
+    def until(self, true):
+        end = time.monotonic() + WAIT_S
+        while not true():
+            assert time.monotonic() < end
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def spin(self, seconds):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def send(self, name, goal):
+        future = self.actions[name].send_goal_async(goal)
+        self.until(future.done)
+        return future.result()
+
+    def result(self, handle):
+        future = handle.get_result_async()
+        self.until(future.done)
+        return future.result().status, future.result().result
+
+    def call(self, kind, name, **values):
+        client = self.node.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**values))
+        self.until(future.done)
+        return future.result()
+
+    def robot(self):
+        port = self.feeder._server.port
+        self.robots.append(socket.create_connection(("127.0.0.1", port), timeout=WAIT_S))
+        return self.robots[-1]
+
+    def say(self, robot, text):
+        robot.sendall(text.encode() + b"\n")
+        return self.hear(robot)
+
+    def hear(self, robot):
+        robot.setblocking(False)
+        data = bytearray()
+
+        def came():
+            try:
+                got = robot.recv(4096)
+            except BlockingIOError:
+                return False
+            data.extend(got)
+            return not got or data.endswith(b"\n")
+
+        self.until(came)
+        return data.decode()
+
+    def close(self):
+        for robot in self.robots:
+            robot.close()
+        self.executor.remove_node(self.feeder)
+        self.feeder.destroy_node()
+        self.node.destroy_node()
+        self.executor.shutdown()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def make():
+    made = []
+
+    def make(**parameters):
+        made.append(Graph(**parameters))
+        return made[-1]
+
+    yield make
+    for graph in made:
+        graph.close()
+
+
+@pytest.fixture
+def graph(make):
+    graph = make()
+    graph.planner.ready = {"black_3": (0.1, 0.02)}
+    return graph
+
+
+def test_nothing_moves_until_somebody_asks_and_a_part_is_told(graph):
+    graph.spin(0.3)
+    assert graph.planner.began == 0
+    status, result = graph.result(graph.send("get_part", GetPart.Goal()))
+    assert status == GoalStatus.STATUS_SUCCEEDED
+    assert (result.part.id, result.part.x, result.part.y) == ("black_3", 0.1, 0.02)
+    assert result.pose.header.frame_id == "plate_home"
+    assert 2 * math.atan2(
+        result.pose.pose.pose.orientation.z, result.pose.pose.pose.orientation.w
+    ) == pytest.approx(0.1)
+    assert (result.pose.pose.covariance[0], result.pose.pose.covariance[35]) == (1e-8, 1e-4)
+    stamp, until = result.pose.header.stamp, result.valid_until
+    assert until.sec - stamp.sec + 1e-9 * (until.nanosec - stamp.nanosec) == pytest.approx(
+        10.0, abs=0.5
+    )
+    assert graph.planner.began == 1
+    assert graph.planner.orders[-1].mode == FeedOrder.REST
+    assert graph.call(PartTaken, "part_taken", taken=True).success
+    graph.until(lambda: graph.planner.orders[-1].mode == FeedOrder.FEED)
+    assert graph.call(PartQuantity, "part_quantity").taken == 1
+    assert not graph.call(PartTaken, "part_taken", taken=True).success
+
+
+def test_over_tcp(graph):
+    robot, other = graph.robot(), graph.robot()
+    answer = graph.say(robot, "get_part black 5")
+    assert answer.startswith("200 x=100.00 y=20.00 angle=5.73 id=black_3 class=black valid_s=")
+    assert graph.say(other, "get_part").startswith("409 ")
+    assert "state=reserved" in graph.say(other, "state")
+    assert graph.say(robot, "part_taken black_3 failed").startswith("200 ")
+    assert graph.say(robot, "part_quantity").startswith("200 seen=15 ")
+    assert graph.say(robot, "get_part blue").startswith("422 ")
+    assert graph.say(robot, "prepare_part").startswith("200 ")
+
+
+def test_no_part_in_time(graph):
+    graph.planner.ready = {}
+    pick = FeedPick(type="black", x_min=0.0, x_max=0.2, y_min=-0.1, y_max=0.1, angle=math.nan)
+    handle = graph.send("get_part", GetPart.Goal(timeout_s=0.5, pick=[pick]))
+    status, result = graph.result(handle)
+    assert (status, result.success) == (GoalStatus.STATUS_ABORTED, False)
+    assert "0.5 s" in result.message
+    windows = [[each.x_max for each in order.picks] for order in graph.planner.orders]
+    assert [0.2] in windows
+    graph.until(lambda: [each.x_max for each in graph.planner.orders[-1].picks] == [0.26])
+
+
+def test_the_hopper_is_opened_and_missed(graph):
+    graph.planner.seen = 5
+    graph.call(PreparePart, "prepare_part")
+    graph.until(lambda: graph.planner.opened)
+    assert graph.planner.opened == [pytest.approx((15 - 5) / 10)]
+
+
+@pytest.mark.parametrize(
+    ("jam", "told"), [("the lid is jammed", "jammed"), (None, "does not answer")]
+)
+def test_a_hopper_that_does_not_open_is_told_of(graph, jam, told):
+    if jam is None:
+        graph.feeder._hopper.call_async = lambda request: Future()
+    graph.planner.jam, graph.planner.ready, graph.planner.seen = jam, {}, 0
+    robot = graph.robot()
+    robot.sendall(b"get_part\n")
+    graph.until(lambda: graph.reports and told in graph.reports[-1].status[0].message)
+    answer = graph.hear(robot)
+    assert answer.startswith("507 no part is on the plate")
+    assert told in answer
+
+
+def test_a_robot_that_leaves_does_not_leave_its_command(graph):
+    graph.planner.ready = {}
+    robot, other = graph.robot(), graph.robot()
+    robot.sendall(b"get_part\n")
+    graph.until(lambda: graph.feeder._waiting)
+    assert graph.say(other, "get_part").startswith("409 ")
+    robot.close()
+    graph.until(lambda: not graph.feeder._waiting)
+    graph.planner.ready = {"black_4": (0.1, 0.0)}
+    assert graph.say(other, "get_part").startswith("200 ")
+
+
+def test_a_goal_is_canceled(graph):
+    graph.planner.ready = {}
+    handle = graph.send("get_part", GetPart.Goal())
+    graph.until(graph.planner.orders.__len__)
+    future = handle.cancel_goal_async()
+    graph.until(future.done)
+    assert graph.result(handle)[0] == GoalStatus.STATUS_CANCELED
+    graph.planner.ready = {"black_4": (0.1, 0.0)}
+    status, result = graph.result(graph.send("get_part", GetPart.Goal()))
+    assert (status, result.part.id) == (GoalStatus.STATUS_SUCCEEDED, "black_4")
+
+
+def test_a_task_that_ends_is_told_and_begun_again(graph):
+    graph.planner.ready = {}
+    robot = graph.robot()
+    robot.sendall(b"get_part\n")
+    graph.until(lambda: graph.planner.orders)
+    graph.planner.end("stopped: emergency stop")
+    assert graph.hear(robot) == "503 stopped: emergency stop\r\n"
+    graph.spin(0.3)
+    assert graph.planner.began == 1
+    graph.planner.ready = {"black_4": (0.1, 0.0)}
+    assert graph.say(robot, "get_part").startswith("200 ")
+    assert graph.planner.began == 2
+
+
+def test_a_planner_that_begins_anew_is_noticed(graph):
+    graph.call(PreparePart, "prepare_part")
+    graph.until(lambda: graph.planner.orders)
+    graph.until(lambda: graph.feeder._task._seen)
+    graph.planner.goal = None  # it knows nothing of the task any more
+    graph.planner.tell(TaskStatus(state=TaskStatus.IDLE, text="idle"))
+    robot = graph.robot()
+    graph.until(lambda: "state=stopped" in graph.say(robot, "state"))
+    assert graph.say(robot, "get_part").startswith("200 ")
+
+
+def test_a_silent_planner_is_told_of(graph):
+    graph.call(PreparePart, "prepare_part")
+    graph.until(lambda: graph.feeder._feeder.quantity().seen)
+    graph.planner.silent, graph.planner.ready = True, {}
+    assert graph.say(graph.robot(), "get_part").startswith("502 no feed_status")
+    graph.until(lambda: "feed_status" in graph.reports[-1].status[0].message)
+
+
+def test_purge_ends_the_task(graph):
+    handle = graph.send("purge_plate", PurgePlate.Goal())
+    graph.until(lambda: graph.planner.mode is FeedMode.PURGE)
+    graph.planner.seen, graph.planner.ready = 0, {}
+    status, result = graph.result(handle)
+    assert (status, result.left) == (GoalStatus.STATUS_SUCCEEDED, 0)
+    graph.until(lambda: graph.planner.goal is None)
+    robot = graph.robot()
+    graph.planner.seen, graph.planner.ready = 15, {"black_4": (0.1, 0.0)}
+    assert graph.say(robot, "get_part").startswith("200 ")  # right after the end
+    assert graph.say(robot, "purge 0.3").startswith("508 15 parts")
+
+
+def test_what_waits_is_answered_when_it_is_deactivated(graph):
+    graph.planner.ready = {}
+    robot = graph.robot()
+    robot.sendall(b"get_part\n")
+    graph.until(lambda: graph.planner.orders)
+    graph.feeder.trigger_deactivate()
+    assert graph.hear(robot) == f"503 {STOPPED}\r\n"
+    graph.until(lambda: graph.planner.goal is None)
+    assert not graph.result(graph.send("get_part", GetPart.Goal()))[1].success
+    assert graph.call(PartQuantity, "part_quantity").taken == 0
+    assert not graph.call(PartTaken, "part_taken").success
+    graph.feeder.trigger_activate()
+    graph.planner.ready = {"black_4": (0.1, 0.0)}
+    assert graph.say(graph.robot(), "get_part").startswith("200 ")
+
+
+def test_poses_in_the_frame_of_the_robot(make, tmp_path):
+    path = tmp_path / "hand_eye.yaml"
+    path.write_text(
+        "frame: base\n"
+        "points:\n"
+        "  - {plate_m: [-0.2, 0], robot_m: [0.5, -0.2]}\n"
+        "  - {plate_m: [0.2, 0], robot_m: [0.5, 0.2]}\n"
+    )
+    graph = make(hand_eye=path)
+    graph.planner.ready = {"black_3": (0.1, 0.02)}
+    _, result = graph.result(graph.send("get_part", GetPart.Goal()))
+    pose = result.pose
+    assert pose.header.frame_id == "base"
+    at = pose.pose.pose.position
+    assert (at.x, at.y) == pytest.approx((0.48, 0.1))
+    assert (pose.pose.covariance[0], pose.pose.covariance[7]) == pytest.approx((4e-8, 1e-8))
+    assert result.part.x == 0.1
+    graph.call(PartTaken, "part_taken", taken=False)
+    graph.spin(1.2)
+    assert graph.say(graph.robot(), "get_part").startswith("200 x=480.00 y=100.00 angle=95.73 ")
+
+
+def test_a_recipe_brings_its_rig(make):
+    graph = make(recipe="feed_bars")
+    assert graph.say(graph.robot(), "get_part disc").endswith("allowed: bar\r\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "named"),
+    [("recipe", "sort_10", "sort_10"), ("hand_eye", "none.yaml", "none.yaml")],
+)
+def test_wrong_parameters_are_refused(name, value, named):
+    with pytest.raises(PlateError, match=named):
+        Graph(**{name: value})

@@ -1,0 +1,308 @@
+"""The server over real sockets, with a stub in place of the feeder."""
+
+import contextlib
+import random
+import re
+import socket
+import struct
+import threading
+import time
+
+import pytest
+
+from plate_core import PlateError
+from plate_feeder import Code
+from plate_feeder import server as module
+from plate_feeder.lines import LONGEST_LINE, WAITING
+from plate_feeder.server import MOST_ANSWERS, MOST_CLIENTS, MOST_WAITING, RobotServer
+
+LONG_S = 20.0
+"""Longest wait of a test [s]."""
+
+ANSWER = re.compile(rb"[245]\d\d [ -~]+\r\n")
+
+
+class Stub:
+    """Answers at once, but for commands that wait: those when a test lets it."""
+
+    def __init__(self):
+        self.asked, self.waiting, self.gone = [], [], set()
+        self.robots, self.mute, self.prompt = [], False, False
+        self.server = RobotServer("127.0.0.1", 0, self.ask, self.gone.add)
+
+    def ask(self, client, command, answer):
+        self.asked.append(command.name)
+        if command.name in WAITING and not self.prompt:
+            self.waiting.append((client, answer))
+        elif not self.mute:
+            answer(Code.DONE, command.name)
+
+    def connect(self):
+        self.robots.append(Robot(self.server.port))
+        return self.robots[-1]
+
+    def leave(self):
+        """Close all clients."""
+        while self.robots:
+            self.robots.pop().close()
+
+    def close(self):
+        self.server.close()
+        assert not self.server._thread.is_alive()
+
+
+class Robot:
+    """A client."""
+
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LONG_S)
+        self.file = self.socket.makefile("rb")
+
+    def send(self, data):
+        with contextlib.suppress(OSError):  # the server may have let go of us
+            self.socket.sendall(data)
+
+    def line(self):
+        """Return an answer; empty if the server has let go of us."""
+        try:
+            return self.file.readline()
+        except ConnectionError:
+            return b""
+
+    def lines(self):
+        return list(iter(self.line, b""))
+
+    def say(self, text):
+        self.send(text.encode() + b"\n")
+        return self.line()
+
+    def close(self):
+        self.file.close()
+        self.socket.close()
+
+
+def until(true):
+    end = time.monotonic() + LONG_S
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def stub():
+    stub = Stub()
+    yield stub
+    stub.leave()
+    until(lambda: not stub.server.clients)
+    assert stub.connect().say("help").startswith(b"200 ")  # it lives, whatever has been
+    stub.leave()
+    stub.close()
+
+
+@pytest.fixture
+def robot(stub):
+    return stub.connect()
+
+
+def test_each_command_is_answered_by_one_line(robot):
+    assert robot.say("state") == b"200 state\r\n"
+    assert robot.say("nonsense").startswith(b"404 ")
+    assert robot.say("get_part x y z").startswith(b"422 ")
+    assert b"part_quantity" in robot.say("help")
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_any_end_of_line(robot, end):
+    robot.send(end.join([b"state", b"part_quantity", b""]))
+    assert robot.line() == b"200 state\r\n"
+    assert robot.line() == b"200 part_quantity\r\n"
+
+
+def test_a_line_may_come_byte_by_byte(robot):
+    for byte in b"state\n":
+        robot.send(bytes([byte]))
+        time.sleep(0.002)
+    assert robot.line() == b"200 state\r\n"
+
+
+def test_commands_wait_for_the_one_before_and_too_many_are_refused(stub, robot):
+    robot.send(b"get_part\n")
+    until(lambda: stub.waiting)
+    robot.send(b"state\n" * (MOST_WAITING + 2))
+    other = stub.connect()
+    assert other.say("state") == b"200 state\r\n"  # others need not wait
+    time.sleep(0.1)
+    assert stub.asked == ["get_part", "state"]
+    stub.waiting.pop()[1](Code.DONE, "a part")
+    got = [robot.line() for _ in range(MOST_WAITING + 3)]
+    assert got[0] == b"200 a part\r\n"
+    assert got[1 : MOST_WAITING + 1] == MOST_WAITING * [b"200 state\r\n"]
+    assert [line[:4] for line in got[MOST_WAITING + 1 :]] == 2 * [b"429 "]
+
+
+def test_a_client_that_dies_while_it_waits_is_told_of(stub):
+    robot = stub.connect()
+    robot.send(b"get_part\n")
+    until(lambda: stub.waiting)
+    client, answer = stub.waiting.pop()
+    robot.close()
+    until(lambda: stub.gone)
+    assert stub.gone == {client}
+    answer(Code.DONE, "too late")
+
+
+def test_a_client_that_only_sends_is_still_answered(robot):
+    """`printf 'state\\n' | nc localhost 7171`"""
+    robot.send(b"state\nhelp\n")
+    robot.socket.shutdown(socket.SHUT_WR)
+    assert [line[:4] for line in robot.lines()] == 2 * [b"200 "]
+
+
+def test_too_long_a_line_ends_the_connection(robot):
+    robot.send(b"x" * (LONGEST_LINE + 1))
+    assert [line[:4] for line in robot.lines()] == [b"400 "]
+
+
+def test_half_a_line_is_not_waited_for(stub, robot, monkeypatch):
+    monkeypatch.setattr(module, "LINE_S", 0.2)
+    robot.send(b"sta")
+    assert robot.line().startswith(b"400 ")
+    assert robot.line() == b""
+
+
+def test_a_silent_client_stays_for_long_but_not_for_ever(stub, monkeypatch):
+    monkeypatch.setattr(module, "IDLE_S", 0.3)
+    waiting, silent = stub.connect(), stub.connect()
+    waiting.send(b"get_part\n")
+    assert silent.line() == b""
+    time.sleep(0.5)
+    stub.waiting.pop()[1](Code.DONE, "a part")  # that one was not silent: it waited
+    assert waiting.line() == b"200 a part\r\n"
+
+
+def test_a_client_that_takes_no_answers_is_let_go(stub, monkeypatch):
+    monkeypatch.setattr(module, "SENT_S", 0.3)
+    robot = stub.connect()
+    robot.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    end = time.monotonic() + LONG_S
+    robot.socket.settimeout(0.1)
+    while not stub.gone and time.monotonic() < end:
+        with contextlib.suppress(OSError):
+            robot.socket.sendall(b"help\n")
+    assert stub.gone
+
+
+def test_no_answer_of_the_feeder_is_an_answer_too(stub, robot, monkeypatch):
+    monkeypatch.setattr(module, "ANSWER_S", 0.2)
+    stub.mute = True
+    assert robot.say("state").startswith(b"500 ")
+
+
+def test_a_web_page_cannot_command(stub, robot):
+    robot.send(b"POST / HTTP/1.1\r\nHost: localhost:7171\r\n\r\nget_part\n")
+    assert robot.lines() == []
+    assert stub.asked == []
+
+
+def test_there_is_an_end_to_clients(stub):
+    robots = [stub.connect() for _ in range(MOST_CLIENTS)]
+    assert {robot.say("state") for robot in robots} == {b"200 state\r\n"}
+    late = stub.connect()
+    assert [line[:4] for line in late.lines()] == [b"429 "]
+    robots.pop().close()
+    until(lambda: stub.server.clients < MOST_CLIENTS)
+    assert stub.connect().say("state") == b"200 state\r\n"
+
+
+def test_two_hundred_clients_at_once(stub):
+    answers = []
+
+    def come():
+        robot = Robot(stub.server.port)
+        answers.append(robot.say("state")[:4])
+        robot.close()
+
+    threads = [threading.Thread(target=come) for _ in range(200)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LONG_S)
+    assert len(answers) == 200
+    # A refused client may be closed before it has read why, if it was just writing.
+    assert set(answers) <= {b"200 ", b"429 ", b""}
+    assert b"200 " in answers
+    until(lambda: not stub.server.clients)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_garbage(stub, seed, monkeypatch):
+    """Each line that is not empty is answered by one line, or the connection is closed."""
+    monkeypatch.setattr(module, "LAST_S", LONG_S)
+    stub.prompt = True
+    rng = random.Random(seed)
+    words = [b"get_part", b"state", b"purge", b"part_taken", b"help", b"black_1", b"ok", b"-1",
+             b"\xff\x00", b"9" * 40, b"\t"]  # fmt: skip
+    for _ in range(12):
+        robot = stub.connect()
+        data = b""
+        for _ in range(rng.randrange(1, 40)):
+            if rng.random() < 0.5:
+                data += b" ".join(rng.choices(words, k=rng.randrange(1, 4)))
+            else:
+                data += rng.randbytes(rng.randrange(1, 100))
+            data += rng.choice([b"\n", b"\r\n", b"\r"])
+        if rng.random() < 0.3:
+            data += 300 * b"e"
+        sent = [line for line in data.replace(b"\r", b"\n").split(b"\n") if line]
+        for at in range(0, len(data), size := rng.randrange(1, 2000)):
+            robot.send(data[at : at + size])
+        robot.socket.shutdown(socket.SHUT_WR)
+        got = robot.lines()
+        assert all(ANSWER.fullmatch(line) for line in got)
+        assert len(got) == len(sent)
+    until(lambda: not stub.server.clients)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_clients_that_die_anywhere(stub, seed):
+    rng = random.Random(seed)
+    for _ in range(60):
+        robot = stub.connect()
+        robot.send(b"state\nget_part\nstate\nget_part"[: rng.randrange(30)])
+        if rng.random() < 0.5:
+            time.sleep(0.01 * rng.random())
+        if rng.random() < 0.5:  # as a process that is killed
+            robot.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        robot.close()
+        while stub.waiting and rng.random() < 0.5:
+            stub.waiting.pop(0)[1](Code.NO_PART, "none")
+    until(lambda: not stub.server.clients)
+
+
+def test_a_flood_of_lines_does_not_grow(stub, robot):
+    robot.send(b"get_part\n")
+    until(lambda: stub.waiting)
+    robot.send(b"state\n" * 100_000)
+    until(lambda: stub.gone)
+    got = robot.lines()
+    assert len(got) <= MOST_ANSWERS + 2
+
+
+def test_what_waits_is_answered_before_it_closes():
+    stub = Stub()
+    robot = stub.connect()
+    robot.send(b"get_part\n")
+    until(lambda: stub.waiting)
+    stub.waiting.pop()[1](Code.STOPPED, "deactivated")
+    stub.close()
+    assert robot.lines() == [b"503 deactivated\r\n"]
+    with pytest.raises(ConnectionRefusedError):
+        stub.connect()
+    stub.leave()
+
+
+def test_a_port_that_is_taken_is_refused(stub):
+    with pytest.raises(PlateError, match=str(stub.server.port)):
+        RobotServer("127.0.0.1", stub.server.port, stub.ask, stub.gone.add)
+    with pytest.raises(PlateError, match=r"192\.0\.2\.1"):
+        RobotServer("192.0.2.1", 0, stub.ask, stub.gone.add)

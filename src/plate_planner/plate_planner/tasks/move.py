@@ -1,0 +1,158 @@
+"""Move: parts to targets of their own, which may be changed while it runs.
+
+As in `pose`, each cycle is to leave as little as possible of the ways to the targets. A part
+without one is to stay where it was when the task began, or when it was seen first, but it counts
+less near the targets: it makes room.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plate_core import AngleTargets, Parts, Rig, Targets, part_class
+from plate_core.rig import PartType
+from plate_core.tasks import MoveTask
+
+from ..estimation import rows_of
+from .targets import GAP, way_weight
+from .task import Assessment, DriftRequest, Situation, TaskRules
+
+BAND = 0.3
+"""How near to its target a part is asked for [tolerance]."""
+
+HOME, HOME_MOST, HOME_BAND_M = 2.0, 0.2, 5e-3
+"""What a metre counts for a part without a target, beside one of the parts with one, and at most
+[-]: so it is not swept along while ways are long, and makes room at their ends. And how far it may
+be from where it was before that counts [m]."""
+
+
+@dataclass(frozen=True)
+class MoveMemory:
+    """Where parts were (x, y) [m, plate_home] when the task began, or when they were seen first."""
+
+    home: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Ways:
+    """What is left of the ways of M parts.
+
+    Attributes
+    ----------
+    asked : (M,) bool
+        Whether the part has a target.
+    aim : (M, 2)
+        The target, else where it was [m, plate_home].
+    distance : (M,)
+        From there [m].
+    missing : (M,)
+        Angle still to turn [rad]; 0 where any will do.
+    turned : (M,) bool
+        Whether an angle is asked.
+    """
+
+    asked: np.ndarray
+    aim: np.ndarray
+    distance: np.ndarray
+    missing: np.ndarray
+    turned: np.ndarray
+
+
+@dataclass(frozen=True)
+class Mover(TaskRules):
+    """The rules of moving for one task on one rig."""
+
+    task: MoveTask
+    rig: Rig
+
+    @property
+    def hold_s(self) -> float:
+        """Done when all targets have been reached for this long [s]."""
+        return self.task.hold_s
+
+    @property
+    def endless(self) -> bool:
+        """Whether it goes on until it is canceled."""
+        return self.task.until_canceled
+
+    def assess(
+        self, memory: MoveMemory | None, now: Situation
+    ) -> tuple[MoveMemory | None, Assessment]:
+        """Judge one image, and say what is wanted; see `TaskRules.assess`."""
+        if not now.active:
+            return memory, Assessment()
+        parts, before = now.parts, {} if memory is None else memory.home
+        places = zip(parts.ids, parts.position.tolist(), strict=True)
+        memory = MoveMemory({name: before.get(name, (x, y)) for name, (x, y) in places})
+        ways = self.ways(memory, parts)
+        there = ways.asked & (ways.distance <= self.task.tolerance_m)
+        there &= np.abs(ways.missing) <= self.task.tolerance_rad
+        reach = np.array([part.reach_m for part in self._types(parts)])
+        distance = np.where(ways.asked, ways.distance + reach * np.abs(ways.missing), 0.0)
+        error, count = ways.distance[ways.asked], int(np.count_nonzero(there))
+        wanted = [target.id for target in self.task.targets]
+        to_go = float(np.sum(distance))
+        text = f"{count} of {len(wanted)} at their targets, {1e3 * to_go:.0f} mm to go"
+        return memory, Assessment(
+            request=self.request(parts, ways),
+            goal_met=count == len(wanted),
+            count=count,
+            distance=distance,
+            to_go_m=to_go,
+            missing=tuple(name for name in wanted if name not in parts.ids) or None,
+            rms_error_m=float(np.sqrt(np.mean(error**2))) if len(error) else 0.0,
+            max_error_m=float(np.max(error, initial=0.0)),
+            turn_error=float(np.max(np.abs(ways.missing), initial=0.0)),
+            outcome=text,
+            doing="; ".join([text, *self._in_the_way(parts, ways, there)]),
+        )
+
+    def ways(self, memory: MoveMemory, parts: Parts) -> Ways:
+        """Return what is left of the ways of the parts, as seen (M)."""
+        row = rows_of(parts.ids, tuple(target.id for target in self.task.targets))
+        aim = np.array([memory.home[name] for name in parts.ids]).reshape(-1, 2)
+        missing, turned = np.zeros(len(parts)), np.zeros(len(parts), bool)
+        for part, k in enumerate(row):
+            if k < 0:
+                continue
+            target = self.task.targets[k]
+            aim[part] = target.place
+            if target.angle is not None:
+                turned[part] = True
+                period = 2 * np.pi / max(self._types(parts)[part].symmetry, 1)
+                missing[part] = (target.angle - parts.angle[part] + period / 2) % period
+                missing[part] -= period / 2
+        return Ways(row >= 0, aim, np.hypot(*(aim - parts.position).T), missing, turned)
+
+    def request(self, parts: Parts, ways: Ways) -> DriftRequest:
+        """Return targets of the parts, as seen (M)."""
+        reach = np.array([part.reach_m for part in self._types(parts)])
+        left = np.where(ways.asked, np.maximum(ways.distance, reach * np.abs(ways.missing)), 0.0)
+        counts = way_weight(np.column_stack([left, 0 * left]))
+        weight = np.where(ways.asked, counts, min(HOME * counts, HOME_MOST))[:, None] * np.ones(2)
+        band = np.where(ways.asked, BAND * self.task.tolerance_m, HOME_BAND_M)[:, None]
+        angles = None
+        if np.any(ways.turned):
+            goal, slack = parts.angle + ways.missing, BAND * self.task.tolerance_rad
+            angles = AngleTargets(goal - slack, goal + slack, counts * reach * ways.turned)
+        gap = GAP * self.rig.parts.radius_m
+        targets = Targets(ways.aim - band, ways.aim + band, weight, gap, angles)
+        return DriftRequest.towards(parts.position, targets)
+
+    def _in_the_way(self, parts: Parts, ways: Ways, there: np.ndarray) -> list[str]:
+        """Say which parts lie on targets of others."""
+        reach = np.array([part.reach_m for part in self._types(parts)])
+        found = []
+        for k in np.flatnonzero(ways.asked & ~there):
+            away = np.hypot(*(parts.position - ways.aim[k]).T)
+            on = away < reach + reach[k]
+            on[k] = False
+            name = parts.ids[k]
+            found += [f"{parts.ids[j]} lies on the target of {name}" for j in np.flatnonzero(on)]
+        return found
+
+    def _types(self, parts: Parts) -> list[PartType]:
+        return [self.rig.part_type(part_class(name)) for name in parts.ids]

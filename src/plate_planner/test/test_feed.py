@@ -1,0 +1,271 @@
+"""Feeding: which parts are got ready, when the plate rests, and what is reported."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_core import Parts, PlateError, load_rig
+from plate_core.tasks import FeedMode, FeedOrder, Pick, Side, load_scenario
+from plate_planner import Phase, Planner
+from plate_planner.tasks import Feeder
+from plate_planner.tasks.task import Situation
+
+RIG, T = load_rig(), 0.1
+SCENARIO = load_scenario("feed")
+TASK = replace(SCENARIO.task, chute=Side(-1, 0))
+
+
+def parts(**place):
+    ids = tuple(place)
+    return Parts.make(ids, np.array([place[name] for name in ids]).reshape(-1, 2))
+
+
+def situation(seen, t=0.0, hidden=None):
+    every = seen if hidden is None else Parts.make(
+        seen.ids + hidden.ids, np.vstack([seen.position, hidden.position])
+    )  # fmt: skip
+    return Situation(
+        every, t, t + T, T, True, True, every.position, np.zeros(len(every)), True, seen, t
+    )
+
+
+def run(task, *images, memory=None, begin=0):
+    """Return what the rules make of images, one each cycle, the first in one of them."""
+    rules, found = Feeder(task, RIG), None
+    for k, seen in enumerate(images):
+        memory, found = rules.assess(memory, situation(seen, (begin + k) * T))
+    return memory, found
+
+
+LONE = {"black_1": (0.0, 0.0), "black_2": (0.1, 0.0), "black_3": (0.2, 0.0)}
+
+
+def test_the_plate_rests_when_enough_parts_are_ready():
+    memory, found = run(TASK, parts(**LONE))
+    assert found.request is None
+    assert not memory.report.at_rest, "it may have moved until now"
+    memory, found = run(TASK, *3 * [parts(**LONE)])
+    assert memory.report.at_rest
+    assert set(memory.report.ready.ids) == set(LONE)
+    assert memory.report.seen == {"black": 3}
+
+
+@pytest.mark.parametrize(
+    "other", [(0.022, 0.0), (0.0, -0.021)], ids=["beside", "below"]
+)  # rims 5 and 6 mm apart, less than the clearance
+def test_parts_too_near_each_other_are_parted(other):
+    memory, found = run(TASK, parts(**LONE, black_4=other)) if other[0] else run(
+        TASK, parts(black_1=(0.0, 0.0), black_4=other, black_2=(0.1, 0), black_3=(0.2, 0))
+    )  # fmt: skip
+    assert found.request is not None, "only two are ready"
+    targets = found.request.targets
+    assert targets.gap_m > TASK.clearance_m
+    assert set(memory.report.ready.ids) <= {"black_2", "black_3"}
+    assert "black_1" in memory.chosen or "black_4" in memory.chosen
+
+
+def test_parts_outside_the_window_are_led_there_the_nearest_first():
+    seen = parts(black_1=(-0.1, 0.0), black_2=(-0.2, 0.1), black_3=(-0.28, -0.1), **{
+        f"black_{k}": (-0.28, 0.1 - 0.03 * k) for k in (4, 5)
+    })  # fmt: skip
+    task = replace(TASK, picks=(replace(TASK.picks[0], ready=1),))
+    memory, found = run(task, seen)
+    assert memory.chosen[0] == "black_1", "the nearest one first"
+    assert len(memory.chosen) == 2
+    targets = found.request.targets
+    asked = dict(zip(seen.ids, targets.weight[:, 0], strict=True))
+    assert 0 < 10 * asked["black_5"] < asked["black_1"]
+    assert targets.low[0, 0] >= TASK.picks[0].low[0]
+
+
+def test_an_order_to_rest_is_kept_whatever_lies_there():
+    task = replace(TASK, order=FeedOrder(FeedMode.REST))
+    crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
+    memory, found = run(task, *3 * [crowd])
+    assert found.request is None
+    assert memory.report.at_rest
+    assert memory.report.mode is FeedMode.REST
+
+
+def test_it_is_not_at_rest_before_the_last_motion_has_ended():
+    rules, memory, told = Feeder(TASK, RIG), None, []
+    crowd = parts(black_1=(0.0, 0.0), black_2=(0.017, 0.0))
+    memory, _ = rules.assess(memory, situation(crowd, 0.0))
+    rules = Feeder(replace(TASK, order=FeedOrder(FeedMode.REST)), RIG)
+    for k in (1, 2, 3):
+        memory, _ = rules.assess(memory, situation(crowd, k * T))
+        told.append(memory.report.at_rest)
+    # Image 1 is answered by the first rest, which begins at image 2, when parts still drift.
+    assert told == [False, False, True]
+
+
+def test_a_part_that_moves_on_a_plate_at_rest_is_not_ready():
+    moved = {**LONE, "black_2": (0.103, 0.0)}
+    memory, _ = run(TASK, parts(**LONE), parts(**LONE), parts(**moved))
+    assert memory.report.at_rest
+    assert set(memory.report.ready.ids) == {"black_1", "black_3"}
+
+
+def test_a_hidden_part_is_still_in_the_way():
+    rules, memory = Feeder(TASK, RIG), None
+    hidden = parts(black_4=(0.01, 0.005))
+    for k in range(3):
+        memory, _ = rules.assess(memory, situation(parts(**LONE), k * T, hidden))
+    assert set(memory.report.ready.ids) == {"black_2", "black_3"}
+
+
+def test_what_nobody_wants_goes_to_the_chute():
+    seen = parts(**LONE, grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
+    _, found = run(TASK, seen)
+    targets = found.request.targets
+    assert targets.high[3, 0] < -RIG.plate.half[0]
+    assert targets.weight[3, 0] > targets.weight[4, 0] > 0, "the nearer one first"
+    waiting = parts(black_4=(-0.1, 0.05), grey_1=(-0.2, 0.0), grey_2=(-0.1, 0.0))
+    _, found = run(TASK, waiting)
+    asked = found.request.targets
+    assert np.all(asked.weight[1:] == 0), "not while others are still to come"
+    assert np.all(asked.low[1:] <= -RIG.plate.half), "anywhere, not where they are: the edge counts"
+    assert np.all(asked.high[1:] >= RIG.plate.half)
+    many = parts(black_4=(-0.1, 0.05), **{f"grey_{k}": (-0.2, 0.03 * k - 0.1) for k in range(5)})
+    _, found = run(TASK, many)
+    assert np.all(found.request.targets.weight[1:] > 0), "unless there are many"
+    beside = {f"grey_{k}": (-0.29, 0.03 * k - 0.1) for k in range(5)}
+    _, found = run(TASK, parts(black_4=(-0.1, 0.05), black_5=(-0.285, 0.09), **beside))
+    asked = found.request.targets
+    assert asked.weight[1, 0] > np.max(np.delete(asked.weight[:, 0], 1)), "they take none along"
+    assert asked.low[1, 0] > -0.28
+    few = parts(black_4=(-0.1, 0.05), grey_3=(-0.2, 0.02))
+    memory, _ = run(TASK, many)
+    _, found = run(TASK, few, memory=memory)
+    assert np.all(found.request.targets.weight[1] > 0), "then all of them go"
+    _, found = run(replace(TASK, chute=None), seen)
+    assert found.request is None, "without a chute they stay"
+
+
+def test_a_purge_takes_all_of_them():
+    _, found = run(replace(TASK, order=FeedOrder(FeedMode.PURGE)), parts(**LONE))
+    assert np.all(found.request.targets.high[:, 0] < -RIG.plate.half[0])
+    assert np.all(found.request.targets.weight > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "discharged", "lost"),
+    [
+        ("grey_9", (-0.28, 0.0), 1, 0),
+        ("black_9", (-0.28, 0.0), 0, 1),
+        ("grey_9", (0.295, 0.0), 0, 1),
+        ("black_9", (0.0, 0.145), 0, 1),
+        ("black_9", (0.1, 0.05), 0, 0),
+    ],
+    ids=["chute", "chute, but wanted", "far side", "long side", "taken"],
+)
+def test_parts_that_are_gone_are_counted_by_the_side_where_they_were(name, place, discharged, lost):
+    before, after = parts(**LONE, **{name: place}), parts(**LONE)
+    memory, _ = run(TASK, before, after)
+    assert (memory.report.discharged, memory.report.lost) == (discharged, lost)
+    memory, _ = run(replace(TASK, order=FeedOrder(FeedMode.REST)), *4 * [before])
+    hidden = replace(TASK, order=FeedOrder(FeedMode.REST, hidden=True))
+    memory, _ = run(hidden, after, after, memory=memory, begin=4)  # behind a robot
+    assert (memory.report.discharged, memory.report.lost) == (0, 0)
+    back = parts(**LONE, **{name.replace("9", "17"): (place[0], place[1] + 0.002)})
+    assert run(TASK, back, memory=memory, begin=6)[0].report.lost == 0, "under another name"
+    memory, _ = run(TASK, after, memory=memory, begin=6)
+    assert (memory.report.discharged, memory.report.lost) == (discharged, lost)
+    memory, _ = run(replace(TASK, order=FeedOrder(FeedMode.PURGE)), before, after)
+    assert memory.report.lost == (place[0] > -0.2 and lost)
+
+
+def test_bars_are_turned_the_shorter_way():
+    rig, scenario = load_rig("shapes"), load_scenario("feed_bars")
+    seen = Parts.make(
+        ("bar_1", "bar_2", "bar_3"), np.array([[0, 0], [0.1, 0], [0.2, 0.0]]),
+        angle=np.radians([170.0, 0.0, 90.0]),
+    )  # fmt: skip
+    task = replace(scenario.task, picks=(replace(scenario.task.picks[0], ready=3),))
+    memory, found = Feeder(task, rig).assess(None, situation(seen))
+    angles = found.request.targets.angles
+    assert np.degrees(angles.low[0]) == pytest.approx(178.5), "a turn of half a round is none"
+    assert np.all(angles.weight > 0), "those that are ready keep theirs"
+    assert memory.chosen == ("bar_1", "bar_3")
+
+
+def test_parts_come_and_go_while_the_task_runs():
+    feed = Planner(RIG, SCENARIO)
+    state = feed.start(feed.initial())
+    images = [parts(), parts(), parts(black_1=(0, 0)), parts(black_7=(0.1, 0)), parts()]
+    for k, seen in enumerate(images):
+        state, _, progress = feed.plan(state, seen, k * T)
+        assert progress.phase is Phase.RUNNING, progress.text
+    for k in range(len(images), 40):
+        state, _, progress = feed.plan(state, parts(), k * T)
+    assert progress.phase is Phase.RUNNING
+
+
+def test_orders_change_what_is_done_and_wrong_ones_are_refused():
+    feed = Planner(RIG, SCENARIO)
+    state = feed.start(feed.initial())
+    state, *_ = feed.plan(state, parts(**LONE), 0.0)
+    pick = Pick("grey", 1, (0.0, -0.1), (0.2, 0.1))
+    asked = FeedOrder(FeedMode.FEED, (pick,))
+    other = feed.order(state, asked)
+    assert other.scenario.task.order == asked
+    back = other.order(state, FeedOrder(FeedMode.REST))
+    assert back.scenario.task.picks == TASK.picks
+    for wrong, why in (
+        (replace(pick, label="nut"), "class is 'nut', allowed: black, grey"),
+        (replace(pick, high=(0.4, 0.1)), "window of grey"),
+        (replace(pick, angle=1.0, tolerance_rad=0.1), "it is round"),
+        (replace(pick, ready=0), "ready of grey is 0, allowed: 1 to 100"),
+        (replace(pick, low=(np.nan, 0.0)), "window of grey"),
+    ):
+        with pytest.raises(PlateError, match=why):
+            feed.order(state, FeedOrder(FeedMode.FEED, (wrong,)))
+    with pytest.raises(PlateError, match="no task of feed runs"):
+        feed.order(feed.initial(), FeedOrder(FeedMode.REST))
+    stay = Planner(RIG, replace(SCENARIO, task=replace(TASK, chute=None)))
+    with pytest.raises(PlateError, match="with a chute"):
+        stay.order(state, FeedOrder(FeedMode.PURGE))
+
+
+def test_what_a_robot_hides_is_where_it_was_and_comes_back_under_any_name():
+    feed = Planner(RIG, replace(SCENARIO, task=replace(TASK, chute=None)))
+    state = feed.start(feed.initial())
+    crowd, hidden = parts(**LONE, black_4=(0.0, 0.1)), parts(**LONE, grey_9=(0.1, 0.05))
+    for k in range(3):
+        state, *_ = feed.plan(state, crowd, k * T)
+    feed = feed.order(state, FeedOrder(FeedMode.REST))
+    for k in range(3, 6):
+        state, *_ = feed.plan(state, crowd, k * T)
+    feed = feed.order(state, FeedOrder(FeedMode.REST, hidden=True))
+    for k in range(6, 20):
+        state, *_ = feed.plan(state, hidden, k * T)
+    report = state.memory.report
+    assert report.at_rest
+    assert set(report.ready.ids) == set(crowd.ids)
+    assert report.seen == {"black": 4}
+    feed = feed.order(state, FeedOrder())
+    for k in (20, 21):
+        state, *_ = feed.plan(state, parts(**LONE, black_5=(0.0, 0.1)), k * T)
+    assert set(state.memory.report.ready.ids) == {*LONE, "black_5"}
+    assert state.memory.report.lost == 0
+
+
+def test_a_part_that_the_robot_took_beside_the_chute_is_not_lost():
+    wide = replace(TASK, picks=(replace(TASK.picks[0], low=(-0.28, -0.1)),))
+    feed = Planner(RIG, replace(SCENARIO, task=wide))
+    state = feed.start(feed.initial())
+    before, after = parts(**LONE, black_9=(-0.275, 0.0)), parts(**LONE)
+    for order, seen, count in (
+        (FeedOrder(), before, 3),
+        (FeedOrder(FeedMode.REST), before, 3),
+        (FeedOrder(FeedMode.REST, hidden=True), after, 5),
+        (FeedOrder(), after, 8),
+    ):
+        t = state.estimator.stamp if np.isfinite(state.estimator.stamp) else 0.0
+        if state.task.began is not None:
+            feed = feed.order(state, order)
+        for k in range(count):
+            state, *_ = feed.plan(state, seen, t + (k + 1) * T)
+    assert (state.memory.report.lost, state.memory.report.discharged) == (0, 0)
+    assert state.memory.report.seen == {"black": 3}

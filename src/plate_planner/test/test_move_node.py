@@ -1,0 +1,114 @@
+"""The task of move over real topics: targets in, targets in force out."""
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from planner_graph import APART, IDS  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
+
+from plate_core.ros import DATA, LATCHED  # noqa: E402
+from plate_core.tasks import MoveTask, PartTarget, load_scenario  # noqa: E402
+from plate_interfaces.msg import Target, Targets, TaskStatus  # noqa: E402
+
+HERE = PartTarget("black_1", (0.1, 0.05))
+
+
+def play(*targets):
+    """Four parts, until canceled."""
+    task = MoveTask(targets, 0.002, 0.05, 0.5, until_canceled=True)
+    scenario = load_scenario("sort_4")
+    return type(scenario)("move", "", scenario.parts, task, np.inf)
+
+
+def connected(graph):
+    """What publishes `targets`, and what is heard of `part_targets`."""
+    heard = []
+    graph.probe.create_subscription(Targets, "part_targets", heard.append, LATCHED)
+    publisher = graph.probe.create_publisher(Targets, "targets", DATA)
+    graph.until(lambda: publisher.get_subscription_count() and heard)
+    return publisher, heard
+
+
+def asked_now(graph, begin_s):
+    """What is asked at the next image; on a busy machine an answer may come too late to ask."""
+    for k in range(50):
+        asked = graph.image(begin_s + 0.1 * k, APART)
+        if asked.targets is not None:
+            return asked
+    raise AssertionError("nothing is asked")
+
+
+def ids(msg):
+    return [target.id for target in msg.targets]
+
+
+def test_targets_are_taken_while_it_runs_and_told(graph):
+    graph = graph()
+    publisher, heard = connected(graph)
+    assert not heard[-1].targets
+    handle = graph.begin(100.0, play(HERE))
+    graph.until(lambda: ids(heard[-1]) == ["black_1"])
+    assert heard[-1].header.frame_id == "plate_home"
+    publisher.publish(Targets(targets=[Target(id="grey_2", x=-0.1, y=0.02, angle=np.nan)]))
+    graph.until(lambda: ids(heard[-1]) == ["black_1", "grey_2"])
+    assert np.isnan(heard[-1].targets[1].angle)
+    asked = asked_now(graph, 100.3)
+    aim = (asked.targets.low + asked.targets.high) / 2
+    assert aim[IDS.index("grey_2")] == pytest.approx([-0.1, 0.02])
+    assert aim[IDS.index("black_1")] == pytest.approx(HERE.place)
+    graph.until(lambda: graph.states[-1].startswith("running: 0 of 2 at their targets, "))
+    graph.until(handle.cancel_goal_async().done)
+    _, status = graph.result(handle)
+    assert (status.state, status.reason) == (TaskStatus.ABORTED, TaskStatus.CANCELED)
+    assert status.task == "move"
+    graph.until(lambda: not heard[-1].targets)
+
+
+def test_targets_that_cannot_be_are_refused_in_the_diagnostics(graph):
+    graph = graph()
+    publisher, heard = connected(graph)
+
+    def refused(msg):
+        publisher.publish(msg)
+        graph.until(lambda: graph.planner._refused)
+        text, graph.planner._refused = graph.planner._refused, ""
+        return text
+
+    right = Target(id="grey_1", x=0.1, y=0.0, angle=np.nan)
+    assert "no task of move runs" in refused(Targets(targets=[right]))
+    graph.begin(100.0, play())
+    many = [Target(id=f"black_{k}") for k in range(101)]
+    assert "101 targets, allowed: at most 100" in refused(Targets(targets=many))
+    assert "grey_1 stands twice" in refused(Targets(targets=[right, right]))
+    assert "frame is 'map'" in refused(Targets(header=Header(frame_id="map"), targets=[right]))
+    assert not heard[-1].targets
+    wrong = Target(id="black_7", x=0.0, y=0.0, angle=np.nan)
+    off = Target(id="grey_2", x=np.inf, y=0.0, angle=np.nan)
+    text = refused(Targets(header=Header(frame_id="plate_home"), targets=[wrong, off, right]))
+    assert "black_7 is not there" in text
+    assert "place of grey_2 is (inf, 0) m" in text
+    graph.until(lambda: ids(heard[-1]) == ["grey_1"])
+
+
+def test_whatever_is_sent_the_targets_in_force_are_on_the_plate(graph):
+    graph = graph()
+    graph.begin(100.0, play(HERE))
+    rng = np.random.default_rng(0)
+    numbers = (0.0, -0.1, 0.1, 0.29, 1e-300, 1e300, np.nan, np.inf, -np.inf, 7.0)
+    names = (*IDS, "", "black_", "x" * 5000, "grey_9", "red_1")
+    half = graph.planner._rig.plate.half
+    for k in range(2000):
+        targets = []
+        for name in rng.choice(names, rng.integers(0, 4)):
+            x, y, angle = rng.choice(numbers, 3)
+            targets.append(Target(id=str(name), x=x, y=y, angle=angle))
+        graph.planner._on_targets(Targets(targets=targets))
+        for target in graph.planner._run.planner.scenario.task.targets:
+            assert target.id in IDS
+            assert np.all(np.abs(target.place) < half)
+        if k % 100 == 0:
+            asked = asked_now(graph, 100.3 + k / 200)
+            assert set(asked.parts.ids) == set(IDS)
+            assert np.all(np.isfinite(asked.targets.low))

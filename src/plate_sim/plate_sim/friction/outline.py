@@ -1,0 +1,150 @@
+"""Footprints of part types: outlines of any shape, cut into convex pieces, with holes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from plate_core.rig import PartType, contains, moments
+
+from . import quadrature
+from .footprint import CELL, MASS, POINTS, Footprint, disc, union
+
+GRID = 4
+"""Grid points for one quadrature point along each axis: they tell how much of a cell is part."""
+
+STRAIGHT = 1e-9
+"""A corner that turns by less than this fraction of the part's size squared is none."""
+
+
+def footprint_of(part: PartType) -> Footprint:
+    """Return the footprint of a part type, which presses evenly on the plate; of types that differ
+    by name and looks only, the same one.
+
+    A hole takes away what it would bear and weigh; others cannot enter it.
+    """
+    return _footprint(replace(part, name="", mu=None, colour_lab=None, picture=""))
+
+
+@lru_cache(maxsize=64)
+def _footprint(part: PartType) -> Footprint:
+    mass = MASS if part.mass_kg is None else part.mass_kg
+    if part.radius_m and not part.holes:
+        return disc(part.radius_m, mass=mass)
+    if not part.holes:
+        return union(convex_pieces(part.polygon), mass=mass)
+    holes = [np.array(hole) for hole in part.holes]
+    place, area = _cells(part.polygon, holes)
+    weight = area / area.sum()
+    # The grid's moments are made the part's own: so there is no error of mass and inertia.
+    place = place - weight @ place
+    wanted, _, second = moments(part.polygon, holes)
+    own = np.linalg.cholesky((weight[:, None] * place).T @ place)
+    place = place @ np.linalg.inv(own).T @ np.linalg.cholesky(second / wanted).T
+    outline = (part.polygon,) if part.radius_m else tuple(convex_pieces(part.polygon))
+    inertia = mass * float(np.trace(part.spread_m2))
+    return Footprint(mass, inertia, place, weight, CELL * np.sqrt(area), outline, part.radius_m)
+
+
+def _cells(outline: np.ndarray, holes: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres (n, 2) [m] and areas (n,) [m2] of what of square cells is part."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    side = np.sqrt(moments(outline, holes)[0] / POINTS)
+    count = np.ceil((high - low) / side).astype(int)
+    axes = [
+        a + (b - a) * (np.arange(n * GRID) + 0.5) / (n * GRID)
+        for a, b, n in zip(low, high, count, strict=True)
+    ]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    point = np.stack([x.ravel(), y.ravel()], axis=1)
+    part = contains(outline, point)
+    for hole in holes:
+        part &= ~contains(hole, point)
+    cell = (np.arange(count[0] * GRID) // GRID)[:, None] * count[1]
+    cell = (cell + np.arange(count[1] * GRID) // GRID).ravel()[part]
+    number = np.bincount(cell, minlength=count.prod())
+    kept = number > 0
+    place = [np.bincount(cell, point[part, axis], count.prod())[kept] for axis in range(2)]
+    return np.stack(place, axis=1) / number[kept, None], number[kept] * np.prod(
+        (high - low) / (count * GRID)
+    )
+
+
+def convex_pieces(outline: np.ndarray) -> list[np.ndarray]:
+    """Cut a simple polygon (n, 2), counter-clockwise, into few convex ones.
+
+    Ears are cut off (Meisters 1975), and triangles put together again across a diagonal wherever
+    that stays convex (Hertel and Mehlhorn 1983): at most four times the fewest pieces.
+    """
+    pieces = _triangles(outline)
+    merged = True
+    while merged:
+        merged = False
+        for i in range(len(pieces)):
+            for j in range(i):
+                both = _joined(pieces[i], pieces[j])
+                if both is not None and _is_convex(outline[both]):
+                    pieces[j] = both
+                    pieces.pop(i)
+                    merged = True
+                    break
+            if merged:
+                break
+    return [quadrature.convex(outline[piece]) for piece in pieces]
+
+
+def _triangles(outline: np.ndarray) -> list[list[int]]:
+    rest, triangles = list(range(len(outline))), []
+    while len(rest) > 3:
+        ears = [k for k in range(len(rest)) if _is_ear(outline, rest, k)]
+        if not ears:  # only corners in a line are left
+            break
+        corners = [[rest[k - 1], rest[k], rest[(k + 1) % len(rest)]] for k in ears]
+        best = int(np.argmax([_slimness(outline[corner]) for corner in corners]))
+        triangles.append(corners[best])
+        rest.pop(ears[best])
+    return [*triangles, rest] if _turn(*outline[rest[:3]]) > 0 else triangles
+
+
+def _slimness(triangle: np.ndarray) -> float:
+    """Return a triangle's (3, 2) area over its perimeter squared: more is better shaped."""
+    length = np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1).sum()
+    return float(_turn(*triangle) / length**2)
+
+
+def _is_ear(outline: np.ndarray, rest: list[int], k: int) -> bool:
+    """Whether corner k of what is left can be cut off."""
+    a, b, c = (outline[rest[i % len(rest)]] for i in (k - 1, k, k + 1))
+    if _turn(a, b, c) <= STRAIGHT * np.ptp(outline, axis=0).max() ** 2:
+        return False
+    others = [outline[i] for i in rest if not any(outline[i] is x for x in (a, b, c))]
+    return not any(
+        min(_turn(a, b, p), _turn(b, c, p), _turn(c, a, p)) >= 0
+        for p in others
+        if not (np.array_equal(p, a) or np.array_equal(p, b) or np.array_equal(p, c))
+    )
+
+
+def _joined(one: list[int], other: list[int]) -> list[int] | None:
+    """Return two pieces as one, by corners, if they share a diagonal."""
+    for i, a in enumerate(one):
+        b = one[(i + 1) % len(one)]
+        for j, c in enumerate(other):
+            if c == b and other[(j + 1) % len(other)] == a:
+                first = [one[(i + 1 + k) % len(one)] for k in range(len(one))]
+                second = [other[(j + 1 + k) % len(other)] for k in range(len(other))]
+                return [*first, *second[1:-1]]
+    return None
+
+
+def _is_convex(corner: np.ndarray) -> bool:
+    before, after = np.roll(corner, 1, axis=0), np.roll(corner, -1, axis=0)
+    turn = [_turn(*three) for three in zip(before, corner, after, strict=True)]
+    return min(turn) > STRAIGHT * float(np.ptp(corner, axis=0).max()) ** 2
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    """Return twice the area of a triangle, positive counter-clockwise."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

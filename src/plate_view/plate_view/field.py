@@ -1,0 +1,75 @@
+"""What a cycle of the plate does to parts, wherever they lie: drift, and the paper's mean force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+from plate_core.rig import surface_velocity
+
+STEPS = 200
+"""Of a cycle."""
+
+RESTING = 1e-6
+"""A surface slower than this does not slide under a resting part [m/s]."""
+
+
+def grid(rig: Rig, count: int = 17) -> tuple[np.ndarray, np.ndarray]:
+    """Return the x (count,) and y (n,) [m, plate_home] of a grid with equal steps on the plate."""
+    half = rig.plate.half
+    rows = max(3, round(count * half[1] / half[0]))
+    return (
+        np.linspace(-half[0], half[0], 2 * count + 1)[1::2],
+        np.linspace(-half[1], half[1], 2 * rows + 1)[1::2],
+    )
+
+
+def mean_force(cycle: PlateCycle, point: np.ndarray) -> np.ndarray:
+    """Mean friction on parts that rest at points in the room, section 3.1 of the paper.
+
+    Parameters
+    ----------
+    cycle : PlateCycle
+    point : (M, 2)
+        [m, plate_home].
+
+    Returns
+    -------
+    (M, 2)
+        In mu m g.
+    """
+    t = (np.arange(STEPS) + 0.5) * cycle.period / STEPS
+    slip = surface_velocity(cycle.pose(t)[:, None], cycle.twist(t)[:, None], point[None])
+    speed = np.linalg.norm(slip, axis=2, keepdims=True)
+    return np.asarray(np.mean(np.where(speed > RESTING, slip / np.maximum(speed, RESTING), 0.0), 0))
+
+
+def drift(cycle: PlateCycle, point: np.ndarray, accel: float) -> np.ndarray:
+    """Mean velocity over one cycle of parts that rest at points when it begins.
+
+    Parts are points that slide or stick, in steps of 1/200 of the cycle: to look at, not to plan
+    by.
+
+    Parameters
+    ----------
+    cycle : PlateCycle
+    point : (M, 2)
+        [m, plate_home].
+    accel : float
+        mu g [m/s2].
+
+    Returns
+    -------
+    (M, 2)
+        [m/s, plate_home].
+    """
+    step = cycle.period / STEPS
+    t = (np.arange(STEPS) + 0.5) * step
+    poses, twists = cycle.pose(t), cycle.twist(t)
+    place, velocity = point.copy(), np.zeros_like(point)
+    for pose, twist in zip(poses, twists, strict=True):
+        slip = surface_velocity(pose, twist, place) - velocity
+        speed = np.hypot(slip[:, 0], slip[:, 1])[:, None]
+        velocity += slip * np.minimum(1.0, accel * step / np.maximum(speed, 1e-12))
+        place += velocity * step
+    return np.asarray((place - point) / cycle.period)

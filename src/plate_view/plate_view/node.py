@@ -1,0 +1,231 @@
+"""The node `page`: a live page of the graph in a browser, and the calls that it asks for."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from plate_core import PlateError, config_path, load_rig
+from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, run_node
+from plate_core.status import Finding, Level
+from plate_core.tasks import check_scenario, load_scenario, scenario_names
+from plate_interfaces.msg import Targets
+
+from .access import Access
+from .commands import Command
+from .inbox import Inbox
+from .ros import TOPICS, Listener, Operator, Replay
+from .scene import Scene, replay_scene, rig_scene, type_scene
+from .server import PageServer, Socket
+from .top_view import TopView
+
+FRAME_S, SLOW_S = 0.05, 0.5
+"""Least time between two messages of a kind to the browsers, and of what changes slowly [s]."""
+
+NICE = 10
+"""The page gives way to the nodes of the loop."""
+
+ALWAYS_THERE = ("black", "grey")
+"""Types of parts that every rig has."""
+
+
+@dataclass(frozen=True)
+class Options(NodeOptions):
+    """Parameters of the page."""
+
+    address: str = parameter(
+        "127.0.0.1", "IP address on which the page is served; 0.0.0.0: all networks, with a token"
+    )
+    port: int = parameter(8080, "TCP port; the next free one if it is taken", 1, 65000)
+    operator_token: str = parameter(
+        "", "The page commands only if its address ends with ?token= and this; empty: every "
+        "browser of this machine may",
+    )  # fmt: skip
+    viewer_token: str = parameter("", "The same, for browsers that may only look on; empty: none")
+    scenario: str = parameter("", "The scenario that is offered first")
+    bag: str = parameter("", "A recorded run that is shown in place of the graph: folder of a bag")
+
+
+class PageNode(SafeLifecycleNode[Options]):
+    """Node `page`: serves a live page of the graph, and does what it asks for by the graph's public
+    actions, topics, services and parameters.
+
+    Subscribes, while a browser looks on: parts, part_forces, part_targets, cycle_started,
+    motor_setpoints, task_status, driver_status, diagnostics, /rosout, and image_raw if a browser
+    wants it. Publishes targets. Without a browser it hears nothing.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("page", Options)
+        self._server: PageServer | None = None
+        self._listener: Listener | None = None
+        self._replay: Replay | None = None
+        self._inbox = Inbox()
+        self.report(self._find, self._values)
+
+    def configure(self) -> None:
+        """Read the rig, and find what a browser may ask for."""
+        options = self.options
+        self._rig = load_rig(options.rig_file)
+        self._access = Access(options.address, options.operator_token, options.viewer_token)
+        self._view = TopView(self._rig)
+        targets = self.managed_publisher(Targets, "targets", DATA)
+        expected = load_scenario(options.scenario) if options.scenario else None
+        self._operator = Operator(self, self._rig, targets.publish, expected)
+        self.keep(Operator.close, self._operator)
+        self.managed_timer(FRAME_S, self._tick)
+        self.managed_timer(SLOW_S, self._tick_slowly)
+
+    def begin(self) -> None:
+        """Serve the page."""
+        if self.options.bag:
+            kinds = {topic.removeprefix("/"): kind for topic, (kind, _) in TOPICS.items()}
+            self._replay = Replay(self.options.bag, kinds, self._hear)
+        port = self.options.port
+        self._server = PageServer(self._access, port, self._hello(), self._take, self._changed)
+        self._listener = Listener(self, self._rig, self._view, self._server)
+        self._operator.begin(self._server, self._listener)
+        if self._replay is not None:
+            self._replay.seek(self._replay.begin)
+        self.get_logger().info(f"page at {self._server.url}")
+
+    def rest(self) -> None:
+        """Serve no more; what runs in the graph goes on."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+        if self._listener is not None:
+            self._listener.close()
+        replay, self._replay = self._replay, None
+        if replay is not None:
+            replay.close()
+
+    def _hello(self) -> Scene:
+        """Return what every browser gets first."""
+        rig, options = self._rig, self.options
+        types = sorted({*rig.types, *ALWAYS_THERE})
+        return {
+            "rig": rig_scene(rig, Path(options.rig_file).stem or "default rig"),
+            "image": {"x": self._view.x, "y": self._view.y},
+            "types": {name: type_scene(rig.part_type(name)) for name in types},
+            "scenarios": self._scenarios(),
+            "scenario": Path(options.scenario).stem,
+            "simulator": False,
+            "replay": bool(options.bag),
+        }
+
+    def _scenarios(self) -> Scene:
+        """Return the scenarios that this rig can do, as their files have them."""
+        found = {}
+        own = (
+            [self.options.scenario] if self.options.scenario not in ("", *scenario_names()) else []
+        )
+        for name in [*own, *scenario_names()]:
+            with contextlib.suppress(PlateError):
+                scenario = load_scenario(name)
+                check_scenario(scenario, self._rig)
+                path = Path(name) if name in own else config_path("scenarios") / f"{name}.yaml"
+                found[scenario.name] = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return found
+
+    def _tick(self) -> None:
+        if self._replay is not None:
+            self._replay.step()
+        if self._listener is not None:
+            self._listener.tick()
+
+    def _tick_slowly(self) -> None:
+        if self._server is not None:  # a simulator may come later, or go
+            there = self.count_services(self.resolve_service_name("simulator/reset"))
+            self._server.hello["simulator"] = bool(there)
+        if self._listener is not None:
+            self._listener.tick_slowly()
+        self._tell_replay()
+
+    # On the server's thread: hand over to the graph's
+
+    def _take(self, browser: Socket, command: Command) -> None:
+        self._inbox.put(browser, command)
+        self._soon(self._do_next)
+
+    def _changed(self) -> None:
+        def adapt() -> None:
+            if self._server is not None and self._listener is not None and not self.options.bag:
+                self._listener.adapt()
+
+        self._soon(adapt)
+
+    def _soon(self, work: Callable[[], None]) -> None:
+        executor = self.executor
+        if executor is not None:
+            executor.create_task(work)
+
+    def _do_next(self) -> None:
+        browser, command, old = self._inbox.take()
+        if self._server is None:
+            return
+        if old:
+            self._server.answer(browser, command.number, False, "it came too late: ask again")
+        elif self._replay is not None or command.name == "replay":
+            self._do_replay(browser, command)
+        else:
+            self._operator.do(browser, command)
+
+    # A recorded run
+
+    def _hear(self, topic: str, msg: object) -> None:
+        if self._listener is not None:
+            self._listener.hear("/rosout" if topic == "rosout" else topic, msg)
+
+    def _do_replay(self, browser: Socket, command: Command) -> None:
+        """Play, jump or change the rate; everything else needs a graph."""
+        server, replay, values = self._server, self._replay, command.values
+        assert server is not None
+        why = ""
+        if replay is None:
+            why = "this page shows a graph that runs, allowed with the parameter bag"
+        elif command.name != "replay":
+            why = f"{command.name}: this page shows a recorded run, allowed: replay"
+        else:
+            try:
+                if values["rate"] is not None:
+                    replay.set_rate(values["rate"])
+                if values["seek"] is not None:
+                    replay.seek(values["seek"])
+                if values["playing"] is not None:
+                    replay.play(values["playing"])
+            except PlateError as error:
+                why = str(error)
+        server.answer(browser, command.number, not why, why)
+        self._tell_replay()
+
+    def _tell_replay(self) -> None:
+        replay, server = self._replay, self._server
+        if replay is not None and server is not None:
+            scene = replay_scene(
+                replay.begin, replay.end, replay.now, replay.playing, replay.rate, replay.problem
+            )
+            server.publish("replay", scene)
+
+    # What it reports
+
+    def _find(self, now: float) -> Finding:
+        server = self._server
+        if server is None:
+            return Finding(Level.WARN, "not served")
+        return Finding(Level.OK, f"{server.url}, {len(server.browsers)} browsers")
+
+    def _values(self) -> Mapping[str, object]:
+        server = self._server
+        return {} if server is None else {"url": server.url, "browsers": len(server.browsers)}
+
+
+def main() -> None:
+    """Run the node."""
+    os.nice(NICE)
+    run_node(PageNode, Options)

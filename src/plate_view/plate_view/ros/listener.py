@@ -1,0 +1,310 @@
+"""Hears what the graph says, and tells the browsers; only while somebody looks on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Image
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_core import PlateError, Rig
+from plate_core.ros import (
+    CAMERA,
+    DATA,
+    LATCHED,
+    image_to_array,
+    msg_to_cycle,
+    msg_to_parts,
+    msg_to_reports,
+    msg_to_wanted,
+    nanoseconds,
+    seconds,
+)
+from plate_interfaces.msg import DriverStatus, PartForces, Parts, Targets, TaskStatus
+
+from ..scene import (
+    Scene,
+    cycle_scene,
+    motors_scene,
+    nodes_scene,
+    parts_scene,
+    wanted_scene,
+)
+from ..server import PageServer
+from ..top_view import TopView
+
+SAME_CLOCK_S = 10.0
+"""A stamp further than this from our time is of a clock that is not ours [s]."""
+
+LATENCIES = 200
+"""Setpoints over which the latency is taken."""
+
+WARN_PERIOD_S = 2.0
+"""Least time between two equal warnings [s]."""
+
+
+def _names(kind: type, *names: str) -> dict[int, str]:
+    """Return the words for the numbers that a message has for its states."""
+    return {getattr(kind, name): name.lower() for name in names}
+
+
+TASK_STATES = _names(TaskStatus, "IDLE", "RUNNING", "DONE", "STUCK", "LOST", "ABORTED")
+DRIVER_STATES = _names(
+    DriverStatus, "UNCONFIGURED", "INACTIVE", "DISABLED", "ENABLING", "READY", "CALIBRATING",
+    "BRAKING", "STOPPED", "ERROR",
+)  # fmt: skip
+SEVERITIES = {20: "info", 30: "warn", 40: "error", 50: "error"}
+"""Of rcl_interfaces/Log; what is less is not shown."""
+
+ROSOUT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Listener:
+    """Subscribes while a browser looks on, and tells all browsers what has come.
+
+    Parameters
+    ----------
+    node : Node
+    rig : Rig
+    view : TopView
+    server : PageServer
+
+    Attributes
+    ----------
+    task : TaskStatus
+        The newest.
+    parts : Parts
+        Of the newest image.
+    told : callable
+        Called after each word of the task.
+    """
+
+    def __init__(self, node: Node, rig: Rig, view: TopView, server: PageServer) -> None:
+        self._node, self._rig, self._view, self._server = node, rig, view, server
+        self.task, self.parts = TaskStatus(), Parts()
+        self.told: Callable[[], None] = lambda: None
+        self._listening: list[Any] = []
+        self._images: Any = None
+        self._newest: dict[str, Any] = {}
+        self._reports: dict[str, tuple[float, Any]] = {}
+        self._latencies: list[float] = []
+        self._setpoints, self._counted = 0, time.monotonic()
+
+    def adapt(self) -> None:
+        """Listen to what the browsers want, and to nothing if there are none."""
+        server = self._server
+        if not server.browsers:
+            self.close()
+            return
+        if not self._listening:
+            self._listen()
+        if server.wants("image") != (self._images is not None):
+            self._watch_images(server.wants("image"))
+
+    def close(self) -> None:
+        """Listen to nothing."""
+        listening, self._listening = self._listening, []
+        for subscription in listening:
+            self._node.destroy_subscription(subscription)
+        self._images = None
+
+    def _listen(self) -> None:
+        self._listening = [
+            self._node.create_subscription(kind, topic, partial(self.hear, topic), qos)
+            for topic, (kind, qos) in TOPICS.items()
+            if kind is not Image
+        ]
+
+    def hear(self, topic: str, msg: Any) -> None:
+        """Take in a message of one of `TOPICS`."""
+        if topic in AT_ONCE:
+            AT_ONCE[topic](self, msg)
+        else:
+            self._newest[topic] = msg
+
+    def _watch_images(self, wanted: bool) -> None:
+        if wanted:
+            kind, qos = TOPICS["image_raw"]
+            hear = partial(self.hear, "image_raw")
+            self._images = self._node.create_subscription(kind, "image_raw", hear, qos)
+            self._listening.append(self._images)
+            return
+        self._listening.remove(self._images)
+        self._node.destroy_subscription(self._images)
+        self._images = None
+        self._newest.pop("image_raw", None)
+
+    # What is sent at once
+
+    def _on_setpoints(self, msg: JointTrajectory) -> None:
+        self._setpoints += 1
+        took = 1e-9 * (self._node.get_clock().now().nanoseconds - nanoseconds(msg.header.stamp))
+        if abs(took) < SAME_CLOCK_S:
+            self._latencies = [*self._latencies[1 - LATENCIES :], took]
+
+    def _on_task(self, msg: TaskStatus) -> None:
+        self.task = msg
+        progress = msg.progress
+        self._tell(
+            {
+                "kind": "task", "task": msg.task, "state": TASK_STATES.get(msg.state, "idle"),
+                "reason": int(msg.reason), "text": msg.text,
+                "progress": {
+                    name: _plain(getattr(progress, name))
+                    for name in progress.get_fields_and_field_types()
+                },
+            }
+        )  # fmt: skip
+        self.told()
+
+    def _on_driver(self, msg: DriverStatus) -> None:
+        self._tell(
+            {
+                "kind": "driver", "state": DRIVER_STATES.get(msg.state, "error"),
+                "reason": int(msg.reason), "text": msg.text,
+            }
+        )  # fmt: skip
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        for report in msg_to_reports(msg):
+            self._reports[report.node] = time.monotonic(), report
+
+    def _on_log(self, msg: Log) -> None:
+        if msg.level in SEVERITIES:
+            line = {
+                "time": seconds(msg.stamp), "level": SEVERITIES[msg.level], "from": msg.name,
+                "text": msg.msg,
+            }  # fmt: skip
+            self._tell({"kind": "log", "lines": [line]}, keep=False)
+
+    # What is sent as often as browsers can draw it
+
+    def tick(self) -> None:
+        """Tell the browsers the newest of what has come since the last tick."""
+        newest, self._newest = self._newest, {}
+        for topic, msg in newest.items():
+            try:
+                SHOWN[topic](self, msg)
+            except (PlateError, ValueError) as error:  # the latter: NaN, which JSON has no word for
+                warn = self._node.get_logger().warning
+                warn(f"{topic}: {error}", throttle_duration_sec=WARN_PERIOD_S)
+
+    def _show_parts(self, msg: Parts) -> None:
+        self.parts = msg
+        spread = np.array([part.covariance[[0, 4, 8]] for part in msg.parts]).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):
+            spread = np.sqrt(np.where(spread[:, :1] < 0, np.nan, spread))
+        seen = [part.source != part.PROPAGATED for part in msg.parts]
+        stamp = seconds(msg.header.stamp)
+        self._tell(parts_scene(self._rig, stamp, msg_to_parts(msg), spread, seen))
+
+    def _show_truth(self, msg: Parts) -> None:
+        parts = [
+            {"id": part.id, "type": part.type, "x": part.x, "y": part.y, "angle": part.angle}
+            for part in msg.parts
+        ]
+        self._tell({"kind": "truth", "parts": parts})
+
+    def _show_wanted(self, msg: PartForces) -> None:
+        self._tell(wanted_scene(self._rig, seconds(msg.header.stamp), msg_to_wanted(msg)))
+
+    def _show_targets(self, msg: Targets) -> None:
+        targets = [
+            {"id": each.id, "x": _plain(each.x), "y": _plain(each.y), "angle": _plain(each.angle)}
+            for each in msg.targets
+        ]
+        self._tell({"kind": "targets", "targets": targets})
+
+    def _show_cycle(self, msg: JointTrajectory) -> None:
+        cycle, field = msg_to_cycle(msg), self._server.wants("field")
+        self._tell(cycle_scene(self._rig, seconds(msg.header.stamp), cycle, field))
+        self._tell(motors_scene(self._rig, cycle))
+
+    def _show_image(self, msg: Image) -> None:
+        if not self._server.wants("image"):
+            return
+        image, stamp = image_to_array(msg), np.float64(seconds(msg.header.stamp)).tobytes()
+        picture = self._view.jpeg(image[..., ::-1] if msg.encoding == "rgb8" else image)
+        self._server.publish("image", stamp + picture, keep=False)
+
+    def tick_slowly(self) -> None:
+        """Tell the browsers of nodes and times."""
+        if not self._server.browsers:
+            return
+        now = time.monotonic()
+        self._tell(
+            nodes_scene(
+                {
+                    name: (now - at, report.level.name, report.message, report.values)
+                    for name, (at, report) in self._reports.items()
+                }
+            )
+        )
+        latency_ms = 1e3 * np.array(self._latencies or [np.nan])
+        elapsed, self._counted = now - self._counted, now
+        rate, self._setpoints = self._setpoints / max(elapsed, 1e-3), 0
+        self._tell(
+            {
+                "kind": "timing",
+                "latency_ms": {
+                    "median": _plain(float(np.median(latency_ms))),
+                    "p99": _plain(float(np.percentile(latency_ms, 99))),
+                },
+                "cycle_rate": round(rate, 1),
+                "browsers": len(self._server.browsers),
+            }
+        )
+
+    def _tell(self, scene: Scene, keep: bool = True) -> None:
+        self._server.publish(scene["kind"], scene, keep)
+
+
+TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
+    "parts": (Parts, DATA),
+    "ground_truth": (Parts, DATA),
+    "part_forces": (PartForces, DATA),
+    "part_targets": (Targets, LATCHED),
+    "cycle_started": (JointTrajectory, DATA),
+    "motor_setpoints": (JointTrajectory, DATA),
+    "task_status": (TaskStatus, LATCHED),
+    "driver_status": (DriverStatus, LATCHED),
+    "diagnostics": (DiagnosticArray, DATA),
+    "/rosout": (Log, ROSOUT),
+    "image_raw": (Image, CAMERA),
+}
+"""What is listened to; to images only if a browser wants them."""
+
+AT_ONCE: Mapping[str, Callable[[Listener, Any], None]] = {
+    "motor_setpoints": Listener._on_setpoints,
+    "task_status": Listener._on_task,
+    "driver_status": Listener._on_driver,
+    "diagnostics": Listener._on_diagnostics,
+    "/rosout": Listener._on_log,
+}
+"""By topic: what is done with each message. Of the others the newest is shown:"""
+
+SHOWN: Mapping[str, Callable[[Listener, Any], None]] = {
+    "parts": Listener._show_parts,
+    "ground_truth": Listener._show_truth,
+    "part_forces": Listener._show_wanted,
+    "part_targets": Listener._show_targets,
+    "cycle_started": Listener._show_cycle,
+    "image_raw": Listener._show_image,
+}
+"""By topic: how browsers get it."""
+
+
+def _plain(value: Any) -> float | int | None:
+    """Return a number as JSON can have it: None where it is not finite."""
+    if isinstance(value, int):
+        return value
+    return round(float(value), 6) if math.isfinite(value) else None

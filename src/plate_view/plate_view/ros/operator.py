@@ -1,0 +1,560 @@
+"""Does what a browser asks for: by the graph's public actions, services, topics and parameters."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from action_msgs.srv import CancelGoal
+from geometry_msgs.msg import Point
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from plate_core import PlateError, Rig, ScenarioError, did_you_mean, part_class
+from plate_core.ros import ACTIONS, CALLS, goal_to_scenario, scenario_to_goal
+from plate_core.tasks import (
+    AssembleTask,
+    FeedTask,
+    FollowTask,
+    PoseTask,
+    Scenario,
+    SortTask,
+    Task,
+    check_scenario,
+    load_scenario,
+    read_scenario,
+    scenario_names,
+)
+from plate_core.yaml_fields import Fields
+from plate_interfaces.action import FollowPaths, MoveParts
+from plate_interfaces.msg import PartCount, Path, Target, Targets, TaskStatus
+from plate_interfaces.srv import PlacePart, RemovePart
+
+from ..calls import SERVICES, call_text, goal_text
+from ..commands import URGENT, Command
+from ..scene import task_scene
+from ..server import PageServer, Socket
+from .asked import Asked
+from .listener import Listener
+
+ANSWER_S = 5.0
+"""Longest wait for the answer of a service [s]."""
+
+LIMITS_S = {**dict.fromkeys(URGENT, 1.0), "teach": 60.0}
+"""The same for some commands [s]: the first part that is taught may have to wait for a compiler."""
+
+AGAIN_S = 0.25
+"""Time after which a stop that is not answered is asked for again [s]."""
+
+FOUND_S, LOOK_S = 2.0, 0.02
+"""Longest wait for an action to be found, and the time between two looks [s]."""
+
+MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
+"""When a part that was dragged counts as there."""
+
+FOLLOW_ERROR_M, FOLLOW_LIMIT_S = 0.02, 600.0
+"""A part further from its drawn path ends the task, and so does a longer time."""
+
+SECRET = ("operator_token", "viewer_token")
+"""Parameters that no browser gets."""
+
+REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
+"""Reasons why a task has never begun."""
+
+Then = Callable[[Any], None]
+
+
+@dataclass(eq=False)
+class Goal:
+    """A goal that the page has sent; `handle` comes with the planner's answer."""
+
+    task: Task
+    handle: Any = None
+    ended: bool = False
+
+
+class Operator:
+    """The calls that a browser may ask for.
+
+    Parameters
+    ----------
+    node : Node
+    rig : Rig
+    publish : callable
+        Publishes on the topic `targets`.
+    expected : Scenario or None
+        What runs when a task runs that the page has not started.
+    """
+
+    def __init__(
+        self, node: Node, rig: Rig, publish: Callable[[Targets], None], expected: Scenario | None
+    ) -> None:
+        self._node, self._rig, self._publish, self._expected = node, rig, publish, expected
+        self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
+        self._clients: dict[str, Any] = {}
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        for service in ("emergency_stop", "cut_power", "stop"):  # found before they are needed
+            self._client(Trigger, service)
+        self._goal: Goal | None = None  # of the task that the page has started
+        self._next: tuple[Asked, str, Any] | None = None  # a goal that waits for the end of that
+        self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
+        self._asking: dict[str, list[Asked]] = {}  # by node that tells its parameters: who waits
+
+    def begin(self, server: PageServer, listener: Listener) -> None:
+        """Work for these browsers."""
+        self._server, self._listener = server, listener
+        self._goal = self._next = self._waiting = None
+        self._shown = ""
+        self._asking.clear()
+        listener.told = self._on_task
+
+    def close(self) -> None:
+        """Let go of all clients."""
+        for action in self._actions.values():
+            action.destroy()
+        for client in self._clients.values():
+            self._node.destroy_client(client)
+
+    def do(self, browser: Socket, command: Command) -> None:
+        """Do a command; its answer goes to the browser, the call to all of them."""
+        asked = Asked(self._server, browser, command)
+        try:
+            DONE[command.name](self, asked)
+        except PlateError as error:
+            asked.refuse(str(error))
+
+    # Services and parameters
+
+    def _client(self, kind: Any, name: str) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
+        return self._clients[name]
+
+    def _call(self, asked: Asked, kind: Any, name: str, request: Any, then: Then) -> None:
+        """Call a service; `then` is given what it answers.
+
+        What is urgent is asked again and again: DDS may lose the answer of a node that has just
+        begun.
+        """
+        client = self._client(kind, name)
+        end = time.monotonic() + LIMITS_S.get(asked.command.name, ANSWER_S)
+        again_s = AGAIN_S if asked.command.name in URGENT else math.inf
+        sent: list[Any] = []
+        last = 0.0
+
+        def answered(future: Any) -> None:
+            if future not in sent:  # it was answered before
+                return
+            self._node.destroy_timer(timer)
+            for each in sent:
+                client.remove_pending_request(each)
+            sent.clear()
+            if not future.cancelled():
+                try:
+                    then(future.result())
+                except PlateError as error:
+                    asked.refuse(str(error))
+
+        def tick() -> None:
+            nonlocal last
+            now = time.monotonic()
+            due = not sent or now - last > again_s
+            if now < end and due and client.service_is_ready():
+                last = now
+                sent.append(client.call_async(request))
+                sent[-1].add_done_callback(answered)
+            elif now > end:
+                self._node.destroy_timer(timer)
+                for future in sent:
+                    client.remove_pending_request(future)
+                asked.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
+
+        timer = self._node.create_timer(LOOK_S, tick, clock=self._steady)
+        tick()
+
+    def _trigger(self, asked: Asked) -> None:
+        service = SERVICES[asked.command.name][0].removeprefix("/")
+        self._call(asked, Trigger, service, Trigger.Request(), asked.done)
+
+    def _enable(self, asked: Asked) -> None:
+        request = SetBool.Request(data=asked.values["on"])
+        self._call(asked, SetBool, "enable", request, asked.done)
+
+    def _reset(self, asked: Asked) -> None:
+        """Put the parts down anew; the detector counts them anew too, so that names begin at 1."""
+        seed, request = asked.values["seed"], Trigger.Request()
+
+        def forget(answer: Any) -> None:
+            if not answer.success:
+                asked.done(answer)
+                return
+            self._call(asked, Trigger, "detector/reset", request, lambda _: asked.done(answer))
+
+        def reset() -> None:
+            self._call(asked, Trigger, "simulator/reset", request, forget)
+
+        if seed is None:
+            reset()
+        else:
+            self._set_value(asked, "simulator", "seed", seed, reset)
+
+    def _teach(self, asked: Asked) -> None:
+        name = asked.values["name"]
+        self._set_value(asked, "detector", "teach_name", name, lambda: self._trigger(asked))
+
+    def _place(self, asked: Asked) -> None:
+        given = {key: "" if value is None else value for key, value in asked.values.items()}
+        request = PlacePart.Request(**given)
+        self._call(asked, PlacePart, "simulator/place_part", request, asked.done)
+
+    def _remove(self, asked: Asked) -> None:
+        request = RemovePart.Request(id=asked.values["id"])
+        self._call(asked, RemovePart, "simulator/remove_part", request, asked.done)
+
+    def _set(self, asked: Asked) -> None:
+        values = asked.values
+        node, name, value = values["node"], values["name"], values["value"]
+        self._set_value(asked, node, name, value, lambda: asked.accept(f"{node} {name}: {value}"))
+
+    def _set_value(
+        self, asked: Asked, node: str, name: str, value: Any, then: Callable[[], None]
+    ) -> None:
+        """Set a parameter, then go on."""
+
+        def told(answer: Any) -> None:
+            (result,) = answer.results
+            if result.successful:
+                then()
+            else:
+                request, refused = ListParameters.Request(), partial(why, result.reason)
+                self._call(asked, ListParameters, f"{node}/list_parameters", request, refused)
+
+        def why(reason: str, answer: Any) -> None:
+            known = sorted(answer.result.names)
+            if name in known:
+                asked.refuse(f"{node} refuses: {reason}")
+            else:
+                hint = did_you_mean(name, known)
+                asked.refuse(f"{node} has no parameter {name!r}{hint}, it has: {', '.join(known)}")
+
+        message = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        self._call(asked, SetParameters, f"{self._found(node)}/set_parameters", request, told)
+
+    def _found(self, name: str) -> str:
+        """Return the name of a node that is there: for others no client is made."""
+        here = self._node.get_namespace()
+        nodes = self._node.get_node_names_and_namespaces()
+        there = sorted({each for each, space in nodes if space == here})
+        if name not in there:
+            raise PlateError(f"node is {name!r}, allowed: {', '.join(there)}")
+        return name
+
+    def _parameters(self, asked: Asked) -> None:
+        """Tell a node's parameters; while it answers, others wait for the next time."""
+        node = asked.values["node"]
+        if node in self._asking:
+            self._asking[node].append(asked)
+        else:
+            self._ask_parameters(asked, self._found(node))
+
+    def _ask_parameters(self, asked: Asked, node: str, others: Sequence[Asked] = ()) -> None:
+        """Ask for names, then values, then what is allowed."""
+        self._asking[node] = []
+
+        def end(ok: bool, text: str) -> None:
+            for each in others:
+                each.answer(ok, text)
+            waiting = self._asking.pop(node, [])
+            if waiting:
+                self._ask_parameters(waiting[0], node, waiting[1:])
+
+        asked.answered = end
+        names: list[str] = []
+        values: list[Any] = []
+
+        def listed(answer: Any) -> None:
+            names.extend(sorted(answer.result.names))
+            request = GetParameters.Request(names=names)
+            self._call(asked, GetParameters, f"{node}/get_parameters", request, got)
+
+        def got(answer: Any) -> None:
+            values.extend(answer.values)
+            request = DescribeParameters.Request(names=names)
+            self._call(asked, DescribeParameters, f"{node}/describe_parameters", request, told)
+
+        def told(answer: Any) -> None:
+            rows = zip(names, values, answer.descriptors, strict=True)
+            shown = [_parameter(*row) for row in rows if row[0] not in SECRET]
+            scene = {"kind": "parameters", "node": node, "parameters": shown}
+            self._server.publish(f"parameters {node}", scene)
+            asked.accept("")
+
+        request = ListParameters.Request()
+        self._call(asked, ListParameters, f"{node}/list_parameters", request, listed)
+
+    # Tasks
+
+    def _start(self, asked: Asked) -> None:
+        scenario, task = asked.values["scenario"], asked.values["task"]
+        if (scenario is None) == (task is None):
+            raise PlateError("start has both scenario and task, or none, allowed: one of them")
+        if scenario is None:
+            chosen = read_scenario(Fields(task, "task", ScenarioError), "task")
+        elif scenario in scenario_names():
+            chosen = load_scenario(scenario)
+        elif self._expected is not None and scenario == self._expected.name:
+            chosen = self._expected
+        else:
+            raise PlateError(f"scenario is {scenario!r}, allowed: {', '.join(scenario_names())}")
+        name, goal = scenario_to_goal(chosen)
+        if scenario not in scenario_names():
+            asked.call = goal_text(name, ACTIONS[name].__name__, _fields(goal))
+        self._send_after_move(asked, name, goal)
+
+    def _send(self, asked: Asked, name: str, goal: Any) -> None:
+        """Send a goal; the answer is that it runs, or why it does not."""
+        client, end = self._actions[name], time.monotonic() + FOUND_S
+        before: Goal | None = None
+        own = Goal(goal_to_scenario(goal).task)
+        told: list[bool] = []
+        sent: list[Any] = []
+
+        def tell(ok: bool, text: str) -> None:
+            if not told:
+                told.append(ok)
+                asked.answer(ok, text)
+
+        def never_began(text: str) -> None:
+            own.ended = True
+            if self._goal is own:  # what ran before still does
+                self._goal = None if before is None or before.ended else before
+            tell(False, text)
+
+        def on_feedback(msg: Any) -> None:
+            tell(True, "it runs")
+
+        def on_answer(future: Any) -> None:
+            handle = future.result()
+            if not handle.accepted:
+                never_began("the planner refused the goal")
+            elif own.ended:  # too late: nobody asks for it any more
+                handle.cancel_goal_async()
+            else:
+                own.handle = handle
+                handle.get_result_async().add_done_callback(on_result)
+
+        def on_result(future: Any) -> None:
+            status = future.result().result.status
+            if status.reason in REFUSED:
+                never_began(status.text)
+                return
+            tell(status.state == TaskStatus.DONE, status.text)
+            own.ended = True
+            if self._goal is own:
+                self._goal = self._waiting = None
+            waiting, self._next = self._next, None
+            if waiting is not None:
+                self._send(*waiting)
+
+        def tick() -> None:
+            nonlocal before, end
+            if not sent and client.server_is_ready():
+                # Before the goal goes: task_status says that it runs before the planner answers.
+                before, self._goal = self._goal, own
+                sent.append(client.send_goal_async(goal, feedback_callback=on_feedback))
+                sent[0].add_done_callback(on_answer)
+                end = time.monotonic() + ANSWER_S
+            elif told or time.monotonic() > end:
+                self._node.destroy_timer(timer)
+                if told:
+                    return
+                why = "does not answer" if sent else "is not there"
+                never_began(f"the action {name} {why}: does the planner run, and is it configured?")
+
+        timer = self._node.create_timer(LOOK_S, tick, clock=self._steady)
+        tick()
+
+    def _cancel(self, asked: Asked) -> None:
+        """Cancel whatever runs; the zero id and stamp stand for every goal (CancelGoal)."""
+        left, found = list(ACTIONS), [0]
+
+        def told(answer: Any) -> None:
+            found[0] += len(answer.goals_canceling)
+            left.pop()
+            if not left:
+                asked.accept("canceled" if found[0] else "no task was running")
+
+        self._waiting = None
+        self._forget_next("canceled")
+        for name in ACTIONS:
+            request, service = CancelGoal.Request(), f"{name}/_action/cancel_goal"
+            self._call(asked, CancelGoal, service, request, told)
+
+    def _move(self, asked: Asked) -> None:
+        """Publish targets; begin the task for it if none runs."""
+        targets = {target["id"]: target for target in asked.values["targets"]}
+        task = self._listener.task
+        running = task.state == TaskStatus.RUNNING
+        if running and task.task == "move":
+            self._send_targets(targets)
+            asked.accept("")
+        elif running:
+            raise PlateError(f"a task runs ({task.task}): cancel it first")
+        elif self._waiting is not None:  # it begins at any moment
+            self._waiting |= targets
+            asked.accept("")
+        else:
+            self._begin_move(asked, targets)
+
+    def _begin_move(self, asked: Asked, targets: dict[str, dict[str, Any]]) -> None:
+        goal = MoveParts.Goal(
+            parts=self._counts(), until_canceled=True, tolerance_m=MOVE_TOLERANCE_M,
+            tolerance_rad=MOVE_TOLERANCE_RAD,
+            marked=any(math.isfinite(target["angle"]) for target in targets.values()),
+        )  # fmt: skip
+        told = {
+            "parts": _counted(goal.parts), "until_canceled": True, "tolerance_m": MOVE_TOLERANCE_M,
+            "tolerance_rad": MOVE_TOLERANCE_RAD,
+        }  # fmt: skip
+        asked.call = f"{goal_text('move_parts', 'MoveParts', told)}; {call_text(asked.command)}"
+        asked.answered = lambda ok, text: None if ok else self._forget_waiting()
+        self._waiting = dict(targets)
+        self._send(asked, "move_parts", goal)
+
+    def _forget_next(self, why: str) -> None:
+        before, self._next = self._next, None
+        if before is not None:
+            before[0].refuse(why)
+
+    def _forget_waiting(self) -> None:
+        self._waiting = None
+
+    def _on_task(self) -> None:
+        """Show where a task that begins wants parts, and send the targets that came before it."""
+        status = self._listener.task
+        running = status.task if status.state == TaskStatus.RUNNING else ""
+        if running != self._shown:
+            self._shown = running
+            known = None if self._goal is None else self._goal.task
+            if known is None and self._expected is not None:
+                known = self._expected.task
+            theirs = running and known is not None and KINDS.get(type(known)) == running
+            self._server.publish("paths", task_scene(self._rig, known if theirs else None))
+        if self._waiting is not None and running == "move":
+            targets, self._waiting = self._waiting, None
+            self._send_targets(targets)
+
+    def _send_targets(self, targets: Mapping[str, Mapping[str, Any]]) -> None:
+        stamp = self._node.get_clock().now().to_msg()
+        msg = Targets(header=Header(stamp=stamp, frame_id="plate_home"))
+        msg.targets = [Target(**target) for target in targets.values()]
+        self._publish(msg)
+
+    def _follow(self, asked: Asked) -> None:
+        """Let a part follow a path that was drawn."""
+        part, closed, speed = (asked.values[key] for key in ("id", "closed", "speed"))
+        if not any(each.id == part for each in self._listener.parts.parts):
+            raise PlateError(f"follow: no part {part!r} is seen")
+        path = Path(type=part_class(part), closed=closed, laps=float(closed), speed=speed)
+        path.waypoints = [Point(x=x, y=y) for x, y in asked.values["points"]]
+        goal = FollowPaths.Goal(
+            parts=[PartCount(type=path.type, count=1)], paths=[path], max_error_m=FOLLOW_ERROR_M,
+            time_limit_s=FOLLOW_LIMIT_S,
+        )  # fmt: skip
+        told = {
+            "type": path.type, "closed": closed, "laps": path.laps, "speed": speed,
+            "waypoints": [{"x": x, "y": y} for x, y in asked.values["points"]],
+        }  # fmt: skip
+        asked.call = goal_text(
+            "follow_paths", "FollowPaths",
+            {"parts": _counted(goal.parts), "paths": [told], "max_error_m": FOLLOW_ERROR_M,
+             "time_limit_s": FOLLOW_LIMIT_S},
+        )  # fmt: skip
+        self._send_after_move(asked, "follow_paths", goal)
+
+    def _send_after_move(self, asked: Asked, name: str, goal: Any) -> None:
+        """Send a goal; the task `move` of this page, which has no end of its own, makes way.
+
+        Raises
+        ------
+        ScenarioError
+            If the rig cannot do it: nothing has ended then.
+        """
+        check_scenario(goal_to_scenario(goal), self._rig)
+        own = self._goal
+        if own is not None and own.handle is not None and self._listener.task.task == "move":
+            self._forget_next("another task was asked for")
+            self._next = asked, name, goal
+            own.handle.cancel_goal_async()
+        else:
+            self._send(asked, name, goal)
+
+    def _counts(self) -> list[PartCount]:
+        """Return how many parts of each type the newest image shows."""
+        types = [part_class(part.id) for part in self._listener.parts.parts]
+        if not types:
+            raise PlateError("no parts are seen yet")
+        return [PartCount(type=kind, count=types.count(kind)) for kind in sorted(set(types))]
+
+
+KINDS = {
+    SortTask: "sort", FollowTask: "follow", AssembleTask: "assemble", PoseTask: "pose",
+    FeedTask: "feed",
+}  # fmt: skip
+"""What task_status calls the tasks that have places to show."""
+
+DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
+    **dict.fromkeys(("emergency_stop", "cut_power", "stop", "learn_plate"), Operator._trigger),
+    "cancel": Operator._cancel,
+    "enable": Operator._enable,
+    "start": Operator._start,
+    "move": Operator._move,
+    "follow": Operator._follow,
+    "set": Operator._set,
+    "parameters": Operator._parameters,
+    "place": Operator._place,
+    "remove": Operator._remove,
+    "reset": Operator._reset,
+    "teach": Operator._teach,
+}
+"""By command: what does it."""
+
+
+def _counted(parts: list[PartCount]) -> list[dict[str, Any]]:
+    return [{"type": each.type, "count": each.count} for each in parts]
+
+
+def _fields(msg: Any) -> Any:
+    """Return a message as mappings, lists and plain values."""
+    if hasattr(msg, "get_fields_and_field_types"):
+        return {name: _fields(getattr(msg, name)) for name in msg.get_fields_and_field_types()}
+    if isinstance(msg, str | bool | int | float):
+        return msg
+    return [_fields(each) for each in msg]
+
+
+def _parameter(name: str, value: Any, about: Any) -> dict[str, Any]:
+    """Return a parameter as the page shows it."""
+    ranges = [*about.floating_point_range, *about.integer_range]
+    text, plain = about.additional_constraints, parameter_value_to_python(value)
+    return {
+        "name": name,
+        "value": plain if isinstance(plain, bool | int | float | str) else str(plain),
+        "whole": value.type == ParameterType.PARAMETER_INTEGER,
+        "description": about.description,
+        "low": ranges[0].from_value if ranges else None,
+        "high": ranges[0].to_value if ranges else None,
+        "choices": text.removeprefix("one of ").split(", ") if text.startswith("one of") else None,
+        "live": not about.read_only,
+    }

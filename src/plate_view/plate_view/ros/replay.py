@@ -1,0 +1,179 @@
+"""A recorded run, played to the page in place of the graph."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+
+from plate_core import PlateError
+
+BEFORE_S = 1.5
+"""A jump shows what was said last before it, within so long [s]; what is latched, from any time."""
+
+LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
+
+RATES = 0.05, 20.0
+"""Allowed, recorded seconds per second."""
+
+Hear = Callable[[str, Any], None]
+
+
+class Replay:
+    """Plays a bag.
+
+    Parameters
+    ----------
+    folder : str or path
+        A bag as `ros2 bag record` and `make demo ARGS=--record` write it.
+    kinds : mapping of str to type
+        Topics that are played, and the types of their messages.
+    hear : callable
+        Called with topic and message.
+
+    Attributes
+    ----------
+    begin, end, now : float
+        [s, of the recording].
+    playing : bool
+    rate : float
+        Recorded seconds per second.
+    problem : str
+        Why it stopped before the end; empty if it did not.
+
+    Raises
+    ------
+    PlateError
+        If it cannot be read, or has none of the topics.
+    """
+
+    def __init__(self, folder: str | Path, kinds: Mapping[str, type], hear: Hear) -> None:
+        self._kinds, self._hear = kinds, hear
+        try:
+            library = importlib.import_module("rosbags.rosbag2")
+        except ImportError:
+            raise PlateError("a replay needs the package rosbags: pip install rosbags") from None
+        try:
+            self._reader = library.Reader(folder)
+            self._reader.open()
+        except (library.ReaderError, OSError) as error:
+            raise PlateError(f"bag is {str(folder)!r}, allowed: a recorded run: {error}") from None
+        self._chosen = [each for each in self._reader.connections if self._name(each) in kinds]
+        if not any(each.msgcount for each in self._chosen):
+            self.close()
+            raise PlateError(
+                f"bag is {str(folder)!r} without our topics, allowed: one with {', '.join(kinds)}"
+            )
+        self.begin, self.end = 1e-9 * self._reader.start_time, 1e-9 * self._reader.end_time
+        self.now, self.playing, self.rate, self.problem = self.begin, False, 1.0, ""
+        self._played_at = time.monotonic()
+        latched = [each for each in self._chosen if self._name(each) in LATCHED_TOPICS]
+        self._latched: list[Any] = []
+        with contextlib.suppress(PlateError):  # up to where it is damaged
+            self._latched.extend(self._messages(latched) if latched else ())
+        self.seek(self.begin)
+
+    @staticmethod
+    def _name(connection: Any) -> str:
+        return str(connection.topic).rsplit("/", 1)[-1]
+
+    def close(self) -> None:
+        """Close the bag."""
+        self._reader.close()
+
+    def play(self, playing: bool) -> None:
+        """Go on, or stand still; at the end it begins again."""
+        if playing and self.now >= self.end:
+            self.seek(self.begin)
+        self.playing, self._played_at, self.problem = playing, time.monotonic(), ""
+
+    def set_rate(self, rate: float) -> None:
+        """Play faster or slower.
+
+        Raises
+        ------
+        PlateError
+            If it is not allowed.
+        """
+        low, high = RATES
+        if not low <= rate <= high:
+            raise PlateError(f"rate is {rate:g}, allowed: {low:g} to {high:g}")
+        self.rate = rate
+
+    def seek(self, t: float) -> None:
+        """Jump to a time [s], and show what was known then.
+
+        Raises
+        ------
+        PlateError
+            If the bag is damaged there.
+        """
+        self.now = t = min(max(t, self.begin), self.end)
+        self._coming, self._next, self.problem = iter(()), None, ""
+        stop = round(1e9 * t)
+        newest: dict[str, tuple[Any, bytes]] = {}
+        for connection, at, data in self._latched:
+            if at <= stop:
+                newest[self._name(connection)] = connection, data
+        for connection, _, data in self._between(t - BEFORE_S, t):
+            newest[self._name(connection)] = connection, data
+        for name, (_, data) in newest.items():
+            self._tell(name, data)
+        self._coming = self._between(t, self.end + 1.0)
+        self._next = next(self._coming, None)
+        self._played_at = time.monotonic()
+
+    def step(self) -> None:
+        """Play what is due; where the bag is damaged it stops, and `problem` says why."""
+        now = time.monotonic()
+        elapsed, self._played_at = now - self._played_at, now
+        try:
+            if self.playing:
+                self._play(elapsed)
+        except PlateError as error:
+            self.playing, self.problem = False, str(error)
+
+    def _play(self, elapsed: float) -> None:
+        self.now = min(self.now + self.rate * elapsed, self.end)
+        due: dict[str, bytes] = {}
+        while self._next is not None and self._next[1] <= round(1e9 * self.now):
+            connection, _, data = self._next
+            name = self._name(connection)
+            if name in KEPT and name in due:
+                self._tell(name, due[name])
+            due[name] = data
+            self._next = next(self._coming, None)
+        for name, data in due.items():
+            self._tell(name, data)
+        if self.now >= self.end:
+            self.playing = False
+
+    def _between(self, start: float, stop: float) -> Iterator[Any]:
+        begin = max(round(1e9 * start), self._reader.start_time)
+        return self._messages(self._chosen, begin, round(1e9 * stop) + 1)
+
+    def _messages(self, chosen: list[Any], *interval: int) -> Iterator[Any]:
+        try:
+            yield from self._reader.messages(chosen, *interval)
+        except Exception as error:  # in a damaged file the library stumbles over anything
+            raise _damaged(error) from None
+
+    def _tell(self, name: str, data: bytes) -> None:
+        try:
+            msg = deserialize_message(bytes(data), self._kinds[name])
+        except Exception as error:  # of rmw, which has no public name for it
+            raise _damaged(error) from None
+        self._hear(name, msg)
+
+
+def _damaged(error: Exception) -> PlateError:
+    return PlateError(f"bag is damaged, allowed: a whole one: {error}")
+
+
+KEPT = ("rosout", "diagnostics")
+"""Topics of which each message counts; of others the newest."""

@@ -1,0 +1,217 @@
+"""What the page gets, as mappings that become JSON. Metres, radians, seconds, plate_home."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from plate_core import Parts, PlateCycle, Rig, Wanted, part_class
+from plate_core.colours import class_colour, lab_to_srgb
+from plate_core.motion import motor_state, usage
+from plate_core.rig import PartType
+from plate_core.tasks import (
+    AssembleTask,
+    FeedTask,
+    FollowTask,
+    PoseTask,
+    SortTask,
+    Task,
+    pick_window,
+    region_outline,
+)
+
+from .field import drift, grid, mean_force
+
+SAMPLES = 65
+"""Of a cycle's motion."""
+
+FAR_HALVES = 3.0
+"""Centres of rotation are shown as far as this [half lengths of the plate]."""
+
+Scene = dict[str, Any]
+
+
+def rig_scene(rig: Rig, name: str) -> Scene:
+    """Return the facts of a rig that are drawn or shown."""
+    return {
+        "name": name, "length": rig.plate.length_m, "width": rig.plate.width_m,
+        "radius": rig.parts.radius_m, "gamma": rig.gamma, "stroke": rig.limits.stroke_m,
+        "motors": [motor.name for motor in rig.motors],
+    }  # fmt: skip
+
+
+def type_scene(kind: PartType) -> Scene:
+    """Return what a type of part looks like."""
+    colour = (
+        class_colour(kind.name)
+        if kind.colour_lab is None
+        else tuple(lab_to_srgb(np.array(kind.colour_lab)).round().astype(int).tolist())
+    )
+    return {
+        "colour": "#{:02x}{:02x}{:02x}".format(*colour),
+        "outline": np.round(kind.polygon, 6).tolist(),
+        "holes": [np.round(np.array(hole), 6).tolist() for hole in kind.holes],
+        "symmetry": kind.symmetry,
+        "reach": kind.reach_m,
+    }
+
+
+def parts_scene(
+    rig: Rig, stamp: float, parts: Parts, scatter: np.ndarray, seen: Sequence[bool]
+) -> Scene:
+    """Return the parts of an image; `scatter` (M, 3) has standard deviations [m, m, rad], NaN where
+    they are not known."""
+    return {
+        "kind": "parts",
+        "stamp": stamp,
+        "parts": [
+            {
+                "id": name, "type": part_class(name), "x": x, "y": y, "angle": angle,
+                "turns": rig.part_type(part_class(name)).symmetry > 0,
+                "sd": spread if np.all(np.isfinite(spread)) else None, "seen": bool(there),
+            }
+            for name, (x, y), angle, spread, there in zip(
+                parts.ids, _rounded(parts.position), _rounded(parts.angle), _rounded(scatter, 7),
+                seen, strict=True,
+            )
+        ],
+    }  # fmt: skip
+
+
+def wanted_scene(rig: Rig, stamp: float, wanted: Wanted) -> Scene:
+    """Return what the planner asks of each part: targets, and mean force in mu m g."""
+    to, count = wanted.targets, len(wanted.parts)
+    unasked: list[list[Any]] = [[None, None, None]] * count
+    intervals = unasked
+    if to is not None:
+        low, high, weight = (_rounded(each) for each in (to.low, to.high, to.weight))
+        angles = to.angles
+        intervals = [
+            [
+                *([low[i][k], high[i][k]] if weight[i][k] > 0 else None for k in range(2)),
+                [float(angles.low[i]), float(angles.high[i])]
+                if angles is not None and angles.weight[i] > 0
+                else None,
+            ]
+            for i in range(count)
+        ]
+    force = _rounded(np.clip(wanted.force / rig.force_unit, -9, 9), 3)
+    rows = zip(wanted.parts.ids, intervals, force, strict=True)
+    return {
+        "kind": "wanted",
+        "stamp": stamp,
+        "parts": [
+            {"id": name, "x": x, "y": y, "angle": angle, "force": each}
+            for name, (x, y, angle), each in rows
+        ],
+    }
+
+
+def cycle_scene(rig: Rig, stamp: float, cycle: PlateCycle, field: bool) -> Scene:
+    """Return a cycle of the plate; with its field of drift and mean force if that is wanted."""
+    t = np.linspace(0, cycle.period, SAMPLES)
+    pose, twist = cycle.pose(t), cycle.twist(t)
+    with np.errstate(all="ignore"):
+        centre = pose[:, :2] + np.stack([-twist[:, 1], twist[:, 0]], axis=1) / twist[:, 2:]
+    near = np.max(np.abs(centre), axis=1) < FAR_HALVES * rig.plate.half.max()
+    sense = np.sign(twist[near, 2:])
+    return {
+        "kind": "cycle",
+        "stamp": stamp,
+        "period": cycle.period,
+        "pose": _rounded(pose, 6),
+        "centres": _rounded(np.hstack([centre[near], sense])),
+        "field": field_scene(rig, cycle) if field else None,
+    }
+
+
+def field_scene(rig: Rig, cycle: PlateCycle) -> Scene:
+    """Return drift [m/s] and mean force [mu m g] over the plate, row by row."""
+    x, y = grid(rig)
+    point = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return {
+        "x": _rounded(x), "y": _rounded(y),
+        "drift": _rounded(drift(cycle, point, rig.friction.accel)),
+        "force": _rounded(mean_force(cycle, point), 3),
+    }  # fmt: skip
+
+
+def motors_scene(rig: Rig, cycle: PlateCycle) -> Scene:
+    """Return the motors' motion in a cycle, and how much of their limits it uses."""
+    t = np.linspace(0, cycle.period, SAMPLES)
+    position, _, _ = motor_state(rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
+    used, limits = usage(rig, cycle), rig.limits
+    return {
+        "kind": "motors",
+        "names": [motor.name for motor in rig.motors],
+        "lo": _rounded(position.min(axis=0), 6), "hi": _rounded(position.max(axis=0), 6),
+        "position": _rounded(position[0], 6),
+        "used": {
+            "stroke": round(used.stroke_m / limits.stroke_m, 4),
+            "speed": round(used.speed / limits.speed, 4),
+            "acceleration": round(used.accel / limits.accel, 4),
+            "force": round(used.force / limits.force, 4),
+        },
+    }  # fmt: skip
+
+
+def task_scene(rig: Rig, task: Task | None) -> Scene:
+    """Return where a task wants parts: paths, regions and places; of none nothing."""
+    scene: Scene = {"kind": "paths", "paths": [], "regions": [], "places": []}
+    match task:
+        case FollowTask():
+            scene["paths"] = [
+                {"type": path.label, "points": _rounded(path.waypoint), "closed": path.closed}
+                for path in task.paths
+            ]
+        case SortTask():
+            scene["regions"] = [
+                {"type": label, "polygon": _rounded(region_outline(task, label, rig.plate.half))}
+                for label in task.regions
+            ]
+        case FeedTask():
+            windows = [(pick.label, *pick_window(pick, rig)) for pick in task.picks]
+            scene["regions"] = [
+                {"type": label, "polygon": _rounded([a, (b[0], a[1]), b, (a[0], b[1])])}
+                for label, a, b in windows
+            ]
+        case AssembleTask():
+            scene["places"] = [
+                {"type": label, "x": x, "y": y, "angle": None}
+                for label, (x, y) in zip(task.labels, task.place, strict=True)
+            ]
+        case PoseTask():
+            scene["places"] = [
+                {"type": pose.label, "x": pose.place[0], "y": pose.place[1], "angle": pose.angle}
+                for pose in task.poses
+                if pose.place is not None
+            ]
+    return scene
+
+
+def replay_scene(
+    begin: float, end: float, now: float, playing: bool, rate: float, problem: str
+) -> Scene:
+    """Return where a recorded run is, and why it goes no further."""
+    return {
+        "kind": "replay", "begin": begin, "end": end, "now": now, "playing": playing, "rate": rate,
+        "problem": problem,
+    }  # fmt: skip
+
+
+def nodes_scene(reports: Mapping[str, tuple[float, str, str, Mapping[str, str]]]) -> Scene:
+    """Return what nodes say of themselves; by name: age [s], level, message, values."""
+    return {
+        "kind": "nodes",
+        "nodes": [
+            {"name": name, "age": round(age, 1), "level": level, "message": message,
+             "values": dict(values)}
+            for name, (age, level, message, values) in sorted(reports.items())
+        ],
+    }  # fmt: skip
+
+
+def _rounded(values: Any, digits: int = 5) -> Any:
+    return np.round(np.asarray(values, dtype=float), digits).tolist()

@@ -1,0 +1,23 @@
+// A recorded run: play, seek, rate.
+
+import { known, on } from "../bus.js";
+import { byId, tell } from "../dom.js";
+
+export function replay(ask, view) {
+  const [bar, seek, play, rate, answer] = ["replay", "replay-seek", "replay-play", "replay-rate", "replay-answer"].map(byId);
+  on("hello", (hello) => (bar.hidden = !hello.replay));
+  on("replay", ({ begin, end, now, playing, rate: at, problem }) => {
+    bar.hidden = false;
+    Object.assign(seek, { min: begin, max: end });
+    if (document.activeElement !== seek || playing) seek.value = now;
+    tell(play, playing ? "Pause" : "Play");
+    if (document.activeElement !== rate) rate.value = String(at);
+    tell(byId("replay-time"), `${(now - begin).toFixed(1)} of ${(end - begin).toFixed(1)} s${problem && `: ${problem}`}`);
+  });
+  play.addEventListener("click", () => ask({ do: "replay", playing: !known.replay?.playing }, answer));
+  seek.addEventListener("input", () => {
+    view.trails.clear();
+    ask({ do: "replay", seek: seek.valueAsNumber }, answer, true);
+  });
+  rate.addEventListener("change", () => ask({ do: "replay", rate: Number(rate.value) }, answer));
+}

@@ -1,0 +1,67 @@
+// The header: rig, task, readings, motors.
+
+import { known, on } from "../bus.js";
+import { byId, tell } from "../dom.js";
+
+/** Words with a sign before them, so that colour is not alone. */
+const GRADES = {
+  running: ["\u25b6", "good"], done: ["\u2713", "good"], ready: ["\u2713", "good"], idle: ["\u25cb", ""],
+  stuck: ["!", "warn"], lost: ["!", "warn"], aborted: ["\u25a0", "warn"], disabled: ["\u25cb", "warn"],
+  enabling: ["\u2026", ""], calibrating: ["\u2026", ""], braking: ["\u25a0", "bad"], stopped: ["\u25a0", "bad"],
+  error: ["\u2715", "bad"], connected: ["\u25cf", "good"], silent: ["!", "warn"], lost_connection: ["\u2715", "bad"],
+  ok: ["\u2713", "good"], warn: ["!", "warn"], stale: ["?", "warn"],
+};
+
+/** Show a state as a badge. */
+export function badge(node, state, words = state) {
+  const [sign, grade] = GRADES[state.toLowerCase()] ?? ["?", ""];
+  tell(node, `${sign} ${words}`);
+  node.dataset.grade = grade;
+}
+
+const SILENT_S = 1.5; // a node reports each second: silence is named within 2 s
+
+/** The names of nodes that say nothing any more; pages come and go. */
+export function silent() {
+  if (known.hello?.replay) return [];
+  return (known.nodes?.nodes ?? []).filter(({ name, age }) => age > SILENT_S && !name.startsWith("page")).map(({ name }) => name);
+}
+
+const rate = (value) => (Number.isFinite(value) ? `${value.toFixed(1)} /s` : "\u2013");
+
+export function status(ask) {
+  on("hello", ({ rig, role, replay }) => {
+    tell(byId("rig-name"), rig.name);
+    document.title = `Plate: ${rig.name}`;
+    byId("rig-name").title = `${Math.round(1000 * rig.length)} \u00d7 ${Math.round(1000 * rig.width)} mm, stroke \u00b1${(1000 * rig.stroke).toFixed(1)} mm`;
+    tell(byId("role"), replay ? "recorded run" : role === "viewer" ? "read only" : "operator");
+  });
+  let told = "";
+  on("task", ({ task, state, text }) => {
+    badge(byId("task-state"), state, task ? `${task}: ${state}` : state);
+    const words = text === state ? "" : (text || "").replace(`${state}: `, ""); // the state stands before it already
+    tell(byId("task-text"), words);
+    byId("task-text").title = words;
+    if (`${task} ${state}` !== told) tell(byId("spoken"), `Task ${task} ${state}. ${text || ""}`);
+    told = `${task} ${state}`;
+  });
+  const driver = () => {
+    if (!known.driver) return;
+    const { state, text } = known.driver;
+    const lost = silent().includes("driver");
+    badge(byId("driver-state"), lost ? "silent" : state, lost ? `no word (was ${state})` : state);
+    byId("driver-state").title = text || "";
+    tell(byId("enable"), state === "ready" ? "Disable" : "Enable");
+  };
+  on("driver", driver);
+  on("nodes", driver);
+  on("timing", ({ latency_ms: ms, image_rate, cycle_rate }) => {
+    tell(byId("reading-latency"), ms && Number.isFinite(ms.median) ? `${ms.median.toFixed(1)} ms` : "\u2013");
+    byId("images").hidden = !Number.isFinite(image_rate);
+    tell(byId("reading-images"), rate(image_rate));
+    tell(byId("reading-cycles"), rate(cycle_rate));
+  });
+  const answer = byId("plate-answer");
+  byId("enable").addEventListener("click", () => ask({ do: "enable", on: known.driver?.state !== "ready" }, answer));
+  byId("cut-power").addEventListener("click", () => ask({ do: "cut_power" }, answer));
+}

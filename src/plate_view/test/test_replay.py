@@ -1,0 +1,145 @@
+"""Recorded runs: what is shown at a time, and how they are played."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+rosbag2 = pytest.importorskip("rosbags.rosbag2")
+
+from ament_index_python.packages import get_package_share_directory  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+from plate_core import PlateError  # noqa: E402
+from plate_interfaces.msg import Part, Parts, TaskStatus  # noqa: E402
+from plate_view.ros import Replay  # noqa: E402
+
+KINDS = {"parts": Parts, "task_status": TaskStatus}
+BEGIN_S = 1_700_000_000.0
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Five seconds: a part that moves 1 mm each 0.1 s, and a task that begins after 0.05 s."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    for path in Path(get_package_share_directory("plate_interfaces")).glob("msg/*.msg"):
+        name = f"plate_interfaces/msg/{path.stem}"
+        types.register(get_types_from_msg(path.read_text(encoding="utf-8"), name))
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        lines = {
+            topic: writer.add_connection(
+                f"/left/{topic}", f"plate_interfaces/msg/{kind.__name__}", typestore=types
+            )
+            for topic, kind in KINDS.items()
+        }
+
+        def say(topic, t, msg):
+            writer.write(lines[topic], round(1e9 * (BEGIN_S + t)), serialize_message(msg))
+
+        for k in range(51):
+            say("parts", 0.1 * k, Parts(parts=[Part(id="a_1", x=1e-3 * k)]))
+            if k == 0:
+                say("task_status", 0.05, TaskStatus(text="begun"))
+    return tmp_path / "bag"
+
+
+@pytest.fixture
+def heard():
+    return []
+
+
+@pytest.fixture
+def replay(bag, heard):
+    made = Replay(bag, KINDS, lambda topic, msg: heard.append((topic, msg)))
+    yield made
+    made.close()
+
+
+def test_a_jump_shows_what_was_known_then(replay, heard):
+    heard.clear()
+    replay.seek(BEGIN_S + 4.02)
+    shown = dict(heard)
+    assert shown["parts"].parts[0].x == pytest.approx(0.040)
+    assert shown["task_status"].text == "begun"  # latched: said long before
+    assert len(heard) == 2
+    heard.clear()
+    replay.seek(BEGIN_S - 7)
+    assert (replay.now, dict(heard)["parts"].parts[0].x) == (replay.begin, 0.0)
+    assert "task_status" not in dict(heard)
+    replay.seek(BEGIN_S + 99)
+    assert replay.now == replay.end == pytest.approx(BEGIN_S + 5)
+
+
+def test_it_plays_at_its_rate_and_ends(replay, heard, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("plate_view.ros.replay.time.monotonic", lambda: clock[0])
+    replay.step()
+    heard.clear()
+    clock[0] += 1.0
+    replay.step()
+    assert heard == []  # it does not play yet
+    replay.set_rate(2.0)
+    replay.play(True)
+    clock[0] += 0.5
+    replay.step()
+    assert replay.now == pytest.approx(BEGIN_S + 1.0)
+    assert dict(heard)["parts"].parts[0].x == pytest.approx(0.010)
+    clock[0] += 60
+    replay.step()
+    assert not replay.playing
+    assert dict(heard)["parts"].parts[0].x == pytest.approx(0.050)
+    replay.play(True)
+    assert replay.now == replay.begin  # from the beginning again
+    with pytest.raises(PlateError, match="rate is 100, allowed"):
+        replay.set_rate(100.0)
+
+
+def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
+    with pytest.raises(PlateError, match="allowed: a recorded run"):
+        Replay(tmp_path / "nothing", KINDS, print)
+    with pytest.raises(PlateError, match="without our topics, allowed: one with image"):
+        Replay(bag, {"image": Parts}, print)
+    (data,) = bag.glob("*.db3")
+    data.write_bytes(data.read_bytes()[:100])
+    with pytest.raises(PlateError, match="allowed"):
+        Replay(bag, KINDS, print)
+
+
+def test_a_damaged_record_is_told(replay, monkeypatch):
+    def messages(*wanted):
+        raise rosbag2.ReaderError("truncated record")
+        yield
+
+    monkeypatch.setattr(replay._reader, "messages", messages)
+    with pytest.raises(PlateError, match="bag is damaged, allowed: a whole one: truncated record"):
+        replay.seek(BEGIN_S + 1)
+
+
+def test_a_bag_that_is_damaged_in_the_middle_plays_up_to_there(bag, heard, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("plate_view.ros.replay.time.monotonic", lambda: clock[0])
+    (file,) = bag.glob("*.db3")
+    with sqlite3.connect(file) as lines:
+        lines.execute(
+            "UPDATE messages SET data = ? WHERE timestamp = ?",
+            (b"\x00\x01\x00\x00\xff", round(1e9 * (BEGIN_S + 3.0))),
+        )
+    lines.close()
+    replay = Replay(bag, KINDS, lambda topic, msg: heard.append((topic, msg)))
+    replay.play(True)
+    for _ in range(60):
+        clock[0] += 0.1
+        replay.step()
+    assert not replay.playing
+    assert replay.now == pytest.approx(BEGIN_S + 3.0, abs=0.11)
+    assert "bag is damaged, allowed: a whole one" in replay.problem
+    assert heard[-1][1].parts[0].x == pytest.approx(0.029, abs=0.0015)
+    replay.play(True)  # the rest of it is whole
+    assert replay.problem == ""
+    for _ in range(60):
+        clock[0] += 0.1
+        replay.step()
+    assert (heard[-1][1].parts[0].x, replay.problem) == (pytest.approx(0.050), "")
+    replay.close()

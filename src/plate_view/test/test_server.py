@@ -1,0 +1,119 @@
+"""The page's server without a graph."""
+
+import asyncio
+import contextlib
+import json
+import socket
+import time
+
+import pytest
+
+tornado = pytest.importorskip("tornado.websocket")
+
+from plate_view import server as module  # noqa: E402
+from plate_view.access import Access  # noqa: E402
+
+TIMEOUT_S = 20.0
+
+
+@pytest.fixture
+def taken():
+    return []
+
+
+@pytest.fixture
+def server(taken):
+    def take(browser, command):
+        taken.append(command.name)
+        browser.answer(command.number, True, "")
+
+    found = module.PageServer(Access(), 8300, {}, take, lambda: None)
+    yield found
+    found.close()
+
+
+async def opened(server, token=""):
+    address = server.url.replace("http", "ws") + f"socket?token={token}"
+    origin = server.url.rstrip("/")
+    request = tornado.httpclient.HTTPRequest(address, headers={"Origin": origin})
+    return await tornado.websocket_connect(request)
+
+
+async def answer(connection, number):
+    while True:
+        text = await asyncio.wait_for(connection.read_message(), TIMEOUT_S)
+        message = json.loads(text)
+        if message.get("number") == number:
+            return message
+
+
+def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, taken, monkeypatch):
+    monkeypatch.setattr(module, "STILL_S", 0.2)
+
+    async def talk():
+        connection = await opened(server)
+        server._loop.call_soon_threadsafe(time.sleep, 0.6)
+        await asyncio.sleep(0.1)
+        for number, name in enumerate(("learn_plate", "emergency_stop", "cancel")):
+            await connection.write_message(json.dumps({"do": name, "number": number}))
+        assert not (await answer(connection, 0))["ok"]
+        assert "stood still" in (await answer(connection, 2))["text"]
+        assert taken == ["emergency_stop"]
+        while not (  # and then all goes on
+            await connection.write_message(json.dumps({"do": "cancel", "number": 3}))
+            or await answer(connection, 3)
+        )["ok"]:
+            await asyncio.sleep(0.05)
+        connection.close()
+
+    asyncio.run(talk())
+
+
+def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch):
+    monkeypatch.setattr(module, "MOST_REQUESTS", 5)
+    silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(8)]
+    for each in silent[5:]:
+        each.settimeout(TIMEOUT_S)
+        with contextlib.suppress(ConnectionResetError):
+            assert each.recv(1) == b""  # closed
+    for each in silent:
+        each.close()
+
+    async def talk():
+        end = time.monotonic() + TIMEOUT_S
+        while True:
+            try:
+                connection = await opened(server)
+                break
+            except (
+                OSError,
+                tornado.httpclient.HTTPError,
+            ):  # those that were closed are not forgotten yet
+                assert time.monotonic() < end
+                await asyncio.sleep(0.05)
+        await connection.write_message(json.dumps({"do": "stop", "number": 1}))
+        assert (await answer(connection, 1))["ok"]
+        connection.close()
+
+    asyncio.run(talk())
+    assert taken == ["stop"]
+
+
+def test_an_operator_finds_a_place_however_many_look_on(monkeypatch):
+    monkeypatch.setattr(module, "MOST_BROWSERS", 3)
+    monkeypatch.setattr(module, "MOST_VIEWERS", 2)
+    access = Access(operator_token="operator1234", viewer_token="viewer123456")
+    server = module.PageServer(access, 8300, {}, print, lambda: None)
+
+    async def talk():
+        there = [await opened(server, access.viewer_token) for _ in range(2)]
+        with pytest.raises(tornado.httpclient.HTTPError, match="503"):
+            await opened(server, access.viewer_token)
+        there.append(await opened(server, access.operator_token))
+        with pytest.raises(tornado.httpclient.HTTPError, match="503"):
+            await opened(server, access.operator_token)
+        for each in there:
+            each.close()
+
+    asyncio.run(talk())
+    server.close()

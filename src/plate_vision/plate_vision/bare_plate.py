@@ -1,0 +1,88 @@
+"""What the detector knows of the bare plate, and how it comes to know it: for rigs with types."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plate_core.status import Finding, Level
+
+from .plate import Region
+from .recognition import model_plate
+from .shapes import find_patches, learn_plate
+from .vision import Vision
+
+BARE_IMAGES = 5
+"""From which the bare plate is learned: their noise averages out."""
+
+FOLLOW_S = 2.0
+"""How often the light on the plate is followed [s]: it takes longer than a detection."""
+
+MODELLED = "the bare plate is modelled from an image with parts: call ~/learn_plate when it is bare"
+"""What to know when nobody has shown the bare plate."""
+
+
+@dataclass(frozen=True, eq=False)
+class BarePlate:
+    """What is known of the bare plate.
+
+    Attributes
+    ----------
+    learned : bool
+        From images of it: else it is modelled.
+    followed_at : float
+        Stamp of the image by which its light was followed last [s].
+    wanted : int
+        Images of the bare plate that are waited for; 0: none.
+    images : tuple of (H, W) or (H, W, 3) uint8
+        Those that came.
+    """
+
+    learned: bool = False
+    followed_at: float = -np.inf
+    wanted: int = 0
+    images: tuple[np.ndarray, ...] = ()
+
+
+def learn_next(plate: BarePlate, image: np.ndarray | None, region: Region) -> tuple[BarePlate, str]:
+    """Begin to learn: the next images show the bare plate. Returns also what a user should know, by
+    the last image (H, W) or (H, W, 3)."""
+    text = f"the next {BARE_IMAGES} images are taken for the bare plate"
+    things = "" if image is None else lying(image, region)
+    if things:
+        text += f"; {things} now: if these are parts, take them off, and call again"
+    return replace(plate, wanted=BARE_IMAGES, images=()), text
+
+
+def know_plate(
+    plate: BarePlate, vision: Vision, image: np.ndarray, stamp: float
+) -> tuple[BarePlate, Vision, Finding | None]:
+    """Take in one image (H, W) or (H, W, 3), taken at a stamp [s]: learn the bare plate if that is
+    wanted, model it if it is not known, follow its light.
+
+    Returns what is then known, a vision that knows the background, and what a user should know.
+    """
+    if plate.wanted:
+        images = (*plate.images, image)
+        if len(images) < plate.wanted:
+            return replace(plate, images=images), vision, None
+        vision = replace(vision, background=learn_plate(np.stack(images)))
+        text, things = f"bare plate learned from {len(images)} images", lying(image, vision.region)
+        found = Finding(Level.OK, text)
+        if things:
+            found = Finding(Level.WARN, f"{text}; {things}: if these are parts, learn it again")
+        return BarePlate(learned=True, followed_at=stamp), vision, found
+    if vision.background is None:
+        vision = replace(vision, background=model_plate(image, vision.region))
+        return BarePlate(followed_at=stamp), vision, Finding(Level.WARN, MODELLED)
+    if abs(stamp - plate.followed_at) < FOLLOW_S:
+        return plate, vision, None
+    vision = replace(vision, background=vision.background.followed(image))
+    return replace(plate, followed_at=stamp), vision, None
+
+
+def lying(image: np.ndarray, region: Region) -> str:
+    """Say what seems to lie on a plate that should be bare; nothing if it seems to be bare."""
+    count = len(find_patches(image, model_plate(image, region), region))
+    return f"{count} thing{'s lie' if count > 1 else ' lies'} on it" if count else ""

@@ -1,0 +1,61 @@
+"""Types of parts that are taught to the running detector, part by part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from plate_core.rig import PartType
+
+from .errors import TeachError
+from .recognition import model_plate
+from .shapes.catalogue import make_catalogue
+from .shapes.part_files import add_type, told
+from .shapes.teaching import MOST_PICTURES, Example
+from .vision import Vision
+
+
+@dataclass(frozen=True, eq=False)
+class Teaching:
+    """A type that is being taught: its name, and the pictures so far."""
+
+    name: str = ""
+    examples: tuple[Example, ...] = ()
+
+    def shown(self, name: str, image: np.ndarray) -> Teaching:
+        """Return it with one more picture (H, W) or (H, W, 3); of another type it begins anew.
+
+        Raises
+        ------
+        TeachError
+            If no name is given.
+        """
+        if not name:
+            raise TeachError("teach_name is empty, allowed: the name of the type, such as nut")
+        before = self.examples if name == self.name else ()
+        example = Example(image, name=f"image {len(before) + 1}")
+        return Teaching(name, (*before, example)[-MOST_PICTURES:])
+
+
+def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartType, Vision, str]:
+    """Learn a type, and write it to a file of types.
+
+    Returns it, a vision that knows it, and what was learned.
+
+    Raises
+    ------
+    TeachError
+        As `learn_type` and `check_alike`.
+    """
+    image = teaching.examples[-1].image
+    bare = vision.background or model_plate(image, vision.region)
+    lesson = add_type(
+        path, teaching.name, teaching.examples, vision.calibration, bare, vision.region
+    )
+    known = () if vision.catalogue is None else vision.catalogue.templates
+    types = {template.part.name: template.part for template in known}
+    catalogue = make_catalogue({**types, lesson.part.name: lesson.part})
+    vision = replace(vision, catalogue=catalogue)
+    return lesson.part, vision, f"{told(lesson)}; written to {path}"

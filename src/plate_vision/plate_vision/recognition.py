@@ -1,0 +1,149 @@
+"""Parts of taught types in an image: found, named, and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from plate_core.rig import PartType
+
+from .camera import Calibration, calibrate_by_matrix
+from .detection import DETECTION, METHODS
+from .plate import Region
+from .shapes import Background, find_patches, model_background
+from .shapes.background import colours
+from .shapes.catalogue import Catalogue, make_catalogue
+from .shapes.classes import GROUP, UNKNOWN, recognise
+from .shapes.groups import explain_groups
+from .shapes.teaching import ALIKE, gap_between
+
+BLUR_PX = 0.8
+"""Usual blur of a camera and its pixels, standard deviation [px]."""
+
+LEAST_CORNER_PX = 0.25
+"""How far corners must stand out from a round outline in the image for the angle to be told [px]:
+of stars of 5 to 16 corners with so much it is a fifth of the angle between two of them off at
+most."""
+
+SIZE_ALONE = 3.0
+"""Types that differ by less than so many standard deviations, and in size alone, are named."""
+
+SCALE = 1000.0
+"""Of photographs of which nothing is known: a pixel is a millimetre [px/m]."""
+
+
+def find_parts(
+    image: np.ndarray,
+    types: Mapping[str, PartType] | Catalogue,
+    background: Background | None = None,
+    scale: float = SCALE,
+    region: Region | None = None,
+) -> np.ndarray:
+    """Find parts of taught types in a picture taken from above.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+    types : mapping of str to PartType, or Catalogue
+        By their names; or these prepared by `make_catalogue`, which takes a while.
+    background : Background, optional
+        The bare plate; modelled from the image if None.
+    scale : float
+        Of the picture [px/m].
+    region : Region, optional
+        Where the plate is; the whole image if None.
+
+    Returns
+    -------
+    (n,) structured array
+        Fields of `DETECTION`; labels are names of types, `unknown` for what is like none, and
+        `group` for parts that touch and that nothing takes apart.
+
+    Raises
+    ------
+    ImageError
+        If the image is not uint8, or has another shape.
+    """
+    catalogue = types if isinstance(types, Catalogue) else make_catalogue(types)
+    bare = model_background(image) if background is None else background
+    seen = find_types(image, catalogue, bare, calibrate_by_scale(scale), region)
+    found = np.zeros(len(seen), DETECTION)
+    for name in ("x_px", "y_px", "radius_px", "label", "confidence"):
+        found[name] = seen[name]
+    found["angle_rad"] = seen["angle"]
+    found["method"] = np.where(is_named(seen), METHODS[1], METHODS[2])
+    return found
+
+
+def find_types(
+    image: np.ndarray,
+    catalogue: Catalogue,
+    background: Background,
+    calibration: Calibration,
+    region: Region | None = None,
+) -> np.ndarray:
+    """Find parts of taught types on the plate: (n,) `SIGHTING`."""
+    patches = find_patches(image, background, region)
+    seen = recognise(image, patches, catalogue, calibration)
+    return explain_groups(image, patches, seen, catalogue, calibration)
+
+
+def is_named(seen: np.ndarray) -> np.ndarray:
+    """Which (n,) of sightings (n,) `SIGHTING` are of a type."""
+    return np.asarray((seen["label"] != UNKNOWN) & (seen["label"] != GROUP))
+
+
+def model_plate(image: np.ndarray, region: Region) -> Background:
+    """Model the bare plate from one image (H, W) or (H, W, 3) that shows parts, and more than the
+    plate.
+
+    Raises
+    ------
+    ImageError
+        If it is not uint8, or has another shape.
+    """
+    x0, y0, x1, y1 = region.box
+    plate = model_background(np.asarray(image)[y0:y1, x0:x1])
+    # What is beside the plate is not looked at.
+    lab = colours(image).copy()
+    lab[y0:y1, x0:x1] = plate.lab
+    limit = np.full(lab.shape[:2], 255, np.uint8)
+    limit[y0:y1, x0:x1] = plate.limit
+    return replace(plate, lab=lab, limit=limit)
+
+
+def calibrate_by_scale(scale: float) -> Calibration:
+    """Return the calibration of a picture taken from above [px/m]: its first pixel is the origin of
+    plate_home, x to the right, y up."""
+    return calibrate_by_matrix(np.diag([scale, -scale, 1.0]))
+
+
+def camera_limits(types: Mapping[str, PartType], calibration: Calibration) -> list[str]:
+    """Say what the camera cannot tell of types, or only just: which look alike, which differ in
+    size alone, which are too small or round to have an angle. One sentence each."""
+    scale = float(calibration.scale(np.zeros((1, 2)))[0])
+    found = []
+    for (name, part), template in zip(types.items(), make_catalogue(types).templates, strict=True):
+        if part.symmetry:
+            corner_px = scale * np.sqrt(2 * template.lever2) / part.symmetry
+            wave = BLUR_PX * part.symmetry / (scale * part.reach_m)
+            corner_px *= np.exp(-0.5 * wave**2)
+            if corner_px < LEAST_CORNER_PX:
+                found.append(
+                    f"type {name}: {part.symmetry} corners stand out by {corner_px:.2f} px in the "
+                    f"image, allowed: {LEAST_CORNER_PX} px: its angle cannot be told"
+                )
+    for one, other in combinations(types.values(), 2):
+        gap = gap_between(one, other, scale)
+        if gap.far < ALIKE:
+            found.append(gap.text)
+        elif gap.far < SIZE_ALONE and abs(gap.size) > 0.9 * gap.far:
+            found.append(
+                f"types {one.name} and {other.name} differ in size alone, by "
+                f"{abs(gap.size_px):.1f} px: light or blur may swell one to the other"
+            )
+    return found

@@ -1,0 +1,348 @@
+"""What is behind the parts of an image: a bare plate that was learned, or a model of a photograph.
+
+Both give colour and noise of the background at each pixel. Colours are Lab as OpenCV scales it to 8
+bits (L 0 to 255, a and b about 128); an image in grey levels has one channel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from plate_core.kernels import kernel
+
+from ..errors import ImageError
+from ..plate.region import quadratic
+
+CHROMA = (0.5, 2.0)
+"""Weight of a and b beside L in the deviation of a colour: what makes their noise like that of L,
+within these bounds. In CIE's deviation it is 2.55, as L ends at 100 there in place of 255."""
+
+SIGMAS = 3.5
+"""Deviation, in standard deviations of the background's noise, up to which a pixel shows it."""
+
+LEAST_NOISE = 2.5
+"""Least standard deviation that a background is thought to have: quantisation and JPEG [L]."""
+
+NEAR_PX = 16
+"""Half the side of the window over which the noise of the bare plate is averaged [px]."""
+
+SHIFT_PX = 0.2
+"""The plate comes home to so much [px]: by that its texture moves."""
+
+SAMPLES = 2000
+"""Pixels to which slow changes of the light are fitted."""
+
+PASSES = 4
+"""Times that the change of light is fitted to those pixels that agree with it."""
+
+START = 25.0
+"""Largest change of light that is followed at once [L]."""
+
+MOST_PIXELS = 30_000
+"""Of a photograph so many are looked at for its background."""
+
+MODES = 5
+"""Colours of a photograph that are tried as its background."""
+
+NEAR_MODE = 18.0
+"""How near to a mode's colour its pixels are at first [L]."""
+
+TERMS = (1, 3, 6, 6, 6)
+"""Of the surface that is fitted to the background: flat, tilted, bent."""
+
+BORDER = 0.03
+"""Width of the border of a photograph, relative to its shorter side."""
+
+BORDER_WEIGHT = 0.5
+"""Weight of the border in the choice of a background."""
+
+LOCAL = 0.12
+"""How far the background's colour is averaged, relative to the shorter side: more than a part."""
+
+LOCAL_PASSES = 3
+"""Times that it is, with those pixels that are like it."""
+
+LEAST_SHARE = 0.05
+"""Share of the background around a pixel from which on it follows that."""
+
+TEXTURE_PERCENT, TEXTURE = 98, 1.25
+"""Of what shows the background in a photograph so many per cent deviate less than its texture does;
+parts deviate so many times as much."""
+
+SPECK, SPECKS = 100.0, 0.004
+"""Deviation of a pixel from those around it that makes it a speck [L], and the share of such pixels
+from which on an image is cleaned of them."""
+
+LEAST_SCORE = 0.4
+"""Of the share of the image that the background explains, and of its border, added: what has less
+is no background."""
+
+BLOCK = 12.0
+"""Side of the bins in which modes are counted [L]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What an image shows where no part lies.
+
+    Attributes
+    ----------
+    lab : (H, W, C) uint8
+        Colours: C = 3, L, a, b; or C = 1, grey levels.
+    limit : (H, W) uint8
+        Deviation up to which a pixel shows the background [L], as `deviation` measures it.
+    chroma : float
+        Weight of a and b beside L in a deviation.
+    cleaned : bool
+        Whether single pixels are left out of images before they are compared with it: photographs
+        have dust and dead pixels that no bare plate shows.
+    """
+
+    lab: np.ndarray
+    limit: np.ndarray
+    chroma: float = CHROMA[1]
+    cleaned: bool = False
+
+    @property
+    def grey(self) -> np.ndarray:
+        """Its grey levels (H, W) uint8; of colours green's."""
+        if self.lab.shape[2] == 1:
+            return self.lab[:, :, 0]
+        return np.asarray(cv2.cvtColor(self.lab, cv2.COLOR_LAB2BGR)[:, :, 1])
+
+    def followed(self, image: np.ndarray) -> Background:
+        """Return the background under the light of an image (H, W) or (H, W, 3) uint8, which shows
+        parts as well; as it is if too little of it is seen.
+
+        Raises
+        ------
+        ImageError
+            If the image has another shape than the background.
+        """
+        return self._lit_as(colours_like(image, self))
+
+    def _lit_as(self, lab: np.ndarray) -> Background:
+        height, width, channels = self.lab.shape
+        step = max(1, int(np.sqrt(height * width / SAMPLES)))
+        grid = np.s_[step // 2 :: step, step // 2 :: step]
+        change = (lab[grid].astype(np.float32) - self.lab[grid]).reshape(-1, channels)
+        limit = self.limit[grid].ravel()
+        rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+        design = _surface_terms(columns.ravel(), rows.ravel(), (width, height))
+        fit = np.zeros((design.shape[1], channels), np.float32)
+        for turn in range(PASSES):
+            near = np.maximum(limit, START if turn == 0 else 0)
+            kept = _size(change - design @ fit, self.chroma) <= near
+            if np.count_nonzero(kept) < 0.1 * len(kept):
+                return self
+            part = design[kept]
+            fit = np.linalg.lstsq(part.T @ part, part.T @ change[kept], rcond=None)[0]
+        if np.max(np.abs(design @ fit)) < 0.5:
+            return self
+        y, x = np.mgrid[:height, :width].astype(np.float32)
+        return replace(self, lab=_add_surface(self.lab, _surface_terms(x, y, (width, height)), fit))
+
+
+def learn_plate(images: np.ndarray) -> Background:
+    """Learn the bare plate from images (n, H, W) or (n, H, W, 3) uint8 of it, n >= 1.
+
+    Raises
+    ------
+    ImageError
+        If they are not uint8, or have another shape.
+    """
+    images = np.asarray(images)
+    if images.ndim not in (3, 4) or not len(images):
+        raise ImageError(f"images: shape is {images.shape}, allowed: (n, H, W) or (n, H, W, 3)")
+    labs = np.stack([colours(image) for image in images])
+    mean = np.median(labs, axis=0).astype(np.uint8) if len(labs) > 2 else labs[0]
+    # Of one image the noise is what differs from its own neighbourhood.
+    bare = mean if len(labs) > 1 else cv2.medianBlur(mean, 5).reshape(mean.shape)
+    chroma = _chroma_weight(labs, bare)
+    square = np.mean([deviation(lab, bare, chroma).astype(np.float32) ** 2 for lab in labs], axis=0)
+    side = 2 * NEAR_PX + 1
+    square = cv2.blur(square, (side, side))
+    slope = np.hypot(
+        cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 1, 0), cv2.Sobel(mean[:, :, 0], cv2.CV_32F, 0, 1)
+    )
+    noise = np.sqrt(square + (SHIFT_PX / 8 * slope) ** 2)
+    return Background(mean, _limit(noise), chroma)
+
+
+def model_background(image: np.ndarray) -> Background:
+    """Model the background of one image (H, W) or (H, W, 3) uint8 that shows parts as well.
+
+    It is the smooth surface in Lab on which most of the image and of its border lies, darker and
+    brighter where all around is; what is on both sides of it may be parts.
+
+    Raises
+    ------
+    ImageError
+        If it is not uint8, or has another shape.
+    """
+    lab = colours(image)
+    clean = _cleaned(lab)
+    dirty = bool(
+        np.count_nonzero(deviation(lab, clean, CHROMA[1]) > SPECK) > SPECKS * lab[:, :, 0].size
+    )
+    if dirty:
+        lab = clean
+    height, width, channels = lab.shape
+    step = int(np.ceil(np.sqrt(height * width / MOST_PIXELS)))
+    size = max(width // step, 1), max(height // step, 1)
+    small = cv2.resize(lab, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], channels)
+    values = small.reshape(-1, channels).astype(np.float32)
+    rows, columns = np.mgrid[: size[1], : size[0]]
+    design = _surface_terms(columns.ravel(), rows.ravel(), size)
+    edge = np.min([rows, columns, size[1] - 1 - rows, size[0] - 1 - columns], axis=0).ravel()
+    border = edge <= BORDER * min(size)
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for mode in _modes(values):
+        if best is not None and best[2][mode]:
+            continue  # of the same surface
+        fit = np.zeros((design.shape[1], channels), np.float32)
+        fit[0] = values[mode]
+        near = NEAR_MODE
+        kept = np.ones(len(values), bool)
+        for terms in TERMS:
+            kept = _size(values - design @ fit, CHROMA[1]) <= near
+            if np.count_nonzero(kept) < 50:
+                break
+            part = design[kept][:, :terms]
+            fit[:terms] = np.linalg.lstsq(part.T @ part, part.T @ values[kept], rcond=None)[0]
+            rest = _size(values[kept] - part @ fit[:terms], CHROMA[1])
+            near = SIGMAS * max(float(np.sqrt(np.median(rest**2))), LEAST_NOISE)
+        score = float(np.mean(kept)) + BORDER_WEIGHT * float(np.mean(kept[border]))
+        if best is None or score > best[0]:
+            best = score, design @ fit, kept
+    nothing = Background(lab, np.full((height, width), 255, np.uint8))
+    if best is None or best[0] < LEAST_SCORE:
+        return nothing
+    surface, kept = _local(values, best[1], best[2], size)
+    grown = cv2.resize(surface.reshape(size[1], size[0], channels), (width, height))
+    bare = np.clip(np.rint(grown), 0, 255).astype(np.uint8).reshape(lab.shape)
+    inner = cv2.erode(kept.reshape(size[1], size[0]).astype(np.uint8), np.ones((3, 3), np.uint8))
+    shown = cv2.resize(inner, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    away = deviation(lab, bare, CHROMA[1])[shown]
+    if not len(away):
+        return nothing
+    noise = float(np.percentile(away, TEXTURE_PERCENT)) * TEXTURE / SIGMAS
+    limit = _limit(np.full((height, width), noise, np.float32))
+    return Background(bare, limit, cleaned=dirty)
+
+
+def _local(
+    values: np.ndarray, surface: np.ndarray, kept: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a background (n, C) that follows an image's colours (n, C) where those pixels are like
+    it that are `kept` (n,), and which are in the end."""
+    width = LOCAL * min(size)
+    for _ in range(LOCAL_PASSES):
+        rest = np.where(kept[:, None], values - surface, 0).reshape(size[1], size[0], -1)
+        weight = kept.astype(np.float32).reshape(size[1], size[0])
+        total = cv2.GaussianBlur(weight, (0, 0), width).reshape(-1, 1)
+        change = cv2.GaussianBlur(rest, (0, 0), width).reshape(values.shape)
+        surface = surface + change / np.maximum(total, LEAST_SHARE)
+        away = _size(values - surface, CHROMA[1])
+        kept = away <= SIGMAS * max(1.2 * float(np.median(away[kept])), LEAST_NOISE)
+    return surface.astype(np.float32), kept
+
+
+def colours(image: np.ndarray) -> np.ndarray:
+    """Return Lab (H, W, 3) uint8 of blue, green, red (H, W, 3) uint8; grey levels as (H, W, 1)."""
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        raise ImageError(f"image: values are {image.dtype}, allowed: uint8")
+    if image.size == 0 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)[:, :, None]
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2LAB))
+
+
+def colours_like(image: np.ndarray, background: Background) -> np.ndarray:
+    """Return an image's colours (H, W, C) once they can be compared with a background's."""
+    lab = colours(image)
+    if lab.shape != background.lab.shape:
+        seen, known = (
+            f"{shape[1]} x {shape[0]} px, {shape[2]} channels"
+            for shape in (lab.shape, background.lab.shape)
+        )
+        raise ImageError(f"image: {seen}, allowed: {known}, as the background has")
+    return _cleaned(lab) if background.cleaned else lab
+
+
+def _cleaned(lab: np.ndarray) -> np.ndarray:
+    """Return colours (H, W, C) without single pixels that differ from those around them."""
+    return np.asarray(cv2.medianBlur(lab, 3)).reshape(lab.shape)
+
+
+def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
+    """Return how far colours (H, W, C) uint8 are from others: (H, W) uint8 [L], 255 at most; a and
+    b weigh `chroma`."""
+    out = np.empty(lab.shape[:2], np.uint8)
+    flat = (-1, lab.shape[2])
+    _deviation(lab.reshape(flat), bare.reshape(flat), chroma**2, out.reshape(-1))
+    return out
+
+
+@kernel(fastmath=True, error_model="numpy")
+def _deviation(lab: np.ndarray, bare: np.ndarray, weight: float, out: np.ndarray) -> None:
+    channels = lab.shape[1]
+    for i in range(len(out)):
+        change = np.int32(lab[i, 0]) - np.int32(bare[i, 0])
+        square = np.float32(change * change)
+        if channels == 3:
+            a = np.int32(lab[i, 1]) - np.int32(bare[i, 1])
+            b = np.int32(lab[i, 2]) - np.int32(bare[i, 2])
+            square += np.float32(weight) * np.float32(a * a + b * b)
+        out[i] = np.uint8(min(np.sqrt(square) + np.float32(0.5), np.float32(255)))
+
+
+def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:
+    """Return the weight of a and b by which their noise is like that of L."""
+    if bare.shape[2] == 1:
+        return CHROMA[1]
+    noise = np.mean((labs.astype(np.float32) - bare) ** 2, axis=(0, 1, 2))
+    light, chroma = np.sqrt(np.maximum([noise[0], 0.5 * (noise[1] + noise[2])], 0.5))
+    return float(np.clip(light / chroma, *CHROMA))
+
+
+def _size(change: np.ndarray, chroma: float) -> np.ndarray:
+    """Return the deviation (n,) of differences of colours (n, C)."""
+    weights = np.array([1, chroma, chroma][: change.shape[1]], np.float32)
+    return np.asarray(np.sqrt(np.sum((change * weights) ** 2, axis=1)))
+
+
+def _limit(noise: np.ndarray) -> np.ndarray:
+    return np.asarray(np.clip(SIGMAS * np.maximum(noise, LEAST_NOISE), 0, 255).astype(np.uint8))
+
+
+def _surface_terms(x: np.ndarray, y: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """Return the terms (..., 6) of a quadratic surface at pixels (...) of an image."""
+    scale = 0.5 * max(size_px)
+    u, v = (x - 0.5 * size_px[0]) / scale, (y - 0.5 * size_px[1]) / scale
+    return quadratic(u.astype(np.float32), v.astype(np.float32))
+
+
+def _add_surface(lab: np.ndarray, terms: np.ndarray, fit: np.ndarray) -> np.ndarray:
+    """Return colours (H, W, C) uint8, changed by a surface: terms (H, W, 6), factors (6, C)."""
+    return np.asarray(np.clip(np.rint(lab + terms @ fit), 0, 255).astype(np.uint8))
+
+
+def _modes(values: np.ndarray) -> np.ndarray:
+    """Return which (m,) of values (n, C) have the most frequent colours."""
+    bins = np.floor(values / BLOCK).astype(np.int64)
+    keys = bins @ (1000 ** np.arange(values.shape[1]))
+    _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    chosen = np.argsort(-counts)[:MODES]
+    inverse = inverse.ravel()
+    found = []
+    for k in chosen:
+        members = np.flatnonzero(inverse == k)
+        gap = _size(values[members] - np.median(values[members], axis=0), CHROMA[1])
+        found.append(members[np.argmin(gap)])
+    return np.array(found)

@@ -1,0 +1,290 @@
+"""Types of parts, ready for comparison with outlines, and how they are laid onto these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from plate_core.kernels import kernel
+from plate_core.rig import PartType
+
+from .outlines import (
+    CLIP,
+    HARMONICS,
+    Outline,
+    distances,
+    fit_pose,
+    make_outline,
+    rim_distance,
+)
+
+ROUND_CORNERS = 96
+"""Corners of the polygon that stands for a disc where not the circle itself does."""
+
+TURNS = 96
+"""Angles for which spectra are compared."""
+
+STARTS = 4
+"""Angles from which a polygon is laid onto an outline, at most."""
+
+LIKELY = 0.4
+"""Least correlation of both spectra at such an angle, relative to the best one of the type."""
+
+STEPS = 5
+"""Gauss-Newton steps."""
+
+EXACT = 0.15
+"""Where outlines are as near to each other, no other angle is tried [px]."""
+
+GRID = 13
+"""Points along each side of a box around a type at which it is sampled."""
+
+CHIRAL = 0.02
+"""A part that differs from its mirror image by more of its reach, RMS, has two faces."""
+
+SAMPLES = 64
+"""Points on a type's outline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A part type, ready for comparison.
+
+    Attributes
+    ----------
+    part : PartType
+    edges : (e, 5)
+        Of its outline and holes, see `Outline.edges`; a disc's is a circle.
+    outline : Outline
+    """
+
+    part: PartType
+    edges: np.ndarray
+    outline: Outline
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """Points (SAMPLES, 2) on its rim, evenly spaced [m], and there the unit vectors (SAMPLES,
+        2) outwards: (SAMPLES, 4)."""
+        edges = self.outline.edges
+        end = np.cumsum(edges[:, 4])
+        at = (np.arange(SAMPLES) + 0.5) * end[-1] / SAMPLES
+        i = np.searchsorted(end, at)
+        unit, length = edges[i, 2:4], edges[i, 4]
+        points = edges[i, :2] + (length - end[i] + at)[:, None] * unit
+        return np.column_stack([points, unit[:, 1], -unit[:, 0]])
+
+    @cached_property
+    def lever2(self) -> float:
+        """Mean square by which points on its rim leave it when it turns [m2/rad2]."""
+        x, y, right, up = self.samples.T
+        return float(np.mean((x * up - y * right) ** 2))
+
+    @cached_property
+    def pole(self) -> tuple[np.ndarray, float]:
+        """The point (2,) of the part that is furthest from its rim, and how far that is [m]."""
+        depth = -distances(self.edges, self._grid)[:, 0]
+        return self._grid[np.argmax(depth)], float(np.max(depth))
+
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """Points (n, 2) all over the part, clear of its rim, the outermost first [m]."""
+        depth = -distances(self.edges, self._grid)[:, 0]
+        points = self._grid[depth > 0.2 * np.max(depth)]
+        return points[np.argsort(-np.hypot(*(points - self.pole[0]).T))]
+
+    @property
+    def _grid(self) -> np.ndarray:
+        low, high = np.min(self.outline.points, axis=0), np.max(self.outline.points, axis=0)
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
+        return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+    @cached_property
+    def filled(self) -> Template:
+        """The part without holes."""
+        if not self.part.holes:
+            return self
+        return make_template(replace(self.part, holes=()))
+
+    @cached_property
+    def mirrored(self) -> Template | None:
+        """The part turned over, if it then looks different."""
+        flip = np.array([-1.0, 1.0])
+        outline = make_outline([flip * ring for ring in self.outline.rings])
+        fit = lay_on(self, outline, 100 / outline.reach)
+        if np.hypot(fit[3], fit[4]) < CHIRAL * outline.reach:
+            return None
+        edges = make_outline([flip * ring for ring in _corner_rings(self.part)]).edges
+        return Template(self.part, edges, outline)
+
+
+def make_template(part: PartType) -> Template:
+    """Prepare a part type for comparison."""
+    rings = _corner_rings(part)
+    coarse = make_outline(rings)
+    # Its spectrum is exact only for short edges.
+    fine = make_outline([_refined(ring, 0.05 * coarse.reach) for ring in rings])
+    edges = coarse.edges
+    if part.radius_m:
+        edges = np.vstack([[0.0, 0, 0, 0, -part.radius_m], edges[len(rings[0]) :]])
+    return Template(part, edges, fine)
+
+
+def _corner_rings(part: PartType) -> list[np.ndarray]:
+    """Return the corners (n, 2) [m] of a type's outline and of its holes."""
+    rings = [part.polygon]
+    if part.radius_m:
+        step = 2 * np.pi / ROUND_CORNERS
+        turn = step * np.arange(ROUND_CORNERS)
+        rings[0] = (
+            part.radius_m
+            * np.sqrt(step / np.sin(step))
+            * np.column_stack([np.cos(turn), np.sin(turn)])
+        )
+    return rings + [np.array(hole) for hole in part.holes]
+
+
+@dataclass(frozen=True, eq=False)
+class Catalogue:
+    """All types of a rig (T), ready for comparison.
+
+    Attributes
+    ----------
+    templates : tuple of Template
+    area, filled_area, rim, reach, scatter : (T,)
+        Less the holes, and with them [m2]; length of the outer rim [m]; greatest distance from the
+        centre [m]; how far outlines of parts of the type are apart [m].
+    colour : (T, 3)
+        CIE L, a, b; NaN where it is not known.
+    form : (T, HARMONICS - 1)
+        See `Outline.form`.
+    """
+
+    templates: tuple[Template, ...]
+    area: np.ndarray
+    filled_area: np.ndarray
+    rim: np.ndarray
+    reach: np.ndarray
+    scatter: np.ndarray
+    colour: np.ndarray
+    form: np.ndarray
+
+    @cached_property
+    def symmetry(self) -> dict[str, int]:
+        """In how many directions parts of each type look the same, by its name; 0 for discs."""
+        return {template.part.name: template.part.symmetry for template in self.templates}
+
+
+def make_catalogue(types: Mapping[str, PartType]) -> Catalogue:
+    """Prepare all types of a rig."""
+    templates = tuple(make_template(part) for part in types.values())
+    unknown = (np.nan,) * 3
+    return Catalogue(
+        templates,
+        np.array([template.outline.area for template in templates]),
+        np.array([template.outline.filled.area for template in templates]),
+        np.array([np.sum(template.outline.filled.edges[:, 4]) for template in templates]),
+        np.array([template.part.reach_m for template in templates]),
+        np.array([template.part.scatter_m for template in templates]),
+        np.array([t.part.colour_lab or unknown for t in templates]).reshape(-1, 3),
+        np.array([t.outline.form for t in templates]).reshape(-1, HARMONICS - 1),
+    )
+
+
+def lay_on(
+    template: Template, outline: Outline, scale: float, hopeless: float = np.inf
+) -> np.ndarray:
+    """Lay a type onto an outline in every likely turn: (5,) as `fit_pose`; the distances are then
+    those of both from each other."""
+    return np.asarray(
+        _lay_on(
+            template.edges,
+            template.samples,
+            template.outline.centre,
+            template.outline.spectrum,
+            template.part.symmetry,
+            outline.edges,
+            outline.centre,
+            outline.spectrum,
+            1 / scale,
+            hopeless,
+        )
+    )
+
+
+@kernel(error_model="numpy")
+def _lay_on(
+    edges: np.ndarray,
+    samples: np.ndarray,
+    own: np.ndarray,
+    known: np.ndarray,
+    symmetry: int,
+    rim: np.ndarray,
+    centre: np.ndarray,
+    seen: np.ndarray,
+    unit: float,
+    hopeless: float,
+) -> np.ndarray:
+    best = np.zeros(5)
+    best[4] = np.inf
+    reach = np.sqrt(np.sum(samples[:, :2] ** 2) / len(samples))
+    for angle in likely_turns(seen, known, symmetry):
+        c, s = np.cos(angle), np.sin(angle)
+        start = np.array(
+            [centre[0] - c * own[0] + s * own[1], centre[1] - s * own[0] - c * own[1], angle]
+        )
+        fit = fit_pose(edges, rim, start, unit, symmetry != 0, STEPS, hopeless)
+        if fit[4] >= min(best[4], hopeless):
+            best[4] = min(best[4], fit[4])
+            continue
+        # What the type has and the outline has not.
+        c, s = np.cos(fit[2]), np.sin(fit[2])
+        rest, worst = 0.0, CLIP * (unit * unit + reach * reach / 100)
+        for i in range(len(samples)):
+            x = samples[i, 0] + fit[3] * samples[i, 2]
+            y = samples[i, 1] + fit[3] * samples[i, 3]
+            gap = rim_distance(rim, fit[0] + c * x - s * y, fit[1] + s * x + c * y)
+            rest += min(gap * gap, worst)
+        fit[4] = np.sqrt(0.5 * (fit[4] ** 2 + rest / len(samples)))
+        if fit[4] < best[4]:
+            best = fit
+        if best[4] < EXACT * unit:
+            break
+    return best
+
+
+@kernel(error_model="numpy")
+def likely_turns(seen: np.ndarray, known: np.ndarray, symmetry: int) -> np.ndarray:
+    """Return the angles (k,) [rad] by which an outline with one spectrum (HARMONICS,) seems turned
+    to one with another, the most likely first; that one looks the same in so many directions."""
+    if symmetry == 0:
+        return np.zeros(1)
+    alike = np.zeros(TURNS)
+    for i in range(TURNS):
+        turn = np.exp(2j * np.pi * i / TURNS)
+        wave = complex(1.0, 0.0)
+        for k in range(1, HARMONICS):
+            wave *= turn
+            alike[i] += (seen[k] * np.conj(known[k]) * wave).real
+    sector = alike[: (TURNS + symmetry - 1) // symmetry].copy()
+    for i in range(len(sector)):
+        if alike[i] < alike[i - 1] or alike[i] < alike[(i + 1) % TURNS]:
+            sector[i] = -np.inf
+    order = np.argsort(-sector)[:STARTS]
+    count = 1
+    while count < len(order) and sector[order[count]] >= LIKELY * sector[order[0]]:
+        count += 1
+    return 2 * np.pi / TURNS * order[:count]
+
+
+def _refined(ring: np.ndarray, length: float) -> np.ndarray:
+    """Return a ring (n, 2) with more points: none further than a length [m] from the next."""
+    after = np.roll(ring, -1, axis=0)
+    pieces = []
+    for a, b in zip(ring, after, strict=True):
+        count = int(np.ceil(np.hypot(*(b - a)) / length))
+        pieces.append(a + np.arange(count)[:, None] / count * (b - a))
+    return np.concatenate(pieces)

@@ -1,0 +1,295 @@
+"""Which type of part a patch is, where it lies and how it is turned.
+
+A patch's outline is compared with that of every type: turns in which the spectra of both agree are
+found by correlation, the type's polygon is then laid onto the outline by least squares. Types are
+told apart by how far outlines remain from each other, by size and by colour. A part whose mirror
+image fits better lies on its other face: that is not its type.
+
+A nearest neighbour on Hu moments, size and colour names known parts as well and faster, but gives
+no angle, and names what is of no type: `bench/stages/classes.py` has the figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from ..camera.lens import Calibration
+from .catalogue import Catalogue, Template, lay_on
+from .outlines import MARGIN_PX, POINTS, Outline, make_outline, patch_rings, turn_scatter
+
+UNKNOWN = "unknown"
+"""The label of a patch that is like no type."""
+
+GROUP = "group"
+"""The label of parts that touch each other and that nothing takes apart."""
+
+ASTRAY = 2.0
+"""After two steps a fit is no further from its goal than so many times what it may be."""
+
+FIT_PX = 0.35
+"""How far outlines of one type are apart by pixels and noise, RMS [px]."""
+
+FIT_REACH = 0.025
+"""The same by the view from the side, light and make, relative to the part's reach."""
+
+SIZE_PX = 0.6
+"""How much larger or smaller a part's outline seems than it is: blur, shadow, threshold [px]."""
+
+SIZE_REACH = 0.025
+"""The same, relative to its reach."""
+
+COLOUR_LAB = 12.0
+"""How far colours of one type are apart."""
+
+LIGHTNESS = 0.5
+"""Weight of differences of lightness, which light and highlights change."""
+
+HOLES = 0.06
+"""How much of a part may seem to be a hole, or not to be one: a highlight, a dark hole."""
+
+LIMIT = 3.0
+"""Of differences, in the standard deviations above: what is further from every type is unknown."""
+
+OTHER_SIZE, OTHER_SIZE_PX = 0.45, 1.0
+"""Natural logarithm of the ratio of sizes, and difference of outlines [px], from which on a patch
+is not of a type, whatever its scatter."""
+
+UNLIKE = 0.4
+"""Distance of forms, see `Outline.form`, from which on a type is not tried: parts of 20 px are up
+to 0.07 from their own type, 0.14 if blurred by 1.5 px, and 0.1 (nut, washer) to 1.3 from others."""
+
+SLACK_PX = 0.5
+"""How well the difference of two areas says by how much an outline is swollen [px]."""
+
+OTHER_FACE = 1.0
+"""By how much a part's mirror image fits better, in the variance of an outline, if it lies on its
+other face: of a round, ragged part either may fit a little better."""
+
+HOPELESS = 12.0
+"""A type whose size and colour alone give so much more than the best score is not tried: its
+likelihood is 0.2 % of the other's."""
+
+SIGHTING = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("label", "U32"),
+        ("confidence", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),
+        ("angle", "f8"),
+        ("angle_sd", "f8"),
+        ("whole", "?"),
+        ("fit_px", "f8"),
+        ("swell_px", "f8"),
+        ("colour", "f8"),
+    ]
+)
+"""One part: its centre and the radius of the disc of the same area [px]; type, `UNKNOWN` or
+`GROUP`; confidence, 0 to 1; centre [m] and angle [rad] in plate_home, and the standard deviation of
+the angle [rad]; whether all of it is in the image; how far its outline is from the type's, RMS once
+that is swollen as much as it is, and by how much that is [px]; distance of the colours."""
+
+
+class PatchLike(Protocol):
+    """What is used of a patch of pixels that is not the plate."""
+
+    @property
+    def mask(self) -> np.ndarray: ...
+    @property
+    def corner(self) -> tuple[int, int]: ...
+    @property
+    def whole(self) -> bool: ...
+    @property
+    def group(self) -> bool: ...
+
+
+def recognise(
+    image: np.ndarray,
+    patches: Sequence[PatchLike],
+    catalogue: Catalogue,
+    calibration: Calibration,
+) -> np.ndarray:
+    """Say of patches which type of part they are.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+    patches : sequence of Patch
+    catalogue : Catalogue
+        Of the types.
+    calibration : Calibration
+        Between the image and plate_home, where the types' outlines are.
+
+    Returns
+    -------
+    (n,) SIGHTING
+    """
+    outlines, colours = measure_patches(image, patches, calibration)
+    return judge(outlines, colours, patches, catalogue, calibration, image.ndim == 3)
+
+
+def measure_patches(
+    image: np.ndarray,
+    patches: Sequence[PatchLike],
+    calibration: Calibration,
+    count: int = POINTS,
+) -> tuple[list[Outline], np.ndarray]:
+    """Return the outlines of patches [m, plate_home], with `count` points around each, and their
+    colours CIE L, a, b (n, 3)."""
+    rings, colours = [], []
+    height, width = image.shape[:2]
+    for patch in patches:
+        x0, y0 = patch.corner
+        h, w = patch.mask.shape
+        left, top = max(x0 - MARGIN_PX, 0), max(y0 - MARGIN_PX, 0)
+        right, bottom = min(x0 + w + MARGIN_PX, width), min(y0 + h + MARGIN_PX, height)
+        mask = np.zeros((bottom - top + 2, right - left + 2), np.uint8)
+        mask[y0 - top + 1 : y0 - top + 1 + h, x0 - left + 1 : x0 - left + 1 + w] = patch.mask
+        found, colour = patch_rings(mask, image[top:bottom, left:right], count)
+        rings.append([ring + (left, top) for ring in found])
+        colours.append(colour)
+    if not rings:
+        return [], np.empty((0, 3))
+    flat = [ring for found in rings for ring in found]
+    home = np.split(
+        calibration.to_home(np.concatenate(flat)), np.cumsum([len(ring) for ring in flat])[:-1]
+    )
+    mapped = iter(home)
+    outlines = [make_outline([next(mapped) for _ in found]) for found in rings]
+    return outlines, to_lab(np.array(colours))
+
+
+def to_lab(colour: np.ndarray) -> np.ndarray:
+    """Return CIE L, a, b (n, 3) of blue, green, red (n, 3), 0 to 255."""
+    scaled = np.asarray(colour, np.float32).reshape(1, -1, 3) / 255
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_BGR2Lab)[0], dtype=float)
+
+
+def colour_distance(a: np.ndarray, b: np.ndarray, coloured: bool) -> np.ndarray:
+    """Return how far colours (..., 3) CIE L, a, b are apart (...): lightness counts less; it alone
+    counts if the image has no colours."""
+    gap = (np.asarray(a) - np.asarray(b)) * (LIGHTNESS, 1.0 if coloured else 0, coloured)
+    return np.asarray(np.sqrt(np.sum(gap**2, axis=-1)))
+
+
+def judge(
+    outlines: Sequence[Outline],
+    colours: np.ndarray,
+    patches: Sequence[PatchLike],
+    catalogue: Catalogue,
+    calibration: Calibration,
+    coloured: bool,
+) -> np.ndarray:
+    """Return the sightings (n,) SIGHTING of measured patches; see `recognise`."""
+    found = np.zeros(len(outlines), SIGHTING)
+    if not len(outlines):
+        return found
+    centre = np.array([outline.centre for outline in outlines])
+    scale = calibration.scale(centre)
+    area = np.array([outline.area for outline in outlines])
+    found["x"], found["y"] = centre.T
+    found["radius_px"] = np.sqrt(np.maximum(area, 0) / np.pi) * scale
+    found["whole"] = [patch.whole for patch in patches]
+    found["label"] = [GROUP if patch.group else UNKNOWN for patch in patches]
+    if catalogue.templates:
+        reach_px, scatter_px = (np.outer(scale, x) for x in (catalogue.reach, catalogue.scatter))
+        fit = FIT_PX**2 + (FIT_REACH * reach_px) ** 2 + (0.5 * scatter_px) ** 2
+        size = SIZE_PX**2 + (SIZE_REACH * reach_px) ** 2 + scatter_px**2
+        filled = np.array([outline.filled.area for outline in outlines])[:, None]
+        swell_px = scale[:, None] * np.abs(filled - catalogue.filled_area) / catalogue.rim
+        ratio = np.log(np.maximum(filled, 1e-12) / catalogue.filled_area) / 2
+        other = (np.abs(ratio) > OTHER_SIZE) & (swell_px > OTHER_SIZE_PX)
+        form = np.array([outline.form for outline in outlines])[:, None] - catalogue.form
+        other |= np.sum(form**2, axis=2) > UNLIKE**2
+        tint = np.nan_to_num(colour_distance(colours[:, None], catalogue.colour, coloured))
+        least = (tint / COLOUR_LAB) ** 2 + np.maximum(swell_px - SLACK_PX, 0) ** 2 / size
+        least[other] = np.inf
+        for i, outline in enumerate(outlines):
+            _judge_one(
+                found[i : i + 1], outline, catalogue, scale[i], least[i], fit[i], size[i], tint[i]
+            )
+    fitted = np.column_stack([found["x"], found["y"]])
+    found["x_px"], found["y_px"] = calibration.to_image(fitted).T
+    return found
+
+
+def _judge_one(
+    row: np.ndarray,
+    outline: Outline,
+    catalogue: Catalogue,
+    scale: float,
+    least: np.ndarray,
+    fit_square: np.ndarray,
+    size_square: np.ndarray,
+    tint: np.ndarray,
+) -> None:
+    """Fill in a sighting (1,) SIGHTING. Of each type (T,): its least score; variances of outline
+    and size [px2]; how far its colour is."""
+    best, second, chosen, kept = np.inf, np.inf, 0, np.empty(0)
+    laid, points = catalogue.templates[0], outline.points
+    for j in np.argsort(least).tolist():
+        most = min(LIMIT**2, best + HOPELESS)
+        if least[j] > most:
+            break
+        template, seen, holes = catalogue.templates[j], outline, 0.0
+        if bool(template.part.holes) != (len(outline.ends) > 1):
+            holes = max(outline.hole_share, template.outline.hole_share) / HOLES
+            template, seen = template.filled, outline.filled
+        fit = lay_on(template, seen, scale, ASTRAY * np.sqrt(most * fit_square[j]) / scale)
+        score = (
+            (scale * fit[4]) ** 2 / fit_square[j]
+            + (scale * fit[3]) ** 2 / size_square[j]
+            + (tint[j] / COLOUR_LAB) ** 2
+            + holes**2
+        )
+        if score < best:
+            best, second, chosen, kept = score, best, j, fit
+            laid, points = template, seen.points
+        else:
+            second = min(second, score)
+    if best > LIMIT**2:
+        return
+    over = catalogue.templates[chosen].mirrored
+    if over is not None:
+        gain = kept[4] ** 2 - lay_on(over, outline, scale)[4] ** 2
+        if scale**2 * gain > OTHER_FACE * fit_square[chosen]:
+            return
+    part = catalogue.templates[chosen].part
+    row["label"] = part.name
+    row["x"], row["y"] = kept[:2]
+    row["angle"] = wrapped(kept[2], part.symmetry)
+    row["angle_sd"] = angle_sd(laid, points, kept, scale)
+    row["radius_px"] = np.sqrt(part.area_m2 / np.pi) * scale
+    row["fit_px"], row["swell_px"] = scale * kept[4], scale * kept[3]
+    row["colour"] = tint[chosen]
+    row["confidence"] = (1 - best / LIMIT**2) * (1 - np.exp(-0.5 * (second - best)))
+
+
+def angle_sd(
+    template: Template, points: np.ndarray, fit: np.ndarray, scale: float, gate: float = np.inf
+) -> float:
+    """Return the standard deviation [rad] of the angle of a type that was laid onto points (n, 2):
+    at most that of an angle of which nothing is known."""
+    period = 2 * np.pi / max(template.part.symmetry, 1)
+    most = period / np.sqrt(12)
+    if template.part.symmetry == 0:
+        return float(most)
+    scatter = turn_scatter(template.edges, points, fit, template.lever2, 1 / scale, gate)
+    return float(min(scatter, most))
+
+
+def wrapped(angle: float, symmetry: int) -> float:
+    """Return an angle [rad] of a part that looks the same in so many directions: from 0 to the
+    angle between two of these, 0 for a disc; of a part without symmetry from -pi to pi."""
+    if symmetry == 0:
+        return 0.0
+    if symmetry == 1:
+        return float(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)
+    return float(np.remainder(angle, 2 * np.pi / symmetry))

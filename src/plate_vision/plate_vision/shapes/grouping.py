@@ -1,0 +1,413 @@
+"""Which pieces of patches are parts: those alike others in the image, or parted by a narrow neck.
+
+Most images show several parts of a kind. Where it is not clear from a patch alone whether it is one
+part or several, as of brackets that touch with a whole side, its like elsewhere decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from .splitting import split
+
+Traits = tuple[float, float, float]
+"""Area [px2], spread (second moment by squared area) and solidity of a piece."""
+
+CONVEX = 0.93
+"""Patches that fill so much of their convex hull are not split by their necks."""
+
+CLEAR = 0.45
+"""Neck, relative to the narrower of both sides, up to which they are two parts in any case."""
+
+ALIKE = (0.12, 0.12, 0.06)
+"""Of two pieces alike: relative difference of area, of its spread, and difference of solidity."""
+
+UNEQUAL = 0.5
+"""Relative size of one side of a neck that is not clear, up to which it belongs to the other."""
+
+COMPACT = 0.85
+"""Solidity of both sides of such a neck, if they are two parts."""
+
+LEAST_GOOD = 0.35
+"""Share of a patch that is compact or like others, at least, if it falls in pieces."""
+
+RATHER_ALIKE = (0.4, 0.3, 0.1)
+"""The same of pieces that edges part, which are ragged."""
+
+MEMBERS = 3
+"""Of a kind there are so many, if a straight cut is made by it."""
+
+LEAST_DENT_PX = 1.2
+"""Depth of a concave corner from which a cut may begin [px]."""
+
+MOST_DENTS = 6
+"""Of a piece: the deepest."""
+
+LARGER = 1.5
+"""A piece that may be several parts is so much larger than the smallest kind in the image."""
+
+DENTED = 0.9
+"""Solidity below which a large piece unlike all others is taken for a group."""
+
+EDGES_PERCENT = (70, 80, 90)
+"""Of the pixels inside a piece so many are no edges: what parts it best is taken."""
+
+SMALLER = 0.5
+"""Kinds of which a piece may consist that is parted along edges are no smaller than this, relative
+to the usual one."""
+
+COLOURS = (4, 8)
+"""So many colours of a piece are told apart: where they meet, parts may touch."""
+
+COLOUR_WEIGHTS = (0.5, 2.0, 2.0)
+"""Of L, a and b, if so: lights and shadows change lightness."""
+
+STEEP = 4.0
+"""Least slope of an edge inside, as Sobel's filter gives it, relative to the deviation that noise
+has: an edge of twice that has it."""
+
+LEAST_INNER = 40
+"""Pixels inside a piece, at least, if edges are looked for there."""
+
+LEAST_PARTED = 0.3
+"""Of a piece so much falls in compact pieces, at least, if it is parted along edges."""
+
+LEAST_SHARE = 0.5
+"""Least area of what is left of it, relative to the smallest of them."""
+
+MOSTLY = 0.5
+"""Share of the pieces that are like others, from which on one that is not may be a group."""
+
+
+@dataclass
+class Piece:
+    """What was found within one outer rim, or a part of it.
+
+    Attributes
+    ----------
+    inside : (h, w) bool
+        Its pixels, the part's own holes filled.
+    rank : int
+        Number of the rim.
+    alone : bool
+        Whether nothing was cut off.
+    group : bool
+        Whether it seems to be several parts.
+    """
+
+    inside: np.ndarray
+    rank: int
+    alone: bool
+    group: bool = False
+    traits: Traits = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.traits = traits(self.inside)
+
+    @property
+    def area(self) -> float:
+        """Its pixels [px2]."""
+        return self.traits[0]
+
+    @property
+    def solidity(self) -> float:
+        """Fraction of its convex hull that it fills."""
+        return self.traits[2]
+
+
+def traits(inside: np.ndarray) -> Traits:
+    """Return area [px2], spread (second moment by squared area) and solidity of pixels (h, w)."""
+    pixels = inside.astype(np.uint8)
+    moments = cv2.moments(pixels, binaryImage=True)
+    area = moments["m00"]
+    if area < 1:
+        return 0.0, 0.0, 0.0
+    rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    rim = max(rims, key=len)
+    hull = cv2.convexHull(rim)
+    # A rim runs through the middles of pixels, half a pixel inside.
+    whole = cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True) + 1
+    return area, (moments["mu20"] + moments["mu02"]) / area**2, min(area / whole, 1.0)
+
+
+def alike(
+    one: Traits,
+    other: Traits,
+    spread: Traits = ALIKE,
+) -> bool:
+    """Whether two pieces have like traits."""
+    return (
+        abs(one[0] - other[0]) <= spread[0] * max(one[0], other[0])
+        and abs(one[1] - other[1]) <= spread[1] * max(one[1], other[1])
+        and abs(one[2] - other[2]) <= spread[2]
+    )
+
+
+def pieces_of(
+    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]], least_area: float, limit: float
+) -> list[Piece]:
+    """Return the parts, and groups of parts, that patches consist of.
+
+    Parameters
+    ----------
+    solids : list of ((h, w) bool, (h, w) float32, (h, w, C) uint8)
+        The pixels of each patch, how much of each is part, and their colours.
+    least_area : float
+        Smallest part [px2].
+    limit : float
+        Deviation of colours that noise or texture has [L].
+    """
+    sure: list[Piece] = []
+    unsure: list[tuple[int, np.ndarray, np.ndarray]] = []
+    for rank, (inside, amount, _) in enumerate(solids):
+        whole = Piece(inside, rank, True)
+        if whole.solidity > CONVEX:
+            sure.append(whole)
+            continue
+        labels, count, necks = split(amount, inside)
+        if count < 2:
+            sure.append(whole)
+        elif np.all(necks[:, 2] < CLEAR):
+            sure += [Piece(labels == k, rank, False) for k in range(1, count + 1)]
+        else:
+            unsure.append((rank, labels, necks))
+    known = [piece.traits for piece in sure if piece.area >= least_area]
+    for rank, labels, necks in unsure:
+        found = _decided(labels, necks, rank, known)
+        sure += found
+        known += [piece.traits for piece in found if not piece.group]
+    sure = [piece for piece in sure if piece.area >= least_area]
+    return _cut_by_kind(_without_shreds(sure, solids), solids, limit)
+
+
+def _without_shreds(
+    pieces: list[Piece], solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> list[Piece]:
+    """Return pieces, those of one patch put together again if too little of it is compact or like
+    others: a jagged part; of more than two, a group."""
+    kept: list[Piece] = []
+    for rank in sorted({piece.rank for piece in pieces}):
+        own = [piece for piece in pieces if piece.rank == rank]
+        good = [
+            piece
+            for piece in own
+            if piece.solidity > COMPACT
+            or any(alike(piece.traits, one.traits) for one in pieces if one is not piece)
+        ]
+        share = sum(piece.area for piece in good) / sum(piece.area for piece in own)
+        if len(own) > 1 and share < LEAST_GOOD:
+            own = [Piece(solids[rank][0], rank, True, group=len(own) > 2)]
+        kept += own
+    return kept
+
+
+def _decided(labels: np.ndarray, necks: np.ndarray, rank: int, known: list[Traits]) -> list[Piece]:
+    """Return the pieces of a patch of which some necks are not clear.
+
+    Two sides of such a neck are one part if together they are like a known one, or if they are not
+    like known ones and one is far smaller, or not compact: a head, a knob, a ragged end.
+    """
+    sides = {k: traits(labels == k) for k in range(1, int(labels.max()) + 1)}
+    parent = np.arange(len(sides) + 1)
+    for a, b, neck in necks[np.argsort(-necks[:, 2])]:
+        one, other = int(a), int(b)
+        if neck < CLEAR or parent[one] == parent[other]:
+            continue
+        both = traits((labels == one) | (labels == other))
+        twins = [any(alike(sides[k], like) for like in known) for k in (one, other)]
+        if any(alike(both, like) for like in known):
+            joined = not all(twins)
+        else:
+            small, large = sorted((sides[one][0], sides[other][0]))
+            compact = min(sides[one][2], sides[other][2]) > COMPACT
+            joined = not all(twins) and (small < UNEQUAL * large or not compact)
+        # What is joined once is not joined again: else a chain of small ones would join large ones.
+        lesser = one if sides[one][0] < sides[other][0] else other
+        if joined and np.count_nonzero(parent == parent[lesser]) == 1:
+            parent[lesser] = parent[one + other - lesser]
+    return [
+        Piece(np.isin(labels, np.flatnonzero(parent == k)), rank, False)
+        for k in np.unique(parent[1:])
+    ]
+
+
+def _cut_by_kind(
+    pieces: list[Piece],
+    solids: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    limit: float,
+) -> list[Piece]:
+    """Return pieces, those cut that fall in pieces like others, or along edges inside; what is far
+    larger than others, dented and unlike them all is a group."""
+    kinds = [
+        piece.traits
+        for i, piece in enumerate(pieces)
+        if any(alike(piece.traits, other.traits) for k, other in enumerate(pieces) if k != i)
+    ]
+    usual = float(np.median([kind[0] for kind in kinds])) if kinds else np.inf
+    common = [kind for kind in kinds if kind[0] > SMALLER * usual]
+    done: list[Piece] = []
+    todo = list(pieces)
+    while todo:
+        piece = todo.pop()
+        if any(alike(piece.traits, kind) for kind in kinds):
+            done.append(piece)
+            continue
+        smaller = [kind for kind in kinds if LARGER * kind[0] < piece.area]
+        halves = _halves(piece, smaller) if smaller else None
+        if halves is not None:
+            todo += halves
+            continue
+        several = len(kinds) >= MOSTLY * len(pieces) and piece.area > LARGER * usual
+        piece.group = piece.group or (several and piece.solidity < DENTED)
+        if piece.group or (not piece.alone and piece.solidity < CONVEX):
+            done += _along_edges(piece, *solids[piece.rank][1:], common, limit)
+        else:
+            done.append(piece)
+    return done
+
+
+def _along_edges(
+    piece: Piece, amount: np.ndarray, colours: np.ndarray, kinds: list[Traits], limit: float
+) -> list[Piece]:
+    """Return the pieces into which edges inside part a piece, as of parts of different colours that
+    touch, and what is left of it; itself if they part nothing compact."""
+    channels = [colours[:, :, c] for c in range(colours.shape[2])]
+    steep = np.max(
+        [
+            np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
+            for c in channels
+        ],
+        axis=0,
+    )
+    inner = cv2.erode(piece.inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    if np.count_nonzero(inner) < LEAST_INNER:
+        return [piece]
+    best: list[Piece] = [piece]
+    areas = [kind[0] for kind in kinds]
+    least = SMALLER * min(np.median(areas) if areas else np.inf, piece.area)
+    most = LEAST_PARTED * piece.area
+    borders = [
+        inner & (steep > max(np.percentile(steep[inner], percent), STEEP * limit))
+        for percent in EDGES_PERCENT
+    ]
+    if colours.shape[2] == 3:
+        borders += [inner & _between_colours(colours, piece.inside, count) for count in COLOURS]
+    for edge in borders:
+        open_ = np.where(edge | ~piece.inside, np.float32(0), amount)
+        labels, count, _ = split(open_, piece.inside)
+        found = [Piece(labels == k, piece.rank, False) for k in range(1, count + 1)]
+        good = [
+            one
+            for one in found
+            if any(alike(one.traits, kind, RATHER_ALIKE) for kind in kinds)
+            or (one.solidity > CONVEX and one.area > least)
+        ]
+        parted = sum(one.area for one in good)
+        if len(good) > 1 and parted > most:
+            most = parted
+            best = _shared_out(good, piece)
+    # What is left has edges of its own.
+    return [
+        part
+        for one in best
+        for part in (
+            _along_edges(one, amount, colours, kinds, limit)
+            if one.group and one is not piece
+            else [one]
+        )
+    ]
+
+
+def _between_colours(colours: np.ndarray, inside: np.ndarray, count: int) -> np.ndarray:
+    """Return the pixels (h, w) bool where the main colours of a piece meet, `count` of them."""
+    lab = cv2.medianBlur(colours, 5)[inside].astype(np.float32)
+    hue = np.arctan2(lab[:, 2] - 128, lab[:, 1] - 128)
+    start = (count * (0.5 + hue / (2 * np.pi))).astype(np.int32) % count
+    _, own, _ = cv2.kmeans(
+        lab * np.array(COLOUR_WEIGHTS, np.float32), count, start[:, None],
+        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 10, 1.0), 1,
+        cv2.KMEANS_USE_INITIAL_LABELS,
+    )  # fmt: skip
+    which = np.zeros(inside.shape, np.uint8)
+    which[inside] = 1 + own.ravel()
+    main = cv2.medianBlur(which, 5)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    return np.asarray(cv2.dilate(main, cross) != main)
+
+
+def _shared_out(good: list[Piece], piece: Piece) -> list[Piece]:
+    """Return the good pieces of a piece, what is left of it given to the nearest of them; what is
+    as large as they are is a group."""
+    owner = np.zeros(piece.inside.shape, np.int32)
+    for k, one in enumerate(good, 1):
+        owner[one.inside] = k
+    rest = piece.inside & (owner == 0)
+    count, left = cv2.connectedComponents(rest.astype(np.uint8), connectivity=4)
+    area = np.bincount(left.ravel(), minlength=count)
+    large = area > LEAST_SHARE * min(one.area for one in good)
+    large[0] = False
+    gap = [cv2.distanceTransform((owner != k + 1).astype(np.uint8), cv2.DIST_L2, 3)
+           for k in range(len(good))]  # fmt: skip
+    owner = np.where(rest & ~large[left], np.argmin(gap, axis=0) + 1, owner)
+    return [
+        *(Piece(owner == k + 1, piece.rank, False) for k in range(len(good))),
+        *(Piece(left == k, piece.rank, False, True) for k in np.flatnonzero(large)),
+    ]
+
+
+def _halves(piece: Piece, kinds: list[Traits]) -> list[Piece] | None:
+    """Return the two pieces that a straight cut from a dent gives if both are like known kinds."""
+    pixels = piece.inside.astype(np.uint8)
+    rims = cv2.findContours(pixels, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
+    rim = max(rims, key=len)
+    hull = cv2.convexHull(rim, returnPoints=False)
+    try:
+        dents = cv2.convexityDefects(rim, hull)
+    except cv2.error:
+        return None
+    if dents is None:
+        return None
+    dents = np.reshape(dents, (-1, 4))
+    dents = dents[dents[:, 3] > LEAST_DENT_PX * 256]
+    dents = dents[np.argsort(-dents[:, 3])][:MOST_DENTS]
+    best: tuple[float, list[Piece]] | None = None
+    points = rim[:, 0]
+    for number, dent in enumerate(dents):
+        start = points[dent[2]]
+        ends = [points[other[2]] for other in dents[number + 1 :]]
+        ends += list(_across(points, int(dent[2])))
+        for end in ends:
+            parted = pixels.copy()
+            cv2.line(parted, start.tolist(), end.tolist(), 0, 1)
+            count, labels = cv2.connectedComponents(parted, connectivity=4)
+            sizes = np.bincount(labels.ravel(), minlength=3)[1:]
+            if count < 3 or np.partition(sizes, -2)[-2] < 0.1 * piece.area:
+                continue
+            two = 1 + np.argsort(-sizes)[:2]
+            # The pixels of the cut belong to the nearer side.
+            gap = [
+                cv2.distanceTransform((labels != k).astype(np.uint8), cv2.DIST_L2, 3) for k in two
+            ]
+            halves = [
+                Piece(piece.inside & near, piece.rank, False)
+                for near in (gap[0] < gap[1], gap[0] >= gap[1])
+            ]
+            if all(sum(alike(half.traits, kind) for kind in kinds) >= MEMBERS for half in halves):
+                length = float(np.hypot(*(end - start)))
+                if best is None or length < best[0]:
+                    best = length, halves
+    return None if best is None else best[1]
+
+
+def _across(points: np.ndarray, start: int) -> np.ndarray:
+    """Return the points of a rim (k, 2), near on a straight line but far along the rim, to which a
+    cut may go from one of them: the local minima of the distance."""
+    gap = np.hypot(*(points - points[start]).T)
+    around = np.arange(len(points))
+    along = np.minimum((around - start) % len(points), (start - around) % len(points))
+    low = (gap <= np.roll(gap, 3)) & (gap <= np.roll(gap, -3)) & (along > 1.5 * gap)
+    order = np.flatnonzero(low)[np.argsort(gap[low])]
+    return np.asarray(points[order[:MOST_DENTS]])

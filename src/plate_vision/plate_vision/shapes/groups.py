@@ -1,0 +1,520 @@
+"""Parts of taught types that touch each other, and that nothing else has taken apart.
+
+Where a type fits into a group is searched over places and turns: all of it must lie in the group,
+and much of its rim on the group's, or where colours change. The best is taken out, and so on, until
+nothing is left; if what was taken out does not cover the group, the next best are tried. A group
+that nothing covers stays one, less the parts that are sure.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from ..camera.lens import Calibration
+from .catalogue import Catalogue, Template, lay_on, make_catalogue
+from .classes import (
+    COLOUR_LAB,
+    GROUP,
+    LIMIT,
+    SIGHTING,
+    UNKNOWN,
+    PatchLike,
+    angle_sd,
+    colour_distance,
+    measure_patches,
+    recognise,
+    to_lab,
+    wrapped,
+)
+from .outlines import MARGIN_PX, Outline, fit_pose
+from .placing import MOST_OUTSIDE, NEAR_PX, OUTSIDE_PX, search, support
+
+RIM_POINTS = 200
+"""Points on the rim of a group."""
+
+ENOUGH_PX = 10.0
+"""Reach of the smallest type in the picture in which parts are searched, about, at most [px]."""
+
+TOUCH_PX = 2
+"""Patches that are so near to each other may be of one part, or of one group [px]."""
+
+RIM_STEP_PX = 2.0
+"""By how much a rim moves from one turn that is tried to the next [px]."""
+
+STRIDE = 0.15
+"""The same for its place, in its reach."""
+
+SEEN = 0.3
+"""Least fraction of a part's rim that is on the group's."""
+
+CHOICES = 8
+"""Places that are kept of each type: the best ones, apart."""
+
+FIRST, TRIES = 3, 30
+"""Choices for each part of a group, and how many of all of them are tried."""
+
+MOST_PARTS = 12
+"""In a group."""
+
+COVERED = 0.88
+"""Least intersection of parts and group over their union."""
+
+SURE = 0.8
+"""Share of its rim on the group's from which on a part is taken out, whatever the rest is."""
+
+TWO = 1.6
+"""Least area of a group, relative to the smallest type: of two, blurred."""
+
+LARGER = 1.1
+"""What is larger than the largest type by so much is no single part of a type."""
+
+LEFT = 0.4
+"""What is left of a group is no part if it is smaller than this fraction of the smallest type."""
+
+EDGE_STEP = 5.0
+"""Slope of an edge of colour within a group [grey levels/px]."""
+
+EDGE_DEPTH_PX = 3.0
+"""How far from the group's rim it is sought [px]."""
+
+STEPS = 8
+"""Gauss-Newton steps of each part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A part in a group: index of its template, x, y [m], angle [rad], how much of its rim is seen
+    (0 to 1), distance of its colour."""
+
+    index: int
+    pose: np.ndarray
+    seen: float
+    tint: float
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A group in its window of the image.
+
+    Attributes
+    ----------
+    mask : (h, w) uint8
+    pixels : (h, w, 3) or (h, w) uint8
+        The image there.
+    to_px : (2, 3)
+        From plate_home [m] to the window [px].
+    scale : float
+        [px/m].
+    outline : Outline
+        Of the group [m].
+    """
+
+    mask: np.ndarray
+    pixels: np.ndarray
+    to_px: np.ndarray
+    scale: float
+    outline: Outline
+
+    def drawn(self, template: Template, pose: np.ndarray) -> np.ndarray:
+        """Return the pixels (h, w) uint8 of a part."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array([[c, s], [-s, c]])
+        image = np.zeros(self.mask.shape, np.uint8)
+        part = template.part
+        for level, ring in [(1, part.polygon), *((0, np.array(hole)) for hole in part.holes)]:
+            points = (ring @ turn + pose[:2]) @ self.to_px[:, :2].T + self.to_px[:, 2]
+            cv2.fillPoly(image, [np.rint(16 * points).astype(np.int32)], level, shift=4)
+        return image
+
+
+@dataclass(frozen=True, eq=False)
+class Union:
+    """Patches that touch, as one patch: see `Patch`."""
+
+    mask: np.ndarray
+    corner: tuple[int, int]
+    whole: bool
+    group: bool
+
+
+def explain_groups(
+    image: np.ndarray,
+    patches: Sequence[PatchLike],
+    seen: np.ndarray,
+    catalogue: Catalogue,
+    calibration: Calibration,
+) -> np.ndarray:
+    """Return sightings (n,) SIGHTING in which groups, and what is of no type, are replaced by parts
+    of taught types where these explain them.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+    patches : sequence of Patch
+    seen : (m,) SIGHTING
+        One for each patch.
+    catalogue, calibration
+        As for `recognise`.
+    """
+    settled = (seen["label"] != UNKNOWN) & (seen["label"] != GROUP)
+    settled |= ~seen["whole"]  # of what is cut off too little is seen; it may be the plate's edge
+    if settled.all() or not catalogue.templates:
+        return seen
+    kept, added = np.ones(len(seen), bool), []
+    least = np.min(catalogue.area)
+    area = np.pi * (seen["radius_px"] / calibration.scale(_places(seen))) ** 2
+    for members in _clusters(patches, settled, image.shape[:2]):
+        if np.sum(area[members]) < TWO * least:
+            continue
+        own = members[~settled[members]]
+        for chosen in (members, own) if len(own) < len(members) else (members,):
+            union = _union([patches[i] for i in chosen])
+            one = recognise(image, [union], catalogue, calibration)
+            if len(chosen) > 1 and one["label"][0] != GROUP:
+                parts = one
+            else:
+                parts = _parts(image, union, one, catalogue, calibration)
+            if len(parts):
+                kept[chosen] = False
+                added.append(parts)
+                break
+    return np.concatenate([seen[kept], *added])
+
+
+def warm_up(catalogue: Catalogue) -> None:
+    """Compile what comparison with types needs, and groups of them."""
+    for template in catalogue.templates:
+        lay_on(template, template.outline, 100 / template.outline.reach)
+        angle_sd(template, template.outline.points, np.zeros(5), 1.0)
+    template, scale = catalogue.templates[0], ENOUGH_PX / catalogue.templates[0].outline.reach
+    side = int(4 * ENOUGH_PX)
+    to_px = np.array([[scale, 0, 0.5 * side], [0, -scale, 0.5 * side]])
+    blank = np.zeros((side, side), np.uint8)
+    view = View(blank, np.dstack([blank] * 3), to_px, scale, template.outline)
+    mask = view.drawn(template, np.zeros(3))
+    take_apart(replace(view, mask=mask), make_catalogue({template.part.name: template.part}))
+
+
+def _places(seen: np.ndarray) -> np.ndarray:
+    return np.column_stack([seen["x"], seen["y"]])
+
+
+def _clusters(
+    patches: Sequence[PatchLike], named: np.ndarray, shape: tuple[int, int]
+) -> list[np.ndarray]:
+    """Return the indices of patches that touch each other, if one is of no type; neighbours of a
+    type belong to them, but not those of these."""
+    owner = np.full(shape, -1, np.int32)
+    for i, patch in enumerate(patches):
+        (x, y), (h, w) = patch.corner, patch.mask.shape
+        owner[y : y + h, x : x + w][patch.mask] = i
+    clusters, done = [], named.copy()
+    for first in np.flatnonzero(~named):
+        if done[first]:
+            continue
+        members, at = [int(first)], 0
+        done[first] = True
+        while at < len(members):
+            i = members[at]
+            at += 1
+            if named[i]:
+                continue
+            (x, y), (h, w) = patches[i].corner, patches[i].mask.shape
+            x0, y0 = max(x - TOUCH_PX, 0), max(y - TOUCH_PX, 0)
+            window = owner[y0 : y + h + TOUCH_PX, x0 : x + w + TOUCH_PX]
+            side = 2 * TOUCH_PX + 1
+            near = cv2.dilate((window == i).astype(np.uint8), np.ones((side, side), np.uint8))
+            for other in np.unique(window[near > 0]).tolist():
+                if other >= 0 and other not in members and (named[other] or not done[other]):
+                    members.append(other)
+                    done[other] = True
+        clusters.append(np.array(members))
+    return clusters
+
+
+def _union(patches: Sequence[PatchLike]) -> Union:
+    """Return patches as one; seams between them are closed."""
+    low = np.min([patch.corner for patch in patches], axis=0)
+    high = np.max([np.array(patch.corner) + patch.mask.shape[::-1] for patch in patches], axis=0)
+    mask = np.zeros((high - low)[::-1], np.uint8)
+    for patch in patches:
+        (x, y), (h, w) = np.array(patch.corner) - low, patch.mask.shape
+        mask[y : y + h, x : x + w] |= patch.mask
+    if len(patches) > 1:
+        framed = cv2.copyMakeBorder(mask, 3, 3, 3, 3, cv2.BORDER_CONSTANT)
+        mask = cv2.morphologyEx(framed, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))[3:-3, 3:-3]
+    whole = all(patch.whole for patch in patches)
+    group = len(patches) > 1 or patches[0].group
+    return Union(mask > 0, (int(low[0]), int(low[1])), whole, group)
+
+
+def _parts(
+    image: np.ndarray, union: Union, one: np.ndarray, catalogue: Catalogue, calibration: Calibration
+) -> np.ndarray:
+    """Return the sightings (n,) SIGHTING of the parts of a group; none if it is not explained.
+    `one` (1,) is the sighting of all of it."""
+    outlines, _ = measure_patches(image, [union], calibration, RIM_POINTS)
+    height, width = image.shape[:2]
+    (x, y), (h, w) = union.corner, union.mask.shape
+    x0, y0 = max(x - MARGIN_PX, 0), max(y - MARGIN_PX, 0)
+    x1, y1 = min(x + w + MARGIN_PX, width), min(y + h + MARGIN_PX, height)
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    mask[y - y0 : y - y0 + h, x - x0 : x - x0 + w] = union.mask
+    place = _places(one)
+    scale = float(calibration.scale(place)[0])
+    steps = np.array([[0.0, 0], [1, 0], [0, 1]]) / scale
+    origin, right, up = calibration.to_image(place + steps)
+    turn = np.column_stack([right - origin, up - origin]) * scale
+    to_px = np.column_stack([turn, origin - (x0, y0) - turn @ place[0]])
+    view = View(mask, image[y0:y1, x0:x1], to_px, scale, outlines[0])
+    most = LARGER * float(np.max(catalogue.filled_area))
+    doubtful = one["label"][0] == UNKNOWN and outlines[0].filled.area < most
+    found = take_apart(_coarser(view, catalogue), catalogue, doubtful)
+    found = [_refined(view, catalogue, part) for part in found]
+    left = view.mask
+    for part in found:
+        left = _without(view, catalogue, left, part)
+    rest = _pieces(left, (x0, y0), LEFT * float(np.min(catalogue.area)) * scale**2)
+    if len(found) + len(rest) < 2 or not found:
+        return np.empty(0, SIGHTING)
+    parts = np.zeros(len(found), SIGHTING)
+    for row, part in zip(parts, found, strict=True):
+        kind = catalogue.templates[part.index].part
+        row["label"], row["confidence"] = kind.name, part.seen
+        row["x"], row["y"] = part.pose[:2]
+        row["angle"] = wrapped(part.pose[2], kind.symmetry)
+        row["angle_sd"] = angle_sd(
+            catalogue.templates[part.index], view.outline.points, np.append(part.pose, (0, 0)),
+            scale, 2 * NEAR_PX / scale,
+        )  # fmt: skip
+        row["radius_px"] = np.sqrt(kind.area_m2 / np.pi) * scale
+        row["whole"], row["colour"] = union.whole, part.tint
+    parts["x_px"], parts["y_px"] = calibration.to_image(_places(parts)).T
+    return np.concatenate([parts, recognise(image, rest, catalogue, calibration)])
+
+
+def _pieces(left: np.ndarray, corner: tuple[int, int], least: float) -> list[Union]:
+    """Return what is left (h, w) uint8 of a group in a window with a corner [px], in pieces of at
+    least so many pixels."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(left, connectivity=4)
+    pieces = []
+    for label in range(1, len(stats)):
+        x, y, w, h, area = stats[label].tolist()
+        if area >= least:
+            own = labels[y : y + h, x : x + w] == label
+            pieces.append(Union(own, (corner[0] + x, corner[1] + y), True, True))
+    return pieces
+
+
+def _coarser(view: View, catalogue: Catalogue) -> View:
+    """Return a view with fewer pixels, where parts have more than enough."""
+    factor = ENOUGH_PX / (view.scale * float(np.min(catalogue.reach)))
+    height, width = view.mask.shape
+    if factor > 0.7:
+        return view
+    size = (max(round(factor * width), 8), max(round(factor * height), 8))
+    zoom = np.array(size) / (width, height)
+    to_px = view.to_px * zoom[:, None]
+    to_px[:, 2] += 0.5 * zoom - 0.5
+    mask = cv2.resize(255 * view.mask, size, interpolation=cv2.INTER_AREA) > 127
+    pixels = cv2.resize(view.pixels, size, interpolation=cv2.INTER_AREA)
+    scale = view.scale * float(np.sqrt(np.prod(zoom)))
+    return View(mask.astype(np.uint8), pixels, to_px, scale, view.outline)
+
+
+def _refined(view: View, catalogue: Catalogue, part: Found) -> Found:
+    """Lay a part onto the group's rim once more, as finely as that is seen."""
+    return replace(part, pose=_fitted(view, catalogue.templates[part.index], part.pose))
+
+
+def _fitted(view: View, template: Template, pose: np.ndarray) -> np.ndarray:
+    """Lay a part onto that of the group's rim which is near: pose (3,)."""
+    fit = fit_pose(
+        template.edges,
+        view.outline.points,
+        pose,
+        1 / view.scale,
+        template.part.symmetry != 0,
+        STEPS,
+        np.inf,
+        2 * NEAR_PX / view.scale,
+    )
+    return np.asarray(fit[:3])
+
+
+def take_apart(view: View, catalogue: Catalogue, doubtful: bool = False) -> list[Found]:
+    """Return the parts (x, y, angle in plate_home) of which a group consists; none if it cannot be
+    told. What is doubtful, a part or a group, is one unless parts cover all of it."""
+    border = _to_rims(view)
+    least, most = np.array([np.min(catalogue.area), np.max(catalogue.area)]) * view.scale**2
+    if np.count_nonzero(view.mask) > MOST_PARTS * most:
+        return []
+    choices = _candidates(view, catalogue, border, border)
+    # The best of each choice first, then with one second best, and so on.
+    open_: list[tuple[int, int, int, tuple[Found, ...], np.ndarray, list[Found]]] = []
+    number = itertools.count()
+    heapq.heappush(open_, (0, 0, 0, (), view.mask, choices))
+    for _ in range(TRIES):
+        if not open_:
+            break
+        passed, depth, _, parts, left, fitting = heapq.heappop(open_)
+        if parts:
+            left = _without(view, catalogue, left, parts[-1])
+        if np.count_nonzero(left) <= LEFT * least:
+            if _covers(view, catalogue, parts):
+                return list(parts)
+            continue
+        if parts:
+            free = _signed_distance(left)
+            fitting = [part for part in fitting if _fits(view, catalogue, part, free, border)]
+            fitting = fitting or _candidates(view, catalogue, free, border)
+        if len(parts) < MOST_PARTS:
+            for rank, part in enumerate(fitting[:FIRST]):
+                more = (passed + rank, depth - 1, next(number), (*parts, part), left, fitting)
+                heapq.heappush(open_, more)
+    if doubtful:
+        return []
+    # What is sure is taken out all the same.
+    sure, free = [], border
+    for part in choices:
+        if part.seen > SURE and _fits(view, catalogue, part, free, border):
+            sure.append(part)
+            free = _signed_distance(_without(view, catalogue, (free > 0).astype(np.uint8), part))
+    return sure
+
+
+def _covers(view: View, catalogue: Catalogue, parts: Sequence[Found]) -> bool:
+    """Whether parts are all of a group."""
+    union = np.zeros_like(view.mask)
+    for part in parts:
+        union |= view.drawn(catalogue.templates[part.index], part.pose)
+    both = np.count_nonzero(union & view.mask)
+    return bool(both >= COVERED * np.count_nonzero(union | view.mask))
+
+
+def _to_rims(view: View) -> np.ndarray:
+    """Return the signed distance (h, w) from the group's rim and, inside, from edges of colour
+    [px]."""
+    smooth = cv2.GaussianBlur(view.pixels, (0, 0), 0.8)
+    step = np.zeros(view.mask.shape, np.float32)
+    for k in range(1 if smooth.ndim == 2 else 3):
+        one = smooth if smooth.ndim == 2 else np.ascontiguousarray(smooth[:, :, k])
+        across, down = (cv2.Sobel(one, cv2.CV_32F, *way) / 8 for way in ((1, 0), (0, 1)))
+        step = np.maximum(step, np.hypot(across, down))
+    border = _signed_distance(view.mask)
+    edge = (step > EDGE_STEP) & (border > EDGE_DEPTH_PX)
+    if not edge.any():
+        return border
+    away = cv2.distanceTransform((~edge).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(np.minimum(border, np.where(border > 0, away + 0.5, border)))
+
+
+def _signed_distance(mask: np.ndarray) -> np.ndarray:
+    """Return how far pixels are inside a mask (h, w), negative outside [px]."""
+    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5)
+    return np.asarray(np.where(mask > 0, inside - 0.5, 0.5 - outside), np.float32)
+
+
+def _without(view: View, catalogue: Catalogue, left: np.ndarray, part: Found) -> np.ndarray:
+    """Return what is left (h, w) uint8 when a part is taken out."""
+    own = view.drawn(catalogue.templates[part.index], part.pose)
+    rest = np.where(cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0, 0, left).astype(np.uint8)
+    small = np.ones((3, 3), np.uint8)
+    # What was cut off along the part's rim comes back.
+    grown = cv2.dilate(cv2.morphologyEx(rest, cv2.MORPH_OPEN, small), small)
+    return np.asarray(grown & left & (1 - own))
+
+
+def _candidates(
+    view: View, catalogue: Catalogue, free: np.ndarray, border: np.ndarray
+) -> list[Found]:
+    """Return parts that fit into what is free (h, w), the best first; `border` (h, w) is the signed
+    distance from the group's rim [px]."""
+    room = np.count_nonzero(free > 0) / view.scale**2
+    ranked = []
+    for index, template in enumerate(catalogue.templates):
+        if catalogue.area[index] > 1.2 * room:
+            continue
+        for pose in _placed(view, template, free, border):
+            fit = _fitted(view, template, pose)
+            seen, outside = _support(view, template, fit, free, border)
+            if seen < SEEN or outside > MOST_OUTSIDE:
+                continue
+            tint = _tint(view, template, fit)
+            if tint > LIMIT * COLOUR_LAB:
+                continue
+            value = seen**2 * catalogue.rim[index] * np.exp(-0.5 * (tint / COLOUR_LAB) ** 2)
+            ranked.append((value, Found(index, fit, seen, tint)))
+    ranked.sort(key=lambda pair: -pair[0])
+    return [found for _, found in ranked]
+
+
+def _fits(
+    view: View, catalogue: Catalogue, part: Found, free: np.ndarray, border: np.ndarray
+) -> bool:
+    """Whether a part lies in what is free (h, w)."""
+    template = catalogue.templates[part.index]
+    return _support(view, template, part.pose, free, border)[1] <= MOST_OUTSIDE
+
+
+def _tint(view: View, template: Template, pose: np.ndarray) -> float:
+    """Return how far the colour at a part is from its type's."""
+    if template.part.colour_lab is None:
+        return 0.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    points = template.inner @ np.array([[c, s], [-s, c]]) + pose[:2]
+    column, row = np.rint(points @ view.to_px[:, :2].T + view.to_px[:, 2]).astype(int).T
+    height, width = view.mask.shape
+    colour = np.median(
+        view.pixels[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], axis=0
+    )
+    lab = to_lab(np.broadcast_to(colour, 3))
+    coloured = view.pixels.ndim == 3
+    return float(colour_distance(lab[0], np.array(template.part.colour_lab), coloured))
+
+
+def _placed(
+    view: View, template: Template, free: np.ndarray, border: np.ndarray
+) -> list[np.ndarray]:
+    """Return poses (3,) from which a type is laid onto the group, the most likely first."""
+    part = template.part
+    pole, depth = template.pole
+    turns = np.zeros(1)
+    if part.symmetry:
+        count = int(np.ceil(2 * np.pi * part.reach_m * view.scale / RIM_STEP_PX / part.symmetry))
+        turns = 2 * np.pi / part.symmetry * np.arange(count) / count
+    stride = max(1, int(STRIDE * part.reach_m * view.scale))
+    found = search(
+        free,
+        border,
+        view.to_px,
+        template.samples[:, :2],
+        template.inner,
+        pole,
+        depth * view.scale - OUTSIDE_PX,
+        turns,
+        stride,
+    )
+    kept: list[np.ndarray] = []
+    while len(found) and len(kept) < CHOICES:
+        best = found[np.argmax(found[:, 3])]
+        kept.append(best[:3])
+        found = found[np.hypot(*(found[:, :2] - best[:2]).T) > 0.3 * part.reach_m]
+    return kept
+
+
+def _support(
+    view: View, template: Template, pose: np.ndarray, free: np.ndarray, border: np.ndarray
+) -> tuple[float, float]:
+    """Return which fraction of a part's rim is on the group's, and which of it is outside."""
+    found: tuple[float, float] = support(
+        free, border, view.to_px, template.samples[:, :2], template.inner, pose
+    )
+    return found

@@ -1,0 +1,144 @@
+"""Files of part types: written, and added to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from plate_core.rig import PartType, load_part_types, read_part_types
+from plate_core.yaml_fields import Fields
+
+from ..camera.files import read_pictures
+from ..camera.lens import Calibration
+from ..errors import TeachError
+from ..plate.region import Region
+from .background import Background, learn_plate
+from .teaching import Example, Lesson, check_alike, learn_type
+
+OUT = Path("parts.yaml")
+"""The file of types, if no other is named."""
+
+MICRON = 6
+"""Decimal digits of lengths in files [m]."""
+
+
+def save_part_types(path: Path, types: Mapping[str, PartType]) -> None:
+    """Write a file of part types, as `plate_core.rig.load_part_types` reads it.
+
+    Raises
+    ------
+    TeachError
+        If that would refuse it: nothing is then written.
+    """
+    data = {name: _as_data(part) for name, part in types.items()}
+    read_part_types(Fields(data, path.name, TeachError))
+    head = "# Part types; `ros2 run plate_vision teach` writes it. Outlines in metres.\n"
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(head + text, encoding="utf-8")
+
+
+def _as_data(part: PartType) -> dict[str, Any]:
+    def rounded(ring: Any) -> list[list[float]]:
+        return [[round(float(x), MICRON), round(float(y), MICRON)] for x, y in ring]
+
+    data: dict[str, Any] = {}
+    if part.radius_m:
+        data["radius_m"] = round(part.radius_m, MICRON)
+    else:
+        data["outline_m"] = rounded(part.outline)
+    if part.holes:
+        data["holes_m"] = [rounded(hole) for hole in part.holes]
+    for key in ("mass_kg", "mu"):
+        if getattr(part, key) is not None:
+            data[key] = getattr(part, key)
+    if part.colour_lab is not None:
+        data["colour_lab"] = [round(value, 1) for value in part.colour_lab]
+    data["symmetry"] = part.symmetry
+    if part.scatter_m:
+        data["scatter_m"] = round(part.scatter_m, MICRON)
+    if part.picture:
+        data["picture"] = part.picture
+    return data
+
+
+def add_type(
+    path: Path,
+    name: str,
+    examples: Sequence[Example],
+    calibration: Calibration,
+    background: Background | None,
+    region: Region | None,
+) -> Lesson:
+    """Learn a type and write it, and its picture, into a file of types, in place of one of that
+    name.
+
+    Raises
+    ------
+    TeachError
+        As `learn_type` and `check_alike`.
+    """
+    types = read_types(path) if path.exists() else {}
+    lesson = learn_type(name, examples, calibration, background, region)
+    check_alike(lesson.part, types, calibration)
+    if name in types:
+        known = types[name]
+        part = replace(lesson.part, mass_kg=known.mass_kg, mu=known.mu)
+        lesson = replace(lesson, part=part)
+    types[name] = lesson.part
+    save_part_types(path, types)
+    cv2.imwrite(str(path.with_name(lesson.part.picture)), lesson.picture)
+    return lesson
+
+
+def load_bare(path: Path, size_px: tuple[int, int]) -> Background:
+    """Learn the bare plate from pictures of it.
+
+    Raises
+    ------
+    TeachError
+        If they are not of a size (width, height).
+    """
+    pictures = []
+    for name, picture in read_pictures(path):
+        here = (picture.shape[1], picture.shape[0])
+        if here != size_px:
+            raise TeachError(
+                f"bare plate: {name}: {here[0]} x {here[1]} px, allowed: {size_px[0]} x "
+                f"{size_px[1]} px, as the other pictures"
+            )
+        pictures.append(picture)
+    return learn_plate(np.stack(pictures))
+
+
+def told(lesson: Lesson) -> str:
+    """Say what was learned, in one line."""
+    part = lesson.part
+    corners = "a disc" if part.radius_m else f"{len(part.outline)} corners"
+    holes = f", {len(part.holes)} hole{'s' if len(part.holes) > 1 else ''}" if part.holes else ""
+    turns = {0: "", 1: ", no symmetry"}.get(
+        part.symmetry, f", the same {part.symmetry} times a turn"
+    )
+    mean, scatter = 1e3 * lesson.size_m
+    return (
+        f"{part.name}: {corners}{holes}{turns}; {mean:.2f} +- {scatter:.2f} mm across, outline +- "
+        f"{1e3 * part.scatter_m:.2f} mm, colour {colour_text(part)}; from {lesson.count} "
+        f"example{'s' if lesson.count > 1 else ''}"
+    )
+
+
+def colour_text(part: PartType) -> str:
+    """Say what colour a type has."""
+    if part.colour_lab is None:
+        return "not known"
+    return "Lab " + " ".join(f"{value:.0f}" for value in part.colour_lab)
+
+
+def read_types(path: Path) -> dict[str, PartType]:
+    """Return the types in a file, as `plate_core.rig.load_part_types`."""
+    return dict(load_part_types(path))

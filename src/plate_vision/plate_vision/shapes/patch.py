@@ -1,0 +1,112 @@
+"""A patch of an image that is not plate: one part, or several that could not be told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+HALF = 0.5
+"""The outline of a part runs where half of a pixel is part."""
+
+MOST_SHIFT_PX = 1.5
+"""Furthest from the edge of the mask at which the outline is looked for [px]."""
+
+SMOOTH_PX = 0.8
+"""Blur [px] before the outline is looked for: the edge of a sharp part is then as steep as it seems
+between neighbouring pixels."""
+
+LEAST_HOLE_PX2 = 6.0
+"""Smallest hole that is reported [px2]: less are noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """What was found in one place of an image.
+
+    Image coordinates: x_px to the right, y_px down, the centre of the first pixel is (0, 0).
+
+    Attributes
+    ----------
+    mask : (h, w) bool
+        Its pixels in a window of the image, holes left out.
+    corner : (int, int)
+        Image column and row x0, y0 of the window's first pixel [px].
+    cover : (h, w) float32
+        How much of each pixel is part, 0 to 1: finer than the mask at the rim.
+    whole : bool
+        Whether all of it is seen: not cut by the border of the image or region.
+    group : bool
+        Whether it seems to hold several parts that could not be split.
+    """
+
+    mask: np.ndarray
+    corner: tuple[int, int]
+    cover: np.ndarray
+    whole: bool = True
+    group: bool = False
+
+    @cached_property
+    def area_px2(self) -> float:
+        """Area without holes [px2]."""
+        return float(np.sum(self.cover, dtype=float))
+
+    @cached_property
+    def centre_px(self) -> np.ndarray:
+        """Centre (2,) of the area without holes [px]."""
+        cover = self.cover
+        x = cover.sum(axis=0, dtype=float) @ np.arange(cover.shape[1])
+        y = cover.sum(axis=1, dtype=float) @ np.arange(cover.shape[0])
+        return np.array([x, y]) / max(self.area_px2, 1e-9) + self.corner
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of the disc of the same area [px]."""
+        return float(np.sqrt(self.area_px2 / np.pi))
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Points (k, 2) around it [px], one for each pixel of the rim, to a fraction of a pixel."""
+        return self._rims[0]
+
+    @cached_property
+    def holes(self) -> list[np.ndarray]:
+        """Points (k, 2) around each hole [px]."""
+        return self._rims[1]
+
+    @cached_property
+    def _rims(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        framed = np.pad(self.mask.astype(np.uint8), 2)
+        cover = cv2.GaussianBlur(np.pad(self.cover, 2), (0, 0), SMOOTH_PX)
+        rims, family = cv2.findContours(framed, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[-2:]
+        if not rims:
+            return np.empty((0, 2)), []
+        outer = [i for i in range(len(rims)) if family[0][i][3] < 0]
+        largest = max(outer, key=lambda i: cv2.contourArea(rims[i]))
+        holes = [
+            rims[i]
+            for i in range(len(rims))
+            if family[0][i][3] >= 0 and cv2.contourArea(rims[i]) >= LEAST_HOLE_PX2
+        ]
+        fall = cv2.Sobel(cover, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(cover, cv2.CV_32F, 0, 1) / 8
+        origin = np.array(self.corner) - 2
+        return (
+            _to_the_edge(rims[largest], cover, fall) + origin,
+            [_to_the_edge(hole, cover, fall) + origin for hole in holes],
+        )
+
+
+def _to_the_edge(
+    rim: np.ndarray, cover: np.ndarray, slope: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Return points (k, 2) where the cover (h, w) is a half, next to those of a rim (k, 1, 2);
+    `slope` is that of the cover along x and y [1/px]."""
+    x, y = rim[:, 0].T
+    steep = np.stack([slope[0][y, x], slope[1][y, x]], axis=1)
+    square = np.sum(steep**2, axis=1, keepdims=True)
+    shift = (HALF - cover[y, x])[:, None] * steep / np.maximum(square, 1e-6)
+    length = np.hypot(*shift.T)[:, None]
+    shift *= np.minimum(1, MOST_SHIFT_PX / np.maximum(length, 1e-9))
+    return np.asarray(rim[:, 0] + shift)

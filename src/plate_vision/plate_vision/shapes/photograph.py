@@ -1,0 +1,105 @@
+"""Patches of a photograph in numbers: centre, size, direction and contrast of each."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from .background import Background, colours_like, model_background
+from .patch import Patch
+from .segmentation import find_patches
+
+MOST_PIXELS = 1_000_000
+"""Larger images are made smaller first: a part is then still more than large enough."""
+
+ROUND = 0.95
+"""From this 4 pi area / length2 of its hull on a patch is a disc: a regular octagon has 0.948."""
+
+SURE = 60.0
+"""Contrast from which on a patch is sure [grey levels]."""
+
+SOFT, FRAYED = 0.3, 0.85
+"""A part ends at an edge: a patch is none if along a quarter of its rim the colours change by less
+in a pixel, relative to the deviation that the background has, and it fills less of its hull."""
+
+OUTLINE = np.dtype(
+    [
+        ("x_px", "f8"),
+        ("y_px", "f8"),
+        ("radius_px", "f8"),
+        ("angle_rad", "f8"),
+        ("contrast", "f8"),
+        ("background", "f8"),
+        ("round", "?"),
+        ("group", "?"),
+        ("confidence", "f8"),
+    ]
+)
+"""A patch: centre of its area [px]; radius of the disc of the same area [px]; direction of the
+longest side, 0 to pi, counter-clockwise as seen, 0 for discs; difference from the background [grey
+levels], negative if darker; grey levels of that; whether it is a disc; whether it is several parts;
+confidence, 0 to 1: how much of the hull is filled, less for little contrast."""
+
+
+def find_outlines(image: np.ndarray) -> np.ndarray:
+    """Return what is seen whole (n,) OUTLINE in an image (H, W) or (H, W, 3) uint8, of which
+    nothing is known."""
+    full = np.array(image.shape[1::-1])
+    factor = int(np.ceil(np.sqrt(full[0] * full[1] / MOST_PIXELS)))
+    if factor > 1:
+        size = np.maximum(full // factor, 1)
+        image = cv2.resize(image, size.tolist(), interpolation=cv2.INTER_AREA)
+    scale = full / image.shape[1::-1]
+    image = np.ascontiguousarray(image)
+    background = model_background(image)
+    patches = [patch for patch in find_patches(image, background) if patch.whole]
+    slope = _slope(image, background)
+    found = np.zeros(len(patches), OUTLINE)
+    edged = np.ones(len(patches), bool)
+    grey = image if image.ndim == 2 else image[:, :, 1]
+    for number, (one, patch) in enumerate(zip(found, patches, strict=True)):
+        outline = patch.outline.astype(np.float32)
+        hull = cv2.convexHull(outline)
+        filled = cv2.contourArea(outline) / max(cv2.contourArea(hull), 1)
+        compact = 4 * np.pi * cv2.contourArea(hull) / max(cv2.arcLength(hull, True), 1) ** 2
+        # The middle of the first pixel is 0 in both images, that of the large one is smaller.
+        one["x_px"], one["y_px"] = scale * (patch.centre_px + 0.5) - 0.5
+        one["radius_px"] = np.mean(scale) * patch.radius_px
+        one["round"] = compact > ROUND and filled > ROUND
+        one["angle_rad"] = 0 if one["round"] else _angle(outline)
+        behind = background.grey[_window(patch)][patch.mask]
+        one["background"] = np.median(behind)
+        one["contrast"] = np.median(grey[_window(patch)][patch.mask].astype(float) - behind)
+        one["group"] = patch.group
+        one["confidence"] = filled * min(1, abs(one["contrast"]) / SURE)
+        column, row = np.rint(outline).astype(int).T
+        edged[number] = filled > FRAYED or np.percentile(slope[row, column], 25) > SOFT
+    return found[edged]
+
+
+def _slope(image: np.ndarray, background: Background) -> np.ndarray:
+    """Return how steeply the colours change (H, W) [1/px], within a pixel, relative to the
+    deviation up to which a pixel shows the background."""
+    lab = colours_like(image, background)
+    smooth = cv2.GaussianBlur(lab, (0, 0), 1.0).reshape(lab.shape)
+    weights = (1.0, background.chroma, background.chroma)
+    slopes = [
+        weight / 8 * np.hypot(cv2.Sobel(c, cv2.CV_32F, 1, 0), cv2.Sobel(c, cv2.CV_32F, 0, 1))
+        for c, weight in zip(cv2.split(smooth), weights, strict=False)
+    ]
+    steepest = cv2.dilate(np.max(slopes, axis=0), np.ones((3, 3), np.uint8))
+    return np.asarray(steepest / np.maximum(background.limit, 1))
+
+
+def _window(patch: Patch) -> tuple[slice, slice]:
+    """Return the rows and columns of the image that a patch's window shows."""
+    (x0, y0), (height, width) = patch.corner, patch.mask.shape
+    return np.s_[y0 : y0 + height, x0 : x0 + width]
+
+
+def _angle(outline: np.ndarray) -> float:
+    """Return the direction [rad] of the longest side of the tightest rectangle around it."""
+    corners = cv2.boxPoints(cv2.minAreaRect(outline))
+    sides = np.diff(corners[:3], axis=0)
+    x, y = sides[np.argmax(np.hypot(*sides.T))]
+    return float(np.arctan2(-y, x) % np.pi)

@@ -1,0 +1,476 @@
+"""Part types learned from pictures of parts.
+
+Of each part its outline is measured; outlines are laid onto each other and averaged, and the mean
+is simplified to a polygon. Symmetry is found by turning the mean outline onto itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from plate_core.rig import MOST_HOLES, PartType, read_part_types
+from plate_core.yaml_fields import Fields
+
+from ..camera.lens import Calibration
+from ..errors import TeachError
+from ..plate.region import Region
+from .background import Background, model_background
+from .catalogue import Template, lay_on, make_template
+from .classes import (
+    COLOUR_LAB,
+    FIT_PX,
+    FIT_REACH,
+    SIZE_PX,
+    SIZE_REACH,
+    colour_distance,
+    measure_patches,
+)
+from .outlines import Outline, distances, make_outline
+from .patch import Patch
+from .polygons import simplified
+from .segmentation import find_patches
+
+MOST_PICTURES = 5
+"""Of one type: more change little, and are more work than they are worth."""
+
+RIM_POINTS = 256
+"""Points on the outline of an example."""
+
+DIFFER, DIFFER_SIZE = 0.1, 0.35
+"""Examples whose outlines, or sizes, are further apart than this fraction of their reach, and than
+`DIFFER_PX`, are not of one type: seeds and coins of one sort differ in size."""
+
+DIFFER_PX = 1.5
+"""See `DIFFER` [px]."""
+
+ALIKE_SHARE = 0.66
+"""Least share of examples that are alike: the others are then not used."""
+
+ROUND = 0.018
+"""RMS deviation from a circle, in radii, below which a part is a disc: a regular octagon has
+0.024."""
+
+ROUND_PX = 0.12
+"""The same of small ones, by noise [px]."""
+
+ALIKE = 2.0
+"""Two types must be so far apart, in the standard deviations by which parts of one type differ, to
+be told from each other."""
+
+TURNED = 0.015
+"""RMS deviation of a ring from itself when turned, in its reach, up to which it is the same."""
+
+TURNED_PX = 0.25
+"""The same of small ones [px]."""
+
+MOST_SYMMETRY = 12
+"""Of a part that is not round, in how many directions it may look the same."""
+
+PICTURE_PX = 320
+"""Side of a type's picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A picture in which parts of one type lie.
+
+    Attributes
+    ----------
+    image : (H, W) or (H, W, 3) uint8
+        Grey levels, or blue, green, red.
+    box_px : (4,), optional
+        x0, y0, x1, y1: only parts whose centre is in there are taken; else all must be of the type.
+    name : str
+        For messages.
+    """
+
+    image: np.ndarray
+    box_px: tuple[float, float, float, float] | None = None
+    name: str = "picture"
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What was learned of a type.
+
+    Attributes
+    ----------
+    part : PartType
+    count : int
+        Parts that it was learned from.
+    size_m : (2,)
+        Diameter of the disc of the same area: mean and standard deviation [m].
+    picture : (H, W, 3) uint8
+        The first example, with the outline, and the direction of an angle of 0.
+    unused : tuple of str
+        What was wrong with examples that were not used.
+    """
+
+    part: PartType
+    count: int
+    size_m: np.ndarray
+    picture: np.ndarray
+    unused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """A part in an example: its outline, and its colour (3,) CIE L, a, b."""
+
+    example: Example
+    outline: Outline
+    colour: np.ndarray
+
+
+def teach(
+    examples: Mapping[str, Sequence[Example]],
+    calibration: Calibration,
+    background: Background | None = None,
+    region: Region | None = None,
+) -> dict[str, PartType]:
+    """Learn types of parts from examples of each.
+
+    Parameters
+    ----------
+    examples : mapping of str to sequence of Example
+        By the types' names.
+    calibration : Calibration
+        Between the pictures and plate_home; see `calibrate_by_scale`.
+    background : Background, optional
+        The bare plate; None: modelled from each picture.
+    region : Region, optional
+        Where the plate is; the whole picture if None.
+
+    Raises
+    ------
+    TeachError
+        As `learn_type`, and if two types look alike.
+    """
+    types: dict[str, PartType] = {}
+    for name, pictures in examples.items():
+        lesson = learn_type(name, pictures, calibration, background, region)
+        check_alike(lesson.part, types, calibration)
+        types[name] = lesson.part
+    return types
+
+
+def learn_type(
+    name: str,
+    examples: Sequence[Example],
+    calibration: Calibration,
+    background: Background | None = None,
+    region: Region | None = None,
+) -> Lesson:
+    """Learn one type of part; arguments as those of `teach`.
+
+    Raises
+    ------
+    TeachError
+        If there is no example, none with whole parts that lie apart, examples differ too much, or
+        the outline has more corners than are allowed.
+    """
+    if not examples:
+        raise TeachError(f"type {name}: no examples, allowed: 1 to {MOST_PICTURES} pictures of it")
+    if len(examples) > MOST_PICTURES:
+        raise TeachError(f"type {name}: {len(examples)} pictures, allowed: 1 to {MOST_PICTURES}")
+    shown: list[_Shown] = []
+    unused: list[str] = []
+    for example in examples:
+        try:
+            shown += _measured(name, example, calibration, background, region)
+        except TeachError as error:
+            unused.append(str(error))
+    if not shown:
+        raise TeachError(unused[0])
+    scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
+    shown = _agreeing(name, shown, scale, unused)
+    outlines = [one.outline for one in shown]
+    mean, pose, scatter = _mean_outline(outlines, scale)
+    coloured = any(example.image.ndim == 3 for example in examples)
+    part = _simplified(name, mean, scale)
+    colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
+    part = replace(
+        part,
+        colour_lab=(float(colour[0]), float(colour[1]), float(colour[2])),
+        scatter_m=scatter,
+        picture=f"{name}.png",
+    )
+    size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
+    picture = _picture(part, shown[0].example, pose, calibration)
+    return Lesson(part, len(outlines), np.array([size.mean(), size.std()]), picture, tuple(unused))
+
+
+def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
+    """Refuse a type that cannot be told from one of others.
+
+    Raises
+    ------
+    TeachError
+        It says from which, and how near they are.
+    """
+    scale = float(calibration.scale(np.zeros((1, 2)))[0])
+    for other in types.values():
+        gap = gap_between(part, other, scale)
+        if other.name != part.name and gap.far < ALIKE:
+            raise TeachError(f"{gap.text}: merge them, or use a camera that shows more of them")
+
+
+class Gap(NamedTuple):
+    """How far two types are apart: in all and by size, in standard deviations; how much larger one
+    is [px]; and that in words."""
+
+    far: float
+    size: float
+    size_px: float
+    text: str
+
+
+def gap_between(a: PartType, b: PartType, scale: float) -> Gap:
+    """Return how far two types are apart in an image [px/m]."""
+    rest_px, swell_px, colour = apart(a, b, scale)
+    reach_px = scale * max(a.reach_m, b.reach_m)
+    size = swell_px / math.hypot(SIZE_PX, SIZE_REACH * reach_px)
+    rest = rest_px / math.hypot(FIT_PX, FIT_REACH * reach_px)
+    far = math.hypot(rest, size, colour / COLOUR_LAB)
+    return Gap(
+        far,
+        size,
+        swell_px,
+        f"types {a.name} and {b.name} look alike: outlines {rest_px:.1f} px, sizes "
+        f"{abs(swell_px):.1f} px and colours {colour:.0f} Lab apart, {far:.1f} in all, "
+        f"allowed: at least {ALIKE:g}",
+    )
+
+
+def apart(a: PartType, b: PartType, scale: float) -> tuple[float, float, float]:
+    """Return how far two types are apart: their outlines, RMS after one is swollen; by how much it
+    is [px at `scale` px/m]; and their colours in Lab, 0 if not known."""
+    one, other = make_template(a), make_template(b)
+    fit = lay_on(one, other.outline, scale)
+    gap = 0.0
+    if a.colour_lab is not None and b.colour_lab is not None:
+        gap = float(colour_distance(np.array(a.colour_lab), np.array(b.colour_lab), True))
+    return scale * float(fit[4]), scale * float(fit[3]), gap
+
+
+def merged(a: PartType, b: PartType) -> PartType:
+    """Return the type between two that are the same in truth: with the name, mass and friction of
+    the first."""
+    one, other = make_template(a), make_template(b)
+    scale = 1 / (0.02 * a.reach_m)
+    mean, _, scatter = _mean_outline([one.outline, other.outline], scale)
+    part = _simplified(a.name, mean, scale)
+    colour = a.colour_lab or b.colour_lab
+    if a.colour_lab is not None and b.colour_lab is not None:
+        light, red, yellow = np.mean([a.colour_lab, b.colour_lab], axis=0)
+        colour = (float(light), float(red), float(yellow))
+    return replace(
+        part,
+        mass_kg=a.mass_kg,
+        mu=a.mu,
+        colour_lab=colour,
+        symmetry=a.symmetry if a.symmetry == b.symmetry else part.symmetry,
+        scatter_m=math.hypot(scatter, a.scatter_m, b.scatter_m),
+        picture=a.picture,
+    )
+
+
+def _measured(
+    name: str,
+    example: Example,
+    calibration: Calibration,
+    background: Background | None,
+    region: Region | None,
+) -> list[_Shown]:
+    """Return the parts of an example."""
+    bare = model_background(example.image) if background is None else background
+    patches = find_patches(example.image, bare, region)
+    if example.box_px is not None:
+        patches = [patch for patch in patches if _is_in(patch, example.box_px)]
+        patches = sorted(patches, key=lambda patch: -patch.area_px2)[:1]
+    kept = [patch for patch in patches if patch.whole]
+    if not kept:
+        seen = "nothing lies there" if not patches else "no part is wholly seen"
+        raise TeachError(
+            f"type {name}: {example.name}: {seen}, allowed: whole parts, well apart; a picture of "
+            "the bare plate (--bare) shows them better"
+        )
+    if any(patch.group for patch in kept):
+        raise TeachError(f"type {name}: {example.name}: parts touch, allowed: parts apart")
+    outlines, colours = measure_patches(example.image, kept, calibration, RIM_POINTS)
+    return [_Shown(example, *pair) for pair in zip(outlines, colours, strict=True)]
+
+
+def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
+    """Whether a patch has its centre in a box, or covers the middle of that."""
+    x0, y0, x1, y1 = box_px
+    x, y = patch.centre_px
+    column, row = round(0.5 * (x0 + x1)) - patch.corner[0], round(0.5 * (y0 + y1)) - patch.corner[1]
+    height, width = patch.mask.shape
+    if 0 <= column < width and 0 <= row < height and patch.mask[row, column]:
+        return True
+    return bool(x0 <= x <= x1 and y0 <= y <= y1)
+
+
+def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str]) -> list[_Shown]:
+    """Return the parts that are alike; why the others are not used is added to `unused`.
+
+    Raises
+    ------
+    TeachError
+        If less than two thirds are alike.
+    """
+    # That of middle size stands for all.
+    middle = sorted(shown, key=lambda one: one.outline.filled.area)[len(shown) // 2].outline
+    template = _as_template(_shifted(middle, middle.centre))
+    kept, problems = [], []
+    for one in shown:
+        start = f"type {name}: examples differ: in {one.example.name}"
+        if len(one.outline.rings) != len(middle.rings):
+            problems.append(
+                f"{start} {len(one.outline.rings) - 1} holes, but {len(middle.rings) - 1} in "
+                "another, allowed: as many in all"
+            )
+            continue
+        fit = lay_on(template, one.outline, scale)
+        for what, error, share in (("outline", fit[4], DIFFER), ("size", fit[3], DIFFER_SIZE)):
+            most = max(share * middle.reach, DIFFER_PX / scale)
+            if abs(error) > most:
+                problems.append(
+                    f"{start} {what} is {scale * abs(error):.1f} px from that of another, allowed: "
+                    f"{scale * most:.1f} px"
+                )
+                break
+        else:
+            kept.append(one)
+    if len(kept) < ALIKE_SHARE * len(shown):
+        raise TeachError(problems[0])
+    unused += problems
+    return kept
+
+
+def _mean_outline(outlines: Sequence[Outline], scale: float) -> tuple[Outline, np.ndarray, float]:
+    """Return the mean of outlines, as the first one lies; its pose (3,) in the first; and how far
+    outlines are from it, RMS [m]."""
+    # The one of middle size first: the others are laid onto it.
+    first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
+    mean = _shifted(outlines[first], outlines[first].centre)
+    scatter = 0.0
+    for _ in range(2 if len(outlines) > 1 else 0):
+        fits = [lay_on(_as_template(mean), outline, scale) for outline in outlines]
+        scatter = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
+        laid = [_turned(outline, fit[:3]) for outline, fit in zip(outlines, fits, strict=True)]
+        mean = _average(mean, laid)
+    symmetry = _symmetry(mean, scale)
+    if symmetry > 1:
+        turns = 2 * np.pi * np.arange(symmetry) / symmetry
+        mean = _average(mean, [_turned(mean, np.array([0, 0, turn])) for turn in turns])
+    pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
+    # As the first lies, so does the mean.
+    mean = _turned(mean, np.array([0, 0, -pose[2]]))
+    return mean, np.array([pose[0], pose[1], 0.0]), scatter
+
+
+def _as_template(outline: Outline) -> Template:
+    return Template(PartType("mean"), outline.edges, outline)
+
+
+def _shifted(outline: Outline, centre: np.ndarray) -> Outline:
+    return make_outline([ring - centre for ring in outline.rings])
+
+
+def _turned(outline: Outline, pose: np.ndarray) -> Outline:
+    """Return an outline in the frame of a pose (3,) [m, m, rad]."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[c, -s], [s, c]])
+    return make_outline([(ring - pose[:2]) @ turn for ring in outline.rings])
+
+
+def _average(mean: Outline, outlines: Sequence[Outline]) -> Outline:
+    """Return a mean outline (about its centre) moved to the middle of outlines that lie on it."""
+    shift = np.zeros_like(mean.points)
+    for outline in outlines:
+        way = distances(outline.edges, mean.points)
+        shift -= way[:, :1] * way[:, 1:]
+    moved = mean.points + shift / len(outlines)
+    middle = make_outline(np.split(moved, _ends(mean)))
+    return _shifted(middle, middle.centre)
+
+
+def _ends(outline: Outline) -> np.ndarray:
+    """Return where the rings of an outline end, but the last."""
+    return np.cumsum([len(ring) for ring in outline.rings])[:-1]
+
+
+def _symmetry(mean: Outline, scale: float) -> int:
+    """Return in how many directions a mean outline looks the same; more than `MOST_SYMMETRY` are
+    not looked for."""
+    edges = mean.edges
+    for count in range(MOST_SYMMETRY, 1, -1):
+        turned = _turned(mean, np.array([0, 0, 2 * np.pi / count]))
+        square = distances(edges, turned.points)[:, 0] ** 2
+        rest = math.sqrt(max(float(np.mean(ring)) for ring in np.split(square, _ends(mean))))
+        if rest < max(TURNED * mean.reach, TURNED_PX / scale):
+            return count
+    return 1
+
+
+def _simplified(name: str, mean: Outline, scale: float) -> PartType:
+    """Return a type with a mean outline as a polygon, or as a disc.
+
+    Raises
+    ------
+    TeachError
+        If it would have too many corners or holes.
+    """
+    rings = mean.rings
+    if len(rings) > MOST_HOLES + 1:
+        raise TeachError(f"type {name}: {len(rings) - 1} holes, allowed: at most {MOST_HOLES}")
+    outer = make_outline(rings[:1])
+    radius = math.sqrt(outer.area / math.pi)
+    around = np.hypot(*(outer.points - outer.centre).T)
+    rough = float(np.std(around))
+    data: dict[str, Any] = {"symmetry": _symmetry(mean, scale)}
+    if rough < max(ROUND * radius, ROUND_PX / scale) and np.hypot(*outer.centre) < ROUND * radius:
+        data = {"symmetry": 0, "radius_m": radius}
+    else:
+        data["outline_m"] = simplified(name, "outline", rings[0], mean.reach, scale).tolist()
+    if len(rings) > 1:
+        holes = [simplified(name, "hole", ring, mean.reach, scale) for ring in rings[1:]]
+        data["holes_m"] = [hole.tolist() for hole in holes]
+    return read_part_types(Fields({name: data}, "teach", TeachError))[name]
+
+
+def _picture(
+    part: PartType, example: Example, pose: np.ndarray, calibration: Calibration
+) -> np.ndarray:
+    """Return a picture (H, W, 3) of an example, with the outline and front of the type."""
+    colour = example.image
+    if colour.ndim == 2:
+        colour = cv2.cvtColor(colour, cv2.COLOR_GRAY2BGR)
+    place_px = calibration.to_image(pose[None, :2])[0]
+    reach_px = 1.4 * part.reach_m * float(calibration.scale(pose[None, :2])[0])
+    zoom = PICTURE_PX / (2 * reach_px)
+    to_picture = np.array(
+        [[zoom, 0, zoom * (reach_px - place_px[0])], [0, zoom, zoom * (reach_px - place_px[1])]]
+    )
+    size = (PICTURE_PX, PICTURE_PX)
+    picture = cv2.warpAffine(colour, to_picture, size, borderMode=cv2.BORDER_REPLICATE)
+
+    def drawn(ring: np.ndarray) -> np.ndarray:
+        points = calibration.to_image(ring + pose[:2]) @ to_picture[:, :2].T + to_picture[:, 2]
+        return np.rint(16 * points).astype(np.int32)
+
+    rings = [part.polygon, *(np.array(hole) for hole in part.holes)]
+    cv2.polylines(picture, [drawn(ring) for ring in rings], True, (0, 160, 255), 1, cv2.LINE_AA, 4)
+    front = drawn(np.array([[0, 0], [part.reach_m, 0]]))
+    cv2.arrowedLine(
+        picture, front[0].tolist(), front[1].tolist(), (60, 60, 230), 1, cv2.LINE_AA, 4, 0.12
+    )
+    return np.asarray(picture)

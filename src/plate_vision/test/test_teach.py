@@ -1,0 +1,183 @@
+"""Types learned from drawn pictures beside their truth; what cannot be learned; the program."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plate_core import RigError, config_path, load_rig
+from plate_core.rig import PartType, load_part_types
+from plate_vision import make_vision
+from plate_vision.errors import TeachError
+from plate_vision.recognition import calibrate_by_scale, find_parts
+from plate_vision.shapes.part_files import save_part_types
+from plate_vision.shapes.teach_parts import main
+from plate_vision.shapes.teaching import Example, apart, check_alike, learn_type, merged, teach
+
+TYPES = load_part_types(config_path("parts.yaml"))
+SIZE_PX = (240, 160)
+HOME = calibrate_by_scale(1000.0)
+PLACES = [(-0.07, -0.03), (0.05, 0.04), (0.06, -0.04), (-0.06, 0.03), (0.0, 0.0)]
+
+
+def picture(draw_types, name, seed, count=3, types=TYPES, **options):
+    rng = np.random.default_rng(seed)
+    poses = [(name, x, y, rng.uniform(-np.pi, np.pi)) for x, y in PLACES[:count]]
+    return draw_types(types, poses, rng, size_px=SIZE_PX, **options)
+
+
+def gear(teeth, outer=0.02, inner=0.0165):
+    turn = 2 * np.pi * np.arange(4 * teeth) / (4 * teeth)
+    radius = np.repeat(np.tile([outer, inner], teeth), 2)
+    corner = radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    return PartType("gear", outline=tuple(map(tuple, corner.tolist())), colour_lab=(40.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("name", ["nut", "washer", "square", "bar", "bracket", "screw"])
+def test_what_is_learned_is_the_part_that_was_drawn(draw_types, name):
+    pictures = [Example(picture(draw_types, name, seed)) for seed in (1, 2)]
+    lesson = learn_type(name, pictures, HOME)
+    part, true = lesson.part, TYPES[name]
+    assert lesson.count == 6
+    assert part.symmetry == true.symmetry
+    assert len(part.holes) == len(true.holes)
+    assert bool(part.radius_m) == bool(true.radius_m)
+    outlines, sizes, colours = apart(part, true, 1000.0)
+    assert outlines < 0.25
+    assert abs(sizes) < 0.1
+    assert colours < 2
+    expected = 2e3 * np.sqrt(true.area_m2 / np.pi)
+    assert 1e3 * lesson.size_m == pytest.approx([expected, 0], abs=0.25)
+    assert part.scatter_m < 1e-4
+    if name in ("square", "bar"):
+        assert len(part.outline) == 4
+
+
+def test_one_example_is_enough_and_grey_levels_will_do(draw_types):
+    grey = picture(draw_types, "bracket", 3, count=1)[:, :, 1].copy()
+    part = learn_type("bracket", [Example(grey)], HOME).part
+    assert part.symmetry == 1
+    assert part.colour_lab[1:] == (0, 0)
+    assert apart(part, TYPES["bracket"], 1000.0)[0] < 0.3
+
+
+def test_an_angle_of_0_is_how_the_first_example_lies(draw_types):
+    rng = np.random.default_rng(4)
+    first = draw_types(TYPES, [("screw", 0, 0, 0.7)], rng, size_px=SIZE_PX)
+    again = draw_types(TYPES, [("screw", 0.01, 0, 1.2)], rng, size_px=SIZE_PX)
+    types = teach({"screw": [Example(first), Example(again)]}, HOME)
+    (found,) = find_parts(again, types)
+    assert found["label"] == "screw"
+    assert np.degrees(found["angle_rad"]) == pytest.approx(np.degrees(0.5), abs=1)
+
+
+def test_a_box_picks_one_part_of_many(draw_types):
+    rng = np.random.default_rng(5)
+    poses = [("nut", -0.06, 0, 0.0), ("bar", 0.06, 0, 0.0)]
+    scene = draw_types(TYPES, poses, rng, size_px=SIZE_PX)
+    boxes = {"nut": (30, 40, 90, 120), "bar": (150, 40, 210, 120)}
+    types = teach({name: [Example(scene, box)] for name, box in boxes.items()}, HOME)
+    assert types["nut"].symmetry == 6
+    assert types["bar"].symmetry == 2
+    assert [*find_parts(scene, types)["label"]].count("bar") == 1
+
+
+def test_what_cannot_be_learned_says_why(draw_types):
+    bare = picture(draw_types, "nut", 6, count=0)
+    nuts, coins = (
+        Example(picture(draw_types, name, 7), name=name) for name in ("nut", "coin_large")
+    )
+    with pytest.raises(TeachError, match=r"type nut: no examples, allowed: 1 to 5 pictures"):
+        learn_type("nut", [], HOME)
+    with pytest.raises(TeachError, match=r"type nut: 6 pictures, allowed: 1 to 5"):
+        learn_type("nut", [nuts] * 6, HOME)
+    with pytest.raises(TeachError, match=r"type nut: bare\.png: nothing lies there, allowed"):
+        learn_type("nut", [Example(bare, name="bare.png")], HOME)
+    with pytest.raises(TeachError, match=r"examples differ: .* holes, but .* in .*, allowed"):
+        learn_type("nut", [nuts, coins], HOME)
+    small = Example(picture(draw_types, "coin_small", 8), name="small")
+    with pytest.raises(TeachError, match=r"examples differ: in small size is .* px from"):
+        learn_type("coin", [coins, small], HOME)
+    with pytest.raises(RigError, match=r"type 'Nut', allowed: small letters"):
+        learn_type("Nut", [nuts], HOME)
+
+
+def test_an_outline_with_too_many_corners_is_refused(draw_types):
+    types, rng = {"gear": gear(20)}, np.random.default_rng(9)
+    example = Example(draw_types(types, [("gear", 0, 0, 0)], rng, scale=2500.0, size_px=SIZE_PX))
+    with pytest.raises(TeachError, match=r"its outline has \d+ corners, allowed: 32, with which"):
+        learn_type("gear", [example], calibrate_by_scale(2500.0))
+
+
+def test_types_that_look_alike_are_refused_and_may_be_merged(draw_types):
+    nut = learn_type("nut", [Example(picture(draw_types, "nut", 10))], HOME).part
+    again = learn_type("nut_b", [Example(picture(draw_types, "nut", 11))], HOME).part
+    with pytest.raises(TeachError, match=r"types nut_b and nut look alike: outlines .* px, sizes"):
+        check_alike(again, {"nut": nut}, HOME)
+    check_alike(nut, {"nut": nut, "washer": TYPES["washer"]}, HOME)
+    one = merged(nut, again)
+    assert one.name == "nut"
+    assert one.symmetry == 6
+    assert max(apart(one, other, 1000.0)[0] for other in (nut, again)) < 0.15
+
+
+def test_a_file_of_types_is_read_as_it_was_written(tmp_path):
+    path = tmp_path / "parts.yaml"
+    save_part_types(path, TYPES)
+    again = load_part_types(path)
+    assert [*again] == [*TYPES]
+    for name, part in again.items():
+        assert part.symmetry == TYPES[name].symmetry
+        assert part.mass_kg == TYPES[name].mass_kg
+        assert np.abs(part.polygon - TYPES[name].polygon).max() < 2e-6
+    with pytest.raises(RigError, match="allowed: small letters"):
+        save_part_types(path, {"Nut": TYPES["nut"]})
+    assert [*load_part_types(path)] == [*TYPES]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, draw_types):
+    """Pictures through the default rig's camera: a bare plate, screws, brackets."""
+    monkeypatch.chdir(tmp_path)
+    to_image = make_vision(load_rig(config_path("rig.yaml"))).calibration.to_image
+    for name in ("bare", "screw", "bracket"):
+        rng = np.random.default_rng(len(name))
+        poses = [(name, x, y, rng.uniform(-3, 3)) for x, y in PLACES if name != "bare"]
+        cv2.imwrite(f"{name}.png", draw_types(TYPES, poses, rng, to_image=to_image))
+    return tmp_path
+
+
+def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
+    rig = ["--rig", str(config_path("rig.yaml")), "--bare", "bare.png"]
+    main(["screw", "screw.png", *rig])
+    assert "corners, no symmetry; 13.6" in capsys.readouterr().out
+    main(["bracket", "bracket.png", *rig])
+    types = load_part_types("parts.yaml")
+    assert apart(types["screw"], TYPES["screw"], 1000.0)[0] < 0.25
+    assert apart(types["bracket"], TYPES["bracket"], 1000.0)[0] < 0.25
+    assert cv2.imread("screw.png") is not None
+    capsys.readouterr()
+    main(["list"])
+    assert "corners, 0 holes, symmetry 1, 13.6" in capsys.readouterr().out
+    main(["rename", "screw", "bolt"])
+    assert [*load_part_types("parts.yaml")] == ["bolt", "bracket"]
+    assert (folder / "bolt.png").exists()
+    main(["merge", "bolt", "bracket"])
+    main(["delete", "bolt"])
+    assert [*load_part_types("parts.yaml")] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nut", "nothing.png"], "nothing.png: no such file or folder"),
+        (["nut", "bare.png", "--bare", "bare.png"], "nothing lies there"),
+        (["list", "--out", "no.yaml"], "no.yaml"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(folder, capsys, words, message):
+    with pytest.raises(SystemExit) as end:
+        main([*words, *(["--rig", str(config_path("rig.yaml"))] if words[0] == "nut" else [])])
+    assert end.value.code == 2
+    said = capsys.readouterr().err.splitlines()
+    assert message in said[-1]
+    assert said[-1].startswith("error: ")

@@ -1,0 +1,101 @@
+"""The feeder in the real graph: a robot takes parts over TCP; stops, and what comes after them."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from graph.robot import Robot, feed_result
+from graph.session import session
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_bringup import RunOptions
+from plate_core.ros import DATA
+from plate_interfaces.srv import PartQuantity
+
+pytestmark = pytest.mark.alone  # in real time
+
+PICKS = 6
+
+
+@pytest.fixture(name="graph", scope="module")
+def _graph(tmp_path_factory):
+    options = RunOptions(scenario="feed", seed=1, autostart=False, robot_port=0)
+    with session(options, tmp_path_factory.mktemp("feed"), pictures=False) as graph:
+        graph.free()
+        graph.observer.await_ready()
+        yield graph
+
+
+@pytest.fixture(name="robot")
+def _robot(graph):
+    observer = graph.observer
+    assert observer.until(lambda: bool(observer.record.last("feeder", "port")), 10)
+    port = int(observer.record.last("feeder", "port"))
+    with Robot(observer, "127.0.0.1", port, cycle_s=2.0) as robot:
+        yield robot
+
+
+def moves(observer):
+    """List that is filled with the tables in which a motor moves."""
+    found = []
+
+    def on_table(msg):
+        if any(any(point.positions) for point in msg.points):
+            found.append(msg)
+
+    observer.node.create_subscription(JointTrajectory, "motor_setpoints", on_table, DATA)
+    return found
+
+
+def test_a_robot_takes_parts_from_where_they_are_said_to_be(graph, robot):
+    table = moves(graph.observer)
+    graph.observer.until(lambda: False, 2.0)
+    assert not table, "nothing moves before somebody asks"
+    robot.work(PICKS)
+    assert table, "parts were led to the window"
+    result = feed_result(robot.grips, graph.observer.record, PICKS, ["black"])
+    assert result["success"], result
+    answer = graph.observer.call(PartQuantity, "part_quantity", PartQuantity.Request())
+    assert (answer.taken, answer.lost) == (PICKS, 0)
+    code, text = robot.ask("part_quantity")
+    assert code == 200
+    assert f"taken={PICKS}" in text
+
+
+def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_told_at_once(graph, robot):
+    observer = graph.observer
+    code, text = robot.ask("get_part")
+    assert code == 200, text
+    table = moves(observer)
+    observer.until(lambda: False, 0.3)
+    table.clear()
+    observer.until(lambda: False, 2.0)
+    assert not table, "a robot may stand over the plate"
+    assert "state=reserved" in robot.ask("state")[1]
+    assert robot.ask("part_taken failed")[0] == 200
+    assert robot.ask("part_taken failed")[0] == 410, "no part is reserved any more"
+    observer.call(Trigger, "simulator/reset", Trigger.Request())
+    robot.send("get_part")
+    observer.until(lambda: False, 0.05)
+    observer.trigger("stop")
+    code, text = robot.answer(2.0)
+    assert code in (200, 503), text
+    if code == 503:
+        assert "stopped" in text
+    table.clear()
+    observer.until(lambda: False, 1.0)
+    table.clear()
+    observer.until(lambda: False, 1.5)
+    assert not table, "after a stop nothing moves before somebody asks"
+    code, text = robot.ask("get_part")
+    assert code == 200, text
+    assert robot.ask("part_taken failed")[0] == 200
+
+
+def test_a_purge_empties_the_plate(graph, robot):
+    code, text = robot.ask("purge 60", 70)
+    assert (code, text) == (200, "left=0"), text
+    quantity = graph.observer.call(PartQuantity, "part_quantity", PartQuantity.Request())
+    assert not any(each.count for each in quantity.seen)
+    assert quantity.lost == 0

@@ -1,0 +1,84 @@
+"""The task of move in the real graph: a script drags a part, puts one down, and takes one off."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from graph.session import session
+
+from plate_bringup import RunOptions
+from plate_client import PlateClient
+from plate_core.ros import DATA, LATCHED, msg_to_parts
+from plate_core.tasks import PartTarget, load_scenario
+from plate_interfaces.msg import Parts, Targets, TaskStatus
+from plate_interfaces.srv import PlacePart, RemovePart
+
+pytestmark = pytest.mark.alone
+
+
+def clear_of(parts):
+    """The place that is furthest from all parts."""
+    grid = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 21), np.linspace(-0.08, 0.08, 9)), -1)
+    places = grid.reshape(-1, 2)
+    away = np.hypot(*(places[:, None] - parts.position).transpose(2, 0, 1))
+    return tuple(places[int(np.argmax(np.min(away, axis=1)))].tolist())
+
+
+def nearest(parts, place):
+    """Id of the part that is nearest to a place, and how far it is [m]."""
+    away = np.hypot(*(parts.position - place).T)
+    return parts.ids[int(np.argmin(away))], float(np.min(away))
+
+
+def test_a_script_drags_parts_of_the_real_graph(tmp_path):
+    options = RunOptions(scenario="play", seed=1, lockstep=True, autostart=False)
+    with session(options, tmp_path, pictures=False) as graph:
+        observer, heard = graph.observer, {}
+        for kind, topic, qos in (
+            (Parts, "ground_truth", DATA), (Parts, "parts", DATA),
+            (Targets, "part_targets", LATCHED), (TaskStatus, "task_status", LATCHED),
+        ):  # fmt: skip
+            observer.node.create_subscription(
+                kind, topic, lambda msg, topic=topic: heard.update({topic: msg}), qos
+            )
+        graph.free()
+        observer.await_ready()
+        plate = PlateClient(observer.node, observer.until)
+        task = plate.start(load_scenario("play"))
+
+        def text():
+            return heard["task_status"].text
+
+        def truth():
+            return msg_to_parts(heard["ground_truth"])
+
+        for place in ((0.15, 0.05), (-0.15, 0.0)):  # the second while it is on its way
+            plate.move_targets([PartTarget("black_1", place), PartTarget("black_77", place)])
+            assert observer.until(
+                lambda place=place: [(t.id, t.x, t.y) for t in heard["part_targets"].targets]
+                == [("black_1", *place)], 10
+            )  # fmt: skip
+        assert observer.until(lambda: text().startswith("running: 1 of 1 at their"), 100), text()
+        name, away = nearest(truth(), place)
+        assert name.startswith("black_")
+        assert away < 2.3e-3  # tolerance_m, as the camera sees it
+
+        x, y = clear_of(truth())
+        request = PlacePart.Request(type="grey", x=x, y=y)
+        answer = observer.call(PlacePart, "simulator/place_part", request)
+        assert answer.success, answer.message
+        assert observer.until(lambda: len(heard["parts"].parts) == 11, 20)
+        assert heard["task_status"].state == TaskStatus.RUNNING
+        new, away = nearest(msg_to_parts(heard["parts"]), (x, y))
+        assert away < 0.01
+        plate.move_targets([PartTarget(new, (0.2, 0.08))])
+        assert observer.until(lambda: text().startswith("running: 2 of 2 at their"), 100), text()
+        assert not task.ended
+
+        true, _ = nearest(truth(), (0.2, 0.08))
+        answer = observer.call(RemovePart, "simulator/remove_part", RemovePart.Request(id=true))
+        assert answer.success, answer.message
+        status = plate.wait(task, 30.0)
+        assert (status.state, status.reason) == (TaskStatus.LOST, TaskStatus.PART_UNSEEN)
+        assert f"{new} was seen last at (" in status.text

@@ -1,0 +1,281 @@
+"""The live page's server and the real graph, by a client that speaks as a browser does."""
+
+import asyncio
+import contextlib
+import http.client
+import json
+import math
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+tornado = pytest.importorskip("tornado.websocket")
+
+from plate_view import COMMANDS  # noqa: E402
+
+TIMEOUT_S = 30.0
+
+
+class Browser:
+    """Speaks with the page, and keeps the newest message of each kind."""
+
+    def __init__(self, connection):
+        self._connection, self._number = connection, 0
+        self.newest, self.calls = {}, []
+
+    @classmethod
+    async def open(cls, url, origin=None, token=""):
+        address = url.replace("http", "ws") + "socket" + (f"?token={token}" if token else "")
+        headers = {"Origin": origin or url.rstrip("/")}
+        request = tornado.httpclient.HTTPRequest(address, headers=headers)
+        return cls(await tornado.websocket_connect(request))
+
+    async def read(self, timeout_s=TIMEOUT_S):
+        text = await asyncio.wait_for(self._connection.read_message(), timeout_s)
+        assert text is not None, "the page has closed the connection"
+        if isinstance(text, bytes):
+            self.newest["image"] = text
+            return {"kind": "image"}
+        message = json.loads(text)
+        self.newest[message["kind"]] = message
+        if message["kind"] == "call":
+            self.calls.append(message)
+        return message
+
+    async def until(self, true):
+        async def wait():
+            while not true(self.newest):
+                await self.read()
+
+        await asyncio.wait_for(wait(), TIMEOUT_S)
+
+    async def send(self, text):
+        await self._connection.write_message(text)
+
+    async def ask(self, name, /, **values):
+        self._number += 1
+        await self.send(json.dumps({"do": name, "number": self._number, **values}))
+        while True:
+            message = await self.read()
+            if message["kind"] == "answer" and message["number"] == self._number:
+                return message
+
+    def part(self, name):
+        return next(p for p in self.newest["parts"]["parts"] if p["id"] == name)
+
+    async def close(self):
+        self._connection.close()
+        while await asyncio.wait_for(self._connection.read_message(), TIMEOUT_S) is not None:
+            pass
+
+
+def distance(part, x, y):
+    return math.hypot(part["x"] - x, part["y"] - y)
+
+
+def test_a_part_comes_to_where_its_target_is_dragged(url):
+    async def drag():
+        browser = await Browser.open(url)
+        await browser.until(lambda newest: "parts" in newest and "driver" in newest)
+        start = browser.part("black_1")
+        x, y = -start["x"] / 2, -start["y"] / 2
+        for share in (0.2, 0.5, 1.0):
+            here = {"id": "black_1", "x": start["x"] + share * (x - start["x"]),
+                    "y": start["y"] + share * (y - start["y"]), "angle": None}  # fmt: skip
+            answer = await browser.ask("move", targets=[here], dragging=share < 1)
+            assert answer["ok"], answer
+        await browser.until(lambda newest: distance(browser.part("black_1"), x, y) < 0.002)
+        await browser.until(lambda newest: newest.get("targets", {}).get("targets"))
+        assert browser.newest["targets"]["targets"][0]["id"] == "black_1"
+        answer = await browser.ask("move", targets=[{"id": "nobody", "x": 0, "y": 0}])
+        assert answer["ok"]  # it goes by a topic; the planner says in its log that there is none
+        other = await Browser.open(url)
+        points = [[start["x"], start["y"]], [0, 0]]
+        wrong = await browser.ask("follow", id="black_1", points=points, speed=0, closed=False)
+        assert "allowed" in wrong["text"]
+        assert browser.newest["task"]["state"] == "running"  # nothing has ended for it
+        answer = await browser.ask("start", scenario="sort_10")
+        assert answer["ok"], answer  # the task move makes way
+        await browser.until(lambda newest: newest["task"]["task"] == "sort")
+        answer = await other.ask("move", targets=[here])
+        assert not answer["ok"]
+        assert "a task runs (sort)" in answer["text"]
+        await other.close()
+        assert (await browser.ask("cancel"))["text"] == "canceled"
+        await browser.close()
+
+    asyncio.run(drag())
+
+
+def test_a_part_follows_a_path_that_is_drawn(url):
+    async def draw():
+        browser = await Browser.open(url)
+        await browser.until(lambda newest: "parts" in newest)
+        start = browser.part("grey_1")
+        end = [start["x"] * 0.6, start["y"] * 0.5]
+        points = [[start["x"], start["y"]], end]
+        answer = await browser.ask("follow", id="grey_1", points=points, speed=0.04, closed=False)
+        assert answer["ok"], answer
+        await browser.until(lambda newest: newest.get("paths", {}).get("paths"))
+        (path,) = browser.newest["paths"]["paths"]
+        assert math.dist(path["points"][-1], end) < 1e-5  # rounded
+        other = await browser.ask("start", scenario="sort_10")
+        assert not other["ok"]
+        assert "follow is running" in other["text"]
+        assert browser.newest["paths"]["paths"] == [path]
+        await browser.until(lambda newest: newest["task"]["state"] == "done")
+        await browser.until(lambda newest: distance(browser.part("grey_1"), *end) < 0.002)
+        answer = await browser.ask("follow", id="nobody", points=points, speed=0.04, closed=False)
+        assert not answer["ok"]
+        await browser.close()
+
+    asyncio.run(draw())
+
+
+def test_stop_and_enable_and_what_was_called(url):
+    async def stop():
+        browser = await Browser.open(url)
+        await browser.until(lambda newest: newest.get("driver", {}).get("state") == "ready")
+        answer = await browser.ask("emergency_stop")
+        assert answer["ok"], answer
+        await browser.until(lambda newest: newest["driver"]["state"] == "stopped")
+        assert (await browser.ask("emergency_stop"))["ok"]  # twice
+        answer = await browser.ask("enable", on=True)
+        assert answer["ok"], answer
+        await browser.until(lambda newest: newest["driver"]["state"] == "ready")
+        await browser.until(lambda newest: len(browser.calls) >= 3)
+        assert browser.calls[0]["text"] == "plate emergency_stop"
+        await browser.close()
+
+    asyncio.run(stop())
+
+
+def test_parameters_are_shown_and_set(url):
+    async def change():
+        browser = await Browser.open(url)
+        assert (await browser.ask("parameters", node="solver"))["ok"]
+        await browser.until(lambda newest: "parameters" in newest)
+        shown = {each["name"]: each for each in browser.newest["parameters"]["parameters"]}
+        assert {"rotations", "sinusoids"} <= set(shown["method"]["choices"])
+        for value in ("rotations", "sinusoids"):
+            assert (await browser.ask("set", node="solver", name="method", value=value))["ok"]
+        wrong = await browser.ask("set", node="solver", name="method", value="C")
+        assert not wrong["ok"]
+        assert "allowed: one of" in wrong["text"]
+        wrong = await browser.ask("set", node="solver", name="methd", value="sinusoids")
+        assert "solver has no parameter 'methd' (did you mean method?), it has: " in wrong["text"]
+        for name in ("../x", "1", "\u00b2", "nobody"):
+            assert not (await browser.ask("parameters", node=name))["ok"]
+            assert not (await browser.ask("set", node=name, name="x", value=1))["ok"]
+        assert (await browser.ask("parameters", node="page"))["ok"]
+        await browser.until(lambda newest: newest["parameters"]["node"] == "page")
+        shown = {each["name"] for each in browser.newest["parameters"]["parameters"]}
+        assert "address" in shown
+        assert not any("token" in name for name in shown)
+        await browser.close()
+
+    asyncio.run(change())
+
+
+def test_images_and_fields_come_to_those_who_watch(url):
+    async def watch():
+        browser = await Browser.open(url)
+        await browser.send(json.dumps({"do": "watch", "image": True, "field": True}))
+        await browser.until(lambda newest: "image" in newest)
+        assert browser.newest["image"][8:10] == b"\xff\xd8"  # JPEG
+        await browser.until(lambda newest: newest.get("cycle", {}).get("field"))
+        await browser.close()
+
+    asyncio.run(watch())
+
+
+UPGRADE = {
+    "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+}  # fmt: skip
+
+
+def status(port, path, **headers):
+    """What the page answers to a request with these headers."""
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, TIMEOUT_S)) as caller:
+        caller.request("GET", path, headers=headers)
+        return caller.getresponse().status
+
+
+def test_who_is_not_let_in(url):
+    port = int(url.rstrip("/").rsplit(":", 1)[1])
+    assert status(port, "/") == 200
+    assert status(port, "/", Host=f"evil.example:{port}") == 403
+    ours = {"Origin": f"http://127.0.0.1:{port}", **UPGRADE}
+    assert status(port, "/socket", **ours) == 101
+    for origin in ("http://evil.example", "null", f"http://127.0.0.1:{port + 1}", ""):
+        assert status(port, "/socket", **{**ours, "Origin": origin}) == 403, origin
+    assert status(port, "/socket", **UPGRADE) == 403
+    foreign = {"Host": "evil.example", "Origin": "http://evil.example"}
+    assert status(port, "/socket", **{**ours, **foreign}) == 403
+    for path in ("/../node.py", "/%2e%2e/node.py", "/../../plate_core/config/rig.yaml", "/%00"):
+        assert status(port, path) in (400, 403, 404), path
+
+
+def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
+    port = int(url.rstrip("/").rsplit(":", 1)[1])
+    rng = random.Random(1)
+    hung = socket.create_connection(("127.0.0.1", port))
+    lines = {"Host": f"127.0.0.1:{port}", "Origin": f"http://127.0.0.1:{port}", **UPGRADE}
+    request = ["GET /socket HTTP/1.1", *(f"{key}: {value}" for key, value in lines.items()), "", ""]
+    hung.sendall("\r\n".join(request).encode())
+    with socket.create_connection(("127.0.0.1", port)) as rude:
+        rude.sendall(rng.randbytes(4000))
+
+    async def disturb():
+        browser = await Browser.open(url)
+        for _ in range(150):
+            name = rng.choice([*COMMANDS, "rm", ""])
+            if name in ("emergency_stop", "cut_power", "stop", "cancel", "learn_plate"):
+                name += " -f"  # these would be done
+            junk = {rng.choice(["x", "id", "targets", "number"]): rng.choice([None, -1, "", [{}]])}
+            await browser.send(json.dumps({"do": name, **junk, "force": True}))
+            await browser.send(rng.randbytes(rng.randrange(50)).hex())
+        await browser.until(lambda newest: newest.get("answer", {}).get("ok") is False)
+        other = await Browser.open(url)
+        assert (await other.ask("parameters", node="planner"))["ok"]
+        await other.until(lambda newest: "parts" in newest)
+        await other.close()
+        await browser.close()
+
+    asyncio.run(disturb())
+    hung.close()
+
+
+def test_the_end_of_the_page_is_said():
+    """`make play` is of no use without it."""
+    play = Path(__file__).resolve().parents[1] / "tools" / "play.py"
+    mark = f"PLATE_TEST_RUN={uuid.uuid4().hex}"
+    name, value = mark.split("=")
+    with subprocess.Popen(
+        [sys.executable, str(play)],
+        env=os.environ | {name: value},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as run:
+        try:
+            assert any("Open http://" in line for line in run.stdout)
+            for folder in Path("/proc").glob("[0-9]*"):
+                with contextlib.suppress(OSError):  # it has ended, or is not ours
+                    ours = mark.encode() in (folder / "environ").read_bytes()
+                    if ours and b"__node:=page" in (folder / "cmdline").read_bytes():
+                        os.kill(int(folder.name), signal.SIGKILL)
+            _, said = run.communicate(timeout=TIMEOUT_S)
+        finally:
+            run.kill()
+    assert "page was ended by SIGKILL" in said
+    assert run.returncode == 1

@@ -1,0 +1,184 @@
+"""The live page in a browser, with the real graph behind it."""
+
+import shutil
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy")
+browsers = pytest.importorskip("playwright.sync_api")
+axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next(filter(None, map(shutil.which, NAMES)), "")
+TIMEOUT_MS = 30_000
+
+pytestmark = [
+    pytest.mark.skipif(not CHROMIUM, reason="needs Chromium"),
+    pytest.mark.alone,
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsers.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def page(browser, url):
+    """The page, as it is when parts are seen; at the end its complaints, and whom it has called."""
+    context = browser.new_context(viewport={"width": 1366, "height": 768})
+    page = context.new_page()
+    page.set_default_timeout(TIMEOUT_MS)
+    complaints, called = [], []
+    page.on("console", lambda line: complaints.append(line.text) if line.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: called.append(request.url))
+    page.goto(url)
+    wait_for(page, "known.parts?.parts.length > 0 && known.task && known.driver?.state === 'ready'")
+    yield page
+    assert complaints == []
+    assert [each for each in called if not each.startswith((url, "blob:"))] == []
+    context.close()
+
+
+def known(page, what):
+    """What the page knows: the newest message of a kind, or a part of it."""
+    return page.evaluate(
+        f"async () => {{ const {{known}} = await import('./bus.js'); return {what}; }}"
+    )
+
+
+def wait_for(page, condition):
+    page.evaluate("async () => { window.known = (await import('./bus.js')).known; }")
+    page.wait_for_function(f"() => {condition}")
+
+
+def pixel(page, x, y):
+    """Where a place on the plate [m] is on the screen."""
+    box = page.locator("#plate").bounding_box()
+    rig = known(page, "known.hello.rig")
+    scale = min(box["width"] / (rig["length"] + 0.024), box["height"] / (rig["width"] + 0.024))
+    return box["x"] + box["width"] / 2 + scale * x, box["y"] + box["height"] / 2 - scale * y
+
+
+def part(page, name):
+    return known(page, f"known.parts.parts.find((part) => part.id === '{name}')")
+
+
+def drag(page, start, end, steps=12):
+    page.mouse.move(*pixel(page, *start))
+    page.mouse.down()
+    for k in range(1, steps + 1):
+        at = [a + (b - a) * k / steps for a, b in zip(start, end, strict=True)]
+        page.mouse.move(*pixel(page, *at))
+    page.mouse.up()
+
+
+def near(name, x, y, within=0.002):
+    return (
+        f"Math.hypot(...(({{x, y}}) => [x - {x}, y - {y}])(known.parts.parts"
+        f".find((part) => part.id === '{name}'))) < {within}"
+    )
+
+
+def test_a_target_that_is_dragged_brings_the_part(page):
+    start = part(page, "black_2")
+    end = (-0.5 * start["x"], -0.5 * start["y"])
+    drag(page, (start["x"], start["y"]), end)
+    target = "known.targets?.targets.find((target) => target.id === 'black_2')"
+    wait_for(page, f"Math.hypot({target}?.x - {end[0]}, {target}?.y - {end[1]}) < 0.002")
+    released = known(page, target)
+    wait_for(page, near("black_2", released["x"], released["y"]))
+
+
+def test_a_path_that_is_drawn_is_followed(page):
+    page.get_by_label("Draw a path").check()
+    start = part(page, "grey_2")
+    end = (0.6 * start["x"], 0.4 * start["y"])
+    drag(page, (start["x"], start["y"]), end, steps=40)
+    page.get_by_label("Speed").first.fill("40")
+    page.get_by_role("button", name="Follow").click()
+    wait_for(page, "known.task.task === 'follow' && known.task.state === 'done'")
+    wait_for(page, near("grey_2", *end, 0.004))  # a path has a point each 4 mm
+
+
+def test_the_space_bar_stops_and_twice_too(page):
+    page.keyboard.press("Space")
+    wait_for(page, "known.driver.state === 'stopped'")
+    page.keyboard.press("Space")
+    assert "Motors" in page.inner_text("header")
+    page.get_by_role("button", name="Enable").click()
+    wait_for(page, "known.driver.state === 'ready'")
+
+
+def test_a_refusal_stands_where_it_was_asked(page):
+    page.get_by_role("button", name="Disable").click()
+    wait_for(page, "known.driver.state === 'disabled'")
+    page.get_by_role("tab", name="Task").click()
+    page.get_by_role("button", name="Start").click()
+    refusal = page.locator("#panel-Task output").filter(has_text="refused")
+    refusal.wait_for()
+    assert "driver" in refusal.inner_text()
+    page.get_by_role("button", name="Enable").click()
+    wait_for(page, "known.driver.state === 'ready'")
+
+
+def test_a_node_that_says_nothing_is_named(page, graph):
+    graph.processes.signal("driver", signal.SIGSTOP)
+    try:
+        page.locator("#alarm").filter(has_text="Nothing heard from driver").wait_for()
+        assert "no word" in page.inner_text("#driver-state")
+        page.keyboard.press("Space")
+        page.locator("#alarm").filter(has_text="Cut the power by hand").wait_for()
+    finally:
+        graph.processes.signal("driver", signal.SIGCONT)
+    wait_for(page, "known.driver.state === 'stopped'")
+    page.get_by_role("button", name="Enable").click()
+    wait_for(page, "known.driver.state === 'ready'")
+    page.locator("#alarm").wait_for(state="hidden")
+
+
+def test_every_control_works_without_an_error(page):
+    """Buttons, boxes, sliders and lists of all panels, but for those that stop."""
+    for tab in page.get_by_role("tab").all():
+        if not tab.is_visible():
+            continue
+        tab.click()
+        panel = page.locator("#panels > section:visible")
+        for kind in ("input[type=checkbox]", "input[type=range]", "select", "button"):
+            for control in panel.locator(kind).all():
+                if not (control.is_visible() and control.is_enabled()):
+                    continue
+                if kind == "select":
+                    control.select_option(index=0)
+                elif kind == "input[type=range]":
+                    control.press("ArrowRight")
+                    control.press("ArrowLeft")
+                else:
+                    control.click()
+    for box in page.locator("#layers input").all():
+        box.click()
+    page.keyboard.press("Escape")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_can_be_read_by_everybody(page, scheme):
+    page.emulate_media(color_scheme=scheme)
+    for tab in page.get_by_role("tab").all():
+        if tab.is_visible():
+            tab.click()
+            found = axe.Axe().run(page).response["violations"]
+            serious = [each for each in found if each["impact"] in ("serious", "critical")]
+            assert [each["id"] for each in serious] == [], serious[0]["nodes"][0]["html"]
+
+
+def test_it_fits_one_screen(page):
+    for width, height in ((1366, 768), (1920, 1080), (1024, 768)):
+        page.set_viewport_size({"width": width, "height": height})
+        size = page.evaluate("[document.body.scrollWidth, document.body.scrollHeight]")
+        assert size[0] <= width
+        assert size[1] <= height

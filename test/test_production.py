@@ -1,0 +1,208 @@
+"""Simulated production: the robot's times, a short run, the peers that shake, and `qualify`."""
+
+import math
+import re
+import sys
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plate_bringup import qualify
+from plate_bringup.loop import Setup
+from plate_bringup.production import Act, Production, Robot, Tally, filled, produce
+from plate_core import PlateError, load_rig
+from plate_core.motion import usage
+from plate_core.tasks import load_scenario
+from plate_sim import Grip, Simulation
+from tasks.feeding import BASE, run_case
+from tasks.shaking import Shaking, conveyed, shaken, thrown
+
+PLACE = (0.1, 0.0, 0.0)
+
+
+def acts(robot, until, answer_at, step=0.05):
+    """Step a robot up to a time; it is answered when it has asked, but not before `answer_at`."""
+    found, asked = [], False
+    for now in np.arange(0, until, step):
+        while True:
+            due = robot.due
+            robot, act = robot.step(now)
+            if act is None:
+                break
+            found.append((act, due))
+            asked = asked or act is Act.ASK
+        if asked and now >= answer_at - 1e-9:
+            robot, asked = robot.told(PLACE, now), False
+    return robot, found
+
+
+def test_a_robot_that_is_answered_at_once_keeps_its_cycle():
+    robot, found = acts(Robot(2.0, 0.0), 4.01, 0.0)
+    times = {act: [due for a, due in found if a is act] for act in Act}
+    assert times[Act.LEAVE] == pytest.approx([0.3, 2.3])
+    assert times[Act.ASK] == pytest.approx([1.2, 3.2])
+    assert times[Act.COME] == pytest.approx([1.7, 3.7])
+    assert times[Act.GRIP] == pytest.approx([2.0, 4.0])
+    assert robot.since == pytest.approx(4.0)
+
+
+def test_a_robot_waits_outside_the_view_for_its_answer():
+    _, found = acts(Robot(2.0, 0.0), 2.9, 2.5)
+    assert [act for act, _ in found] == [Act.LEAVE, Act.ASK, Act.COME, Act.GRIP]
+    assert [due for _, due in found[2:]] == pytest.approx([2.5, 2.8])
+    before = Robot(2.0, 0.0, Act.COME)
+    assert before.waited(1.6) == 0
+    assert before.waited(2.2) == pytest.approx(0.5)
+    assert before.told(PLACE, 2.5).waited(9.0) == pytest.approx(0.8)
+
+
+def test_a_robot_that_is_refused_asks_again_later():
+    robot, _ = Robot(2.0, 0.0, Act.ASK).step(1.2)
+    assert robot.due == math.inf
+    robot = robot.told(None, 1.5)
+    assert robot.due == pytest.approx(1.7)
+
+
+def test_what_is_counted_begins_with_the_first_pick(monkeypatch):
+    rig = load_rig()
+    simulation = Simulation(rig, load_scenario("feed"))
+    tally, robot = Tally(), Robot.ready(2.0).told(PLACE, 7.0)
+    robot = replace(robot, next=Act.GRIP)
+    tally.gripped(robot, Grip(False, error_m=math.inf))
+    tally.gripped(robot, Grip(True, error_m=1e-4, error_rad=-0.1))
+    first = robot.due
+    late = replace(Robot(2.0, first), next=Act.GRIP).told(PLACE, first + 2.2)
+    tally.gripped(late, Grip(True, error_m=3e-4, error_rad=0.1))
+    tally.time_s = late.due
+    task = load_scenario("feed").task
+    found = Production.of(tally, Robot(2.0, late.due), simulation, task)
+    assert (found.picks, found.failed) == (2, 1)
+    monkeypatch.setattr(Simulation, "chuted_classes", Counter(black=2, grey=3))
+    gone = Production.of(tally, robot, simulation, task)
+    assert (gone.lost, gone.discharged) == (2, 3), "none that is wanted may go to the chute"
+    assert found.first_s == pytest.approx(7.3)
+    assert found.waiting == pytest.approx(0.5 / 2.5)
+    assert found.parts_per_min == pytest.approx(60 / 2.5)
+    assert found.error_mm[2] == pytest.approx(0.3)
+    assert found.error_deg[0] == pytest.approx(math.degrees(0.1))
+
+
+@pytest.fixture(scope="module")
+def short():
+    """Half a minute of our feeder."""
+    return produce(Setup(BASE.recipe, 3), 2.0, 30.0)
+
+
+def test_a_short_production_picks_parts_where_they_are_said_to_be(short):
+    assert short.picks >= 8
+    assert short.failed == short.lost == short.discharged == 0
+    assert short.error_mm[2] < 0.5
+    assert not short.refused
+    assert 0 <= short.waiting < 0.5
+
+
+def test_a_production_is_repeated_by_its_seed(short):
+    again = produce(Setup(BASE.recipe, 3), 2.0, 30.0)
+    assert replace(again, cpu=0.0) == replace(short, cpu=0.0)
+
+
+def test_parts_are_neither_made_nor_forgotten():
+    """All that the hopper has dropped is on the plate, was picked, or has left over the chute."""
+    cells = []
+    recipe = filled(load_scenario("feed"), 10)
+    found = produce(Setup(recipe, 1), 1.0, 12.0, note=cells.append)
+    simulation = cells[-1].simulation
+    numbers = {
+        label: max(
+            (int(i.rpartition("_")[2]) for i in simulation.state.ids if i.startswith(label)),
+            default=0,
+        )
+        for label in ("black", "grey")
+    }
+    there = int(np.count_nonzero(simulation.state.on_plate))
+    assert there + found.picks + found.lost + found.discharged >= sum(numbers.values())
+    assert there <= 2 * 10
+
+
+def test_recipes_that_cannot_be_filled_are_refused():
+    with pytest.raises(PlateError, match="'sort_4', allowed: one of the kind feed"):
+        filled(load_scenario("sort_4"), 10)
+    with pytest.raises(PlateError, match="fill is 101, allowed: 1 to 100"):
+        filled(load_scenario("feed"), 101)
+    assert filled(load_scenario("feed"), 5).task.hopper.least == 4  # 12 of 15
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_shake_conveys_parts_as_strongly_as_the_rig_allows(axis):
+    rig, along = load_rig(), np.eye(3)[axis]
+    cycle = shaken(rig, along, Shaking())
+    assert usage(rig, cycle).overall == pytest.approx(1.0, abs=1e-6)
+    ways = conveyed(rig, cycle, axis)
+    assert np.all(np.diff(ways) > 0)
+    assert ways[0] > 1e-3
+    back = conveyed(rig, cycle.scaled(-1.0), axis)
+    assert back == pytest.approx(-ways, abs=1e-4)
+
+
+def test_thrown_parts_lie_evenly_and_clear_of_each_other():
+    half, rng = np.array([0.3, 0.15]), np.random.default_rng(1)
+    reach = np.full(20, 0.01)
+    places = np.array([thrown(reach, half, rng) for _ in range(50)])
+    for place in places:
+        apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
+        assert np.min(apart + np.eye(20)) >= 0.02
+    room = half - 0.01
+    assert np.all(np.abs(places) <= room)
+    spread = places.reshape(-1, 2).std(axis=0)
+    assert spread == pytest.approx(room / np.sqrt(3), rel=0.05)
+
+
+@pytest.mark.parametrize("method", ["vibrated", "thrown"])
+def test_a_peer_picks_parts_too(method):
+    found = run_case(BASE, method, 3, 30.0)
+    assert found["picks"] >= 4
+    assert found["failed"] == 0
+    assert found["error_mm"][2] < 0.5
+
+
+def qualified(monkeypatch, *words):
+    monkeypatch.setattr(sys, "argv", ["qualify", *words])
+    with pytest.raises(SystemExit) as end:
+        qualify.main()
+    return end.value.code
+
+
+def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path):
+    page = tmp_path / "feed.html"
+    words = ["--recipe", "feed", "--minutes", "0.15", "--seeds", "1", "--fill", "4,8"]
+    assert qualified(monkeypatch, *words, "--robot-cycle", "1", "--page", str(page)) == 0
+    told = capsys.readouterr()
+    lines = [line for line in told.out.splitlines() if re.match(r"\s*\d+  ", line)]
+    assert [line.split()[0] for line in lines] == ["4", "8"]
+    assert sum("<- best fill" in line for line in lines) == 1
+    best = next(line.split() for line in lines if "best" in line)
+    assert float(best[1]) >= 0.99 * max(float(line.split()[1]) for line in lines)
+    assert told.err.count("parts a minute") == 2
+    text = page.read_text(encoding="utf-8")
+    assert f"Best fill: {best[0]} parts" in text
+    assert "<svg" in text
+    assert text.count("<tr") == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--recipe", "sort_4"], "recipe is 'sort_4', allowed: one of the kind feed"),
+        (["--recipe", "feeed"], "did you mean feed?"),
+        (["--recipe", "feed", "--fill", "0"], "fill is 0, allowed: 1 to 100"),
+        (["--recipe", "feed", "--fill", "5,x"], "fill is x, allowed: 1 to 100"),
+        (["--recipe", "feed", "--robot-cycle", "nan"], "robot-cycle is nan, allowed: 0.2 to 60"),
+        (["--recipe", "feed", "--page", "/nowhere/a.html"], "allowed: a file in a folder"),
+        (["--recipe", "feed_bars", "--rig", "desk"], "class is 'bar', allowed with this rig"),
+    ],
+)
+def test_qualify_says_what_is_wrong(monkeypatch, capsys, words, problem):
+    assert qualified(monkeypatch, *words) == 2
+    assert problem in capsys.readouterr().err

@@ -1,0 +1,164 @@
+"""The plate to play with: the graph with the simulator, and the live page, until Ctrl-C.
+
+python tools/play.py [--scenario play] [--rig desk] [--bag out/demo/bag]
+
+Exit code 0 after Ctrl-C; 1: a node has ended by itself. 2: wrong arguments, nothing was started.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+WAITING_S = 10.0
+"""Between two lines on what is waited for, where they cannot overwrite each other [s]."""
+
+PAGE_S = 30.0
+"""Longest wait for the page [s]."""
+
+LOOK_S = 0.5
+"""Between two looks whether all nodes run [s]."""
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    args = arguments()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is something to stop
+    from graph.processes import Interrupted, signals_raise
+
+    from plate_core import PlateError
+
+    try:
+        options = checked(args)
+    except PlateError as error:
+        print(f"play: {error}", file=sys.stderr)
+        return 2
+    try:
+        with signals_raise(), TemporaryDirectory(prefix="plate_play_") as folder:
+            if args.bag:
+                replay(options, args.bag, Path(folder), args.domain)
+            else:
+                play(options, Path(folder), args.domain)
+    except Interrupted:
+        print("\nplay: all nodes are stopped", flush=True)
+    except PlateError as error:
+        print(f"\nplay: {error}", file=sys.stderr, flush=True)
+        return 1
+    return 0
+
+
+def arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="make play",
+        description="Run the simulated plate with a live page: drag a part, and it goes there.",
+        epilog="With make: make play SCENARIO=align_6 RIG=desk ARGS='--seed 3'. Ctrl-C ends it.",
+    )
+    add = parser.add_argument
+    add("--scenario", default="play", help="whose parts lie there: name or .yaml file (play)")
+    add("--rig", default="", help="name in config/rigs or .yaml file (the scenario's)")
+    add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
+    add("--seed", type=int, default=0, help="where parts are scattered (0)")
+    add("--simulated-time", action="store_true", help="the page can change the simulator's rate")
+    add("--bag", default="", help="show a recorded run: folder of a bag; no graph is started")
+    add("--domain", type=int, help="ROS domain, 0 to 101 (a free one)")
+    return parser.parse_args()
+
+
+def checked(args: argparse.Namespace):
+    """Check everything before anything is started, and return the options of the run.
+
+    Raises
+    ------
+    PlateError
+        Names the argument, its value and what is allowed.
+    """
+    import numpy as np
+    from graph.demo import absolute
+
+    from plate_bringup import RunOptions
+    from plate_core import PlateError, load_rig
+    from plate_core.tasks import load_scenario, start_positions
+    from plate_solver import METHODS
+
+    scenario = load_scenario(args.scenario)
+    rig = args.rig or scenario.rig
+    if args.method not in METHODS:
+        allowed = ", ".join(sorted(METHODS))
+        raise PlateError(f"method is {args.method!r}, allowed: {allowed}")
+    if not 0 <= args.seed < 2**31:
+        raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
+    if args.domain is not None and not 0 <= args.domain <= 101:
+        raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    start_positions(scenario, load_rig(rig), np.random.default_rng(args.seed))
+    return RunOptions(
+        scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
+        rig_file=absolute(rig), simulated_time=args.simulated_time, view=True,
+    )  # fmt: skip
+
+
+def play(options, folder: Path, domain: int | None) -> None:
+    """Start the graph, say where the page is, and wait for Ctrl-C.
+
+    Raises
+    ------
+    GraphError
+        If a node or the page ends, or does not answer.
+    """
+    import os
+
+    from graph.demo import StatusLine
+    from graph.domains import own_domain
+    from graph.processes import ros_environment
+    from graph.session import session
+
+    from plate_bringup import GraphError
+
+    line = StatusLine(WAITING_S)
+    with own_domain(domain) as number:
+        os.environ.update(ros_environment(number))
+        with session(options, folder, number, pictures=False, waiting=line.show) as graph:
+            page = graph.page()
+            line.end()
+            if not page:
+                raise GraphError(f"the page does not come\n{graph.processes.tail('page')}")
+            print(
+                f"Open {page} in a browser: drag a part. Ctrl-C ends it.\n"
+                f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={number}",
+                flush=True,
+            )
+            while True:
+                graph.observer.until(lambda: False, LOOK_S)
+                graph.processes.check(views=True)
+
+
+def replay(options, bag: str, folder: Path, domain: int | None) -> None:
+    """Show a recorded run: the page alone, until Ctrl-C.
+
+    Raises
+    ------
+    GraphError
+        If the page ends.
+    """
+    from graph.domains import own_domain
+    from graph.observer import Observer
+    from graph.processes import Processes, command
+
+    from plate_bringup import load_graph
+
+    (page,) = [node for node in options.nodes(load_graph()) if node.view]
+    words = command(page, {"bag": str(Path(bag).absolute()), "rig_file": options.rig_file})
+    with own_domain(domain) as number, Processes((), options, folder, number) as nodes:
+        nodes.add({"page": words}, {})
+        with Observer(number, nodes.check, pictures=False) as observer:
+            observer.until(lambda: bool(observer.record.last("page", "url")), PAGE_S)
+            print(f"Open {observer.record.last('page', 'url')} in a browser. Ctrl-C ends it.")
+            while True:
+                observer.until(lambda: False, LOOK_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
