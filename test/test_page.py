@@ -23,6 +23,8 @@ from plate_view import COMMANDS  # noqa: E402
 
 TIMEOUT_S = 30.0
 
+pytestmark = pytest.mark.alone  # a graph in real time
+
 
 class Browser:
     """Speaks with the page, and keeps the newest message of each kind."""
@@ -162,7 +164,7 @@ def test_parameters_are_shown_and_set(url):
     async def change():
         browser = await Browser.open(url)
         assert (await browser.ask("parameters", node="solver"))["ok"]
-        await browser.until(lambda newest: "parameters" in newest)
+        await browser.until(lambda newest: newest.get("parameters", {}).get("node") == "solver")
         shown = {each["name"]: each for each in browser.newest["parameters"]["parameters"]}
         assert {"rotations", "sinusoids"} <= set(shown["method"]["choices"])
         for value in ("rotations", "sinusoids"):

@@ -186,6 +186,7 @@ class Plate:
 # One long piece: a solver takes seconds to start.
 
 
+@pytest.mark.alone  # it is frozen for a time that is measured
 def test_life_of_a_solver(peer, rig):
     peer.connect()
     plate = Plate(peer, stamp_ns=1_000 * MS)
