@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -17,7 +18,6 @@ from typing import Any
 import tornado.httpserver
 import tornado.ioloop
 import tornado.iostream
-import tornado.netutil
 import tornado.web
 import tornado.websocket
 
@@ -354,7 +354,10 @@ def _bound(address: str, port: int) -> tuple[list[Any], int]:
     """Return sockets on the first free port."""
     for each in range(port, port + NEW_PORTS):
         try:
-            return tornado.netutil.bind_sockets(each, address), each
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
+            door = socket.create_server((address, each), family=family)
+            door.setblocking(False)
+            return [door], each
         except OSError as error:
             problem = error
     raise PlateError(
