@@ -211,7 +211,7 @@ class Bench:
         assert self.call(self.changer, request).success
 
     def send(self) -> None:
-        self.stamp += 1_000_000
+        self.stamp = time.time_ns()
         self.cycles.publish(cycle_to_msg(shaking(0.001), to_time(self.stamp)))
 
     def moving(self) -> None:

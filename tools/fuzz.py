@@ -93,7 +93,8 @@ def templates(rig: Rig, rng: np.random.Generator) -> dict[type, bytes]:
     size = rng.choice([0.0, 1e-3, 3e-3, 0.01, 1.0])
     wave = size * np.outer(np.sin(np.pi * t) ** 4 * np.sin(4 * np.pi * t), [1, 1, 3])
     cycle = PlateCycle.from_samples(float(rng.choice([0.02, 0.1, 0.2])), wave)
-    stamp = to_time(int(rng.integers(0, 10**12)))
+    age_ns = int(rng.integers(0, 2 * 10**8 if rng.random() < 0.9 else 10**12))
+    stamp = to_time(time.time_ns() - age_ns)
     count = int(rng.choice(COUNTS, p=SHARES))
     ids = tuple(f"{'black' if k % 2 else 'grey'}_{k // 2 + 1}" for k in range(count))
     place = rng.uniform(-1.1, 1.1, (count, 2)) * rig.plate.half

@@ -123,11 +123,10 @@ class Bench:
         self.plate = PlateClient(self.node, self.until)
         self.kinds = Trigger, SetBool
         cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        table, self.number = shaking(64, 5e-4), 0
+        table = shaking(64, 5e-4)
 
         def send() -> None:
-            self.number += 1
-            cycles.publish(cycle_to_msg(table.cycle, to_time(1_000_000 * self.number)))
+            cycles.publish(cycle_to_msg(table.cycle, to_time(time.time_ns())))
 
         if period_s is not None:
             self.node.create_timer(period_s, send)

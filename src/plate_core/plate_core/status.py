@@ -11,21 +11,16 @@ message came, never by its stamp.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 __all__ = [
-    "BACKLOG_S",
     "COMPILING",
     "INPUT_TIMEOUT_S",
-    "STANDSTILL_S",
     "Finding",
     "Input",
     "Level",
-    "Standstill",
-    "standstill_limit",
     "used",
     "worst",
 ]
@@ -33,12 +28,6 @@ __all__ = [
 INPUT_TIMEOUT_S = 1.5
 """Silence of an input after which it counts as gone [s]: three of the longest usual cycles, and
 short enough for a task to end within 2 s of the fault."""
-
-STANDSTILL_S = 0.5
-"""A process that does not run for longer stood still [s]: two of the longest usual cycles."""
-
-BACKLOG_S = 0.6
-"""Time after a standstill in which what had come meanwhile is handed out [s]."""
 
 COMPILING = "compiling kernels"
 """What a node does that cannot answer yet, in words."""
@@ -123,50 +112,6 @@ class Input:
         how_long = f"for {silence:.1f} s" if self.came is not None else "yet"
         message = f"no {self.what} {how_long} on {self.topic}: {self.question}"
         return Finding(Level.STALE, message)
-
-
-@dataclass(frozen=True)
-class Standstill:
-    """Whether this process has stood still: it was frozen, or the machine slept or was too busy.
-
-    What came meanwhile looks fresh when the process runs again, but is old: the plate has come to
-    rest, and the task may have ended. So for a moment nothing that comes may move the plate.
-
-    Attributes
-    ----------
-    ran : float
-        When the process ran last [s, steady clock].
-    limit_s : float
-        It stood still if it did not run for longer [s].
-    over : float
-        When the last standstill ended.
-    length_s : float
-        How long that was [s].
-    """
-
-    ran: float
-    limit_s: float = STANDSTILL_S
-    over: float = -math.inf
-    length_s: float = 0.0
-
-    def running(self, now: float) -> Standstill:
-        """Return it after a look at the clock: to be called often, every 0.1 s or so."""
-        away = now - self.ran
-        if away > self.limit_s:
-            return replace(self, ran=now, over=now, length_s=away)
-        return replace(self, ran=now)
-
-    def reason(self, who: str) -> str:
-        """Say why what comes now is not used; "" if it may be."""
-        if self.ran - self.over > BACKLOG_S:
-            return ""
-        return f"the {who} itself stood still for {self.length_s:.1f} s"
-
-
-def standstill_limit(input_timeout_s: float) -> float:
-    """Return `Standstill.limit_s` [s] of a node whose inputs have this timeout [s]: `STANDSTILL_S`
-    of the usual one, and longer where time is simulated and nothing is late."""
-    return input_timeout_s * STANDSTILL_S / INPUT_TIMEOUT_S
 
 
 def used(what: str, count: int, refused: int, why: str) -> Finding | None:

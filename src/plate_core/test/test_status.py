@@ -3,14 +3,9 @@
 import pytest
 
 from plate_core.status import (
-    BACKLOG_S,
-    INPUT_TIMEOUT_S,
-    STANDSTILL_S,
     Finding,
     Input,
     Level,
-    Standstill,
-    standstill_limit,
     used,
     worst,
 )
@@ -42,21 +37,6 @@ def test_an_input_is_gone_after_its_timeout_whether_it_ever_came_or_not():
     assert topic.gone(22.1) == Finding(
         Level.STALE, "no image for 2.1 s on image_raw: does the camera run?"
     )
-
-
-def test_after_a_standstill_what_comes_is_not_used_for_a_moment():
-    process = Standstill(10.0).running(10.0 + STANDSTILL_S)
-    assert process.reason("solver") == ""
-    again = process.ran + 3.1
-    process = process.running(again)
-    assert process.reason("solver") == "the solver itself stood still for 3.1 s"
-    process = process.running(again + 0.5 * BACKLOG_S).running(again + 0.9 * BACKLOG_S)
-    assert process.reason("solver")
-    assert process.running(again + 1.1 * BACKLOG_S).reason("solver") == ""
-    slow = Standstill(10.0, standstill_limit(20 * INPUT_TIMEOUT_S)).running(
-        10.0 + 19 * STANDSTILL_S
-    )
-    assert slow.reason("solver") == ""  # simulated time: nothing is late
 
 
 def test_refusals_are_an_error_only_if_nothing_was_of_use():

@@ -23,6 +23,7 @@ from plate_core.motion import motor_state
 from plate_core.ros import (
     DATA,
     DIAGNOSTICS_PERIOD_S,
+    LATCHED,
     Diagnostics,
     NodeOptions,
     SafeLifecycleNode,
@@ -35,10 +36,12 @@ from plate_core.ros import (
     to_time,
     trajectory_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, STANDSTILL_S, Finding, Standstill
+from plate_core.status import INPUT_TIMEOUT_S, Finding
+from plate_interfaces.msg import TaskStatus
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
 from .cycle_starts import CycleStarts
+from .freshness import Freshness
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
@@ -107,7 +110,7 @@ class Options(NodeOptions):
 class DriverNode(SafeLifecycleNode[Options]):
     """Lifecycle node `driver`: keeps plate cycles within the limits and sends them to the motors.
 
-    Subscribes plate_cycle.
+    Subscribes plate_cycle, and task_status: what a task has asked for moves nothing after its end.
     Publishes motor_setpoints, motor_states and, for motors that play whole cycles, cycle_started
     while active, driver_status and diagnostics always.
     Services enable (gives the motors current), emergency_stop, cut_power, home, calibrate.
@@ -129,7 +132,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
-        self._standstill: Standstill | None = None  # until callbacks run while it is active
+        self._freshness = Freshness()
         self._reported: dict[str, str] = {}  # values of the last diagnostics
         self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
@@ -168,6 +171,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
         self._cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
         self.keep(UnlockedSubscription.destroy, self._cycles)
+        self.managed_subscription(TaskStatus, "task_status", self._on_task, LATCHED)
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
         timers = [(CYCLE_PERIOD_S, self._take), (WATCH_PERIOD_S, self._watch)]
@@ -180,7 +184,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
-        self._standstill = None
+        self._freshness = Freshness()
         self._cycle_starts = CycleStarts(time.monotonic())
         self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
         transport = self._transport
@@ -229,7 +233,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def _start_transport(self) -> TransportThread:
         """Open the transport, in a thread of its own."""
         context = TransportContext(
-            self._rig, self._publish, time.monotonic, asdict(self.options), time.time_ns() % 2**32
+            self._rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
         )
         made = make_transport(self.options.transport, context)
         made.open()
@@ -303,19 +307,34 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _take(self) -> None:
         """Take cycles that have come: a few, so that a flood leaves time for all else."""
-        self._look_at_clock()
         for _ in range(MOST_CYCLES):
             taken = self._cycles.take()
             if taken is None:
                 return
             self.take_cycle(*taken)
 
-    def _look_at_clock(self) -> Standstill:
-        """Notice that this process has stood still; in simulated time nothing is late."""
-        now = time.monotonic()
-        limit_s = math.inf if self._simulated else STANDSTILL_S
-        self._standstill = (self._standstill or Standstill(now, limit_s)).running(now)
-        return self._standstill
+    def _on_task(self, msg: TaskStatus) -> None:
+        if msg.state != TaskStatus.RUNNING:
+            self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
+
+    def _look(self) -> DriverStatus:
+        """Return the status, and notice that the motors have become ready, or that this process
+        has stood still; in simulated time it does not."""
+        status = self.status
+        number = self._latch.number if status.state is DriverState.READY else None
+        now = 0.0 if self._simulated else time.monotonic()
+        self._freshness = self._freshness.seen(number, now, self.get_clock().now().nanoseconds)
+        return status
+
+    def _left_s(self, cycle: PlateCycle, stamp_ns: int) -> float:
+        """Return for how long a cycle that moves the plate may still be sent [s], or refuse it."""
+        if rivals := self.rivals("plate_cycle"):
+            raise CycleError(rivals)
+        clock_ns = self.get_clock().now().nanoseconds
+        if self._simulated:  # the clock may be heard after the cycle
+            clock_ns = max(clock_ns, stamp_ns)
+        left = self._freshness.left(stamp_ns, clock_ns, cycle.period)
+        return math.inf if self._simulated else left
 
     def take_cycle(self, data: bytes, size: int) -> None:
         """Send on a cycle that came as `size` bytes, the first of which are `data`."""
@@ -324,7 +343,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         number = self._latch.number
         try:
-            status = self.status
+            status = self._look()
             if status.state is not DriverState.READY:
                 raise CycleError(f"the driver is {status.text}")
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
@@ -333,10 +352,10 @@ class DriverNode(SafeLifecycleNode[Options]):
             now = self._now()
             if self._simulated:  # the clock may be heard after the cycle
                 now = max(now, 1e-9 * stamp_ns)
-            guard, fit = self._guarded(transport).accepted(msg_to_cycle(msg), stamp_ns, now)
-            old = self._look_at_clock().reason("driver")
-            if old:
-                raise CycleError(old)
+            cycle = msg_to_cycle(msg)
+            guard, fit = self._guarded(transport).accepted(cycle, stamp_ns, now)
+            if cycle.moves:
+                guard = guard.lasting(time.monotonic() + self._left_s(cycle, stamp_ns))
             self._send(transport, guard, number)
             self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
         except PlateError as error:
@@ -355,15 +374,19 @@ class DriverNode(SafeLifecycleNode[Options]):
         assert guard.table is not None
         transport.send(guard.table, guard.plays, number)
         if transport.motors:
-            self._publish(guard.table)
+            self._setpoints.publish(self._message(guard.table))
         self._guard = guard
 
-    def _publish(self, table: MotorTable) -> None:
+    def _play(self, table: MotorTable) -> None:
+        """Publish a table for the simulator, unless it has become too old meanwhile."""
+        msg = self._message(table)
+        table.check_age(time.monotonic())
+        self._setpoints.publish(msg)
+
+    def _message(self, table: MotorTable) -> JointTrajectory:
         joints = [motor.name for motor in self._rig.motors]
         stamp = to_time(table.stamp_ns)
-        self._setpoints.publish(
-            trajectory_to_msg(joints, table.cycle.times, table.q, table.qd, table.qdd, stamp)
-        )
+        return trajectory_to_msg(joints, table.cycle.times, table.q, table.qd, table.qdd, stamp)
 
     def _halted(self) -> None:
         """Take note that the plate rests, and that an experiment is over."""
@@ -404,7 +427,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
         if not self.active:
             return
-        status, now = self.status, self._now()
+        status, now = self._look(), self._now()
         self._ready_since = min(self._ready_since, now)  # a simulated clock may be put back
         if status.state not in (DriverState.READY, DriverState.CALIBRATING):
             self._ready_since = now

@@ -13,7 +13,6 @@ import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.motion import motor_state
-from plate_core.status import BACKLOG_S, STANDSTILL_S
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
@@ -21,6 +20,7 @@ from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Header  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
@@ -34,15 +34,17 @@ from plate_core.ros import (  # noqa: E402
     start_nodes,
     to_time,
 )
+from plate_driver.freshness import STANDSTILL_S  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.status import LOOK, OFF  # noqa: E402
-from plate_interfaces.msg import DriverStatus  # noqa: E402
+from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 NAMESPACE = f"/driver_test_{os.getpid()}"
 PERIOD = 0.1
 MS = 1_000_000
-LAST_STAMP = 90_000 * MS
+SIMULATED = 90_000 * MS
+"""A stamp of a simulated clock."""
 
 
 def shaking(amplitude: float) -> PlateCycle:
@@ -82,6 +84,7 @@ class Peer:
         self.statuses: list[DriverStatus] = []
         self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
         self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
         self.changes = self.node.create_client(ChangeState, "driver/change_state")
         self.asks = self.node.create_client(GetState, "driver/get_state")
         env = os.environ | {
@@ -123,8 +126,11 @@ class Peer:
         # The driver may get to know us a little later than we it; until then its words are lost.
         self.until(lambda: False, 0.5)
 
-    def send(self, cycle: PlateCycle, stamp_ns: int) -> None:
+    def send(self, cycle: PlateCycle, stamp_ns: int | None = None) -> int:
+        """Send a cycle that answers an image, if not said otherwise of now; returns its stamp."""
+        stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
         self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
+        return stamp_ns
 
     def answer(self, stamp_ns: int, count: int = 1) -> JointTrajectory:
         """Wait for the setpoints with a stamp; `count` of them."""
@@ -135,6 +141,17 @@ class Peer:
         if not self.until(lambda: len(found()) >= count):
             pytest.fail(f"{len(found())} of {count} answers to stamp {stamp_ns}; {self.end()}")
         return found()[-1]
+
+    def moved(self) -> int:
+        """Have the plate move; returns the stamp. A driver that has only just become ready has to
+        notice that first."""
+        for _ in range(50):
+            count, stamp = len(self.setpoints), self.send(shaking(0.0005))
+            if self.until(lambda n=count: len(self.setpoints) > n, 0.5):
+                last = self.setpoints[-1]
+                assert (nanoseconds(last.header.stamp), at_rest(last)) == (stamp, False)
+                return stamp
+        pytest.fail(f"nothing moves; {self.end()}")
 
     def call(self, client, request, tries: int = 1):
         assert client.wait_for_service(timeout_sec=20.0)
@@ -200,10 +217,9 @@ def at_rest(msg: JointTrajectory) -> bool:
 
 def test_good_and_bad_cycles(peer, rig):
     peer.connect()
-    stamp = 1_000 * MS
     # A cycle within the limits is passed on as it is.
     gentle = shaking(0.0005)
-    peer.send(gentle, stamp)
+    stamp = peer.send(gentle)
     motors = peer.answer(stamp)
     q, qd, qdd = motor_state(rig, gentle.knot_pose, gentle.knot_twist, gentle.knot_accel)
     assert motors.joint_names == ["motor_1", "motor_2", "motor_3", "motor_4"]
@@ -215,54 +231,46 @@ def test_good_and_bad_cycles(peer, rig):
     peer.answer(stamp, count=2)
 
     # A wild one comes back scaled down, the same motion.
-    stamp += 100 * MS
     wild = shaking(0.1)
-    peer.send(wild, stamp)
+    stamp = peer.send(wild)
     applied = msg_to_motors(rig, peer.answer(stamp))
     factor = applied.knot_pose[24, 2] / wild.knot_pose[24, 2]
     assert 0 < factor < 0.2
     np.testing.assert_allclose(applied.knot_pose, factor * wild.knot_pose, atol=1e-9)
 
     # Bad ones are not answered, and the driver goes on.
-    good_msg = cycle_to_msg(gentle, to_time(stamp + 100 * MS))
-    joints = cycle_to_msg(gentle, good_msg.header.stamp)
-    joints.joint_names = ["x", "y", "z"]
-    nan = cycle_to_msg(gentle, good_msg.header.stamp)
-    nan.points[3].velocities[1] = float("nan")
-    open_end = cycle_to_msg(gentle, good_msg.header.stamp)
-    open_end.points[-1].positions[0] = 0.004
-    unsorted = cycle_to_msg(gentle, good_msg.header.stamp)
-    unsorted.points[5].time_from_start.nanosec = 1
-    stale = cycle_to_msg(gentle, to_time(stamp - 50 * MS))
-    before = len(peer.setpoints)
-    for number, three in enumerate([(joints, nan, open_end), (unsorted, stale, JointTrajectory())]):
-        for bad in three:  # the queue holds five
-            peer.cycles.publish(bad)
-        peer.cycles.publish(good_msg)
-        peer.answer(stamp + 100 * MS, count=number + 1)
-    answered = {nanoseconds(m.header.stamp) for m in peer.setpoints[before:]}
-    assert answered == {stamp + 100 * MS}
-
-    # A stamp far back is a simulator that began anew.
-    peer.send(gentle, 0)
-    peer.answer(0)
+    bad = [cycle_to_msg(gentle, to_time(0)) for _ in range(4)]
+    bad[0].joint_names = ["x", "y", "z"]
+    bad[1].points[3].velocities[1] = float("nan")
+    bad[2].points[-1].positions[0] = 0.004
+    bad[3].points[5].time_from_start.nanosec = 1
+    stale, empty = (cycle_to_msg(gentle, to_time(stamp - 50 * MS)), JointTrajectory())
+    before, good = len(peer.setpoints), []
+    for three in ((*bad[:3],), (bad[3], stale, empty)):
+        for each in three:  # the queue holds five
+            if each in bad:
+                each.header.stamp = to_time(time.time_ns())
+            peer.cycles.publish(each)
+        good.append(peer.send(gentle))
+        peer.answer(good[-1])
+    assert [nanoseconds(m.header.stamp) for m in peer.setpoints[before:]] == good
 
     # What happened is in the diagnostics.
     def totals():
         return [{v.key: v.value for v in r.status[0].values} for r in peer.reports]
 
-    assert peer.until(lambda: any(r["refused"] == "6" and r["cycles"] == "6" for r in totals()))
+    assert peer.until(lambda: any(r["refused"] == "6" and r["cycles"] == "5" for r in totals()))
     assert totals()[-1]["scaled"] == "1"
     assert any(float(r["worst_limit_fraction"]) > 5 for r in totals())
     assert peer.until(lambda: len(peer.states) > 0)
     assert peer.states[-1].name == motors.joint_names
 
     # It rests before it ends.
-    peer.send(gentle, LAST_STAMP)
-    assert not at_rest(peer.answer(LAST_STAMP))
+    stamp = peer.send(gentle)
+    assert not at_rest(peer.answer(stamp))
     code, output = peer.end(signal.SIGINT)
     assert code == 0, output
-    assert at_rest(peer.answer(LAST_STAMP, count=2))
+    assert at_rest(peer.answer(stamp, count=2))
     assert "Traceback" not in output
     assert "cycle refused: " in output
     assert "cycle scaled by" in output
@@ -273,29 +281,47 @@ def test_foreign_cycle_and_silence(peer, rig):
     peer.connect()
     t = np.arange(24) * PERIOD / 24
     pose = 0.001 * np.column_stack([np.cos(2 * np.pi * t / PERIOD)] * 3)
-    peer.send(PlateCycle.from_samples(PERIOD, pose), MS)
-    applied = msg_to_motors(rig, peer.answer(MS))
+    stamp = peer.send(PlateCycle.from_samples(PERIOD, pose))
+    applied = msg_to_motors(rig, peer.answer(stamp))
     assert applied.starts_at_rest
     assert applied.period == pytest.approx(3 * PERIOD)
     # No more cycles: the plate rests by itself, and the driver says so; nothing is sent for it.
     assert peer.until(lambda: peer.level() == DiagnosticStatus.STALE)
     assert peer.reports[-1].status[0].message.startswith("no plate_cycle for ")
     assert len(peer.setpoints) == 1
-    # What came while the driver stood still moves nothing.
+    # What came while the driver stood still moves nothing, however young it is.
     peer.process.send_signal(signal.SIGSTOP)
-    peer.send(shaking(0.0005), LAST_STAMP)
-    peer.until(lambda: False, STANDSTILL_S + 0.3)
+    peer.until(lambda: False, STANDSTILL_S + 0.1)
+    peer.send(shaking(0.0005))
     peer.process.send_signal(signal.SIGCONT)
-    assert not peer.until(lambda: len(peer.setpoints) > 1, BACKLOG_S + 0.1)
+    refused = "cycle refused: plate_cycle answers an image from before the driver itself stood"
+    assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
+    # What is too old moves nothing, nor what a task asked for that has ended, nor what a second
+    # node sends; a plate at rest may be asked for at any time.
+    peer.send(shaking(0.0005), time.time_ns() - 700 * MS)
+    assert peer.until(lambda: peer.value("refused") == "2")
+    asked = time.time_ns()
+    peer.tasks.publish(TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED))
+    peer.until(lambda: False, 0.1)
+    peer.send(shaking(0.0005), asked)
+    assert peer.until(lambda: peer.value("refused") == "3")
+    rogue = rclpy.create_node("rogue", context=peer.context, namespace=NAMESPACE)
+    cycles = rogue.create_publisher(JointTrajectory, "plate_cycle", DATA)
+    assert peer.until(lambda: cycles.get_subscription_count() > 0)
+    cycles.publish(cycle_to_msg(shaking(0.0005), to_time(time.time_ns())))
+    assert peer.until(lambda: peer.value("refused") == "4")
+    peer.answer(peer.send(PlateCycle.rest(PERIOD)))
+    rogue.destroy_node()
+    assert peer.until(lambda: peer.node.count_publishers("plate_cycle") == 1)
+    assert all(map(at_rest, peer.setpoints[1:]))
     # A signal while the plate moves: it rests before the driver ends.
-    peer.send(shaking(0.0005), LAST_STAMP)
-    assert not at_rest(peer.answer(LAST_STAMP))
+    stamp = peer.moved()
     code, output = peer.end(signal.SIGTERM)
     assert code == 0, output
     assert "Traceback" not in output
     assert "no plate_cycle for 0.6 s: the plate rests" in output
-    assert "cycle refused: the driver itself stood still for 0." in output
-    assert at_rest(peer.answer(LAST_STAMP, count=2))
+    assert refused in output
+    assert at_rest(peer.answer(stamp, count=2))
 
 
 @pytest.mark.parametrize("peer", [["hold_cycles:=2", "use_sim_time:=true"]], indirect=True)
@@ -303,16 +329,16 @@ def test_in_simulated_time_silence_is_simulated_too(peer):
     peer.connect()
     clock = peer.node.create_publisher(Clock, "/clock", DATA)
     assert peer.until(lambda: clock.get_subscription_count() > 0)
-    peer.send(shaking(0.0005), LAST_STAMP)
-    peer.answer(LAST_STAMP)
+    peer.send(shaking(0.0005), SIMULATED)
+    peer.answer(SIMULATED)
     count = len(peer.reports)
     assert peer.until(lambda: len(peer.reports) > count + 1)
     assert peer.value("rests") == "0"  # the plate waits: nothing has come for a second and more
-    clock.publish(Clock(clock=to_time(LAST_STAMP + 250 * MS)))
+    clock.publish(Clock(clock=to_time(SIMULATED + 250 * MS)))
     assert peer.until(lambda: peer.value("rests") == "1")
     # The simulator starts again: its clock is put back, and the cycle sent before counts no more.
-    peer.send(shaking(0.0005), LAST_STAMP + 300 * MS)
-    peer.answer(LAST_STAMP + 300 * MS)
+    peer.send(shaking(0.0005), SIMULATED + 300 * MS)
+    peer.answer(SIMULATED + 300 * MS)
     clock.publish(Clock(clock=to_time(300 * MS)))
     assert peer.until(lambda: peer.value("rests") == "2")
 
@@ -326,24 +352,22 @@ def test_lifecycle(peer):
     assert peer.state() == "inactive"
     assert peer.until(lambda: peer.told[-1] == "inactive")
     peer.connect(ready=False)
-    peer.send(shaking(0.0005), LAST_STAMP)
+    peer.send(shaking(0.0005))
     assert not peer.until(lambda: peer.setpoints, seconds=0.3), "an inactive driver sends nothing"
     assert peer.change("activate")
     assert peer.until(lambda: peer.told[-1] == "ready")
-    peer.send(shaking(0.0005), LAST_STAMP)
-    assert not at_rest(peer.answer(LAST_STAMP))
+    stamp = peer.moved()
     assert peer.change("deactivate")
-    assert at_rest(peer.answer(LAST_STAMP, count=2))
+    assert at_rest(peer.answer(stamp, count=2))
     assert peer.change("cleanup")
     assert peer.state() == "unconfigured"
     # A second life.
     assert peer.change("configure")
     assert peer.change("activate")
     peer.connect()
-    peer.send(shaking(0.0005), LAST_STAMP + MS)
-    assert not at_rest(peer.answer(LAST_STAMP + MS))
+    stamp = peer.moved()
     assert peer.change("shutdown")
-    assert at_rest(peer.answer(LAST_STAMP + MS, count=2))
+    assert at_rest(peer.answer(stamp, count=2))
     code, output = peer.end()
     assert code == 0, output
     assert "Traceback" not in output
@@ -396,22 +420,19 @@ def test_services_stop_disable_and_enable(peer):
     )
     enable = peer.node.create_client(SetBool, "enable")
     assert peer.until(lambda: peer.told[-1:] == ["ready"])
-    stamp = LAST_STAMP
     off = SetBool.Request(data=False)
     for call, state, reason in (
         (lambda: peer.call(stop, Trigger.Request()), EMERGENCY, DriverStatus.EMERGENCY_STOP),
         (lambda: peer.call(cut, Trigger.Request()), CUT, DriverStatus.POWER_CUT),
         (lambda: peer.call(enable, off), OFF, DriverStatus.SWITCHED_OFF),
     ):
-        stamp += MS
-        peer.send(shaking(0.0005), stamp)
-        assert not at_rest(peer.answer(stamp))
+        stamp = peer.moved()
         assert call().success
         assert at_rest(peer.answer(stamp, count=2))
         assert peer.until(lambda s=state: peer.told[-1] == s)
         assert peer.statuses[-1].reason == reason
         count = len(peer.setpoints)
-        peer.send(shaking(0.0005), stamp + 1)
+        peer.send(shaking(0.0005))
         assert not peer.until(lambda n=count: len(peer.setpoints) > n, seconds=0.5)
         assert call().success  # once more does no harm
         assert peer.told[-1] == state
@@ -420,8 +441,7 @@ def test_services_stop_disable_and_enable(peer):
         assert peer.until(lambda: peer.told[-1] == "ready")
     answer = peer.call(calibrate, Trigger.Request())
     assert (answer.success, answer.message[:19]) == (False, "calibration_file is")
-    peer.send(shaking(0.0005), stamp + MS)
-    assert not at_rest(peer.answer(stamp + MS))
+    peer.moved()
     code, output = peer.end()
     assert code == 0, output
     assert "cycle refused: the driver is stopped: emergency stop; look at the rig" in output
@@ -486,7 +506,7 @@ def test_a_stop_latches_in_every_state(peer):
     assert peer.change("activate")
     assert peer.until(lambda: peer.told[-1] == EMERGENCY)
     assert "ready" not in peer.told[peer.told.index(EMERGENCY) :]
-    peer.send(shaking(0.0005), LAST_STAMP)
+    peer.send(shaking(0.0005))
     assert not peer.until(lambda: peer.setpoints, seconds=0.5)
     assert peer.level() == DiagnosticStatus.ERROR
     # A stop of an inactive and of an unconfigured driver, and what enable says there.
@@ -534,12 +554,11 @@ def test_an_enable_without_a_stop_changes_nothing(peer):
 
 def test_cycles_that_are_too_long_are_refused_unread(peer):
     peer.connect()
-    msg = cycle_to_msg(shaking(0.0005), to_time(MS))
+    msg = cycle_to_msg(shaking(0.0005), to_time(time.time_ns()))
     msg.points = msg.points * 500
     peer.cycles.publish(msg)
     assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
     assert not peer.setpoints
-    peer.send(shaking(0.0005), LAST_STAMP)
-    assert not at_rest(peer.answer(LAST_STAMP))
+    peer.moved()
     _, output = peer.end()
     assert "cycle refused: plate_cycle: 24500 points, allowed: at most 2000" in output

@@ -47,7 +47,7 @@ from plate_core.ros import (
     to_time,
     wanted_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, Standstill, standstill_limit, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
 from plate_core.tasks import FeedTask, MoveTask, PartTarget
 from plate_interfaces.msg import (
     DriverStatus,
@@ -83,11 +83,8 @@ fail."""
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
-SINGLE = ("driver_status", "cycle_started")
+SINGLE = ("parts", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
-
-UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-"""What ROS calls a node of which it knows no more yet than a topic."""
 
 STATES = {
     Phase.IDLE: TaskStatus.IDLE,
@@ -261,7 +258,6 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._inputs = Inputs.none_yet(
             time.monotonic(), options.input_timeout_s, options.camera_triggered
         )
-        self._standstill = Standstill(time.monotonic(), standstill_limit(options.input_timeout_s))
         self._start = -np.inf, PlateCycle.rest(core.default_period)  # of the last cycle
         self._due = False  # whether an answer is due at the alarm
         self._in_force: tuple[PartTarget, ...] | None = None  # targets as published
@@ -382,8 +378,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Ask for what the task wants in the next cycle."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         run.state, wanted, run.progress = plan(run)
-        if self._stood_still() or self._standstill.reason("planner"):
-            wanted = NOTHING  # these parts are long gone, and a stop may be waiting
+        if self._stood_still() or self._rivals():
+            wanted = NOTHING  # these parts are long gone, or of another plate
         start = to_time(round(1e9 * run.state.estimator.next_start))
         self._ask(wanted_to_msg(wanted, stamp, start))
         self._publish_feed(run, bool(wanted.parts.ids))
@@ -453,7 +449,6 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _stood_still(self) -> bool:
         now = time.monotonic()
-        self._standstill = self._standstill.running(now)
         why = self._inputs.stood_still(now, self._estimator.period)
         self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:
@@ -472,9 +467,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             # Where stamps stand still, the planner's own wait for all parts never ends.
             text = f"not all parts seen within {self._start_timeout_s:g} s of the goal"
             why = Failure(Reason.PARTS_MISSING, text)
+        rivals = self._rivals()
+        if rivals:
+            text = "; ".join(filter(None, (why and why.text, rivals)))
+            why = Failure(why.reason if why else Reason.RIVAL, text)
         if why is not None:
-            text = "; ".join(filter(None, (why.text, self._rivals())))
-            self._end(Failure(why.reason, text))
+            self._end(why)
 
     def _end(self, why: Failure) -> None:
         """End the running task, if there is one."""
@@ -493,14 +491,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _rivals(self) -> str:
         """Say that several nodes publish what only one may; empty if none do."""
-        topics = ["driver_status"] if self.options.camera_triggered else SINGLE
-        for topic in topics:
-            found = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-            # By name: of a node that was killed and started again there are two for a while.
-            names = sorted({each.node_name for each in found} - {UNKNOWN_NAME})
-            if len(names) > 1:
-                return f"{len(names)} nodes publish {topic} ({', '.join(names)}), allowed: one"
-        return ""
+        unheard = "cycle_started" if self.options.camera_triggered else ""
+        told = (self.rivals(topic) for topic in SINGLE if topic != unheard)
+        return next(filter(None, told), "")
 
     # Goals
 
@@ -680,8 +673,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _status(self, run: Run) -> TaskStatus:
         task = run.state.task
+        asked = self._stamp if self._asked_ns is None else to_time(self._asked_ns)
         status = TaskStatus(
-            header=Header(stamp=self._stamp), task=run.name, state=STATES[task.phase],
+            header=Header(stamp=asked), task=run.name, state=STATES[task.phase],
             reason=int(task.reason), text=task.text,
         )  # fmt: skip
         if run.progress is None:

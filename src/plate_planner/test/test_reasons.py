@@ -11,9 +11,11 @@ rclpy = pytest.importorskip("rclpy")
 from planner_graph import APART, IDS, NOT_READY, SORT_4, SORTED, stale  # noqa: E402
 
 from plate_core.ros import (  # noqa: E402
+    NEWEST,
     scenario_to_goal,
 )
 from plate_core.tasks import load_scenario  # noqa: E402
+from plate_interfaces.msg import Parts as PartsMsg  # noqa: E402
 from plate_interfaces.msg import TaskStatus  # noqa: E402
 from plate_planner.node import STATES  # noqa: E402
 from plate_planner.supervision import Reason  # noqa: E402
@@ -181,6 +183,20 @@ def provoke_busy(make):
     graph = make()
     graph.begin()
     return graph.result(graph.send())[1]
+
+
+@provokes(Reason.RIVAL)
+def provoke_rival(make):
+    graph = make()
+    handle = graph.begin()
+    other = rclpy.create_node("other_detector")
+    other.create_publisher(PartsMsg, graph.parts.topic_name, NEWEST)
+    try:
+        status = graph.until_ended(handle, graph.image_and_pause)
+    finally:
+        other.destroy_node()
+    assert status.text.endswith("2 nodes publish parts (other_detector, probe), allowed: one")
+    return status
 
 
 @pytest.mark.parametrize("reason", Reason, ids=lambda reason: reason.name)

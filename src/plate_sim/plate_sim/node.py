@@ -435,6 +435,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             return  # a second answer to an earlier image
         try:
             cycle = msg_to_motors(self._rig, msg)
+            if cycle.moves and (rivals := self.rivals("motor_setpoints")):
+                raise PlateError(rivals)
             self._usage = check_table(self._rig, cycle)
             self._newest = cycle
         except PlateError as error:

@@ -62,6 +62,11 @@ class PlateCycle:
             and np.all(np.abs(self.knot_accel[0]) <= 1e4 * REST_TOLERANCE)
         )
 
+    @property
+    def moves(self) -> bool:
+        """Whether the plate does anything but rest at home."""
+        return any(np.any(k) for k in (self.knot_pose, self.knot_twist, self.knot_accel))
+
     def pose(self, t: np.ndarray | float) -> np.ndarray:
         """Pose (n, 3) [m, m, rad] at times t (n,) [s] in [0, period]."""
         return self._evaluate(t, 0)

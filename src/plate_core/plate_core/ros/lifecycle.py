@@ -21,6 +21,9 @@ from .frames import add_prefix
 from .params import Spec, declare, follow, parameter
 from .qos import CALLS
 
+UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
+"""What ROS calls a node of which it knows no more yet than a topic."""
+
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
@@ -184,6 +187,19 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         timer = self.create_timer(period_s, callback, clock=clock)
         self.keep(self.destroy_timer, timer)
         return timer
+
+    def rivals(self, topic: str) -> str:
+        """Say that several nodes publish what only one may; "" if they do not."""
+        full = self.resolve_topic_name(topic)
+        if self.count_publishers(full) < 2:
+            return ""
+        found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
+        # By name: of a node that was killed and started again there are two for a while.
+        names = {f"{each.node_namespace}/{each.node_name}".removeprefix(own) for each in found}
+        if len(names) < 2:
+            return ""
+        told = ", ".join(sorted("a nameless node" if UNKNOWN_NAME in n else n for n in names))
+        return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
 
     def report(
         self,

@@ -160,6 +160,11 @@ class Guard:
         guard = replace(self, table=table, sent_at=now, thermal=thermal)
         return replace(guard, lasts_s=guard.plays * table.cycle.period), fit
 
+    def lasting(self, until: float) -> Guard:
+        """Return the guard whose table is too old from `until` on [s, steady clock]."""
+        assert self.table is not None
+        return replace(self, table=replace(self.table, until=until))
+
     def experimenting(self, cycle: PlateCycle, now: float) -> tuple[Guard, PlateCycle]:
         """Return the guard with the table of a calibration's cycle, and what it makes of that."""
         patient = replace(self, hold_cycles=EXPERIMENT_CYCLES, correction=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -41,6 +42,8 @@ class MotorTable:
         The plate's motion.
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed and acceleration of the motors at `cycle.times`; quintic splines between.
+    until : float
+        From then on it is too old to be sent [s, steady clock].
     """
 
     stamp_ns: int
@@ -48,6 +51,7 @@ class MotorTable:
     q: np.ndarray
     qd: np.ndarray
     qdd: np.ndarray
+    until: float = math.inf
 
     @classmethod
     def of(cls, rig: Rig, cycle: PlateCycle, stamp_ns: int) -> MotorTable:
@@ -59,6 +63,16 @@ class MotorTable:
     def rest(cls, rig: Rig, period: float, stamp_ns: int) -> MotorTable:
         """Return the table that keeps the plate at home."""
         return cls.of(rig, PlateCycle.rest(period), stamp_ns)
+
+    def check_age(self, now: float) -> None:
+        """Refuse to send it at `now` [s, steady clock] if it is too old.
+
+        Raises
+        ------
+        CycleError
+        """
+        if now > self.until:
+            raise CycleError(f"its motor table was {now - self.until:.2f} s too late to be sent")
 
 
 def plays(cycles: int, hold_s: float, period: float) -> int:

@@ -212,6 +212,8 @@ class TransportThread:
             if self._latch.reason or self._latch.number != number:
                 raise CycleError("the plate was stopped meanwhile")
 
+            table.check_age(time.monotonic())
+
             def ask() -> bool:
                 self._transport.send(table, repeats)
                 return True

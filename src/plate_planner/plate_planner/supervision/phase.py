@@ -69,6 +69,7 @@ class Reason(IntEnum):
     INVALID_GOAL = 16
     NOT_READY = 17
     BUSY = 18
+    RIVAL = 19
 
 
 class Failure(NamedTuple):

@@ -1,0 +1,101 @@
+"""Whether a cycle may still move the plate: how old what it answers is, and what happened since.
+
+The one rule, in the last place before the motors. Each message of the loop carries the stamp of the
+image, or of the cycle's start, that it descends from; so whatever was delayed, frozen, lost, sent
+again or out of order on the way, its age is known here. Pure; times are arguments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from plate_core import CycleError
+
+LATENCY_S, MOST_AGE_S = 0.2, 0.6
+"""What vision, planner and solver may take on a slow computer, and the greatest age of a moving
+cycle, unless a period is longer [s]."""
+
+AHEAD_S = 0.1
+"""How far the clock of another computer may be ahead of ours [s]."""
+
+STANDSTILL_S = 0.25
+"""A driver that did not run for longer stood still [s]: about a cycle."""
+
+RESTART_NS = 1_000_000_000
+"""What happened so long after a stamp does not count [ns]: that stamp is too old anyway, or of a
+simulator that began anew."""
+
+
+def age_limit(period: float) -> float:
+    """Return how old the image may be that a moving cycle of this period [s] answers [s]."""
+    return min(2 * period + LATENCY_S, max(MOST_AGE_S, period + LATENCY_S))
+
+
+@dataclass(frozen=True)
+class Freshness:
+    """What the driver must know to tell old cycles from new ones. Stamps are in ns.
+
+    Attributes
+    ----------
+    since_ns : int
+        When the motors became ready, or the driver ran again after it had stood still, whichever
+        was last: by the clock that stamps images.
+    why : str
+        Which of the two.
+    ended_ns : int
+        Stamp of the last request of a task that has ended.
+    number : int or None
+        Stops before the motors became ready; None: they are not.
+    looked : float
+        When it was last looked whether they are [s, steady clock].
+    """
+
+    since_ns: int = 0
+    why: str = ""
+    ended_ns: int = 0
+    number: int | None = None
+    looked: float = 0.0
+
+    def seen(self, number: int | None, now: float, clock_ns: int) -> Freshness:
+        """Take in whether the motors are ready; to be called every 20 ms or so.
+
+        Parameters
+        ----------
+        number : int or None
+            Stops so far if they are ready, else None.
+        now : float
+            Of the steady clock [s].
+        clock_ns : int
+            The same instant by the clock that stamps images.
+        """
+        away, why = now - self.looked, ""
+        if number is not None and number != self.number:
+            why = "the motors became ready"
+        elif number is not None and away > STANDSTILL_S:
+            why = f"the driver itself stood still for {away:.1f} s"
+        new = replace(self, number=number, looked=now)
+        return replace(new, since_ns=clock_ns, why=why) if why else new
+
+    def ended(self, stamp_ns: int) -> Freshness:
+        """Take in that a task has ended, whose last request answered the image of this stamp."""
+        return replace(self, ended_ns=stamp_ns)
+
+    def left(self, stamp_ns: int, clock_ns: int, period: float) -> float:
+        """Return for how long a moving cycle may still be sent [s].
+
+        Raises
+        ------
+        CycleError
+            If it may no more, with the reason.
+        """
+        age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period)
+        if not -AHEAD_S <= age <= limit:
+            raise CycleError(
+                f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
+                "; does the clock that stamps images agree with this computer's?"
+            )
+        if 0 < self.since_ns - stamp_ns < RESTART_NS:
+            raise CycleError(f"plate_cycle answers an image from before {self.why}")
+        if 0 <= self.ended_ns - stamp_ns < RESTART_NS:
+            raise CycleError("plate_cycle was asked for by a task that has ended")
+        return limit - age
