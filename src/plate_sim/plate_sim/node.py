@@ -63,6 +63,9 @@ GAP_NS = 1_000_000
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
 
+MOST_WRONG_NS = 50_000_000
+"""How far stamps may be from the system's clock in real time [ns]."""
+
 NO_USE = CycleUsage(0.0, 0.0, 0.0, 0.0)
 
 
@@ -377,11 +380,15 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             self._advance()
             return
         behind_ns = time.monotonic_ns() - self._due_ns
-        if behind_ns > (self._next_ns - self._time_ns) / self.options.rate:
-            # More than a cycle late: the plate has waited at home, so go on from now.
+        now_ns = Clock(clock_type=ClockType.SYSTEM_TIME).now().nanoseconds
+        late = behind_ns > (self._next_ns - self._time_ns) / self.options.rate
+        # The clock was set, or the machine slept: stamps must be of the clock that the others have.
+        wrong = abs(now_ns - behind_ns - self._next_ns) > MOST_WRONG_NS and not self._simulated_time
+        if late or wrong:
+            # The plate has waited at home, so go on from now.
             self._due_ns += behind_ns
             if not self._simulated_time:
-                self._next_ns += behind_ns
+                self._next_ns = now_ns
                 self._aim(self._next_ns)
             self._count["late cycles"] += 1
             self._tally.late += 1

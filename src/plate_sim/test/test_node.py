@@ -129,6 +129,14 @@ def test_lockstep_repeats_a_run_to_the_last_bit():
     assert truths[0].ids[:2] == ("black_1", "black_2")
 
 
+def test_stamps_keep_to_the_system_clock_when_that_is_set():
+    with Loop(good) as loop:
+        assert loop.spin(lambda: len(loop.images) >= 2)
+        loop.simulator._next_ns -= 3_600_000_000_000  # as seen from a clock that was put forward
+        assert loop.spin(lambda: len(loop.images) >= 5)
+        assert abs(loop.stamps[-1] - time.time_ns()) < 60e9
+
+
 def test_lockstep_waits_and_asks_again():
     with Loop(lockstep=True) as loop:
         assert loop.spin(lambda: len(loop.infos) >= 2)

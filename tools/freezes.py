@@ -1,0 +1,191 @@
+"""Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
+
+python tools/freezes.py [--count 500] [--seed 0] [--scenario sort_10] [--busy 0] [--json FILE]
+
+A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
+emergency stop. Judged is what the driver publishes, when it publishes it, by nothing that the
+driver says: a table that moves the plate is wrong if the image that it answers is older than
+`age_limit`, or than the last emergency stop, or if its task had ended before. `--busy` starts so
+many loops beside it. Exit code 1 if a table was wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from graph.domains import own_domain
+from graph.observer import ALL, Observer
+from graph.processes import Processes
+from rclpy.executors import SingleThreadedExecutor
+from trajectory_msgs.msg import JointTrajectory
+
+from plate_bringup import GraphError, RunOptions, load_graph
+from plate_core.ros import LATCHED, nanoseconds
+from plate_core.tasks import load_scenario
+from plate_driver.freshness import age_limit
+from plate_interfaces.msg import TaskStatus
+
+START_S = 180.0
+FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
+"""How long a node is frozen, and the time between two freezes [s]."""
+
+STOPS = 0.1
+"""Fraction of freezes in which a task is stopped, and fraction with an emergency stop."""
+
+TOLD_S = 0.1
+"""The driver has heard after this time that a task has ended [s], unless it is frozen."""
+
+BUSY = "while True: sum(range(100000))"
+
+
+class Judge:
+    """Listens to tables and to ends of tasks, with the times when they were published [ns], in a
+    thread of its own; a context manager."""
+
+    def __init__(self) -> None:
+        self.tables = self.moving = 0
+        self.oldest_s, self.wrong = 0.0, []
+        self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
+        self.stopped_ns = 0
+        self._node = rclpy.create_node("judge")
+        self._executor = SingleThreadedExecutor()  # the other one passes no times on
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._executor.spin)
+        listen: Any = self._node.create_subscription
+        listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
+        listen(TaskStatus, "task_status", self._on_task, LATCHED)
+
+    def __enter__(self) -> Judge:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.destroy_node()
+
+    def _on_task(self, msg: TaskStatus, info: Any) -> None:
+        if msg.state not in (TaskStatus.RUNNING, TaskStatus.IDLE):
+            self.ends.append((info["source_timestamp"], nanoseconds(msg.header.stamp)))
+
+    def _on_table(self, msg: JointTrajectory, info: Any) -> None:
+        self.tables += 1
+        if not any(any(point.positions) for point in msg.points):
+            return
+        self.moving += 1
+        stamp, sent = nanoseconds(msg.header.stamp), info["source_timestamp"]
+        age = 1e-9 * (sent - stamp)
+        limit = age_limit(1e-9 * nanoseconds(msg.points[-1].time_from_start))
+        self.oldest_s = max(self.oldest_s, age)
+        ended = [said for said, last in self.ends if stamp <= last and said + 1e9 * TOLD_S < sent]
+        for wrong, why in (
+            (age > limit, f"{age:.3f} s old"),
+            (stamp < self.stopped_ns < sent, "asked before an emergency stop"),
+            (bool(ended), f"{1e-9 * (sent - max(ended, default=0)):.2f} s after its task's end"),
+        ):
+            if wrong:
+                self.wrong.append(why)
+                print(f"WRONG: a moving table {why}", flush=True)
+
+
+def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) -> None:
+    """Freeze nodes, each for its own time [s]."""
+    begun = time.monotonic()
+    for name in longest:
+        processes.signal(name, signal.SIGSTOP)
+    for name, seconds in sorted(longest.items(), key=lambda item: item[1]):
+        observer.until(lambda: False, max(0.0, begun + seconds - time.monotonic()))
+        processes.signal(name, signal.SIGCONT)
+
+
+def run(count: int, seed: int, options: RunOptions, logs: Path) -> dict[str, Any]:
+    """Freeze at random; return what was judged."""
+    rng = np.random.default_rng(seed)
+    graph = options.nodes(load_graph())
+    names = [node.name for node in graph]
+    scenario, frozen, tasks, trouble = load_scenario(options.scenario), Counter[str](), 0, 0
+    with (
+        own_domain() as domain,
+        Observer(domain, pictures=False) as observer,
+        Processes(graph, options, logs, domain) as processes,
+        Judge() as judge,
+    ):
+        observer.await_nodes(names, START_S)
+        observer.await_answers(START_S)
+        for number in range(count):
+            status = observer.record.status
+            if status is None or status.state != TaskStatus.RUNNING:
+                try:
+                    if not observer.record.ready:
+                        observer.enable()
+                    observer.begin_anew(scenario)
+                    tasks += 1
+                except GraphError as error:  # on a busy machine a node may not be back yet
+                    trouble += 1
+                    print(f"no task: {error}", flush=True)
+            observer.until(lambda: False, rng.uniform(*PAUSE_S))
+            some = rng.choice(names, size=1 + (rng.random() < 0.3), replace=False).tolist()
+            longest = {name: float(np.exp(rng.uniform(*np.log(FREEZE_S)))) for name in some}
+            chance = rng.random()
+            try:
+                if chance < STOPS and "planner" not in some:
+                    observer.trigger("stop")
+                elif chance > 1 - STOPS and "driver" not in some:
+                    observer.trigger("emergency_stop")
+                    judge.stopped_ns = time.time_ns()
+            except GraphError as error:
+                trouble += 1
+                print(f"no stop: {error}", flush=True)
+            freeze(processes, observer, longest)
+            frozen.update(some)
+            if number % 10 == 9:
+                print(
+                    f"{number + 1} freezes, {tasks} tasks, {judge.moving} moving tables, oldest "
+                    f"{judge.oldest_s:.3f} s, wrong {len(judge.wrong)}, load "
+                    f"{os.getloadavg()[0]:.1f}", flush=True,
+                )  # fmt: skip
+        observer.until(lambda: False, FREEZE_S[1])
+        return {
+            "freezes": count, "frozen": dict(frozen), "tasks": tasks, "tables": judge.tables,
+            "moving": judge.moving, "oldest_s": judge.oldest_s, "wrong": judge.wrong,
+            "trouble": trouble, "load": os.getloadavg()[1],
+        }  # fmt: skip
+
+
+def main() -> int:
+    """Run the command line; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scenario", default="sort_10")
+    parser.add_argument("--busy", type=int, default=0, help="busy loops beside it")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    options = RunOptions(scenario=args.scenario, rig_file=load_scenario(args.scenario).rig)
+    with tempfile.TemporaryDirectory() as logs, ExitStack() as stack:
+        for _ in range(args.busy):
+            loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", BUSY]))
+            stack.callback(loop.kill)
+        result = run(args.count, args.seed, options, Path(logs))
+    print(json.dumps(result, indent=1))
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    return 1 if result["wrong"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
