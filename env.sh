@@ -9,7 +9,7 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     . "$_plate_root/.venv/bin/activate"
     . "$_plate_root/install/setup.$_plate_shell"
 
-    # ROS: stay on this machine (ROS_STATIC_PEERS opens the graph to others), find nodes quickly
+    # ROS: stay on this machine (docs/machines.md: how to open the graph to others), find nodes quickly
     export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
     export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_plate_root/config/fastdds.xml}"
 

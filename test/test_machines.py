@@ -1,6 +1,7 @@
 """The graph on two machines: network namespaces joined by a cable."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import yaml
 from short_task import short_task
 
 pytest.importorskip("rclpy")
+
+from plate_core import config_path
 
 MACHINES = Path(__file__).resolve().parents[1] / "tools" / "machines.py"
 IMAGE_KB = 307
@@ -50,7 +53,16 @@ def test_the_loop_closes_between_machines_that_name_each_other(tmp_path):
     assert 0 < result["crossed_kB_per_s"] < 0.75 * IMAGE_KB / cycle_s
 
 
-def test_by_default_nothing_leaves_the_machine(tmp_path):
+def test_by_default_nothing_leaves_the_machine_and_an_intruder_finds_nothing(tmp_path):
     result = machines(tmp_path, "--reach", "nobody")
-    assert result["heard"] == []
+    assert result["found"] == []
     assert result["crossed_kB"] == 0
+
+
+def test_the_two_profiles_differ_in_what_is_listened_at():
+    own, network = (
+        re.sub(r"<!--.*?-->", "", config_path(name).read_text(encoding="utf-8"), flags=re.DOTALL)
+        for name in ("fastdds.xml", "fastdds_network.xml")
+    )
+    narrowed = re.sub(r"\s*<interfaceWhiteList>.*?</interfaceWhiteList>", "", own, flags=re.DOTALL)
+    assert narrowed == network != own

@@ -58,7 +58,8 @@ class Judge:
 
     def __init__(self) -> None:
         self.tables = self.moving = 0
-        self.oldest_s, self.wrong = 0.0, []
+        self.oldest_s = 0.0
+        self.wrong: list[str] = []
         self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
         self.stopped_ns = 0
         self._node = rclpy.create_node("judge")

@@ -4,7 +4,8 @@ python tools/machines.py [--reach named|subnet|nobody] [--scenario sort_4] [--js
 
 The machines are two network namespaces of this one, joined by a pair of virtual cards; needs root.
 `named`: as by default the graph stays on its machine, but each names the other (ROS_STATIC_PEERS).
-`subnet`: everybody on the network. `nobody`: the default; the machines must not find each other.
+`subnet`: everybody on the network. `nobody`: the default, and the other machine is an intruder's:
+it names this one, or asks the whole network, and must find no node and get no answer to a stop.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from graph.processes import Processes, ros_environment, signals_raise
 from graph.series import rows
 
 from plate_bringup import RunOptions, load_graph
-from plate_core import PlateError
+from plate_core import PlateError, choose_network
 from plate_core.tasks import load_scenario
 
 EYES, HANDS = "10.77.0.1", "10.77.0.2"
@@ -44,6 +45,20 @@ DISCOVERY_S = 3.0
 """Participants that have begun announce themselves 20 times, each 0.1 s (config/fastdds.xml)."""
 POLL_S = 0.02
 CARD = "card"
+INTRUDER = """
+import sys, time
+import rclpy
+from std_srvs.srv import Trigger
+rclpy.init()
+node = rclpy.create_node("intruder")
+stop = node.create_client(Trigger, "emergency_stop")
+stop.wait_for_service(float(sys.argv[1]))
+names = set(node.get_node_names()) - {"intruder"}
+future = stop.call_async(Trigger.Request())
+rclpy.spin_until_future_complete(node, future, timeout_sec=1.0)
+print(*sorted(names), *(["answered"] if future.done() else []))
+"""
+"""What somebody on another machine may try: looks for our nodes, and has the motors stop."""
 OWN_SHM = "mount -t tmpfs none /dev/shm"
 
 
@@ -123,7 +138,22 @@ def reach_environment(reach: str, other: str) -> dict[str, str]:
     """Return the variables of a machine that is to reach the other one's address."""
     peers = other if reach == "named" else ""
     where = "SUBNET" if reach == "subnet" else "LOCALHOST"
-    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
+    reach_it = {"ROS_AUTOMATIC_DISCOVERY_RANGE": where, "ROS_STATIC_PEERS": peers}
+    choose_network(reach_it)
+    return reach_it
+
+
+def intrude(machine: int) -> list[str]:
+    """Return what an intruder on another machine finds, in two ways."""
+    words = [*enter(machine), sys.executable, "-c", INTRUDER, str(ALONE_S)]
+    found = []
+    for reach in ("named", "subnet"):
+        own = os.environ | reach_environment(reach, HANDS)
+        del own["FASTRTPS_DEFAULT_PROFILES_FILE"]  # that of DDS itself asks everywhere
+        found += subprocess.run(
+            words, env=own, check=True, capture_output=True, text=True
+        ).stdout.split()
+    return found
 
 
 def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
@@ -134,6 +164,8 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
     others = [node for node in graph if node.name not in SEEING]
     prefix = {node.name: enter(eyes) for node in seeing}
     away = Processes(seeing, options, logs, DOMAIN, prefix, reach_environment(reach, HANDS))
+    if reach == "nobody":
+        away = Processes((), options, logs, DOMAIN)
     here = Processes(others, options, logs, DOMAIN, None, reach_environment(reach, EYES))
     with away, here, Observer(DOMAIN, pictures=False) as observer:
         record = observer.record
@@ -142,8 +174,8 @@ def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
         if reach == "nobody":
             begun = crossed()
             observer.until(lambda: False, ALONE_S)
-            names = [node.name for node in seeing]
-            return {"heard": observer.seen(names), "crossed_kB": round(1e-3 * (crossed() - begun))}
+            still = crossed() - begun
+            return {"found": intrude(eyes), "crossed_kB": round(1e-3 * still)}
         observer.await_nodes([node.name for node in graph], START_S)
         observer.await_answers(START_S)
         with Hops(images=False) as hops:
@@ -177,7 +209,7 @@ def inside(args: argparse.Namespace) -> int:
     print(result, flush=True)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
-    well = result["done"] if args.reach != "nobody" else not result["heard"]
+    well = result["done"] if args.reach != "nobody" else not result["found"]
     return 0 if well else 1
 
 

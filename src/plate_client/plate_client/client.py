@@ -19,7 +19,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plate_core import PlateError, config_path
+from plate_core import PlateError, choose_network
 from plate_core.ros import ACTIONS, DATA, scenario_to_goal, targets_to_msg
 from plate_core.tasks import PartTarget, Scenario
 from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
@@ -135,7 +135,7 @@ class PlateClient:
     @contextmanager
     def connect(cls, namespace: str = "") -> Iterator[PlateClient]:
         """Make a client with a node of its own, in the domain ROS_DOMAIN_ID."""
-        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
+        choose_network(os.environ)
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(f"plate_client_{os.getpid()}", namespace=namespace, context=context)

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from plate_core import PlateError, config_path
+from plate_core import PlateError, choose_network
 
 from .messages import spin_until
 
@@ -60,7 +60,7 @@ def start_ros(namespace: str) -> None:
     PlateError
         If the environment names no ROS domain, or the namespace is none.
     """
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_path("fastdds.xml")))
+    choose_network(os.environ)
     domain()
     if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", namespace, re.ASCII):
         raise PlateError(

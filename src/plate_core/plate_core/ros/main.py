@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
+from ..network import choose_network
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered
 
@@ -104,6 +106,8 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
 
 def _init(args: Sequence[str] | None) -> None:
     """Start ROS; a wrong command line or parameter file is the user's error, not a defect."""
+    if opened := choose_network(os.environ):
+        print(f"warning: {opened}", file=sys.stderr, flush=True)
     try:
         rclpy.init(
             args=list(args) if args is not None else None,

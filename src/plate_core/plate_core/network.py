@@ -1,0 +1,39 @@
+"""Who can hear and command the nodes of a process: this machine alone, unless it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from pathlib import Path
+
+from .yaml_fields import config_path
+
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
+"""Profiles of config/: for this machine alone, and for the network."""
+
+RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
+
+
+def choose_network(environ: MutableMapping[str, str]) -> str:
+    """Have DDS keep to this machine, unless peers are named or a wider range is asked for.
+
+    To be called before a process makes its first node. A profile that is not ours stays.
+
+    Parameters
+    ----------
+    environ : mapping
+        `os.environ`; it is changed.
+
+    Returns
+    -------
+    str
+        What is open to whom; "" if nothing is.
+    """
+    reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
+    is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")
+    if Path(environ.get(PROFILE, "")).name in ("", OWN, NETWORK):
+        environ[PROFILE] = str(config_path(NETWORK if is_open else OWN))
+    if not is_open:
+        return ""
+    why = f"{PEERS} is {peers}" if peers else f"{RANGE} is {reach}"
+    return f"{why}: whoever reaches this machine over the network can move the plate"
