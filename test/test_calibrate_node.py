@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.rig import default_rig_path  # noqa: E402
-from plate_core.ros import cycle_to_msg, start_nodes, to_time  # noqa: E402
+from plate_core.ros import cycle_to_msg, start_nodes  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.transports import SerialTransport, TransportThread  # noqa: E402
 from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, LineFaults, SuspendedPlate  # noqa: E402
@@ -102,9 +102,9 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         run(0.1)
         assert driver.status.state is DriverState.READY
 
-    def shaken(stamp_ns: int) -> np.ndarray:
+    def shaken() -> np.ndarray:
         """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
-        data = serialize_message(cycle_to_msg(cycle, to_time(stamp_ns)))
+        data = serialize_message(cycle_to_msg(cycle, driver.get_clock().now().to_msg()))
         driver.take_cycle(data, len(data))
         run(2.5)
         return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(wanted**2, axis=0))
@@ -115,7 +115,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
 
     try:
         enable()
-        assert np.min(shaken(1_000)) > 2.8  # at the resonance of 3 %
+        assert np.min(shaken()) > 2.8  # at the resonance of 3 %
         run(1.0)
         calibrated()
         run(3.0)
@@ -141,7 +141,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
                 run(1.5)
             getattr(driver, f"trigger_{change}")()
         enable()
-        np.testing.assert_allclose(shaken(2_000), 1, atol=0.02)
+        np.testing.assert_allclose(shaken(), 1, atol=0.02)
     finally:
         driver.destroy_node()
         rclpy.shutdown()

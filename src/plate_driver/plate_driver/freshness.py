@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 
 from plate_core import CycleError
 
+__all__ = ["AHEAD_S", "STANDSTILL_S", "Freshness", "age_limit"]
+
 LATENCY_S, MOST_AGE_S = 0.2, 0.6
 """What vision, planner and solver may take on a slow computer, and the greatest age of a moving
 cycle, unless a period is longer [s]."""
