@@ -341,11 +341,13 @@ class DriverNode(SafeLifecycleNode[Options]):
         transport = self._transport
         if not self.active or transport is None:
             return
-        number = self._latch.number
+        number, status = self._latch.number, self._look()
+        if status.state is not DriverState.READY:
+            self._guard = self._guard.refused()
+            text = f"cycle refused: the driver is {status.text}"  # never hidden by another reason
+            self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
+            return
         try:
-            status = self._look()
-            if status.state is not DriverState.READY:
-                raise CycleError(f"the driver is {status.text}")
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
             msg = deserialize_message(data, JointTrajectory)
             stamp_ns = nanoseconds(msg.header.stamp)
