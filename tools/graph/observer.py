@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -197,7 +197,7 @@ class Observer:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = rclpy.create_node("observer")
-        self._executor = EventsExecutor()
+        self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         record = self.record
 

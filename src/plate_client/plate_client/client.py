@@ -15,7 +15,7 @@ from typing import Any
 
 import rclpy
 from rclpy.action import ActionClient
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -139,7 +139,7 @@ class PlateClient:
         context = rclpy.Context()
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(f"plate_client_{os.getpid()}", namespace=namespace, context=context)
-        executor = EventsExecutor(context=context)
+        executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
 
         def until(true: Callable[[], bool], timeout_s: float) -> bool:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -31,9 +29,6 @@ FRAME_S, SLOW_S = 0.05, 0.5
 
 NICE = 10
 """The page gives way to the nodes of the loop."""
-
-DESTROYED = 256
-"""Of so many destroyed subscriptions and timers the objects are kept; see `PageNode`."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
@@ -65,25 +60,15 @@ class PageNode(SafeLifecycleNode[Options]):
     wants it. Publishes targets. Without a browser it hears nothing.
     """
 
+    dynamic = True
+
     def __init__(self) -> None:
         super().__init__("page", Options)
         self._server: PageServer | None = None
         self._listener: Listener | None = None
         self._replay: Replay | None = None
         self._inbox = Inbox()
-        self._destroyed: deque[object] = deque(maxlen=DESTROYED)
         self.report(self._find, self._values)
-
-    def destroy_subscription(self, subscription: Any) -> bool:
-        """Destroy it, and keep the Python object while events that were queued may point to it:
-        the executor would read freed memory."""
-        self._destroyed.append(subscription)
-        return super().destroy_subscription(subscription)
-
-    def destroy_timer(self, timer: Any) -> bool:
-        """Do the same with a timer."""
-        self._destroyed.append(timer)
-        return super().destroy_timer(timer)
 
     def configure(self) -> None:
         """Read the rig, and find what a browser may ask for."""

@@ -86,7 +86,12 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         Whether it is being configured, which may take long: kernels are compiled.
     failure : Exception, optional
         Why the last transition failed.
+    dynamic : bool
+        Of the class: whether it makes and destroys entities also while it is active, as the loop's
+        nodes do not.
     """
+
+    dynamic = False
 
     def __init__(self, name: str, kind: type[Options]) -> None:
         super().__init__(name)

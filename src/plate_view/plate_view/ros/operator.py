@@ -102,7 +102,10 @@ class Operator:
         self._node, self._rig, self._publish, self._expected = node, rig, publish, expected
         self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
         self._clients: dict[str, Any] = {}
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._looks: set[Callable[[], None]] = set()  # what calls that are on their way look after
+        self._timer = node.create_timer(
+            LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         for service in ("emergency_stop", "cut_power", "stop"):  # found before they are needed
             self._client(Trigger, service)
         self._goal: Goal | None = None  # of the task that the page has started
@@ -116,14 +119,20 @@ class Operator:
         self._goal = self._next = self._waiting = None
         self._shown = ""
         self._asking.clear()
+        self._looks.clear()
         listener.told = self._on_task
 
     def close(self) -> None:
         """Let go of all clients."""
+        self._node.destroy_timer(self._timer)
         for action in self._actions.values():
             action.destroy()
         for client in self._clients.values():
             self._node.destroy_client(client)
+
+    def _look(self) -> None:
+        for look in list(self._looks):
+            look()
 
     def do(self, browser: Socket, command: Command) -> None:
         """Do a command; its answer goes to the browser, the call to all of them."""
@@ -155,7 +164,7 @@ class Operator:
         def answered(future: Any) -> None:
             if future not in sent:  # it was answered before
                 return
-            self._node.destroy_timer(timer)
+            self._looks.discard(tick)
             for each in sent:
                 client.remove_pending_request(each)
             sent.clear()
@@ -174,12 +183,12 @@ class Operator:
                 sent.append(client.call_async(request))
                 sent[-1].add_done_callback(answered)
             elif now > end:
-                self._node.destroy_timer(timer)
+                self._looks.discard(tick)
                 for future in sent:
                     client.remove_pending_request(future)
                 asked.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
 
-        timer = self._node.create_timer(LOOK_S, tick, clock=self._steady)
+        self._looks.add(tick)
         tick()
 
     def _trigger(self, asked: Asked) -> None:
@@ -376,13 +385,13 @@ class Operator:
                 sent[0].add_done_callback(on_answer)
                 end = time.monotonic() + ANSWER_S
             elif told or time.monotonic() > end:
-                self._node.destroy_timer(timer)
+                self._looks.discard(tick)
                 if told:
                     return
                 why = "does not answer" if sent else "is not there"
                 never_began(f"the action {name} {why}: does the planner run, and is it configured?")
 
-        timer = self._node.create_timer(LOOK_S, tick, clock=self._steady)
+        self._looks.add(tick)
         tick()
 
     def _cancel(self, asked: Asked) -> None:
