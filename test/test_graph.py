@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 
 from graph import domains
 from graph.observer import Observer
-from graph.processes import Processes
+from graph.processes import MOST_ENDS, WITHIN_S, Ends, Processes
 from graph.session import session
 from rcl_interfaces.srv import ListParameters
 from rclpy.serialization import deserialize_message
@@ -310,6 +310,15 @@ def test_wrong_input_is_one_line_and_exit_code_2(
             processes.check()
     assert len(lines) == 1
     assert message in lines[0]
+
+
+def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_does():
+    last = MOST_ENDS - 1
+    for period_s, given_up in ((WITHIN_S / last, True), (1.01 * WITHIN_S / last, False)):
+        ends = Ends()
+        said = [ends.too_many(period_s * k) for k in range(3 * MOST_ENDS)]
+        assert not any(said[:last])
+        assert said[last:] == [given_up] * (len(said) - last)
 
 
 # What is kept of a run

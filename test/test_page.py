@@ -257,11 +257,37 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
     hung.close()
 
 
-def test_the_end_of_the_page_is_said():
-    """`make play` is of no use without it."""
+def kill_node(mark, name):
+    """Kill the node of this name that was started with this in its environment."""
+    killed = 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended, or is not ours
+            ours = mark.encode() in (folder / "environ").read_bytes()
+            if ours and f"__node:={name}".encode() in (folder / "cmdline").read_bytes():
+                os.kill(int(folder.name), signal.SIGKILL)
+                killed += 1
+    assert killed == 1
+
+
+async def opened_again(url):
+    """Open the page as a browser does that has lost it: again and again."""
+    for _ in range(round(TIMEOUT_S / 0.1)):
+        with contextlib.suppress(OSError):
+            return await Browser.open(url)
+        await asyncio.sleep(0.1)
+    raise AssertionError(f"no page at {url}")
+
+
+def test_the_graph_outlives_its_page_which_comes_again():
     play = Path(__file__).resolve().parents[1] / "tools" / "play.py"
     mark = f"PLATE_TEST_RUN={uuid.uuid4().hex}"
     name, value = mark.split("=")
+
+    async def look(url):
+        browser = await opened_again(url)
+        await browser.until(lambda newest: newest.get("driver", {}).get("state") == "ready")
+        await browser.close()
+
     with subprocess.Popen(
         [sys.executable, str(play)],
         env=os.environ | {name: value},
@@ -270,14 +296,15 @@ def test_the_end_of_the_page_is_said():
         text=True,
     ) as run:
         try:
-            assert any("Open http://" in line for line in run.stdout)
-            for folder in Path("/proc").glob("[0-9]*"):
-                with contextlib.suppress(OSError):  # it has ended, or is not ours
-                    ours = mark.encode() in (folder / "environ").read_bytes()
-                    if ours and b"__node:=page" in (folder / "cmdline").read_bytes():
-                        os.kill(int(folder.name), signal.SIGKILL)
+            url = next(line.split()[1] for line in run.stdout if line.startswith("Open http://"))
+            asyncio.run(look(url))
+            kill_node(mark, "page")
+            assert next(run.stderr) == "play: page was ended by SIGKILL\n"
+            assert any(line.startswith("It is started again") for line in run.stderr)
+            asyncio.run(look(url))
+            kill_node(mark, "planner")
             _, said = run.communicate(timeout=TIMEOUT_S)
         finally:
             run.kill()
-    assert "page was ended by SIGKILL" in said
+    assert "planner was ended by SIGKILL" in said
     assert run.returncode == 1

@@ -2,7 +2,8 @@
 
 python tools/play.py [--scenario play] [--rig desk] [--bag out/demo/bag]
 
-Exit code 0 after Ctrl-C; 1: a node has ended by itself. 2: wrong arguments, nothing was started.
+A page that ends by itself is started again. Exit code 0 after Ctrl-C; 1: a node has ended by
+itself. 2: wrong arguments, nothing was started.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
+import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -106,7 +108,7 @@ def play(options, folder: Path, domain: int | None) -> None:
     Raises
     ------
     GraphError
-        If a node or the page ends, or does not answer.
+        If a node ends, or does not answer, or the page does not come.
     """
     import os
 
@@ -130,9 +132,39 @@ def play(options, folder: Path, domain: int | None) -> None:
                 f"To look on by ROS: source env.sh; export ROS_DOMAIN_ID={number}",
                 flush=True,
             )
-            while True:
-                graph.observer.until(lambda: False, LOOK_S)
-                graph.processes.check(views=True)
+            keep_page(graph.processes, graph.observer, page)
+
+
+def keep_page(processes, observer, page: str) -> None:
+    """Start the page again, at the same address, whenever it ends by itself; too often: no more.
+
+    Raises
+    ------
+    GraphError
+        If a node ends.
+    """
+    from urllib.parse import urlsplit
+
+    from graph.processes import MOST_ENDS, WITHIN_S, Ends
+
+    ends, given_up = Ends(), False
+    while True:
+        observer.until(lambda: False, LOOK_S)
+        end = "" if given_up else processes.end_of("page")
+        if end:
+            given_up = ends.too_many(time.monotonic())
+            then = (
+                f"It has ended {MOST_ENDS} times within {WITHIN_S:.0f} s and is not started again."
+                " The graph goes on; Ctrl-C ends it."
+                if given_up
+                else "It is started again; the graph goes on, and the browser comes back by itself."
+            )
+            print(f"play: {end}\n{then}", file=sys.stderr, flush=True)
+            if not given_up:
+                processes.restart("page", "-p", f"port:={urlsplit(page).port}")
+        elif (now := observer.record.last("page", "url")) != page:
+            page = now
+            print(f"The page is at {page} now.", flush=True)
 
 
 def replay(options, bag: str, folder: Path, domain: int | None) -> None:

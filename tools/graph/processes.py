@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -19,6 +20,9 @@ STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.
 
 TAIL_LINES = 12
 """Last lines of a log that are shown when a node has failed."""
+
+MOST_ENDS, WITHIN_S = 5, 60.0
+"""A program that ends by itself so often within so long [s] is not started again."""
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end."""
@@ -184,9 +188,9 @@ class Processes:
     def __exit__(self, *exception: object) -> None:
         self.stop()
 
-    def _start(self, name: str, words: list[str]) -> None:
+    def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
         # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
-        with self.log(name).open("wb") as log, signals_wait():
+        with self.log(name).open(log_mode) as log, signals_wait():
             self._running[name] = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
@@ -204,9 +208,10 @@ class Processes:
         for name, words in commands.items():
             self._start(name, words)
 
-    def restart(self, name: str) -> None:
-        """Start a node that has ended again."""
-        self._start(name, self._commands[name])
+    def restart(self, name: str, *words: str) -> None:
+        """Start a node that has ended again, with these words after its command line; its log goes
+        on."""
+        self._start(name, [*self._commands[name], *words], "ab")
 
     @property
     def names(self) -> list[str]:
@@ -221,17 +226,22 @@ class Processes:
         """Return a node's process id."""
         return self._running[name].pid
 
-    def check(self, views: bool = False) -> None:
-        """Raise if a node has ended by itself; of those that only look on if `views`.
+    def check(self) -> None:
+        """Raise if a node has ended by itself; those that only look on may.
 
         Raises
         ------
         GraphError
             Names the node and its exit code, and shows the end of its log.
         """
-        for name, process in self._running.items():
-            if (views or name not in self._views) and process.poll() is not None:
-                raise GraphError(f"{name} {ended(process.returncode)}\n{self.tail(name)}")
+        for name in self._running:
+            if name not in self._views and (end := self.end_of(name)):
+                raise GraphError(end)
+
+    def end_of(self, name: str) -> str:
+        """Say how a node has ended, and show the end of its log; empty: it runs."""
+        code = self._running[name].poll()
+        return "" if code is None else f"{name} {ended(code)}\n{self.tail(name)}"
 
     def tail(self, name: str) -> str:
         """Return the last lines of a node's log, and where the rest is."""
@@ -263,6 +273,19 @@ class Processes:
             for name, process in self._running.items()
         }
         return self.exit_codes
+
+
+class Ends:
+    """Counts how often a program has ended by itself, for who starts it again."""
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=MOST_ENDS)
+
+    def too_many(self, now: float) -> bool:
+        """Count an end at a time [s]; tell whether it was the last of `MOST_ENDS` within
+        `WITHIN_S`."""
+        self._times.append(now)
+        return len(self._times) == MOST_ENDS and now - self._times[0] <= WITHIN_S
 
 
 def ended(code: int) -> str:
