@@ -1,5 +1,7 @@
 """The feeder in the real graph: a robot takes parts over TCP; stops, and what comes after them."""
 
+import re
+
 import pytest
 
 pytest.importorskip("rclpy")
@@ -83,14 +85,34 @@ def test_a_plate_with_a_reserved_part_rests_and_a_stop_is_told_at_once(graph, ro
     assert code in (200, 503), text
     if code == 503:
         assert "stopped" in text
-    table.clear()
+    assert observer.until(lambda: "call=resume_feeding" in robot.ask("state")[1], 5)
     observer.until(lambda: False, 1.0)
     table.clear()
-    observer.until(lambda: False, 1.5)
-    assert not table, "after a stop nothing moves before somebody asks"
+    for _ in range(5):  # a robot does not cease to ask
+        code, text = robot.ask("get_part")
+        assert code == 503, text
+        assert "resume_feeding" in text
+        observer.until(lambda: False, 0.3)
+    assert not table, "after a stop nothing moves before a person says so"
+    observer.trigger("resume_feeding")
     code, text = robot.ask("get_part")
     assert code == 200, text
     assert robot.ask("part_taken failed")[0] == 200
+
+
+def test_a_second_client_does_not_end_the_reservation_of_another(graph, robot):
+    code, text = robot.ask("get_part")
+    assert code == 200, text
+    name = re.search(r"id=(\S+)", text)[1]
+    with Robot(graph.observer, "127.0.0.1", robot.port) as other:
+        assert "id=" not in other.ask("state")[1]
+        for deed in ("part_taken", f"part_taken {name}", f"part_taken {name} failed"):
+            code, text = other.ask(deed)
+            assert (code, name in text) == (410, False), text
+        code, text = other.ask("get_part")
+        assert (code, name in text) == (409, False), text
+    assert "state=reserved" in robot.ask("state")[1]
+    assert robot.ask(f"part_taken {name} failed")[0] == 200
 
 
 def test_a_purge_empties_the_plate(graph, robot):

@@ -13,6 +13,7 @@ from types import FrameType
 
 SERVICES = {
     "stop": "end the task, also of another sender",
+    "resume_feeding": "let the feeder go on, which waits for that after a stop",
     "enable": "clear the present stop: the motors get current, and the plate goes home",
     "disable": "brake, then current off, without an emergency",
     "emergency_stop": "brake, then current off (stop category 1)",

@@ -8,6 +8,7 @@ from .feeder import (
     Quantity,
     ReadyPart,
     Reply,
+    Reserved,
     State,
 )
 from .hand_eye import HandEye, HandEyeError, fit_hand_eye, load_hand_eye
@@ -23,6 +24,7 @@ __all__ = [
     "Quantity",
     "ReadyPart",
     "Reply",
+    "Reserved",
     "State",
     "fit_hand_eye",
     "load_hand_eye",

@@ -22,7 +22,9 @@ The rules:
   so no status of an earlier rest is mistaken for one of this.
 - From the answer on the part is reserved, and the plate rests, until `part_taken`, `prepare_part`
   or the end of its time. Only one part is reserved, for one client. If the same client asks for the
-  next one, or for a purge, it gives the part up; others get `BUSY`.
+  next one, or for a purge, it gives the part up; others get `BUSY`. Its client alone may report it,
+  and is told its id; once that has gone, whoever knows the id may.
+- After a `stop` nothing begins before `resume`, which a person calls.
 - A part that was reserved is not told again before an image that is `SEEN_ANEW_S` younger than the
   newest one then shows it ready. After `MOST_FAILURES` failed picks at one place it is left aside
   until it lies elsewhere. Meanwhile one more is got ready in its place, for the planner counts it.
@@ -205,11 +207,29 @@ class Quantity:
     lost: int
 
 
+@dataclass(frozen=True)
+class Reserved:
+    """A part that is reserved.
+
+    Attributes
+    ----------
+    client : hashable or None
+        Whose it is; None: of one that has gone.
+    part : ReadyPart
+    until : float
+        When its time is over [s].
+    """
+
+    client: Hashable | None
+    part: ReadyPart
+    until: float
+
+
 class State(Enum):
     """What the feeder does, in a word."""
 
     IDLE = "idle"  # no task runs; the next command begins it
-    STOPPED = "stopped"  # it was, or has failed; the next command begins it anew
+    STOPPED = "stopped"  # it was, or has failed; the next command begins it anew, if it may
     STARTING = "starting"  # the task has been asked for
     FEEDING = "feeding"  # parts are got ready
     READY = "ready"  # enough of them are, and the plate rests
@@ -245,15 +265,6 @@ class _Waiting:
 
 
 @dataclass(frozen=True)
-class _Reserved:
-    """A part that is reserved."""
-
-    client: Hashable
-    part: ReadyPart
-    until: float
-
-
-@dataclass(frozen=True)
 class _Failures:
     """Failed picks of a part at a place [m]."""
 
@@ -273,22 +284,23 @@ class Feeder:
 
     Notes
     -----
-    A `client` is any key that tells one from another. Commands answer at once by a `Reply`;
-    `get_part` and `purge` return None if they wait: then the reply comes with a later `step`.
+    A `client` is any key but None that tells one from another. Commands answer at once by a
+    `Reply`; `get_part` and `purge` return None if they wait: then it comes with a later `step`.
     """
 
     def __init__(self, task: FeedTask, rig: Rig) -> None:
         self.task, self._rig = task, rig
         self._status: FeedStatus | None = None
-        self._stopped = False
+        self._ended = False  # whether the task was stopped, or has failed
+        self._stop = ""  # why nothing begins before `resume`
         self._task, self._since = _Task.IDLE, -math.inf  # since the command, or the last status
         self._sent, self._in_force = FeedOrder(FeedMode.FEED, task.picks), False
         self._rested = 0  # statuses since the plate rests by order
         self._content = False  # whether the planner has rested by itself since the last part
         self._waiting: _Waiting | None = None
         self._prepared: _Wanted | None = None
-        self._reserved: _Reserved | None = None
-        self._late: _Reserved | None = None  # given up, and not reported yet
+        self._reserved: Reserved | None = None
+        self._late: Reserved | None = None  # given up, and not reported yet
         self._held: dict[str, float] = {}  # newest stamp when it was given up, by id
         self._failures: dict[str, _Failures] = {}
         self._replies: list[tuple[Hashable, Reply]] = []
@@ -318,7 +330,18 @@ class Feeder:
         """The planner's task has ended, was refused, or is to end: what waits is answered so."""
         self._answer_waiting(Code.STOPPED, text)
         self._end()
-        self._stopped = True
+        self._ended = True
+
+    def stop(self, why: str) -> None:
+        """The plate was stopped by a person, or so that a person is needed anyway: the task is to
+        end, and until `resume` each command that would move the plate is answered so."""
+        self._stop = f"stopped until a person calls resume_feeding: {why}"
+        self.task_ended(self._stop)
+
+    def resume(self) -> None:
+        """A person lets the next command begin the task again."""
+        if self._stop:
+            self._stop, self._ended = "", False
 
     def get_part(
         self,
@@ -351,8 +374,8 @@ class Feeder:
         wanted = self._read(label, pick, timeout_s)
         if isinstance(wanted, Reply):
             return wanted
-        if busy := self._busy(client):
-            return busy
+        if refusal := self._refusal(client):
+            return refusal
         if wanted == _Wanted() and self._prepared is not None:
             wanted = self._prepared
         self._prepared = None
@@ -369,8 +392,8 @@ class Feeder:
         wanted = self._read(label, pick)
         if isinstance(wanted, Reply):
             return wanted
-        if busy := self._busy(client):
-            return busy
+        if refusal := self._refusal(client):
+            return refusal
         self._give_up()
         self._prepared = wanted
         self._begin(now)
@@ -383,19 +406,21 @@ class Feeder:
         ----------
         client : hashable
         part : str
-            Its id, from any client; empty: the one reserved for this client. A part whose time is
-            over may still be reported, until the next one is reserved.
+            Its id; empty: the one reserved for this client. A part whose client has gone is
+            reported with its id. A part whose time is over may still be reported, until the next
+            one is reserved.
         taken : bool
             False: it lies there still.
         """
         known = self._reserved or self._late
         if known is None:
             return Reply(Code.NOT_RESERVED, "no part is reserved")
+        if known.client != client and (known.client is not None or part != known.part.id):
+            # The same whatever is named: ids are not to be found out by asking.
+            text = "the part is another client's, allowed: yours; with its id, once that has gone"
+            return Reply(Code.NOT_RESERVED, text)
         if part not in ("", known.part.id):
             return Reply(Code.NOT_RESERVED, f"{part} is not reserved, allowed: {known.part.id}")
-        if not part and known.client != client:
-            text = f"another client has reserved {known.part.id}, allowed: with its id"
-            return Reply(Code.NOT_RESERVED, text)
         self._hold(known.part)
         self._reserved = self._late = None
         name = known.part.id
@@ -419,8 +444,8 @@ class Feeder:
         left = self._status.total if self._status is not None else 0
         if self.task.chute is None:
             return Reply(Code.NOT_PURGED, "the recipe has no chute, allowed: with one", left=left)
-        if busy := self._busy(client):
-            return replace(busy, left=left)
+        if refusal := self._refusal(client):
+            return replace(refusal, left=left)
         self._prepared = None
         self._give_up()
         timeout_s = timeout_s or self.task.timeout_s
@@ -436,6 +461,14 @@ class Feeder:
             self._waiting = None
             if waiting.purge:
                 self._end()
+
+    def gone(self, client: Hashable) -> None:
+        """Forget a client: what waits is withdrawn. Its part stays reserved, and is nobody's."""
+        self.cancel(client)
+        self._reserved, self._late = (
+            replace(each, client=None) if each is not None and each.client == client else each
+            for each in (self._reserved, self._late)
+        )
 
     # What it tells
 
@@ -465,7 +498,7 @@ class Feeder:
     def state(self, now: float) -> State:
         """Return what it does, in a word."""
         waiting = self._waiting
-        if self._stopped:
+        if self._ended:
             return State.STOPPED
         if self._reserved is not None:
             return State.RESERVED
@@ -480,10 +513,15 @@ class Feeder:
         return State.FEEDING if self._sent.mode is FeedMode.FEED else State.READY
 
     @property
-    def reserved(self) -> tuple[ReadyPart, float] | None:
-        """The part that is reserved, and until when [s]; None if none is."""
-        kept = self._reserved
-        return None if kept is None else (kept.part, kept.until)
+    def stopped(self) -> str:
+        """Why nothing begins before `resume`, in words for a robot; empty if the next command may
+        begin the task."""
+        return self._stop
+
+    @property
+    def reserved(self) -> Reserved | None:
+        """The part that is reserved."""
+        return self._reserved
 
     @property
     def hopper_empty(self) -> bool:
@@ -518,19 +556,22 @@ class Feeder:
                 problem = str(error)
         return Reply(Code.BAD_ARGUMENT, problem) if problem else _Wanted(label, pick)
 
-    def _busy(self, client: Hashable) -> Reply | None:
+    def _refusal(self, client: Hashable) -> Reply | None:
+        """Say why a command that would move the plate is not taken now."""
+        if self._stop:
+            return Reply(Code.STOPPED, self._stop)
         waiting, reserved = self._waiting, self._reserved
         if waiting is not None:
             what = "the plate is being purged" if waiting.purge else "another get_part waits"
             return Reply(Code.BUSY, what)
         if reserved is not None and reserved.client != client:
-            return Reply(Code.BUSY, f"another client has reserved {reserved.part.id}")
+            return Reply(Code.BUSY, "another client has reserved a part")
         return None
 
     def _begin(self, now: float) -> None:
         self._barren = min(self._barren, MOST_OPENINGS - 1)
         if self._task is _Task.IDLE:
-            self._task, self._since, self._stopped = _Task.ASKED, now, False
+            self._task, self._since, self._ended = _Task.ASKED, now, False
             self._sent, self._in_force = FeedOrder(FeedMode.FEED, self._picks()), False
 
     def _end(self) -> None:
@@ -571,7 +612,7 @@ class Feeder:
         elif self._rests() and (offers := self._offers(waiting.wanted)):
             part, until = self._best(offers), now + self.task.valid_s
             self._answer_waiting(Code.DONE, f"{part.id} is ready", part, until)
-            self._reserved, self._late = _Reserved(waiting.client, part, until), None
+            self._reserved, self._late = Reserved(waiting.client, part, until), None
             self._content = False
         elif self.hopper_empty and not self._on_plate(waiting.wanted.label):
             self._answer_waiting(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.action import ActionServer, CancelResponse
+from std_srvs.srv import Trigger
 
 from plate_core import PlateError, load_rig
 from plate_core.ros import (
@@ -31,8 +32,8 @@ from plate_core.ros import (
 from plate_core.status import Finding, Level, worst
 from plate_core.tasks import FeedMode, FeedOrder, FeedTask, Pick, check_scenario, load_scenario
 from plate_interfaces.action import GetPart, PurgePlate
+from plate_interfaces.msg import DriverStatus, FeedPick, FeedStatus, Part, PartCount, TaskStatus
 from plate_interfaces.msg import FeedOrder as FeedOrderMsg
-from plate_interfaces.msg import FeedPick, FeedStatus, Part, PartCount, TaskStatus
 from plate_interfaces.srv import OpenHopper, PartQuantity, PartTaken, PreparePart
 
 from . import feeder as core
@@ -66,6 +67,18 @@ ONE_MACHINE = ("127.0.0.1", "::1", "localhost")
 
 STOPPED = "the feeder was deactivated"
 
+NEED_A_PERSON = (
+    TaskStatus.STOPPED, TaskStatus.CANCELED, TaskStatus.PREEMPTED, TaskStatus.DRIVER_STOPPED,
+)  # fmt: skip
+"""Ends of the planner's task after which a person has to call resume_feeding: others than the
+feeder have asked for them, or somebody has to enable the motors anyway."""
+
+BY_PERSON = (
+    DriverStatus.SWITCHED_OFF, DriverStatus.EMERGENCY_STOP, DriverStatus.POWER_CUT,
+    DriverStatus.STOP_UNANSWERED,
+)  # fmt: skip
+"""Why the motors are off if a person has wanted it, whether a task ran or not."""
+
 Replied = Callable[[Reply], None]
 
 
@@ -88,10 +101,10 @@ class Options(NodeOptions):
 class FeederNode(SafeLifecycleNode[Options]):
     """Node `feeder`: hands out parts to a robot one by one, and has the planner get the next ready.
 
-    Actions get_part, purge_plate. Services part_taken, prepare_part, part_quantity. A TCP server
-    for robots that speak no ROS.
-    Subscribes feed_status, task_status. Publishes feed_orders, diagnostics. Sends feed_parts to the
-    planner when a command needs it, and calls hopper/open.
+    Actions get_part, purge_plate. Services part_taken, prepare_part, part_quantity; resume_feeding,
+    which a person calls after a stop. A TCP server for robots that speak no ROS.
+    Subscribes feed_status, task_status, driver_status. Publishes feed_orders, diagnostics. Sends
+    feed_parts to the planner when a command needs it, and calls hopper/open.
     """
 
     def __init__(self) -> None:
@@ -99,6 +112,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._server: RobotServer | None = None
         self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # on their way, by goal
+        self._stopped = ""  # why it waited for a person when it was deactivated
         self.report(self._find, self._values)
 
     def configure(self) -> None:
@@ -114,8 +128,10 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._orders = self.managed_publisher(FeedOrderMsg, "feed_orders", DATA)
         self.managed_subscription(FeedStatus, "feed_status", self._on_status, DATA)
         self.managed_subscription(TaskStatus, "task_status", self._on_task, LATCHED)
+        self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_service(PartTaken, "part_taken", self._on_taken)
         self.managed_service(PreparePart, "prepare_part", self._on_prepare)
+        self.managed_service(Trigger, "resume_feeding", self._on_resume)
         quantity = self.create_service(
             PartQuantity, "part_quantity", self._on_quantity, qos_profile=CALLS
         )
@@ -140,9 +156,14 @@ class FeederNode(SafeLifecycleNode[Options]):
         self.managed_timer(FEEDBACK_S, self._tell_progress)
 
     def begin(self) -> None:
-        """Know nothing of what was before, and serve robots."""
+        """Know nothing of what was before but that a person has stopped the plate, and serve
+        robots."""
         options = self.options
         self._feeder = Feeder(self._recipe, self._rig)
+        if self._stopped:
+            self._feeder.stop(self._stopped)
+        self._driver: DriverStatus | None = None
+        self._told = TaskStatus.IDLE, TaskStatus.NONE  # state and reason of the last task_status
         self._parts: dict[str, Part] = {}  # ready in the newest status, by id
         self._waiting: dict[int, Replied] = {}  # who takes the reply, by client
         self._goal: Any = None  # of ROS that waits
@@ -157,6 +178,7 @@ class FeederNode(SafeLifecycleNode[Options]):
 
     def rest(self) -> None:
         """Answer what waits, end the task, and serve no more."""
+        self._stopped = self._feeder.stopped
         self._feeder.task_ended(STOPPED)
         self._step()
         server, self._server = self._server, None
@@ -241,13 +263,45 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._step()
 
     def _on_task(self, msg: TaskStatus) -> None:
+        told, self._told = self._told, (msg.state, msg.reason)
+        # The end of a task is told again and again, a stop of an idle planner once.
+        again = msg.state != TaskStatus.IDLE and self._told == told
+        if msg.reason == TaskStatus.STOPPED and not again:
+            self._wait_for_person(f"the planner was stopped, it is {msg.text}")
         self._task.hear(msg)
 
-    def _on_end(self, text: str) -> None:
-        self.get_logger().info(f"no longer feeding: {text}")
-        self._feeder.task_ended(text)
+    def _on_driver(self, msg: DriverStatus) -> None:
+        self._driver = msg
+        if msg.reason in BY_PERSON:
+            self._wait_for_person(f"driver: {msg.text}")
+
+    def _on_end(self, status: TaskStatus) -> None:
+        self.get_logger().info(f"no longer feeding: {status.text}")
+        if status.reason in NEED_A_PERSON:
+            self._feeder.stop(status.text)
+        else:
+            self._feeder.task_ended(status.text)
         if self.active:
             self._step()
+
+    def _wait_for_person(self, why: str) -> None:
+        """Begin nothing until a person calls resume_feeding."""
+        if not self._feeder.stopped:
+            self.get_logger().info(f"no longer feeding: {why}")
+        self._feeder.stop(why)
+        self._step()
+
+    def _on_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        driver = self._driver
+        response.success = driver is None or driver.state == DriverStatus.READY
+        if driver is not None and not response.success:
+            response.message = f"driver: {driver.text}; allowed: once it is ready"
+            return response
+        was = self._feeder.stopped
+        self._feeder.resume()
+        response.message = f"the next command begins feeding, was {was or 'not stopped'}"
+        self.get_logger().info(response.message)
+        return response
 
     # Over ROS
 
@@ -365,7 +419,7 @@ class FeederNode(SafeLifecycleNode[Options]):
             self._inbox.popleft()()
 
     def _forget(self, client: int) -> None:
-        self._feeder.cancel(client)
+        self._feeder.gone(client)
         self._waiting.pop(client, None)
         self._step()
 
@@ -393,19 +447,19 @@ class FeederNode(SafeLifecycleNode[Options]):
         elif command.name == "part_quantity":
             reply = Reply(Code.DONE, quantity_text(feeder.quantity()))
         else:
-            reply = Reply(Code.DONE, self._state_text(now))
+            reply = Reply(Code.DONE, self._state_text(client, now))
         self._wait(client, reply, tell)
 
-    def _state_text(self, now: float) -> str:
-        feeder = self._feeder
+    def _state_text(self, client: int, now: float) -> str:
+        feeder, kept = self._feeder, self._feeder.reserved
         hopper = "none" if self._recipe.hopper is None else "ok"
         if feeder.hopper_empty:
             hopper = "empty"
         text = f"state={feeder.state(now).value} ready={feeder.quantity().ready} hopper={hopper}"
-        if feeder.reserved is not None:
-            part, until = feeder.reserved
-            text += f" id={part.id} valid_s={max(until - now, 0.0):.1f}"
-        return text
+        if kept is not None:
+            text += f" id={kept.part.id}" if kept.client == client else ""
+            text += f" valid_s={max(kept.until - now, 0.0):.1f}"
+        return text + (" call=resume_feeding" if feeder.stopped else "")
 
     # What it reports
 
@@ -422,6 +476,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         found: list[Finding] = []
         if silence := feeder.silence(now):
             found.append(Finding(Level.STALE, silence))
+        if feeder.stopped:
+            found.append(Finding(Level.WARN, feeder.stopped))
         if feeder.hopper_empty:
             found.append(Finding(Level.WARN, "the hopper is empty"))
         if self._hopper_problem:

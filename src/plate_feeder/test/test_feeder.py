@@ -24,6 +24,7 @@ BLACK = Pick("black", 2, **WINDOW)
 GREY = Pick("grey", 1, **WINDOW)
 HOPPER = Hopper(fill=10, least=8, rate=5.0, place=(-0.2, 0.0), spread_m=0.05, mix={"black": 1.0})
 TASK = FeedTask(picks=(BLACK,), clearance_m=0.006, timeout_s=5.0, valid_s=3.0)
+PURGED = replace(TASK, chute=Side(-1, 0), hopper=HOPPER)
 PERIOD_S = 0.1
 
 
@@ -66,6 +67,7 @@ class Cell:
                 self.mode = self.modes[-2]
                 rests = self.mode is FeedMode.REST or (len(self.ready) >= 2 and not self.busy)
                 self.moving = 0 if rests else 2
+                self.shown = set(self.ready)
                 self.feeder.hear(
                     FeedStatus(
                         stamp=1000.0 + self.t - 0.05, mode=self.mode,
@@ -254,13 +256,54 @@ def test_other_clients_are_refused_and_the_same_one_gives_its_part_up():
     feeder = cell.feeder
     assert feeder.get_part("other", now=cell.t).code is Code.BUSY
     first = cell.answer().part.id
-    assert feeder.get_part("other", now=cell.t).code is Code.BUSY
-    assert feeder.prepare_part("other", now=cell.t).code is Code.BUSY
-    assert feeder.part_taken("other").code is Code.NOT_RESERVED
-    assert feeder.part_taken("other", "black_77").code is Code.NOT_RESERVED
+    refusals = [
+        feeder.get_part("other", now=cell.t),
+        feeder.prepare_part("other", now=cell.t),
+        *(feeder.part_taken("other", name) for name in ("", first, "black_77")),
+    ]
+    assert [reply.code for reply in refusals] == [*2 * [Code.BUSY], *3 * [Code.NOT_RESERVED]]
+    assert not any(first in reply.text for reply in refusals), "its client alone knows the id"
+    assert len({reply.text for reply in refusals[2:]}) == 1, "nor can others find it out"
+    assert feeder.reserved.part.id == first
+    assert feeder.part_taken("robot", "black_77").code is Code.NOT_RESERVED
     assert cell.get() is None
     assert cell.answer().part.id != first
-    assert feeder.part_taken("other", feeder.reserved[0].id).code is Code.DONE  # by its id
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_part_of_a_client_that_has_gone_is_reported_with_its_id(late):
+    """The robot may still stand over it, and comes back as another client."""
+    cell = Cell()
+    cell.get()
+    name, feeder = cell.answer().part.id, cell.feeder
+    if late:  # its time is over
+        cell.run(round(TASK.valid_s / PERIOD_S) + 1)
+    assert feeder.part_taken("back", name).code is Code.NOT_RESERVED, "its client is there"
+    feeder.gone("other")
+    assert feeder.part_taken("back", name).code is Code.NOT_RESERVED
+    feeder.gone("robot")
+    cell.run(3)
+    if not late:
+        assert cell.output.order.mode is FeedMode.REST
+        assert feeder.reserved.client is None
+        assert feeder.get_part("back", now=cell.t).code is Code.BUSY
+    for wrong in ("", "black_77"):
+        reply = feeder.part_taken("back", wrong)
+        assert (reply.code, name in reply.text) == (Code.NOT_RESERVED, False)
+    assert feeder.part_taken("back", name).code is Code.DONE
+    assert feeder.get_part("back", now=cell.t) is None
+
+
+def test_the_part_of_a_client_that_has_gone_stays_reserved_until_its_time_is_over():
+    cell = Cell()
+    cell.get()
+    until = cell.answer().valid_until
+    cell.feeder.gone("robot")
+    while cell.feeder.reserved is not None:
+        assert cell.output.order.mode is FeedMode.REST
+        cell.run()
+    assert cell.t == pytest.approx(until, abs=1.5 * PERIOD_S)
+    assert cell.feeder.get_part("other", now=cell.t) is None
 
 
 def test_a_part_is_prepared_for_the_next_command_that_names_none():
@@ -374,6 +417,61 @@ def test_the_end_of_the_task_is_told_at_once_and_a_command_begins_it_again():
     assert cell.output.run
 
 
+def test_after_a_stop_nothing_begins_before_a_person_says_so():
+    cell = Cell(PURGED, ready=())
+    cell.get()
+    cell.run(3)
+    feeder = cell.feeder
+    feeder.stop("aborted: stopped")
+    cell.step()
+    told = cell.replies.pop()
+    assert told.code is Code.STOPPED
+    assert "call" in told.text
+    assert "resume_feeding" in told.text
+    assert "aborted: stopped" in told.text
+    for command in ("get_part", "prepare_part", "purge"):
+        for client in ("robot", "other"):
+            assert getattr(feeder, command)(client, now=cell.t) == replace(
+                told, left=10 if command == "purge" else 0
+            )
+        cell.run(2)
+        assert not cell.output.run
+    feeder.task_ended("the planner is gone")  # what comes after it does not lift it
+    assert feeder.get_part("robot", now=cell.t).code is Code.STOPPED
+    assert feeder.state(cell.t) is State.STOPPED
+    feeder.resume()
+    assert feeder.stopped == ""
+    assert feeder.state(cell.t) is State.IDLE
+    cell.run(5)
+    assert not cell.output.run, "it only lets the next command begin"
+    cell.get()
+    assert cell.output.run
+
+
+def test_a_stop_keeps_the_reservation_and_its_report():
+    cell = Cell()
+    cell.get()
+    name = cell.answer().part.id
+    cell.feeder.stop("driver: emergency stop")
+    cell.run(2)
+    assert cell.do("part_taken", name).code is Code.DONE
+    cell.run(2)
+    assert not cell.output.run
+
+
+def test_where_nothing_was_stopped_there_is_nothing_to_resume():
+    cell = Cell()
+    cell.get()
+    cell.run(3)
+    cell.feeder.resume()
+    cell.step()
+    assert cell.output.run
+    cell.feeder.task_ended("no parts for 1.5 s")
+    cell.feeder.resume()
+    assert cell.feeder.state(cell.t) is State.STOPPED
+    assert cell.get() is None, "a technical failure needs no person"
+
+
 def test_a_reservation_outlives_the_task():
     cell = Cell()
     cell.get()
@@ -412,9 +510,6 @@ def test_who_gives_up_gets_no_answer_but_a_reservation_stays():
     cell.feeder.cancel("robot")
     cell.step()
     assert cell.feeder.reserved is not None
-
-
-PURGED = replace(TASK, chute=Side(-1, 0), hopper=HOPPER)
 
 
 def test_purge_ends_when_the_plate_is_empty():
@@ -521,13 +616,15 @@ def test_any_sequence_of_commands_and_statuses(seed):
     feeder, told, waiting, answered = cell.feeder, {}, {}, 0
     names = [f"{label}_{k}" for label in ("black", "grey") for k in range(4)]
     for _ in range(3000):
-        who, deed = rng.choice(["robot", "other"]), rng.choice(9, p=[0.4, *8 * [0.075]])
+        who, deed = rng.choice(["robot", "other"]), rng.choice(10, p=[0.4, *8 * [0.07], 0.04])
         label = rng.choice(["", "black", "grey"])
         if deed == 1 and (reply := feeder.get_part(who, label, now=cell.t)) is None:
             assert who not in waiting
             waiting[who] = cell.t + task.timeout_s
         elif deed == 2:
+            kept = feeder.reserved
             feeder.part_taken(who, rng.choice(["", *names]), bool(rng.random() < 0.7))
+            assert feeder.reserved == kept or kept.client in (who, None)
         elif deed == 3 and rng.random() < 0.3:
             feeder.prepare_part(who, label, now=cell.t)
         elif deed == 4 and rng.random() < 0.1 and feeder.purge(who, now=cell.t) is None:
@@ -535,8 +632,8 @@ def test_any_sequence_of_commands_and_statuses(seed):
         elif deed == 5 and rng.random() < 0.2:
             feeder.cancel(who)
             waiting.pop(who, None)
-        elif deed == 6 and rng.random() < 0.05:
-            feeder.task_ended("stopped")
+        elif deed == 6 and rng.random() < 0.1:
+            (feeder.stop if rng.random() < 0.5 else feeder.task_ended)("stopped")
         elif deed == 7:
             cell.silent = bool(rng.random() < 0.1)
         elif deed == 8:
@@ -544,10 +641,16 @@ def test_any_sequence_of_commands_and_statuses(seed):
             if cell.ready.pop(name, None) is None and len(cell.ready) < 4:
                 cell.ready[name] = part(name, *rng.uniform((-0.05, -0.1), (0.25, 0.1)))
             cell.seen = {"black": int(rng.integers(0, 9)), "grey": int(rng.integers(0, 5))}
+        elif deed == 9 and feeder.stopped:
+            feeder.resume()
+        elif deed == 9 and rng.random() < 0.3:
+            feeder.gone(who)
+            waiting.pop(who, None)
         opened, reserved = len(cell.opened), feeder.reserved
         cell.run()
         rests, was = feeder.reserved is not None, reserved is not None
         assert not (rests and was and len(cell.opened) > opened)
+        assert not (feeder.stopped and cell.output.run)
         if rests and cell.output.run and feeder.reserved == reserved:
             assert cell.output.order.mode is FeedMode.REST
         for client, reply in cell.output.replies:
@@ -557,7 +660,7 @@ def test_any_sequence_of_commands_and_statuses(seed):
                 continue
             name = reply.part.id
             assert cell.mode is FeedMode.REST
-            assert name in cell.ready
+            assert name in cell.shown
             assert cell.t - told.get(name, -math.inf) >= SEEN_ANEW_S - PERIOD_S
             told[name] = cell.t
         assert all(cell.t <= until + 2 * PERIOD_S for until in waiting.values())

@@ -45,6 +45,7 @@ def test_lines_are_read(line, command):
     ("line", "code", "named"),
     [
         (b"get_prat", Code.UNKNOWN_COMMAND, "get_part?"),
+        (b"resume_feeding", Code.UNKNOWN_COMMAND, "allowed: get_part"),  # no robot may
         (b"   ", Code.UNKNOWN_COMMAND, "''"),
         (b"get_part black 2 3", Code.BAD_ARGUMENT, "get_part [class] [timeout_s]"),
         (b"get_part -2", Code.BAD_ARGUMENT, "'-2'"),

@@ -13,13 +13,15 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.task import Future  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
 from plate_core.tasks import FeedMode  # noqa: E402
-from plate_feeder.node import STOPPED, FeederNode  # noqa: E402
+from plate_feeder.node import BY_PERSON, NEED_A_PERSON, STOPPED, FeederNode  # noqa: E402
 from plate_interfaces.action import FeedParts, GetPart, PurgePlate  # noqa: E402
 from plate_interfaces.msg import (  # noqa: E402
+    DriverStatus,
     FeedOrder,
     FeedPick,
     FeedStatus,
@@ -43,6 +45,7 @@ class Planner:
         self.silent, self.jam = False, ""
         self.publish = self.node.create_publisher(FeedStatus, "feed_status", DATA).publish
         self.tell = self.node.create_publisher(TaskStatus, "task_status", LATCHED).publish
+        self.drive = self.node.create_publisher(DriverStatus, "driver_status", LATCHED).publish
         self.node.create_subscription(FeedOrder, "feed_orders", self.on_order, DATA)
         self.node.create_service(OpenHopper, "hopper/open", self.on_open)
         self.node.create_timer(0.03, self.look)
@@ -55,18 +58,21 @@ class Planner:
         self.goal, self.mode, self.began = goal, FeedMode.FEED, self.began + 1
 
     def cancel(self, goal):
-        self.end("canceled")
+        self.end("canceled", TaskStatus.CANCELED)
         return CancelResponse.ACCEPT
 
-    def end(self, text):
+    def end(self, text, reason=TaskStatus.NO_PARTS):
+        """End the task, and say so with the result alone."""
         goal, self.goal = self.goal, None
-        self.results[bytes(goal.goal_id.uuid)] = text
+        self.results[bytes(goal.goal_id.uuid)] = TaskStatus(
+            task="feed", state=TaskStatus.ABORTED, reason=reason, text=text
+        )
         goal.execute()
 
     def result(self, goal):
-        text = self.results.pop(bytes(goal.goal_id.uuid))
+        status = self.results.pop(bytes(goal.goal_id.uuid))
         (goal.canceled if goal.is_cancel_requested else goal.abort)()
-        return FeedParts.Result(status=TaskStatus(state=TaskStatus.ABORTED, text=text))
+        return FeedParts.Result(status=status)
 
     def on_order(self, msg):
         self.orders.append(msg)
@@ -233,6 +239,11 @@ def test_over_tcp(graph):
     assert answer.startswith("200 x=100.00 y=20.00 angle=5.73 id=black_3 class=black valid_s=")
     assert graph.say(other, "get_part").startswith("409 ")
     assert "state=reserved" in graph.say(other, "state")
+    for deed in ("part_taken black_3", "part_taken", "part_taken black_4 failed"):
+        assert graph.say(other, deed).startswith("410 ")
+    assert not graph.call(PartTaken, "part_taken", id="black_3", taken=True).success
+    assert "id=black_3 valid_s=" in graph.say(robot, "state")
+    assert "id=" not in graph.say(other, "state")
     assert graph.say(robot, "part_taken black_3 failed").startswith("200 ")
     assert graph.say(robot, "part_quantity").startswith("200 seen=15 ")
     assert graph.say(robot, "get_part blue").startswith("422 ")
@@ -285,6 +296,20 @@ def test_a_robot_that_leaves_does_not_leave_its_command(graph):
     assert graph.say(other, "get_part").startswith("200 ")
 
 
+def test_a_robot_that_comes_back_reports_its_part_with_its_id(graph):
+    robot, other = graph.robot(), graph.robot()
+    assert graph.say(robot, "get_part").startswith("200 ")
+    robot.close()
+    graph.until(lambda: graph.feeder._feeder.reserved.client is None)
+    back = graph.robot()
+    state = graph.say(back, "state")
+    assert "state=reserved" in state
+    assert "id=" not in state
+    assert graph.say(back, "part_taken").startswith("410 ")
+    assert graph.say(other, "get_part").startswith("409 ")
+    assert graph.say(back, "part_taken black_3 ok") == "200 black_3 is taken\r\n"
+
+
 def test_a_goal_is_canceled(graph):
     graph.planner.ready = {}
     handle = graph.send("get_part", GetPart.Goal())
@@ -302,13 +327,102 @@ def test_a_task_that_ends_is_told_and_begun_again(graph):
     robot = graph.robot()
     robot.sendall(b"get_part\n")
     graph.until(lambda: graph.planner.orders)
-    graph.planner.end("stopped: emergency stop")
-    assert graph.hear(robot) == "503 stopped: emergency stop\r\n"
+    graph.planner.end("aborted: no parts for 1.5 s")
+    assert graph.hear(robot) == "503 aborted: no parts for 1.5 s\r\n"
     graph.spin(0.3)
     assert graph.planner.began == 1
     graph.planner.ready = {"black_4": (0.1, 0.0)}
+    assert "call=" not in graph.say(robot, "state")
     assert graph.say(robot, "get_part").startswith("200 ")
     assert graph.planner.began == 2
+
+
+STOPPED_TASK = {"state": TaskStatus.ABORTED, "reason": TaskStatus.STOPPED, "text": "so"}
+ENDS = {  # of the planner's task, that of the feeder or another
+    **{
+        f"result {reason}": lambda planner, reason=reason: planner.end("aborted: so", reason)
+        for reason in NEED_A_PERSON
+    },
+    "a stop": lambda planner: planner.tell(TaskStatus(task="feed", **STOPPED_TASK)),
+    "a stop of the idle planner": lambda planner: planner.tell(
+        TaskStatus(reason=TaskStatus.STOPPED, text="so")
+    ),
+    "another task": lambda planner: planner.tell(
+        TaskStatus(task="sort", state=TaskStatus.RUNNING, text="so")
+    ),
+    **{
+        f"driver {reason}": lambda planner, reason=reason: planner.drive(
+            DriverStatus(state=DriverStatus.STOPPED, reason=reason, text="so")
+        )
+        for reason in BY_PERSON
+    },
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, end):
+    planner = graph.planner
+    planner.ready = {}
+    robot = graph.robot()
+    robot.sendall(b"get_part\n")
+    graph.until(lambda: graph.feeder._task._seen)
+    if not end.startswith("result"):
+        planner.silent = True
+    ENDS[end](planner)
+    answer = graph.hear(robot)
+    assert answer.startswith("503 stopped until a person calls resume_feeding: ")
+    assert "so" in answer
+    planner.silent, planner.ready = False, {"black_4": (0.1, 0.0)}
+    for deed in ("get_part", "prepare_part", "get_part black 5"):
+        assert graph.say(robot, deed) == answer
+    assert not graph.result(graph.send("get_part", GetPart.Goal()))[1].success
+    assert not graph.call(PreparePart, "prepare_part").success
+    assert graph.say(robot, "resume_feeding").startswith("404 ")
+    assert "state=stopped" in (state := graph.say(robot, "state"))
+    assert state.endswith(" call=resume_feeding\r\n")
+    graph.until(lambda: graph.reports and "resume" in graph.reports[-1].status[0].message)
+    assert planner.began == 1
+    if end.startswith("driver"):
+        refused = graph.call(Trigger, "resume_feeding")
+        assert (refused.success, refused.message) == (
+            False,
+            "driver: so; allowed: once it is ready",
+        )
+        planner.drive(DriverStatus(state=DriverStatus.READY, text="ready"))
+        graph.until(lambda: graph.feeder._driver.state == DriverStatus.READY)
+    assert graph.call(Trigger, "resume_feeding").success
+    graph.spin(0.3)
+    assert planner.began == 1, "it only lets the next command begin"
+    assert graph.say(robot, "get_part").startswith("200 ")
+    assert planner.began == 2
+
+
+def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(graph):
+    tell = graph.planner.tell
+    ended = TaskStatus(task="sort", **STOPPED_TASK)
+    robot = graph.robot()
+    for status in (ended, TaskStatus(reason=TaskStatus.STOPPED, text="idle")) * 2:
+        tell(status)
+        graph.until(lambda: graph.feeder._feeder.stopped)
+        assert graph.say(robot, "get_part").startswith("503 ")
+        assert graph.call(Trigger, "resume_feeding").success
+    tell(ended)
+    graph.until(lambda: graph.feeder._feeder.stopped)
+    assert graph.call(Trigger, "resume_feeding").success
+    heard = []
+    graph.feeder._task.hear = heard.append
+    tell(ended)  # as the planner does with each image
+    graph.until(lambda: heard)
+    assert graph.say(robot, "get_part").startswith("200 ")
+
+
+def test_a_stop_outlives_a_feeder_that_is_activated_anew(graph):
+    graph.planner.tell(TaskStatus(reason=TaskStatus.STOPPED, text="idle"))
+    graph.until(lambda: graph.feeder._feeder.stopped)
+    graph.feeder.trigger_deactivate()
+    graph.feeder.trigger_activate()
+    assert "call=resume_feeding" in graph.say(graph.robot(), "state")
+    assert graph.say(graph.robot(), "get_part").startswith("503 ")
 
 
 def test_a_planner_that_begins_anew_is_noticed(graph):

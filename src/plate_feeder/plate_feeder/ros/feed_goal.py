@@ -24,7 +24,7 @@ class FeedGoal:
     node : Node
     goal : FeedParts.Goal
     ended : callable
-        Called with the planner's text when the task has ended by itself, or was refused.
+        Called with the planner's status when the task has ended without us, or was refused.
 
     Attributes
     ----------
@@ -32,7 +32,9 @@ class FeedGoal:
         Whether the planner has accepted it.
     """
 
-    def __init__(self, node: Node, goal: FeedParts.Goal, ended: Callable[[str], None]) -> None:
+    def __init__(
+        self, node: Node, goal: FeedParts.Goal, ended: Callable[[TaskStatus], None]
+    ) -> None:
         self._goal, self._ended = goal, ended
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
@@ -55,7 +57,11 @@ class FeedGoal:
         """Notice that a planner has begun anew, and knows nothing of the task any more."""
         running = status.state == TaskStatus.RUNNING and status.task == "feed"
         if self.runs and self._seen and not running:
-            self._over(f"the planner's task has ended: {status.text}")
+            reason = status.reason
+            if status.state == TaskStatus.RUNNING:  # another task
+                reason = TaskStatus.PREEMPTED
+            text = f"the planner's task has ended: {status.text}"
+            self._over(TaskStatus(reason=reason, text=text))
         elif self.runs:
             self._seen = running
 
@@ -70,10 +76,10 @@ class FeedGoal:
         self._sent = self.runs = self._seen = False
         self._handle = None
 
-    def _over(self, text: str) -> None:
+    def _over(self, status: TaskStatus) -> None:
         self._sent = self.runs = self._seen = False
         self._handle = None
-        self._ended(text)
+        self._ended(status)
 
     def _on_answer(self, number: int, future: Any) -> None:
         handle = future.result()
@@ -85,10 +91,10 @@ class FeedGoal:
             else:
                 handle.cancel_goal_async()
         elif wanted:
-            self._over("the planner refused the goal")
+            self._over(TaskStatus(text="the planner refused the goal"))
 
     def _on_end(self, number: int, future: Any) -> None:
         if self._ending == number:
             self._ending = 0
         if self._sent and number == self._number:
-            self._over(future.result().result.status.text)
+            self._over(future.result().result.status)
