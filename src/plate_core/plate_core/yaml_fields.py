@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 
 from .errors import PlateError, did_you_mean
+from .files import YAML_BYTES, read_file
 
 __all__ = [
     "REQUIRED",
@@ -313,6 +314,11 @@ class Fields:
         """File and key path of this mapping."""
         return self._where
 
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """All that stands in it, unchecked."""
+        return self._data
+
     def fail(self, key: str, allowed: str) -> PlateError:
         """Return the error for the value at `key`: the caller raises it."""
         value = SHOWN.repr(self._data.get(key))
@@ -438,15 +444,14 @@ def _key(name: str, kind: Kind, default: Any = None) -> Key:
 def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
     """Return the top mapping of a YAML file; every failure is one clear line of type `error`."""
     path = Path(path)
+    content = read_file(path, YAML_BYTES, error)
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise error(f"{path}: no such file") from None
-    except (OSError, ValueError) as problem:  # the latter: no UTF-8, or no path
+        loader = _Loader(content.decode("utf-8"))
+        node = loader.get_single_node()
+        mistake = _mistake(node, set())
+        data = None if node is None else loader.construct_document(node)
+    except UnicodeDecodeError as problem:
         raise error(f"{path}: cannot be read ({problem})") from None
-    try:
-        mistake = _mistake(yaml.compose(text, _Loader), set())
-        data = yaml.load(text, _Loader)
     except yaml.YAMLError as problem:
         mark = getattr(problem, "problem_mark", None)
         line = f" at line {mark.line + 1}" if mark is not None else ""

@@ -240,6 +240,32 @@ def test_what_configure_reads_changes_while_the_node_is_not_active(peer):
     assert peer.echo.describe_parameter("autostart").read_only
 
 
+def test_the_clock_changes_while_the_node_is_not_active(peer):
+    refused = "parameter use_sim_time changes the clock of echo, allowed: while it is not active"
+    clock, listens = peer.echo.get_clock(), peer.node.count_subscribers
+
+    def set_atomically(**values):
+        wanted = [Parameter(name, value=value) for name, value in values.items()]
+        return peer.echo.set_parameters_atomically(wanted)
+
+    assert peer.change("configure")
+    for simulated in (True, False, True):
+        assert peer.set("use_sim_time", simulated).successful
+        assert clock.ros_time_is_active is simulated
+        assert peer.change("activate")
+        for result in (
+            peer.set("use_sim_time", not simulated),
+            set_atomically(gain=0.5, use_sim_time=not simulated),
+        ):
+            assert (result.successful, result.reason) == (False, refused)
+        assert clock.ros_time_is_active is simulated
+        assert (clock.now().nanoseconds == 0) is simulated  # nobody publishes /clock
+        assert peer.until(lambda n=simulated: listens("/clock") == n)
+        assert peer.echo.get_parameter("use_sim_time").value is simulated
+        assert peer.echo.options.gain == 1.0
+        assert peer.change("deactivate")
+
+
 def test_nodes_are_started_in_order_and_one_that_refuses_says_why(peer):
     peer.echo.refuse = PlateError("size is 3, allowed: 4")
     with pytest.raises(PlateError, match="size is 3, allowed: 4"):

@@ -1,5 +1,6 @@
 """run_node: a clean start and a clean stop."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -77,6 +78,23 @@ def test_a_broken_parameter_file_is_no_defect(tmp_path):
     assert errors.splitlines()[-1].startswith("error: ")
     assert str(file) in errors.splitlines()[-1]
     assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--params-file", "{fifo}"), "{fifo}: is a FIFO, allowed: a regular file up to 0.25 MB"),
+        (("-p", "use_sim_time:=maybe"), "expecting type 'BOOL': use_sim_time"),
+    ],
+)
+def test_what_ros_reads_by_itself_is_checked_too(tmp_path, words, message):
+    fifo = tmp_path / "wrong.yaml"
+    os.mkfifo(fifo)
+    with start("--ros-args", *(word.format(fifo=fifo) for word in words)) as process:
+        _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert errors.startswith("error: ")
+    assert errors.endswith(f"{message.format(fifo=fifo)}\n")
 
 
 def test_a_defect_is_a_traceback_and_code_1():

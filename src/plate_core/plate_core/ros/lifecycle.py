@@ -9,9 +9,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Generic, TypeVar
 
 from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from rclpy.time_source import USE_SIM_TIME_NAME
 from rclpy.timer import Timer
 
 from ..errors import PlateError
@@ -86,12 +89,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         Whether it is being configured, which may take long: kernels are compiled.
     failure : Exception, optional
         Why the last transition failed.
-    dynamic : bool
-        Of the class: whether it makes and destroys entities also while it is active, as the loop's
-        nodes do not.
     """
-
-    dynamic = False
 
     def __init__(self, name: str, kind: type[Options]) -> None:
         super().__init__(name)
@@ -100,6 +98,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
+        self.add_on_set_parameters_callback(self._keep_clock)  # called first: the last one added is
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
         """Answer a request for a transition that the state does not have with `success: false`.
@@ -246,6 +245,16 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             f"parameter {name} is read when {self.get_name()} is configured, "
             "allowed: while it is not active"
         )
+
+    def _keep_clock(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse another clock in mid-task; rclpy's own callback changes it at once."""
+        if not self.active or all(item.name != USE_SIM_TIME_NAME for item in parameters):
+            return SetParametersResult(successful=True)
+        reason = (
+            f"parameter {USE_SIM_TIME_NAME} changes the clock of {self.get_name()}, "
+            "allowed: while it is not active"
+        )
+        return SetParametersResult(successful=False, reason=reason)
 
     def _on_options(self, given: Options) -> None:
         if not self.configured:

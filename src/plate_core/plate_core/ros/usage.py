@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
@@ -13,6 +14,7 @@ from typing import Any
 from rclpy.utilities import remove_ros_args
 
 from ..errors import PlateError
+from ..files import YAML_BYTES, check_file
 
 WIDTH = 100
 """Columns of the text."""
@@ -24,8 +26,10 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
     Raises
     ------
     PlateError
-        If a node with options is given words that are neither ROS arguments nor a wish for help.
+        If a node with options is given words that are neither ROS arguments nor a wish for help,
+        or one a file that is none of parameters.
     """
+    check_parameter_files(args)
     try:
         words = remove_ros_args(sys.argv if args is None else ["", *args])[1:]
     except RuntimeError:  # a wrong command line or parameter file: starting ROS tells what is wrong
@@ -38,6 +42,13 @@ def answered(node: Any, options: type | None, args: Sequence[str] | None) -> boo
             f"argument {words[0]!r}, allowed: --help, or --ros-args -p NAME:=VALUE ..."
         )
     return False
+
+
+def check_parameter_files(args: Sequence[str] | None) -> None:
+    """Refuse files that would keep ROS waiting, or fill the memory."""
+    for word, file in itertools.pairwise(sys.argv if args is None else args):
+        if word == "--params-file":
+            check_file(file, YAML_BYTES)
 
 
 def command(path: str) -> str:

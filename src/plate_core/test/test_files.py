@@ -1,0 +1,103 @@
+"""Files that a user names: odd ones are refused at once, whatever reads them."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from plate_core import PlateError, RigError, load_rig
+from plate_core.files import check_file, read_file
+
+MOST = 1_000_000
+ALLOWED = "allowed: a regular file up to 1 MB"
+
+
+def fifo(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+def sparse(path: Path) -> Path:
+    with path.open("wb") as file:
+        file.truncate(10**9)
+    return path
+
+
+def folder(path: Path) -> Path:
+    path.mkdir()
+    return path
+
+
+def bound(path: Path) -> Path:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(path))  # a long path has no room in an address
+    return path
+
+
+def link(path: Path) -> Path:
+    path.symlink_to(fifo(path.with_name("other")))
+    return path
+
+
+ODD = {
+    "fifo": (fifo, "is a FIFO"),
+    "zero": (lambda path: Path("/dev/zero"), "is a device"),
+    "sparse": (sparse, "is of 1000 MB"),
+    "folder": (folder, "is a folder"),
+    "socket": (bound, "is a socket"),
+    "link": (link, "is a FIFO"),
+}
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_odd_files_are_refused_by_path_kind_and_what_is_allowed(tmp_path, kind):
+    make, is_what = ODD[kind]
+    path = make(tmp_path / "some.yaml")
+    for look in (read_file, check_file):
+        with pytest.raises(RigError) as caught:
+            look(path, MOST, RigError)
+        assert str(caught.value) == f"{path}: {is_what}, {ALLOWED}"
+
+
+def test_what_tells_no_size_is_read_up_to_the_most(tmp_path):
+    path = Path("/proc/self/status")
+    assert path.stat().st_size == 0
+    assert read_file(path, MOST).startswith(b"Name:")
+    with pytest.raises(PlateError, match=r"status: has no end, allowed: .* up to 1e-05 MB"):
+        read_file(path, 10)
+
+
+def test_regular_files_and_links_to_them_are_read(tmp_path):
+    path, alias = tmp_path / "some", tmp_path / "alias"
+    alias.symlink_to(path)
+    for content in (b"", b"a\0\r\n\xff", bytes(MOST)):
+        path.write_bytes(content)
+        assert read_file(path, MOST) == read_file(str(alias), MOST) == content
+        check_file(alias, MOST)
+    with pytest.raises(PlateError, match=r"some: is of 1 MB, allowed: a regular file up to 0\.9"):
+        read_file(path, 999_999)
+    path.unlink()
+    with pytest.raises(PlateError, match="alias: no such file"):
+        read_file(alias, MOST)
+
+
+def test_what_becomes_a_fifo_before_it_is_opened_keeps_nobody_waiting(tmp_path, monkeypatch):
+    path, opened = tmp_path / "some", os.open
+    path.write_bytes(b"")
+
+    def late(name, flags):
+        path.unlink()
+        os.mkfifo(path)
+        return opened(name, flags)
+
+    monkeypatch.setattr(os, "open", late)
+    with pytest.raises(PlateError, match="some: is a FIFO"):
+        read_file(path, MOST)
+
+
+@pytest.mark.parametrize("kind", ["fifo", "sparse", "folder"])
+def test_a_rig_file_is_one_of_them(tmp_path, kind):
+    make, is_what = ODD[kind]
+    with pytest.raises(RigError, match=is_what):
+        load_rig(make(tmp_path / "rig.yaml"))
