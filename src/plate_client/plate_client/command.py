@@ -13,13 +13,13 @@ from types import FrameType
 
 SERVICES = {
     "stop": "end the task, also of another sender",
-    "resume_feeding": "let the feeder go on, which waits for that after a stop",
     "enable": "clear the present stop: the motors get current, and the plate goes home",
     "disable": "brake, then current off, without an emergency",
     "emergency_stop": "brake, then current off (stop category 1)",
     "cut_power": "current off at once (stop category 0)",
     "home": "forget where home is: the next enable finds it",
     "calibrate": "learn the plate's response",
+    "resume_feeding": "let the feeder go on, which waits for that after a stop",
 }
 OTHERS = {
     "goal": "SCENARIO: do the task of a scenario, by name or .yaml file; Ctrl-C cancels it",

@@ -266,8 +266,8 @@ class FeederNode(SafeLifecycleNode[Options]):
         told, self._told = self._told, (msg.state, msg.reason)
         # The end of a task is told again and again, a stop of an idle planner once.
         again = msg.state != TaskStatus.IDLE and self._told == told
-        if msg.reason == TaskStatus.STOPPED and not again:
-            self._wait_for_person(f"the planner was stopped, it is {msg.text}")
+        if msg.reason in (TaskStatus.STOPPED, TaskStatus.DRIVER_STOPPED) and not again:
+            self._wait_for_person(f"the planner was stopped: {msg.text}")
         self._task.hear(msg)
 
     def _on_driver(self, msg: DriverStatus) -> None:

@@ -401,7 +401,8 @@ def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(gr
     tell = graph.planner.tell
     ended = TaskStatus(task="sort", **STOPPED_TASK)
     robot = graph.robot()
-    for status in (ended, TaskStatus(reason=TaskStatus.STOPPED, text="idle")) * 2:
+    off = TaskStatus(task="sort", state=TaskStatus.ABORTED, reason=TaskStatus.DRIVER_STOPPED)
+    for status in (ended, TaskStatus(reason=TaskStatus.STOPPED, text="idle"), off) * 2:
         tell(status)
         graph.until(lambda: graph.feeder._feeder.stopped)
         assert graph.say(robot, "get_part").startswith("503 ")
