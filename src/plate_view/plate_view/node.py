@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,9 +17,9 @@ from plate_core.tasks import check_scenario, load_scenario, scenario_names
 from plate_interfaces.msg import Targets
 
 from .access import Access
-from .commands import Command
+from .commands import URGENT, Command
 from .inbox import Inbox
-from .ros import TOPICS, Listener, Operator, Replay
+from .ros import TOPICS, Asked, Listener, Operator, Replay, Stops
 from .scene import Scene, replay_scene, rig_scene, type_scene
 from .server import PageServer, Socket
 from .top_view import TopView
@@ -60,14 +60,12 @@ class PageNode(SafeLifecycleNode[Options]):
     wants it. Publishes targets. Without a browser it hears nothing.
     """
 
-    dynamic = True
-
     def __init__(self) -> None:
         super().__init__("page", Options)
         self._server: PageServer | None = None
         self._listener: Listener | None = None
         self._replay: Replay | None = None
-        self._inbox = Inbox()
+        self._inbox, self._adapts = Inbox(), False
         self.report(self._find, self._values)
 
     def configure(self) -> None:
@@ -80,6 +78,11 @@ class PageNode(SafeLifecycleNode[Options]):
         expected = load_scenario(options.scenario) if options.scenario else None
         self._operator = Operator(self, self._rig, targets.publish, expected)
         self.keep(Operator.close, self._operator)
+        self._stops = Stops(self)
+        self.keep(Stops.close, self._stops)
+        work = self.create_guard_condition(self._work)
+        self.keep(self.destroy_guard_condition, work)
+        self._wake = work.trigger
         self.managed_timer(FRAME_S, self._tick)
         self.managed_timer(SLOW_S, self._tick_slowly)
 
@@ -152,20 +155,27 @@ class PageNode(SafeLifecycleNode[Options]):
     # On the server's thread: hand over to the graph's
 
     def _take(self, browser: Socket, command: Command) -> None:
+        if command.name in URGENT and self._replay is None:
+            self._stops.do(Asked(browser.page, browser, command))
+            return
         self._inbox.put(browser, command)
-        self._soon(self._do_next)
+        self._wake()
 
     def _changed(self) -> None:
-        def adapt() -> None:
-            if self._server is not None and self._listener is not None and not self.options.bag:
-                self._listener.adapt()
+        self._adapts = True
+        self._wake()
 
-        self._soon(adapt)
-
-    def _soon(self, work: Callable[[], None]) -> None:
-        executor = self.executor
-        if executor is not None:
-            executor.create_task(work)
+    def _work(self) -> None:
+        """Do the next command; then it is the turn of what else has come."""
+        if self._inbox:
+            self._do_next()
+        if self._inbox:
+            self._wake()
+        if not self._adapts or self._server is None:
+            return
+        self._adapts = False
+        if self._listener is not None and not self.options.bag:
+            self._listener.adapt()
 
     def _do_next(self) -> None:
         browser, command, old = self._inbox.take()

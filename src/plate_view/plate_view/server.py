@@ -46,6 +46,9 @@ MOST_REQUESTS = 100
 COMMANDS_PER_S, BURST = 100.0, 200.0
 """Of one browser: on average, and at once. Dragging sends 60."""
 
+MOST_OPEN, MOST_OF_ALL = 50, 200
+"""Commands that have no answer yet, of one browser and of all: more are refused, but for stops."""
+
 PRICE = {"parameters": 10.0}
 """Commands that count for several: a node has to answer."""
 
@@ -53,8 +56,8 @@ STILL_S, LATE_S = 2.0, 0.5
 """After the server has stood still for so long, what comes within the next so long [s] was asked
 before that: only stops are still taken."""
 
-KEPT = ("log", "call", "answer")
-"""Kinds of messages of which each one counts."""
+KEPT = ("log", "call")
+"""Kinds of messages of which each one counts. So do answers, which come before all others."""
 
 NEW_PORTS = 20
 """If a port is taken so many after it are tried."""
@@ -74,29 +77,31 @@ class Socket(tornado.websocket.WebSocketHandler):
 
     def initialize(self, page: PageServer) -> None:
         """Know the server."""
-        self._page = page
+        self.page = page
         self.role: Role | None = None
         self.watches = {"image": False, "field": False}
         self.dropped = 0
         self._newest: dict[str, str | bytes] = {}
         self._queue: deque[str] = deque(maxlen=LONGEST_QUEUE)
+        self._answers: deque[str] = deque(maxlen=LONGEST_QUEUE)
+        self.open_commands = 0
         self._some = asyncio.Event()
         self._allowance, self._counted = BURST, 0.0
 
     def check_origin(self, origin: str) -> bool:
         """Let no page of another origin in."""
-        return self._page.access.allows_origin(origin, self.request.host)
+        return self.page.access.allows_origin(origin, self.request.host)
 
     def prepare(self) -> None:
         """Let nobody in without the right address and token, or when there are too many."""
-        access = self._page.access
+        access = self.page.access
         self.role = access.role(self.get_query_argument("token", ""))
         origin = self.request.headers.get("Origin", "")
         if not access.allows_host(self.request.host) or not self.check_origin(origin):
             raise tornado.web.HTTPError(403)
         if self.role is None:
             raise tornado.web.HTTPError(401)
-        roles = [each.role for each in self._page.browsers]
+        roles = [each.role for each in self.page.browsers]
         viewer = self.role is Role.VIEWER
         if len(roles) >= MOST_BROWSERS or (viewer and roles.count(self.role) >= MOST_VIEWERS):
             raise tornado.web.HTTPError(503)
@@ -105,22 +110,26 @@ class Socket(tornado.websocket.WebSocketHandler):
         """Tell a new browser what is known."""
         assert self.role is not None
         self.set_nodelay(True)
-        self._page.browsers.add(self)
+        self.page.browsers.add(self)
         self._task = asyncio.ensure_future(self._deliver())
-        self.put("hello", json.dumps({**self._page.hello, "role": self.role.value}))
-        for kind, message in self._page.latest.items():
+        self.put("hello", json.dumps({**self.page.hello, "role": self.role.value}))
+        for kind, message in self.page.latest.items():
             self.put(kind, message)
-        self._page.changed()
+        self.page.changed()
 
     def on_close(self) -> None:
         """Forget a browser; what it has asked for goes on."""
-        self._page.browsers.discard(self)
+        self.page.browsers.discard(self)
         if hasattr(self, "_task"):
             self._task.cancel()
-        self._page.changed()
+        self.page.changed()
 
-    def on_message(self, text: str | bytes) -> None:
-        """Take a command."""
+    async def on_message(self, text: str | bytes) -> None:
+        """Take a command; then it is another browser's turn, however many this one has sent."""
+        self._take(text)
+        await asyncio.sleep(0)
+
+    def _take(self, text: str | bytes) -> None:
         now = asyncio.get_event_loop().time()
         self._allowance = min(BURST, self._allowance + COMMANDS_PER_S * (now - self._counted))
         self._counted = now
@@ -138,14 +147,20 @@ class Socket(tornado.websocket.WebSocketHandler):
                 why = f"more than {COMMANDS_PER_S:g} commands a second"
                 self.answer(command.number, False, why)
                 return
-            if self._page.is_late():
+            if self.page.is_late():
                 self.answer(command.number, False, "the page stood still meanwhile: ask again")
+                return
+            if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
+                why = f"{MOST_OPEN} commands, or {MOST_OF_ALL} of all browsers, wait for an answer"
+                self.answer(command.number, False, why)
                 return
         if command.name == "watch":
             self.watches = dict(command.values)
-            self._page.changed()
+            self.page.changed()
             return
-        self._page.take(self, command)
+        self.open_commands += 1
+        self.page.open_commands += 1
+        self.page.take(self, command)
 
     def _spend(self, price: float = 1.0) -> bool:
         if self._allowance < price:
@@ -155,7 +170,9 @@ class Socket(tornado.websocket.WebSocketHandler):
 
     def answer(self, number: int, ok: bool, text: str) -> None:
         """Answer a command."""
-        self.put("answer", json.dumps({"kind": "answer", "number": number, "ok": ok, "text": text}))
+        answer = {"kind": "answer", "number": number, "ok": ok, "text": text}
+        self._answers.append(json.dumps(answer))
+        self._some.set()
 
     def put(self, kind: str, message: str | bytes) -> None:
         """Have a message delivered as soon as this browser takes it."""
@@ -172,9 +189,11 @@ class Socket(tornado.websocket.WebSocketHandler):
             while True:
                 await self._some.wait()
                 self._some.clear()
-                while self._queue or self._newest:
+                while self._answers or self._queue or self._newest:
                     if "hello" in self._newest:
                         message: str | bytes = self._newest.pop("hello")
+                    elif self._answers:
+                        message = self._answers.popleft()
                     elif self._queue:
                         message = self._queue.popleft()
                     else:
@@ -264,6 +283,7 @@ class PageServer:
         self.access, self.hello = access, {"kind": "hello", **hello}
         self.take, self.changed = take, changed
         self.browsers: set[Socket] = set()
+        self.open_commands = 0
         self.latest: dict[str, str | bytes] = {}
         self._sockets, self.port = _bound(access.address, port)
         self._loop = asyncio.new_event_loop()
@@ -300,8 +320,8 @@ class PageServer:
         self._loop.call_soon_threadsafe(self._publish, kind, text, keep)
 
     def answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
-        """Answer a browser's command, from any thread."""
-        self._loop.call_soon_threadsafe(browser.answer, number, ok, text)
+        """Answer a command that was taken, from any thread."""
+        self._loop.call_soon_threadsafe(self._answer, browser, number, ok, text)
 
     def close(self) -> None:
         """Serve no more."""
@@ -309,6 +329,11 @@ class PageServer:
         self._thread.join(2.0)
         for each in self._sockets:
             each.close()
+
+    def _answer(self, browser: Socket, number: int, ok: bool, text: str) -> None:
+        browser.open_commands -= 1
+        self.open_commands -= 1
+        browser.answer(number, ok, text)
 
     def _publish(self, kind: str, text: str | bytes, keep: bool) -> None:
         if keep:

@@ -3,5 +3,6 @@
 from .listener import TOPICS, Listener
 from .operator import Asked, Operator
 from .replay import Replay
+from .stops import Stops
 
-__all__ = ["TOPICS", "Asked", "Listener", "Operator", "Replay"]
+__all__ = ["TOPICS", "Asked", "Listener", "Operator", "Replay", "Stops"]

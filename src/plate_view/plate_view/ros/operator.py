@@ -14,14 +14,13 @@ from geometry_msgs.msg import Point
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.action import ActionClient
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from plate_core import PlateError, Rig, ScenarioError, did_you_mean, part_class
-from plate_core.ros import ACTIONS, CALLS, goal_to_scenario, scenario_to_goal
+from plate_core.ros import ACTIONS, goal_to_scenario, scenario_to_goal
 from plate_core.tasks import (
     AssembleTask,
     FeedTask,
@@ -41,23 +40,15 @@ from plate_interfaces.msg import PartCount, Path, Target, Targets, TaskStatus
 from plate_interfaces.srv import PlacePart, RemovePart
 
 from ..calls import SERVICES, call_text, goal_text
-from ..commands import URGENT, Command
+from ..commands import Command
 from ..scene import task_scene
 from ..server import PageServer, Socket
 from .asked import Asked
+from .caller import ANSWER_S, Caller
 from .listener import Listener
 
-ANSWER_S = 5.0
-"""Longest wait for the answer of a service [s]."""
-
-LIMITS_S = {**dict.fromkeys(URGENT, 1.0), "teach": 60.0}
-"""The same for some commands [s]: the first part that is taught may have to wait for a compiler."""
-
-AGAIN_S = 0.25
-"""Time after which a stop that is not answered is asked for again [s]."""
-
-FOUND_S, LOOK_S = 2.0, 0.02
-"""Longest wait for an action to be found, and the time between two looks [s]."""
+FOUND_S = 2.0
+"""Longest wait for an action to be found [s]."""
 
 MOVE_TOLERANCE_M, MOVE_TOLERANCE_RAD = 0.001, 0.05
 """When a part that was dragged counts as there."""
@@ -70,8 +61,6 @@ SECRET = ("operator_token", "viewer_token")
 
 REFUSED = (TaskStatus.INVALID_GOAL, TaskStatus.NOT_READY, TaskStatus.BUSY)
 """Reasons why a task has never begun."""
-
-Then = Callable[[Any], None]
 
 
 @dataclass(eq=False)
@@ -101,13 +90,8 @@ class Operator:
     ) -> None:
         self._node, self._rig, self._publish, self._expected = node, rig, publish, expected
         self._actions = {name: ActionClient(node, kind, name) for name, kind in ACTIONS.items()}
-        self._clients: dict[str, Any] = {}
-        self._looks: set[Callable[[], None]] = set()  # what calls that are on their way look after
-        self._timer = node.create_timer(
-            LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
-        for service in ("emergency_stop", "cut_power", "stop"):  # found before they are needed
-            self._client(Trigger, service)
+        self._caller = Caller(node)
+        self._call = self._caller.call
         self._goal: Goal | None = None  # of the task that the page has started
         self._next: tuple[Asked, str, Any] | None = None  # a goal that waits for the end of that
         self._waiting: dict[str, dict[str, Any]] | None = None  # targets until the task runs
@@ -119,20 +103,14 @@ class Operator:
         self._goal = self._next = self._waiting = None
         self._shown = ""
         self._asking.clear()
-        self._looks.clear()
+        self._caller.looks.clear()
         listener.told = self._on_task
 
     def close(self) -> None:
         """Let go of all clients."""
-        self._node.destroy_timer(self._timer)
+        self._caller.close()
         for action in self._actions.values():
             action.destroy()
-        for client in self._clients.values():
-            self._node.destroy_client(client)
-
-    def _look(self) -> None:
-        for look in list(self._looks):
-            look()
 
     def do(self, browser: Socket, command: Command) -> None:
         """Do a command; its answer goes to the browser, the call to all of them."""
@@ -143,53 +121,6 @@ class Operator:
             asked.refuse(str(error))
 
     # Services and parameters
-
-    def _client(self, kind: Any, name: str) -> Any:
-        if name not in self._clients:
-            self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
-        return self._clients[name]
-
-    def _call(self, asked: Asked, kind: Any, name: str, request: Any, then: Then) -> None:
-        """Call a service; `then` is given what it answers.
-
-        What is urgent is asked again and again: DDS may lose the answer of a node that has just
-        begun.
-        """
-        client = self._client(kind, name)
-        end = time.monotonic() + LIMITS_S.get(asked.command.name, ANSWER_S)
-        again_s = AGAIN_S if asked.command.name in URGENT else math.inf
-        sent: list[Any] = []
-        last = 0.0
-
-        def answered(future: Any) -> None:
-            if future not in sent:  # it was answered before
-                return
-            self._looks.discard(tick)
-            for each in sent:
-                client.remove_pending_request(each)
-            sent.clear()
-            if not future.cancelled():
-                try:
-                    then(future.result())
-                except PlateError as error:
-                    asked.refuse(str(error))
-
-        def tick() -> None:
-            nonlocal last
-            now = time.monotonic()
-            due = not sent or now - last > again_s
-            if now < end and due and client.service_is_ready():
-                last = now
-                sent.append(client.call_async(request))
-                sent[-1].add_done_callback(answered)
-            elif now > end:
-                self._looks.discard(tick)
-                for future in sent:
-                    client.remove_pending_request(future)
-                asked.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
-
-        self._looks.add(tick)
-        tick()
 
     def _trigger(self, asked: Asked) -> None:
         service = SERVICES[asked.command.name][0].removeprefix("/")
@@ -385,13 +316,13 @@ class Operator:
                 sent[0].add_done_callback(on_answer)
                 end = time.monotonic() + ANSWER_S
             elif told or time.monotonic() > end:
-                self._looks.discard(tick)
+                self._caller.looks.discard(tick)
                 if told:
                     return
                 why = "does not answer" if sent else "is not there"
                 never_began(f"the action {name} {why}: does the planner run, and is it configured?")
 
-        self._looks.add(tick)
+        self._caller.looks.add(tick)
         tick()
 
     def _cancel(self, asked: Asked) -> None:
@@ -524,7 +455,7 @@ KINDS = {
 """What task_status calls the tasks that have places to show."""
 
 DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
-    **dict.fromkeys(("emergency_stop", "cut_power", "stop", "learn_plate"), Operator._trigger),
+    "learn_plate": Operator._trigger,
     "cancel": Operator._cancel,
     "enable": Operator._enable,
     "start": Operator._start,
@@ -537,7 +468,7 @@ DONE: Mapping[str, Callable[[Operator, Asked], None]] = {
     "reset": Operator._reset,
     "teach": Operator._teach,
 }
-"""By command: what does it."""
+"""By command: what does it; what stops is done by `Stops`."""
 
 
 def _counted(parts: list[PartCount]) -> list[dict[str, Any]]:

@@ -1,0 +1,109 @@
+"""Calls services of other nodes, without waiting."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from plate_core import PlateError
+from plate_core.ros import CALLS
+
+from ..commands import URGENT
+from .asked import Asked
+
+ANSWER_S = 5.0
+"""Longest wait for the answer of a service [s]."""
+
+LIMITS_S = {**dict.fromkeys(URGENT, 1.0), "teach": 60.0}
+"""The same for some commands [s]: the first part that is taught may have to wait for a compiler."""
+
+AGAIN_S = 0.25
+"""Time after which a stop that is not answered is asked for again [s]."""
+
+LOOK_S = 0.02
+"""Between two looks after calls that are on their way [s]."""
+
+Then = Callable[[Any], None]
+
+
+class Caller:
+    """The clients of a node, and the calls that are on their way.
+
+    Parameters
+    ----------
+    node : Node
+
+    Attributes
+    ----------
+    looks : set of callables
+        Called each `LOOK_S`.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._clients = node, dict[str, Any]()
+        self.looks: set[Callable[[], None]] = set()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOOK_S, self._look, clock=steady)
+
+    def close(self) -> None:
+        """Let go of all clients."""
+        self._node.destroy_timer(self._timer)
+        for client in self._clients.values():
+            self._node.destroy_client(client)
+
+    def _look(self) -> None:
+        for look in list(self.looks):
+            look()
+
+    def client(self, kind: Any, name: str) -> Any:
+        """Return the client of a service; made before it is needed it is found by then."""
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name, qos_profile=CALLS)
+        return self._clients[name]
+
+    def call(self, asked: Asked, kind: Any, name: str, request: Any, then: Then) -> None:
+        """Call a service; `then` is given what it answers.
+
+        What is urgent is asked again and again: DDS may lose the answer of a node that has just
+        begun.
+        """
+        client = self.client(kind, name)
+        end = time.monotonic() + LIMITS_S.get(asked.command.name, ANSWER_S)
+        again_s = AGAIN_S if asked.command.name in URGENT else math.inf
+        sent: list[Any] = []
+        last = 0.0
+
+        def answered(future: Any) -> None:
+            if future not in sent:  # it was answered before
+                return
+            self.looks.discard(tick)
+            for each in sent:
+                client.remove_pending_request(each)
+            sent.clear()
+            if not future.cancelled():
+                try:
+                    then(future.result())
+                except PlateError as error:
+                    asked.refuse(str(error))
+
+        def tick() -> None:
+            nonlocal last
+            now = time.monotonic()
+            due = not sent or now - last > again_s
+            if now < end and due and client.service_is_ready():
+                last = now
+                sent.append(client.call_async(request))
+                sent[-1].add_done_callback(answered)
+            elif now > end:
+                self.looks.discard(tick)
+                for future in sent:
+                    client.remove_pending_request(future)
+                asked.refuse(f"{name} {'does not answer' if sent else 'is not there'}")
+
+        self.looks.add(tick)
+        tick()

@@ -1,0 +1,202 @@
+"""Flood the live page with commands from several sockets: it must not crash, and must stop in time.
+
+python tools/page_flood.py [--minutes 3] [--sockets 6] [--seed 0] [--json FILE]
+
+The real graph with the simulator. Each socket sends commands of every kind as fast as the page
+reads them, some right and some wrong, opens anew now and then, and reads nothing for a while.
+Another one calls emergency_stop and stop in turn, and takes the time until the graph's answer is
+back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import multiprocessing
+import os
+import random
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import tornado.httpclient
+import tornado.websocket
+from graph.session import Session, session
+
+from plate_bringup import RunOptions
+from plate_core import PlateError
+from plate_view import COMMANDS, URGENT
+
+STOP_S, LATE_S = 0.25, 0.1
+"""Time between two stops, and the longest that one may take [s]."""
+
+LONGEST_S = 5.0
+"""Longest wait for the answer to a stop [s]."""
+
+NICE = 10
+
+BATCH = 50
+"""Commands that a socket sends before it looks whether to do something else."""
+
+NODES = ("simulator", "detector", "planner", "solver", "driver", "page", "nobody")
+
+
+@dataclass
+class Verdict:
+    """What was seen: `stops` that were answered well, and how long that took [ms]."""
+
+    minutes: float
+    sockets: int
+    sent: int = 0
+    ends: list[str] = field(default_factory=list)
+    stops: int = 0
+    median_ms: float = 0.0
+    slowest_ms: float = 0.0
+    late: int = 0
+    problems: Counter[str] = field(default_factory=Counter)
+
+
+def command(rng: random.Random) -> dict[str, Any]:
+    """Return a command of any kind but those that stop, mostly a right one."""
+    name = rng.choice([each for each in COMMANDS if each not in URGENT] + ["parameters", "set"] * 4)
+    node, part = rng.choice(NODES), f"{rng.choice(['black', 'grey'])}_{rng.randrange(6)}"
+    x, y = rng.uniform(-0.12, 0.12), rng.uniform(-0.12, 0.12)
+    values: dict[str, dict[str, Any]] = {
+        "enable": {"on": rng.random() < 0.8},
+        "start": {"scenario": rng.choice(["sort_10", "sort_4", "nothing"])},
+        "move": {"targets": [{"id": part, "x": x, "y": y}], "dragging": rng.random() < 0.9},
+        "follow": {"id": part, "points": [[0, 0], [x, y]], "speed": 0.03, "closed": False},
+        "set": {"node": node, "name": rng.choice(["method", "seed", "rate", "methd"]), "value": 3},
+        "parameters": {"node": node},
+        "place": {"x": x, "y": y, "angle": 0.0},
+        "remove": {"id": part},
+        "reset": {"seed": rng.choice([None, 1])},
+        "teach": {"name": "bolt"},
+        "watch": {"image": rng.random() < 0.5, "field": rng.random() < 0.5},
+        "replay": {"playing": True},
+    }
+    return {"do": name, **(values.get(name, {}) if rng.random() < 0.95 else {"x": 1})}
+
+
+async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
+    """Open a websocket as a browser of this machine does."""
+    address, headers = url.replace("http", "ws") + "socket", {"Origin": url.rstrip("/")}
+    return await tornado.websocket.websocket_connect(
+        tornado.httpclient.HTTPRequest(address, headers=headers)
+    )
+
+
+async def flood(url: str, rng: random.Random, over: Event, sent: Any) -> None:
+    """Send commands until it is over."""
+    number = 0
+    while not over.is_set():
+        with contextlib.suppress(OSError, tornado.websocket.WebSocketClosedError):
+            socket = await connect(url)
+            for _ in range(rng.randrange(1, 200)):
+                for _ in range(BATCH):
+                    number += 1
+                    await socket.write_message(json.dumps({"number": number, **command(rng)}))
+                sent.value += BATCH
+                if rng.random() < 0.9:  # otherwise what is told piles up
+                    with contextlib.suppress(TimeoutError):
+                        while await asyncio.wait_for(socket.read_message(), 0.001) is not None:
+                            pass
+                if over.is_set():
+                    break
+            socket.close()
+
+
+def flooder(url: str, sockets: int, seed: int, over: Event, sent: Any) -> None:
+    """Do that by several sockets in a process of its own; it leaves the processor to the graph, as
+    browsers of other machines do."""
+    os.nice(NICE)
+
+    async def all_of_them() -> None:
+        floods = [flood(url, random.Random(seed + k), over, sent) for k in range(sockets)]
+        await asyncio.gather(*floods)
+
+    asyncio.run(all_of_them())
+
+
+async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
+    """Call a stop again and again until a time; return how long each took [ms]."""
+    took: list[float] = []
+    socket, number = await connect(url), 0
+    while time.monotonic() < end:
+        number += 1
+        name, began = ("emergency_stop", "stop")[number % 2], time.monotonic()
+        try:
+            await socket.write_message(json.dumps({"do": name, "number": number}))
+            answer = await asyncio.wait_for(answered(socket, number), LONGEST_S)
+            if not answer["ok"]:
+                verdict.problems[f"{name}: {answer['text']}"] += 1
+            took.append(1e3 * (time.monotonic() - began))
+        except (TimeoutError, tornado.websocket.WebSocketClosedError) as error:
+            verdict.problems[f"{name}: {type(error).__name__}"] += 1
+            with contextlib.suppress(OSError):
+                socket = await connect(url)
+        await asyncio.sleep(STOP_S)
+    return took
+
+
+async def answered(socket: Any, number: int) -> dict[str, Any]:
+    """Read until the answer to a command comes."""
+    while True:
+        text = await socket.read_message()
+        if text is None:
+            raise tornado.websocket.WebSocketClosedError
+        if isinstance(text, str) and json.loads(text).get("number") == number:
+            return dict(json.loads(text))
+
+
+def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
+    """Flood the page of a graph; fill in what was seen."""
+    url, context = graph.page(), multiprocessing.get_context("spawn")
+    over, sent = context.Event(), context.Value("q", 0)
+    given = url, verdict.sockets, seed, over, sent
+    flooding = context.Process(target=flooder, args=given)
+    flooding.start()
+    try:
+        took = np.array(asyncio.run(stop(url, time.monotonic() + 60 * verdict.minutes, verdict)))
+    finally:
+        over.set()
+        flooding.join(LONGEST_S)
+        flooding.kill()
+    verdict.sent, verdict.stops = sent.value, len(took)
+    verdict.median_ms, verdict.slowest_ms = map(float, np.round([np.median(took), took.max()], 1))
+    verdict.late = int(np.sum(took > 1e3 * LATE_S))
+    verdict.ends = [end for name in graph.processes.names if (end := graph.processes.end_of(name))]
+
+
+def main() -> int:
+    """Run the command line; returns its exit code: 1 if a node ended or a stop was late."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=3.0)
+    parser.add_argument("--sockets", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    verdict = Verdict(args.minutes, args.sockets)
+    with TemporaryDirectory(prefix="page_flood_") as folder:
+        try:
+            options = RunOptions(scenario="play", view=True)
+            with session(options, Path(folder), pictures=False) as graph:
+                flooded(graph, verdict, args.seed)
+        except PlateError as error:
+            parser.error(str(error))
+    print(verdict, *verdict.ends, sep="\n")
+    if args.json:
+        args.json.write_text(json.dumps(asdict(verdict), indent=1), encoding="utf-8")
+    return int(bool(verdict.ends or verdict.late or verdict.problems or not verdict.stops))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
