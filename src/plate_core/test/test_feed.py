@@ -62,6 +62,7 @@ def test_a_recipe_is_read(tmp_path):
         ("ready: 2", "ready: 0", "ready is 0"),
         ("ready: 2", "ready: 16", "at most the hopper's fill: it is 16 of 15"),
         ("[0.2, 0.1]", "[0.4, 0.1]", r"window of black is .*0.4"),
+        ("[[0.2, 0.1], [0.0, -0.1]]", "[[0.2, 0.14], [0, 0.137]]", "black is nowhere 14 mm or mo"),
         ("ready: 2", "ready: 2, angle_deg: 10", "angles? of black"),
         ("clearance_m: 0.006", "clearance_m: -1", "clearance_m is -1"),
         ("chute: left", "chute: up", "chute is 'up'"),
@@ -97,7 +98,7 @@ def test_only_a_feed_may_begin_without_parts_of_a_class(tmp_path):
 def test_without_a_window_parts_keep_off_the_edges():
     pick = Pick("black", 1, (-math.inf, -math.inf), (math.inf, math.inf))
     low, high = pick_window(pick, RIG)
-    assert high == pytest.approx(RIG.plate.half - 2 * RIG.parts.radius_m)
+    assert high == pytest.approx(RIG.plate.half - (RIG.limits.stroke_m + 1.25 * 0.008))
     assert low == pytest.approx(-high)
 
 

@@ -14,6 +14,7 @@ from plate_core.tasks import (
     Side,
     SortTask,
     check_scenario,
+    edge_doubts,
     load_scenario,
     scenario_names,
     start_positions,
@@ -67,6 +68,14 @@ task:
   tolerance_deg: 3
   hold_s: 1
 time_limit_s: 60
+"""
+
+MOVE = """
+description: test
+parts:
+  - {class: black, count: 1}
+task: {kind: move, targets: [{id: black_1, place_m: [0.1, 0.1]}], tolerance_m: 0.002, hold_s: 0}
+time_limit_s: 10
 """
 
 BINS = """
@@ -246,6 +255,60 @@ def test_places_too_near_each_other_and_bins_off_the_plate_are_refused(tmp_path,
         check_scenario(off, rig)
 
 
+EDGES = [
+    (ASSEMBLE, "[0.1, 0.1]", "places_m"),
+    (FOLLOW, "[0.1, 0.1]", "paths"),
+    (MOVE, "[0.1, 0.1]", "place of black_1"),
+    (POSE, "[0.1, 0]", "poses: place_m"),
+]
+
+
+@pytest.mark.parametrize(("text", "old", "key"), EDGES, ids=[key for _, _, key in EDGES])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_places_where_parts_are_lost_are_refused_and_others_near_an_edge_doubted(
+    tmp_path, rig, text, old, key, sign, axis
+):
+    """The stroke and half a radius, 14 mm, have to be; the stroke and 1.25 radii, 20 mm, are
+    safe."""
+
+    def near(mm):
+        place = [0.05, 0.05]
+        place[axis] = round(sign * (float(rig.plate.half[axis]) - 1e-3 * mm), 6)
+        scenario = load_scenario(write(tmp_path, text.replace(old, str(place))))
+        check_scenario(scenario, rig)
+        return edge_doubts(scenario, rig)
+
+    assert text.count(old) == 1
+    with pytest.raises(ScenarioError, match=rf"{key}.* is \(.*286, \|y\| up to 0.136 .*: 14 mm"):
+        near(13.9)
+    (doubt,) = near(19.9)
+    assert "19.9 mm from an edge: " in doubt
+    assert doubt.endswith("20 mm would do")
+    assert near(20.0) == ()
+
+
+def test_of_parts_that_stay_their_starts_count(tmp_path, rig):
+    """Their place is where they start."""
+    start = "positions_m: [[0.288, 0], [0.1, 0.05]]"
+    scenario = load_scenario(write(tmp_path, POSE.replace("count: 2", start)))
+    with pytest.raises(ScenarioError, match=r"positions_m of black is \(0.288, 0\) m, allowed"):
+        check_scenario(scenario, rig)
+    anywhere = replace(scenario, task=replace(scenario.task, anywhere=True))
+    check_scenario(anywhere, rig)
+
+
+def test_a_bin_whose_parts_would_all_be_lost_is_refused(tmp_path, rig):
+    for y, fits in ((0.135, True), (0.137, False)):
+        strip = BINS.replace("0.1]]", "0.15]]").replace("0]", f"{y}]")
+        scenario = load_scenario(write(tmp_path, strip))
+        if fits:
+            check_scenario(scenario, rig)
+            continue
+        with pytest.raises(ScenarioError, match="bin_m of grey is nowhere 14 mm or more from the"):
+            check_scenario(scenario, rig)
+
+
 def test_classes_that_the_rig_does_not_know_and_angles_that_nobody_sees_are_refused(tmp_path, rig):
     with pytest.raises(ScenarioError, match=r"class is 'gray' .did you mean grey.*: black, grey$"):
         check_scenario(load_scenario(write(tmp_path, SORT.replace("grey", "gray"))), rig)
@@ -388,7 +451,7 @@ def test_parts_are_scattered_by_their_size(rig, name, radius, sides):
 @pytest.mark.parametrize("text", [SORT, FOLLOW])
 def test_points_off_the_plate_are_refused(tmp_path, rig, text):
     scenario = load_scenario(write(tmp_path, text.replace("[0.1, 0", "[0.295, 0", 1)))
-    with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, allowed: \|x\| up to 0.292"):
+    with pytest.raises(ScenarioError, match=r"is \(0.295, 0\) m, allowed: \|x\| up to 0.2"):
         start_positions(scenario, rig, np.random.default_rng(0))
 
 

@@ -19,6 +19,7 @@ from plate_core.tasks import (
     PartTarget,
     Scenario,
     check_scenario,
+    edge_doubts,
     pick_problem,
     target_problem,
 )
@@ -142,7 +143,8 @@ class Planner:
     def doubts(self) -> tuple[str, ...]:
         """Say, before the start, what this rig will probably not do, and what would do."""
         slow = outlook(self.rig, self.scenario.count, self.scenario.time_limit_s)
-        return (*self.rules.doubts(), slow) if slow else self.rules.doubts()
+        doubts = (*self.rules.doubts(), *edge_doubts(self.scenario, self.rig))
+        return (*doubts, slow) if slow else doubts
 
     @property
     def limits(self) -> TaskLimits:
@@ -303,7 +305,8 @@ class Planner:
         state = replace(state, last=last, due=np.inf)
         state, found = self._advance(state, present)
         wanted = NOTHING
-        if state.task.active and found.request is not None and len(present):
+        going_on = state.task.active and not state.task.held(estimator.stamp, self.limits)
+        if going_on and found.request is not None and len(present):
             state, wanted = self._ask(state, present, found.request)
         progress = self._progress(state, len(present), found)
         return replace(state, answer=(wanted, progress)), wanted, progress
@@ -354,6 +357,7 @@ class Planner:
             found.outcome,
             lambda name: loss_of(name, state.last.get(name), began, self.rig, count),
             not missing_parts(self.scenario, state.known, self._on_plate(estimator.seen)),
+            estimator.at_rest,
         )
         task = judge(task, t, findings, self.limits)
         known = state.known if missing else parts.ids

@@ -191,7 +191,8 @@ def test_it_follows_the_papers_rectangles(shuffle):
     _, _, progress = run(Planner(RIG, scenario), plant)
     assert progress.text.endswith(" s: error 0.00 mm RMS, 0.00 most")
     assert "slowed" not in progress.text
-    assert 0 < progress.time_s - 0.56 / 0.04 - T < 0.5  # slower at eight corners, and at both ends
+    # Slower at eight corners, and at both ends; then it is seen at rest.
+    assert 0 < progress.time_s - 0.56 / 0.04 - 3 * T < 0.5
     assert progress.rms_error_m < 1e-12  # a plant without error can be followed without error
 
 

@@ -128,6 +128,28 @@ def test_nothing_is_done_while_a_part_is_only_predicted():
     assert judge(hidden, 101.1, Findings((), True, 0.0), LIMITS).phase is Phase.DONE
 
 
+def test_nothing_is_done_before_the_plate_rests():
+    """An image of a moving plate shows a part that this cycle leaves behind the edge."""
+    swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
+    held = judge(judge(RUNNING, 101.0, swing, LIMITS), 101.5, swing, LIMITS)
+    assert held.phase is Phase.RUNNING
+    assert held.held(101.5, LIMITS)
+    assert judge(held, 101.8, still, LIMITS).text == "done after 1.8 s"
+    slid = judge(held, 101.8, replace(still, goal_met=False), LIMITS)
+    assert (slid.phase, slid.held(101.8, LIMITS)) == (Phase.RUNNING, False)
+    gone = replace(still, missing=GONE, loss=fell)
+    end = judge(judge(held, 101.8, gone, LIMITS), 102.8 + EPS, gone, LIMITS)
+    assert (end.phase, end.reason) == (Phase.LOST, Reason.PART_LEFT)
+
+
+def test_what_was_held_in_time_has_time_to_come_to_rest():
+    swing, still = (Findings((), True, 0.0, at_rest=rest) for rest in (False, True))
+    held = judge(judge(RUNNING, 109.5, swing, LIMITS), 110.0, swing, LIMITS)
+    assert judge(held, 110.3, still, LIMITS).phase is Phase.DONE
+    assert judge(held, 111.0, swing, LIMITS).phase is Phase.RUNNING
+    assert judge(held, 111.0 + EPS, swing, LIMITS).reason is Reason.TIME_LIMIT
+
+
 def test_the_time_limit():
     assert run((110.0, (), False)).phase is Phase.RUNNING
     state = run((101.0, (), False), (110.0 + EPS, (), False))

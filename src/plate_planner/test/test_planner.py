@@ -8,8 +8,11 @@ from plant import RIG, Plant, T, ready, run, without
 
 from plate_core import Parts, PlateCycle, ScenarioError, part_class
 from plate_core.tasks import Bin, Side, SortTask, load_scenario
-from plate_planner import Planner
+from plate_planner import Planner, PlannerOptions
 from plate_planner.supervision import Phase, Reason
+
+SWING = np.outer(np.sin(np.linspace(0, 2 * np.pi, 16, endpoint=False)), [1e-3, 0, 0])
+"""Poses of a plate that shakes."""
 
 
 @pytest.mark.parametrize("name", ["sort_4", "sort_6", "sort_8", "sort_10"])
@@ -47,11 +50,37 @@ def test_the_hold_time_has_passed_when_it_is_done():
     parts = Parts.make(("black_1", "black_2", "grey_1", "grey_2"), x)
     state = ready(planner, parts)
     phases = []
-    for k in range(7):
+    for k in range(9):
         state, _, progress = planner.plan(state, parts, k * T)
         phases.append(progress.phase)
-    assert phases == ["running"] * 5 + ["done"] * 2
-    assert progress.time_s == pytest.approx(0.5)
+    assert phases == ["running"] * 7 + ["done"] * 2  # held for 0.5 s, and then seen at rest
+    assert progress.time_s == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("heard", [False, True])
+@pytest.mark.parametrize("falls", [None, 6, 7])
+def test_a_part_that_falls_off_in_the_last_cycle_is_lost_and_the_task_not_done(heard, falls):
+    """All are in their regions, one at the rim; the image with which they have been so for long
+    enough still shows it, the next one or the one after does not."""
+    planner = Planner(RIG, load_scenario("sort_4"), PlannerOptions(image_age_s=0.0))
+    x = np.array([[-0.2, -0.05], [-0.2, 0.05], [0.2, -0.05], [0.299, 0.05]])
+    parts = Parts.make(("black_1", "black_2", "grey_1", "grey_2"), x)
+    state = ready(planner, parts)
+    for k in range(30):
+        seen = without(parts, "grey_2") if falls is not None and k >= falls else parts
+        state, asked, progress = planner.plan(state, seen, k * T)
+        assert (len(asked.parts) > 0) == (k < 5)  # after the hold time the plate is to rest
+        if progress.phase != "running":
+            break
+        if heard:
+            swing = PlateCycle.from_samples(T, SWING) if len(asked.parts) else PlateCycle.rest(T)
+            state = planner.hear(state, swing, k * T + T / 2)
+    if falls is None:
+        assert (progress.phase, k) == ("done", 7)
+    else:
+        assert state.task.reason is Reason.PART_LEFT
+        assert progress.text.startswith("lost part after ")
+        assert "grey_2 left the plate at (0.299, 0.050) m" in progress.text
 
 
 @pytest.mark.parametrize("seed", range(3))

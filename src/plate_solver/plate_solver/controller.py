@@ -35,10 +35,6 @@ for other motions than the last one's relatives."""
 EXACT_MISS = 0.02
 """The same where a part has no slack at all: such a request is meant exactly."""
 
-EDGE_RADII = 1.25
-"""On their ways to targets parts keep so far from the plate's edges, and further by the motors'
-stroke: the plate moves away under them by that [part radii]."""
-
 MOST_ASKED = 1e9
 """Greatest weight and distance in a request."""
 
@@ -240,7 +236,7 @@ class Controller:
                 turns=turns,
                 lasting=True,
                 weight=targets.weight,
-                edge=half - self._rig.limits.stroke_m - EDGE_RADII * radius[:, None],
+                edge=half - np.array([[self._rig.edge_margin(t.name).wall_m] for t in types]),
                 clear=radius[:, None] + radius + targets.gap_m,
                 coast=COAST_S,
             )

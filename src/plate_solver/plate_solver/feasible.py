@@ -23,6 +23,7 @@ from plate_core.tasks import (
     Scenario,
     Side,
     SortTask,
+    edge_doubts,
     load_scenario,
 )
 
@@ -127,6 +128,7 @@ def of_task(rig: Rig, scenario: Scenario) -> tuple[list[str], bool]:
     ]
     if any(each.lost for each in verdict.rehearsals):
         lines.append("a part leaves the plate: starts and goals further from the edges would do")
+    lines += [f"warning: {doubt}" for doubt in edge_doubts(scenario, rig)]
     if not likely:
         lines.append(remedy(rig, verdict))
     return lines, likely

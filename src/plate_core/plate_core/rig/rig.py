@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from .lens import Lens
 from .motors import Reach, motor_loads, reach
 from .part_types import PART_TYPE, PartType, load_part_types, read_part_types
 from .suspension import Suspension, read_suspension
+
+LEAST_RADII, WALL_RADII = 0.5, 1.25
+"""How much further than the motors' stroke from the plate's edges the centre of a part is to be led
+at least, and the wall that parts keep behind wherever they can [part radii]."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +170,17 @@ class Camera:
     colour: bool = False
 
 
+class EdgeMargin(NamedTuple):
+    """How far from the plate's edges the centre of a part is to be [m].
+
+    Nearer than `least_m` it is lost: the plate moves away under it by the motors' stroke, or a
+    part of it is off the plate. Behind the wall, `wall_m` from the edges, it is safe.
+    """
+
+    least_m: float
+    wall_m: float
+
+
 @dataclass(frozen=True)
 class Rig:
     """All facts of one rig; without a suspension the plate is rigid and does as commanded, without
@@ -191,6 +207,11 @@ class Rig:
                 mu=self.friction.mu if known.mu is None else known.mu,
             )
         return self._part_types[name]
+
+    def edge_margin(self, name: str) -> EdgeMargin:
+        """Return how far from the plate's edges the centre of a part of this type is to be [m]."""
+        stroke, reach = self.limits.stroke_m, self.part_type(name).reach_m
+        return EdgeMargin(max(stroke + LEAST_RADII * reach, reach), stroke + WALL_RADII * reach)
 
     @cached_property
     def _part_types(self) -> dict[str, PartType]:

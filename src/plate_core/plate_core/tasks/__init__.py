@@ -5,6 +5,7 @@
 """
 
 from .curves import circle_points
+from .edges import behind_wall, edge_doubts
 from .feed import as_picked, free_gap, pick_problem, pick_window, ready_parts, to_turn
 from .keys import CLASSES, SECTIONS, side_name
 from .scenario import (
@@ -63,8 +64,10 @@ __all__ = [
     "SortTask",
     "Task",
     "as_picked",
+    "behind_wall",
     "check_scenario",
     "circle_points",
+    "edge_doubts",
     "free_gap",
     "load_scenario",
     "pick_problem",

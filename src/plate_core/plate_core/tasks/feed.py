@@ -15,10 +15,8 @@ from ..rig.part_types import PartType
 from ..rig.polygons import contains, rim_distance
 from ..yaml_fields import Fields
 from . import keys
+from .edges import nowhere_text
 from .tasks import FeedTask, Hopper, PartGroup, Pick
-
-EDGE_RADII = 2.0
-"""Without a window of its own a ready part is so far from the plate's edges [its reach]."""
 
 ROUNDING_RAD = 1e-6
 """Angles that were degrees are rounded by less [rad]."""
@@ -155,6 +153,9 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
             f"window of {pick.label} is ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) m, "
             f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m, the lower corner first"
         )
+    least = rig.plate.half - rig.edge_margin(pick.label).least_m
+    if np.any(low > least) or np.any(high < -least):
+        return f"window of {pick.label} is {nowhere_text(pick.label, rig)}"
     if not 1 <= pick.ready <= MOST_PARTS:
         return f"ready of {pick.label} is {pick.ready}, allowed: 1 to {MOST_PARTS}"
     if pick.angle is None:
@@ -170,8 +171,9 @@ def pick_problem(pick: Pick, rig: Rig) -> str:
 
 
 def pick_window(pick: Pick, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (2,), (2,) [m, plate_home] of a pick window on this rig's plate."""
-    room = rig.plate.half - EDGE_RADII * rig.part_type(pick.label).reach_m
+    """Return the corners (2,), (2,) [m, plate_home] of a pick window on this rig's plate: unless
+    it is given, all behind the wall."""
+    room = rig.plate.half - rig.edge_margin(pick.label).wall_m
     low, high = np.array(pick.low, dtype=float), np.array(pick.high, dtype=float)
     return np.where(np.isinf(low), -room, low), np.where(np.isinf(high), room, high)
 

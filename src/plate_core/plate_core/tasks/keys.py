@@ -294,7 +294,8 @@ PICK = Section(
     (
         class_key(),
         Key("window_m", Numbers((2, 2), -FAR_M, FAR_M), "Two opposite corners [x, y] of the pick "
-            "window: their centres are to lie in it.", None, "the plate, two radii from its edges"),
+            "window: their centres are to lie in it.", None,
+            "the plate, but for the stroke and 1.25 radii along its edges"),
         Key("ready", Whole(1, 100), "How many are to be ready at once.", 1),
         Key("angle_deg", Number(-360, 360), "In which they are to lie.", None, "any"),
         Key("tolerance_deg", Number(0.1, 180), "How far from that they may lie.", 5.0),

@@ -19,6 +19,7 @@ from ..rig.polygons import cross, is_simple
 from ..yaml_fields import Fields, config_path, read_yaml, required
 from . import keys
 from .curves import circle_points, spline_points
+from .edges import ROUNDING_M, Place, edge_problem, goal_places, nowhere_text
 from .feed import check_feed, read_feed
 from .tasks import (
     AssembleTask,
@@ -380,13 +381,16 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
                 "part without a mark shows no angle)"
             )
     placed = [("parts: positions_m", g.label, p) for g in scenario.parts for p in g.position or ()]
-    goals = _goals(task)
-    _check_on_plate(scenario, placed + goals, rig.plate.half, reach)
+    goals = goal_places(scenario)
+    _check_on_plate(scenario, placed, rig.plate.half, reach)
     _check_apart(scenario, placed, reach, 1.0)
     if isinstance(task, MoveTask):
         for target in task.targets:
             if problem := target_problem(target, scenario, rig):
                 raise ScenarioError(f"{scenario.where}: task: targets: {problem}")
+    for key, label, point in goals:
+        if problem := edge_problem(label, point, rig):
+            raise ScenarioError(f"{scenario.where}: {key} of {label} is {problem}")
     if isinstance(task, FeedTask):
         check_feed(task, scenario.where, rig)
     if isinstance(task, FollowTask | MoveTask | FeedTask):
@@ -400,23 +404,20 @@ def check_scenario(scenario: Scenario, rig: Rig) -> None:
         ]
         edge = dict.fromkeys(reach, 0.0)  # these may be on it
         _check_on_plate(scenario, corners, rig.plate.half, edge)
+        _check_bins(scenario, task, rig)
         _check_regions(scenario, task, rig.plate.half)
     _check_apart(scenario, goals, reach, 1.25 if isinstance(task, AssembleTask) else 1.0)
 
 
 def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     """Say why a part cannot be asked to come to a target; empty if it can."""
-    label, (x, y) = part_class(target.id), target.place
+    label = part_class(target.id)
     if label not in scenario.labels:
         known = ", ".join(sorted(set(scenario.labels)))
         return f"{target.id} is of no class of this task, allowed: {known}"
     part = rig.part_type(label)
-    room = rig.plate.half - part.reach_m
-    if not np.all(np.abs((x, y)) <= room + 1e-9):  # so where one is NaN
-        return (
-            f"place of {target.id} is ({x:g}, {y:g}) m, "
-            f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
-        )
+    if problem := edge_problem(label, target.place, rig):
+        return f"place of {target.id} is {problem}"
     if target.angle is None:
         return ""
     if not math.isfinite(target.angle):
@@ -424,24 +425,6 @@ def target_problem(target: PartTarget, scenario: Scenario, rig: Rig) -> str:
     if part.symmetry == 0 and (label in rig.types or not scenario.marked):
         return f"{target.id} is round and shows no angle, allowed: none for it (or a mark: marked)"
     return ""
-
-
-Place = tuple[str, str, Point]
-"""Key, class and point of something in a scenario file."""
-
-
-def _goals(task: Task) -> list[Place]:
-    """Return the points where the task wants centres of parts."""
-    if isinstance(task, FollowTask):
-        key = "task: paths"
-        return [(key, path.label, point) for path in task.paths for point in path.waypoint]
-    if isinstance(task, AssembleTask):
-        places = zip(task.labels, task.place, strict=True)
-        return [("task: places_m", label, point) for label, point in places]
-    if isinstance(task, PoseTask):
-        key = "task: poses: place_m"
-        return [(key, pose.label, pose.place) for pose in task.poses if pose.place is not None]
-    return []
 
 
 def _turned(task: Task) -> list[str]:
@@ -456,7 +439,7 @@ def _check_on_plate(
 ) -> None:
     for key, label, (x, y) in places:
         room = half - reach[label]
-        if np.any(np.abs((x, y)) > room + 1e-9):
+        if np.any(np.abs((x, y)) > room + ROUNDING_M):
             raise ScenarioError(
                 f"{scenario.where}: {key} of {label} is ({x:g}, {y:g}) m, "
                 f"allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate"
@@ -474,6 +457,21 @@ def _check_apart(
                 f"{scenario.where}: {key} of {one} ({a[0]:g}, {a[1]:g}) m and of {other} "
                 f"({b[0]:g}, {b[1]:g}) m are {1e3 * gap:.3g} mm apart, allowed: "
                 f"{1e3 * least:.3g} mm or more for these parts"
+            )
+
+
+def _check_bins(scenario: Scenario, task: SortTask, rig: Rig) -> None:
+    """Refuse a bin whose parts would all lie where they are lost."""
+    for label, region in task.regions.items():
+        if not isinstance(region, Bin):
+            continue
+        room = rig.plate.half - rig.edge_margin(label).least_m
+        inside = np.array(region.corner)
+        for axis in (0, 1):
+            inside = _cut(_cut(inside, axis, 1, -room[axis]), axis, -1, -room[axis])
+        if not len(inside):
+            raise ScenarioError(
+                f"{scenario.where}: task: regions: bin_m of {label} is {nowhere_text(label, rig)}"
             )
 
 

@@ -4,9 +4,9 @@
 """
 
 from .cycle_log import PERIOD_RANGE_S, SNAP
-from .estimator import COAST, DriftBias, Estimator, LastRequest, rows_of, warm_up
+from .estimator import COAST, SETTLE_S, DriftBias, Estimator, LastRequest, rows_of, warm_up
 
 __all__ = [
-    "COAST", "PERIOD_RANGE_S", "SNAP", "DriftBias", "Estimator", "LastRequest", "rows_of",
-    "warm_up",
+    "COAST", "PERIOD_RANGE_S", "SETTLE_S", "SNAP", "DriftBias", "Estimator", "LastRequest",
+    "rows_of", "warm_up",
 ]  # fmt: skip

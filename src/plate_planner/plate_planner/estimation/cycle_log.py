@@ -6,6 +6,7 @@ at the start of each cycle: then its stamps say it, and cycles that were sent wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from statistics import median_low
@@ -69,6 +70,16 @@ class CycleLog:
     def period(self) -> float:
         """Length of the last run [s]."""
         return self.runs[-1][1].period
+
+    @property
+    def resting_since(self) -> float:
+        """Since when the plate has been at rest [s]; infinite while it moves."""
+        since = math.inf
+        for begin, cycle in reversed(self.runs):
+            if cycle.knot_pose.any():
+                break
+            since = begin
+        return since
 
     def hear(self, cycle: PlateCycle, arrival: float) -> CycleLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps]."""

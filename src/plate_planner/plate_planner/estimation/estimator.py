@@ -20,6 +20,9 @@ COAST = 5
 FRESH = 1.5
 """A request is what the present cycle does if it is at most this many periods old."""
 
+SETTLE_S = 0.05
+"""Parts lie still so long after the plate has come to rest [s]."""
+
 SAME_LATENCY_S = 2e-3
 """Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
 
@@ -343,6 +346,15 @@ class Estimator:
         """When the last image was taken [s]; minus infinity before the first."""
         stamp = -np.inf if self.clock.stamp is None else self.clock.stamp
         return stamp - self.latency.latency
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether parts and plate lay still when the last image was taken."""
+        since = self.log.resting_since
+        if not self.log.known:  # what was asked last is done in the cycle after the image
+            asked = self.request.stamp
+            since = asked + 2 * self.period if asked <= self.stamp else -np.inf
+        return self.taken >= since + SETTLE_S
 
     @property
     def period(self) -> float:

@@ -159,6 +159,12 @@ class TaskState:
             time = f" after {self.elapsed(self.ended):.1f} s"
         return f"{self.phase.value}{time}" + (f": {self.detail}" if self.detail else "")
 
+    def held(self, t: float, limits: TaskLimits) -> bool:
+        """Whether the goal has been met for long enough: the plate is to rest, and once it does an
+        image has to show all parts."""
+        met = self.active and self.met_since is not None
+        return met and t - (self.met_since or 0.0) >= limits.hold_s - TIME_TOLERANCE_S
+
     def elapsed(self, t: float) -> float:
         """Time [s] since the task began, until `t` or its end; 0 where a clock was put back."""
         if self.began is None:
@@ -247,6 +253,9 @@ class Findings:
         Tells of a missing part, by its name, what became of it.
     all_seen : bool
         Whether the image shows all parts: others may be where they are predicted, or gone.
+    at_rest : bool
+        Whether it was taken when plate and parts lay still: a moving plate may leave a part behind
+        that the image still shows on it.
     """
 
     missing: tuple[str, ...]
@@ -257,6 +266,7 @@ class Findings:
     outcome: str = ""
     loss: Callable[[str], Failure] = lambda name: Failure(Reason.PART_UNSEEN, name)
     all_seen: bool = True
+    at_rest: bool = True
 
 
 def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> TaskState:
@@ -280,11 +290,13 @@ def judge(state: TaskState, t: float, found: Findings, limits: TaskLimits) -> Ta
         return _end(state, t, Phase.LOST, losses[0].reason, text)
     if found.problem:
         return _end(state, t, Phase.STUCK, Reason.TOO_FAR_OFF, found.problem)
-    held = met_since is not None and t - met_since >= limits.hold_s - TIME_TOLERANCE_S
-    if held and found.all_seen and not found.missing:
+    held = state.held(t, limits)
+    if held and found.all_seen and found.at_rest and not found.missing:
         return _end(state, t, Phase.DONE, Reason.NONE, found.outcome)
     reason, text = Reason.NONE, ""
-    if state.elapsed(t) > limits.time_limit_s + TIME_TOLERANCE_S:
+    # What was held in time is still to be seen at rest.
+    longest = limits.time_limit_s + (limits.unseen_timeout_s if held else 0.0)
+    if state.elapsed(t) > longest + TIME_TOLERANCE_S:
         reason, text = Reason.TIME_LIMIT, f"time limit of {limits.time_limit_s:g} s"
         if state.nearest_at > max(t - STILL_S, t - state.elapsed(t)):
             text += " (still getting nearer: a longer time_limit_s would do)"

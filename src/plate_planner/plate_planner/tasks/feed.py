@@ -20,17 +20,16 @@ from plate_core.tasks import (
     FeedTask,
     Pick,
     Scenario,
+    behind_wall,
     free_gap,
     pick_window,
     ready_parts,
     to_turn,
 )
 
+from ..estimation import SETTLE_S
 from .targets import way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
-
-SETTLE_S = 0.05
-"""Parts lie still so long after the plate has come to rest [s]."""
 
 STILL_M = 1e-3
 """On a plate at rest a part that has moved further since the last image is not ready [m]."""
@@ -315,6 +314,7 @@ class Feeder(TaskRules):
         so; return which are of the class (M,)."""
         mine = np.array([part_class(name) == pick.label for name in parts.ids], dtype=bool)
         low, high = pick_window(pick, self.rig)
+        low, high = behind_wall(low, high, pick.label, self.rig)
         margin = np.minimum(MARGIN_M, (high - low) / 2)
         aims.low[mine], aims.high[mine] = low + margin, high - margin
         aims.weight[mine] = STOCK

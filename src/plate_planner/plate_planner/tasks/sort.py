@@ -14,7 +14,7 @@ import numpy as np
 
 from plate_core import Parts, Rig, ScenarioError, Targets, part_class
 from plate_core.rig import contains, rim_distance
-from plate_core.tasks import Bin, Scenario, Side, SortTask
+from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
 from .targets import GAP, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
@@ -62,9 +62,14 @@ class Sorter(TaskRules):
         for group in scenario.parts:
             region = self.task.regions[group.label]
             if isinstance(region, Bin):
-                room, hint = len(slots(region, self.rig)), f"{SLOT_SPACING:g} part radii apart"
+                slot = self._bins[group.label][1]
+                room, hint = len(slot), f"{SLOT_SPACING:g} part radii apart"
+                if len(slot):
+                    away = np.min(self.rig.plate.half - np.abs(slot))
+                    hint += f", the nearest {1e3 * away:.3g} mm from the plate's edges"
             else:
-                room, hint = self._room(region), "touching; a lower goal_fraction has more room"
+                room = self._room(group.label, region)
+                hint = "touching; a lower goal_fraction has more room"
             if group.count > room:
                 raise ScenarioError(
                     f"{scenario.where}: task: regions: that of {group.label} is for {group.count} "
@@ -80,14 +85,15 @@ class Sorter(TaskRules):
                     "the other"
                 )
 
-    def _room(self, region: Side) -> int:
-        """How many parts find room in a side or corner, in a square pattern."""
+    def _room(self, label: str, region: Side) -> int:
+        """How many parts of a class find room in a side or corner, in a square pattern."""
         half, wide = self.rig.plate.half, 2 * self.rig.parts.radius_m
         goal = self.task.goal_fraction
         ends = np.maximum(END, goal + 4 * MARGIN)
+        ends = np.minimum(ends, 1 - self.rig.edge_margin(label).least_m / half)
         beyond = np.array([region.x, region.y]) != 0
         span = half * np.where(beyond, ends - goal, 2 * END)
-        return int(np.prod(1 + np.floor(span / wide + 1e-9)))
+        return int(np.prod(np.maximum(1 + np.floor(span / wide + 1e-9), 0)))
 
     def assess(self, memory: float | None, now: Situation) -> tuple[float, Assessment]:
         """Judge one image, and say what is wanted; the hand of the swirl is remembered."""
@@ -141,7 +147,8 @@ class Sorter(TaskRules):
             label = part_class(mine.ids[0])
             place = slot[assign((label,) * len(slot), slot, mine)]
             room = max(float(rim_distance(corner, place).min()) - self.rig.parts.radius_m, 0.0)
-            low[rows], high[rows] = place - room, place + room
+            inside = behind_wall(place - room, place + room, label, self.rig)
+            low[rows], high[rows] = inside
             way[rows] = place - parts.position[rows]
         asked = (low > -half) | (high < half)
         weight = np.where(asked, way_weight(way), 0.0)
@@ -180,7 +187,7 @@ class Sorter(TaskRules):
     @cached_property
     def _bins(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         bins = {k: v for k, v in self.task.regions.items() if isinstance(v, Bin)}
-        return {k: (np.array(v.corner), slots(v, self.rig)) for k, v in bins.items()}
+        return {k: (np.array(v.corner), slots(v, k, self.rig)) for k, v in bins.items()}
 
 
 def _diagonal(sign: np.ndarray) -> float:
@@ -192,11 +199,22 @@ def _diagonal(sign: np.ndarray) -> float:
     return float(side[0])
 
 
-def slots(region: Bin, rig: Rig) -> np.ndarray:
-    """Return places (n, 2) [m] in a bin, on a square grid, apart from each other and its sides."""
+def slots(region: Bin, label: str, rig: Rig) -> np.ndarray:
+    """Return places (n, 2) [m] in a bin for parts of a class: behind the wall along the plate's
+    edges, or, where it has none there, as far from them as they have to be."""
+    margin = rig.edge_margin(label)
+    behind = _grid(region, margin.wall_m, rig)
+    return behind if len(behind) else _grid(region, margin.least_m, rig)
+
+
+def _grid(region: Bin, edge_m: float, rig: Rig) -> np.ndarray:
+    """Return places (n, 2) [m] in a bin, on a square grid, apart from each other and its sides, and
+    so far from the plate's edges [m]."""
     corner = np.array(region.corner)
     spacing, clear = SLOT_SPACING * rig.parts.radius_m, SLOT_CLEAR * rig.parts.radius_m
-    low, high = np.min(corner, axis=0), np.max(corner, axis=0)
+    room = rig.plate.half - edge_m + clear  # the grid keeps so clear of its ends
+    low = np.maximum(np.min(corner, axis=0), -room)
+    high = np.minimum(np.max(corner, axis=0), room)
     best = np.zeros((0, 2))
     for shift in np.ndindex(GRID_TRIES, GRID_TRIES):
         start = low + clear + spacing * np.array(shift) / GRID_TRIES

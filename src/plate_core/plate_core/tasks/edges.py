@@ -1,0 +1,94 @@
+"""How near to the plate's edges parts may be asked to come: `Rig.edge_margin`, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..rig import Rig
+from .tasks import (
+    AssembleTask,
+    FollowTask,
+    MoveTask,
+    Point,
+    PoseTask,
+    Scenario,
+)
+
+ROUNDING_M = 1e-9
+"""Lengths that were written in decimals are rounded by less [m]."""
+
+Place = tuple[str, str, Point]
+"""Key, class and point of something in a scenario file."""
+
+
+def goal_places(scenario: Scenario) -> list[Place]:
+    """Return the points to which a task leads centres of parts, or where it has them stay."""
+    task = scenario.task
+    if isinstance(task, FollowTask):
+        key = "task: paths"
+        return [(key, path.label, point) for path in task.paths for point in path.waypoint]
+    if isinstance(task, AssembleTask):
+        places = zip(task.labels, task.place, strict=True)
+        return [("task: places_m", label, point) for label, point in places]
+    if isinstance(task, MoveTask):
+        return [
+            ("task: targets: place_m", target.id.rpartition("_")[0], target.place)
+            for target in task.targets
+        ]
+    if isinstance(task, PoseTask):
+        key = "task: poses: place_m"
+        there = [(key, pose.label, pose.place) for pose in task.poses if pose.place is not None]
+        stay = {pose.label for pose in task.poses if pose.place is None and not task.anywhere}
+        staying = [group for group in scenario.parts if group.label in stay]
+        start = "parts: positions_m"
+        return there + [(start, g.label, point) for g in staying for point in g.position or ()]
+    return []
+
+
+def edge_problem(label: str, point: Point, rig: Rig) -> str:
+    """Say why no part of a class can be led to a point [m, plate_home]; nothing if it can."""
+    least = rig.edge_margin(label).least_m
+    room, (x, y) = rig.plate.half - least, point
+    if np.all(np.abs(point) <= room + ROUNDING_M):  # not where one is NaN
+        return ""
+    away = float(np.min(rig.plate.half - np.abs(point)))
+    return (
+        f"({x:g}, {y:g}) m, allowed: |x| up to {room[0]:g}, |y| up to {room[1]:g} m on this plate: "
+        f"{1e3 * least:.3g} mm from its edges, not {1e3 * away:.3g}, since it moves away under "
+        f"parts by up to {1e3 * rig.limits.stroke_m:g} mm, the stroke"
+    )
+
+
+def nowhere_text(label: str, rig: Rig) -> str:
+    """Say of a region that no part of a class can be led into it."""
+    least = rig.edge_margin(label).least_m
+    room = rig.plate.half - least
+    return (
+        f"nowhere {1e3 * least:.3g} mm or more from the plate's edges, so parts would be lost, "
+        f"allowed: some of it where |x| is at most {room[0]:g}, |y| at most {room[1]:g} m"
+    )
+
+
+def edge_doubts(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
+    """Say which places of a task are nearer to an edge than parts otherwise keep, one of each key
+    and class, and what would do."""
+    doubts: dict[tuple[str, str], tuple[float, str]] = {}
+    for key, label, point in goal_places(scenario):
+        wall, away = rig.edge_margin(label).wall_m, float(np.min(rig.plate.half - np.abs(point)))
+        if away >= min(wall - ROUNDING_M, doubts.get((key, label), (np.inf,))[0]):
+            continue
+        text = (
+            f"{key} of {label} is ({point[0]:g}, {point[1]:g}) m, {1e3 * away:.3g} mm from an "
+            f"edge: a push or a slippery spot may lose a part there, {1e3 * wall:.3g} mm would do"
+        )
+        doubts[key, label] = away, text
+    return tuple(text for _, text in doubts.values())
+
+
+def behind_wall(
+    low: np.ndarray, high: np.ndarray, label: str, rig: Rig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what of intervals (..., 2) [m, plate_home] lies behind the wall for parts of a class,
+    or where nothing does, their ends that are nearest to it."""
+    room = np.maximum(rig.plate.half - rig.edge_margin(label).wall_m, 0.0)
+    return np.maximum(low, np.minimum(-room, high)), np.minimum(high, np.maximum(room, low))
