@@ -93,12 +93,10 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
     def enable() -> None:
         """As a person does; the service would wait in real time."""
         run(0.3)
-        number = driver.latch.number
-        order = driver._transport.enable(number)
+        order = driver._transport.enable(driver.latch.number)
         for _ in range(20):
             run(0.0 if order.settled else 0.2)
         assert order.done, order.failure
-        assert driver.latch.open(number)
         run(0.1)
         assert driver.status.state is DriverState.READY
 

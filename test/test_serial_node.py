@@ -417,6 +417,35 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     assert not board.current
 
 
+def test_a_driver_waits_for_its_port(bench, tmp_path):
+    board, link = bench.board, tmp_path / "port"
+    terminal, board.port = board.port, str(link)
+    bench.start()
+    waits = f"error: serial port {link} is not there: waiting for it"
+    bench.tells(waits)
+    assert bench.status.reason == DriverStatus.PORT
+    assert bench.until(lambda: bench.reports and bench.reports[-1].message == waits)
+    assert bench.reports[-1].level == DiagnosticStatus.ERROR
+    answer = bench.enable()
+    assert (answer.success, answer.message) == (False, waits.removeprefix("error: "))
+    answer = bench.stop()
+    assert (answer.success, answer.message) == (False, UNANSWERED)
+    link.symlink_to(terminal)
+    bench.tells(EMERGENCY)
+    assert board.count(Stop) >= 1
+    bench.wait(1.0)
+    assert (board.count(Enable), board.current) == (0, False)
+    bench.moving()
+    # It is the same for one that vanishes in mid-run.
+    link.unlink()
+    board.dead = True  # as a port that is pulled out
+    assert bench.until(lambda: bench.told[-1] == waits), bench.told
+    board.dead = False
+    link.symlink_to(terminal)
+    bench.tells("stopped: host silent; look at the rig, then call enable")
+    assert bench.end().count(waits.removeprefix("error: ")) == 2  # each time once
+
+
 def test_a_stop_in_every_lifecycle_state_reaches_the_device(bench):
     board = bench.board
     bench.start("autostart:=false")
@@ -438,11 +467,16 @@ def test_the_port_is_for_one_driver(bench):
     bench.moving()
     hellos = bench.board.count(Hello)
     words = ["transport:=serial", f"port:={bench.board.port}"]
-    second = subprocess.run(
+    second = subprocess.Popen(
         [*DRIVER, "--ros-args", "-r", "__ns:=/second", *(w for p in words for w in ("-p", p))],
-        capture_output=True, text=True, timeout=30,
+        text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
     )  # fmt: skip
-    assert second.returncode == 2
-    assert f"error: port is '{bench.board.port}', allowed: a serial port" in second.stderr
+    waits = f"serial port {bench.board.port} is used by another program: waiting for it"
+    patience = threading.Timer(60.0, second.kill)
+    patience.start()
+    assert any(waits in line for line in second.stderr)  # until it says so
+    second.send_signal(signal.SIGTERM)
+    second.communicate()
+    patience.cancel()
     assert bench.board.count(Hello) == hellos
     bench.play()

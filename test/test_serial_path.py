@@ -12,6 +12,7 @@ from scipy.interpolate import BPoly
 from plate_core import CycleError, PlateCycle, PlateError, load_rig
 from plate_core.driver_status import DriverReason, DriverState
 from plate_core.serial_protocol import (
+    Acknowledgement,
     Commit,
     Enable,
     Hello,
@@ -62,6 +63,7 @@ class SimulatedFirmware:
     loss: float = 0.0  # share of bytes that vanish
     delay: float = 0.0  # [s], each way
     cut: bool = False
+    withholds: bool = False  # acknowledgements
     now: float = 0.0
     to_device: list[tuple[float, bytes]] = field(default_factory=list)
     to_host: list[tuple[float, bytes]] = field(default_factory=list)
@@ -113,7 +115,7 @@ class SimulatedFirmware:
         for line in iter(self.process.stdout.readline, ""):
             kind, *words = line.split()
             if kind == "tx" and not self.cut:
-                data = self.spoilt(bytes.fromhex(words[0]))
+                data = self.spoilt(self.let_through(bytes.fromhex(words[0])))
                 self.to_host.append((self.now + self.delay, data))
             elif kind == "at":
                 self.setpoints.append([self.now, *map(float, words[1:])])
@@ -124,6 +126,13 @@ class SimulatedFirmware:
                 self.stop = int(words[3])
                 return
         pytest.fail("the firmware has ended")
+
+    def let_through(self, data: bytes) -> bytes:
+        if not self.withholds:
+            return data
+        said = Reader().fed(data)[1]
+        told = [p for p in said if not isinstance(parse(p).message, Acknowledgement)]
+        return b"".join(map(frame, told))
 
     def order(self, line: str) -> None:
         """Tell the board something that comes from no line."""
@@ -458,6 +467,30 @@ def test_a_cable_that_is_pulled_lets_the_plate_brake(firmware):
     firmware.check_smooth()
 
 
+@pytest.mark.parametrize("cut", [False, True])
+def test_telemetry_shows_a_stop_whose_acknowledgement_is_withheld(firmware, cut):
+    transport = enabled(firmware)
+    play(firmware, transport, 0.5)
+    assert firmware.states[-1] is State.PLAYING
+    thread = TransportThread(transport, Latch(), lambda error: pytest.fail(repr(error)))
+    firmware.withholds = True
+    order = thread.stop(cut)
+    assert not thread.stopped(order, cut, firmware.now)  # nothing shows yet
+    for tick in range(400):
+        firmware.tick()
+        if tick % 5 == 0:
+            thread.poll()
+    assert thread.stopped(order, cut, firmware.now)
+    assert not order.settled
+    assert thread.stopping  # it goes on being tried
+    firmware.withholds = False
+    for tick in range(500):
+        firmware.tick()
+        if tick % 5 == 0:
+            thread.poll()
+    assert order.done
+
+
 def test_a_session_of_another_host_stops_the_plate(firmware):
     first = enabled(firmware)
     play(firmware, first, 1.0)
@@ -773,7 +806,7 @@ def provoke_stop_unanswered(firmware, latch):
     transport = enabled(firmware)
     firmware.loss = 1.0
     latch.close(DriverReason.EMERGENCY_STOP)
-    latch.unanswered = not settled(firmware, transport, transport.stop()).done
+    latch.late = settled(firmware, transport, transport.stop())
     pass_time(firmware, transport, 1.0)
     return transport
 

@@ -342,19 +342,12 @@ class Faults:
 def running(
     graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int, gated: bool
 ) -> Iterator[dict[str, Processes]]:
-    """Run the nodes, all behind the gate or none; the driver last: without a port it gives up."""
-    first = [node for node in graph if node.name != "driver"]
-    last = [node for node in graph if node.name == "driver"]
+    """Run the nodes, all behind the gate or none."""
     behind = gate.remaps(options.transport) if gated else {}
-    with Processes(first, options, logs, domain, remaps=behind) as processes:
+    with Processes(graph, options, logs, domain, remaps=behind) as processes:
         if gated:
             processes.add({gate.NAME: gate.command(options.transport)}, {})
-        end = time.monotonic() + START_S
-        while options.transport == "serial" and not Path(options.link).exists():
-            assert time.monotonic() < end, f"no port {options.link}"
-            time.sleep(0.1)
-        with Processes(last, options, logs, domain, remaps=behind) as other:
-            yield {node.name: other if node in last else processes for node in graph}
+        yield processes
 
 
 def run(kinds: list[str], names: list[str], options: RunOptions, logs: Path) -> dict[str, Any]:

@@ -47,6 +47,8 @@ from .safety.node import FAREWELL_S, SafetyNode
 from .setpoints import MAX_KNOTS, Guard, MotorTable
 from .status import UNANSWERED, driver_status, health
 from .transports import (
+    ANSWER_S,
+    BUSY_S,
     Condition,
     Latch,
     Measured,
@@ -127,6 +129,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._guard = Guard(load_rig())
         self._latch = Latch()
         self._transport: TransportThread | None = None
+        self._lent: TransportThread | None = None  # opened for a stop, where there is no other one
         self._making = threading.Lock()
         self._experiment: Experiment | None = None
         self._outcome, self._failed = "", False  # of the last calibration
@@ -134,6 +137,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._ready_since = 0.0
         self._freshness = Freshness()
         self._reported: dict[str, str] = {}  # values of the last diagnostics
+        self._warned: dict[str, float] = {}  # troubles of the transport, when they were logged [s]
         self._again = 0  # messages repeated between the last two
         # Ticks also while simulated time stands.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -147,6 +151,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             super().destroy_node()
         finally:
             self._safety.close()
+            self._close()  # what a stop has opened meanwhile
 
     def retune(self) -> None:
         """Play cycles that do not start at rest more often, or less."""
@@ -157,7 +162,6 @@ class DriverNode(SafeLifecycleNode[Options]):
     def configure(self) -> None:
         """Read the rig, open the transport, make publishers, subscription and timers."""
         options, learned = self.options, None
-        check_transport(options.transport, options.port)
         self._rig = rig = load_rig(options.rig_file)
         if options.calibration_file and Path(options.calibration_file).exists():
             learned = saved_response(options.calibration_file).command
@@ -165,6 +169,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._setpoints = self.managed_publisher(JointTrajectory, "motor_setpoints", DATA)
         self._states = self.managed_publisher(JointState, "motor_states", DATA)
         with self._making:
+            self._return_lent()
             self._transport = self._start_transport()
         if self._transport.motors and self._transport.calibrates:
             self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
@@ -191,8 +196,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         if transport is not None and not transport.motors:
             if self._latch.reason:
                 transport.stop()
-            elif transport.enable(self._latch.number).done:
-                self._latch.open(self._latch.number)
+            else:
+                transport.enable(self._latch.number)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass cycles on, and say so before the first one."""
@@ -207,8 +212,9 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         self._latch.close(DriverReason.SWITCHED_OFF if transport.motors else DriverReason.NONE)
         self._halted()
-        done = transport.stop().wait()
-        self._latch.unanswered = not done
+        order, end = transport.stop(), time.monotonic() + ANSWER_S
+        done = transport.stopped(order, cut=False, end=end)
+        self._latch.late = None if done else order
         if not done:
             self.get_logger().error(UNANSWERED)
         else:
@@ -232,6 +238,7 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _start_transport(self) -> TransportThread:
         """Open the transport, in a thread of its own."""
+        check_transport(self.options.transport, self.options.port)
         context = TransportContext(
             self._rig, self._play, time.monotonic, asdict(self.options), time.time_ns() % 2**32
         )
@@ -242,36 +249,67 @@ class DriverNode(SafeLifecycleNode[Options]):
         return thread
 
     def _close(self) -> None:
-        """Stop and release the transport, if one is open."""
+        """Stop and release what is open; a stop that comes meanwhile still reaches it."""
+        transport = getattr(self, "_transport", None)
+        if transport is not None:
+            transport.close()
+            self._transport = None
         with getattr(self, "_making", contextlib.nullcontext()):
-            transport, self._transport = getattr(self, "_transport", None), None
-            if transport is not None:
-                transport.close()
+            self._return_lent()
+
+    def _return_lent(self) -> None:
+        """Close what was opened for a stop."""
+        lent, self._lent = getattr(self, "_lent", None), None
+        if lent is not None:
+            lent.close()
+
+    def _keep_lent(self) -> None:
+        """Keep what was opened for a stop until that is settled."""
+        while self._lent is not None:
+            time.sleep(WATCH_PERIOD_S)
+            with self._making:
+                if self._lent is not None and not self._lent.stopping:
+                    self._return_lent()
+
+    def _stop_lent(self, cut: bool) -> tuple[TransportThread, Order]:
+        """Stop, by a transport that is opened for it if there is none."""
+        if not self._making.acquire(timeout=BUSY_S):
+            raise PlateError("the driver opens or closes its transport")
+        try:
+            if self._transport is not None:
+                return self._transport, self._transport.stop(cut)
+            if self._lent is None:
+                self._rig = load_rig(self.options.rig_file)
+                self._lent = self._start_transport()
+                threading.Thread(target=self._keep_lent, name="lent", daemon=True).start()
+            return self._lent, self._lent.stop(cut)
+        finally:
+            self._making.release()
 
     def _on_defect(self, error: Exception) -> None:
         self.get_logger().error(f"transport: {error!r}", throttle_duration_sec=QUIET_S)
 
-    def stop_motors(self, cut: bool) -> Order:
-        """Stop, in any state: where no transport is open one is opened for it."""
-        with contextlib.ExitStack() as stack:
-            transport = self._transport
-            if transport is None:
-                stack.enter_context(self._making)
+    def stop_motors(self, cut: bool) -> bool:
+        """Stop, in any state: where no transport is open one is opened for it.
+
+        Returns within `ANSWER_S` whether the motors do, as far as is known then; if they are not
+        known to, the order goes on being tried.
+        """
+        end = time.monotonic() + ANSWER_S
+        try:
+            while True:
                 transport = self._transport
-            own = transport is None
-            if transport is None:
-                try:
-                    self._rig = load_rig(self.options.rig_file)
-                    transport = self._start_transport()
-                except PlateError as error:
-                    self._latch.unanswered = True
-                    return Order().settle(str(error))
-            order = transport.stop(cut)
-            self._latch.unanswered = not order.wait()
-            transport.poll()
-            if own:
-                transport.close()
-            return order
+                if transport is not None:
+                    order = transport.stop(cut)
+                else:
+                    transport, order = self._stop_lent(cut)
+                done = transport.stopped(order, cut, end)
+                if done or transport in (self._transport, self._lent):
+                    break  # else it was closed meanwhile
+        except PlateError as error:
+            done, order = False, Order().settle(str(error))
+        self._latch.late = None if done else order
+        return done
 
     @property
     def transport(self) -> TransportThread | None:
@@ -424,9 +462,13 @@ class DriverNode(SafeLifecycleNode[Options]):
             self._note_start(measured)
             if self._experiment is not None:
                 self._experiment = self._experiment.with_sample(measured)
+        quiet_since = time.monotonic() - QUIET_S
+        self._warned = {t: at for t, at in self._warned.items() if at > quiet_since}
         for trouble in transport.troubles():
             self._guard = self._guard.noted(trouble)
-            self.get_logger().warning(trouble, throttle_duration_sec=QUIET_S)
+            if trouble not in self._warned:
+                self._warned[trouble] = time.monotonic()
+                self.get_logger().warning(trouble)
         if not self.active:
             return
         status, now = self._look(), self._now()

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from plate_core import PlateCycle, PlateError, load_rig
+from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import Hello, Reader, parse
 from plate_driver.setpoints.motor_table import MotorTable
+from plate_driver.transports import Condition, Report
 from plate_driver.transports.serial import SerialTransport, knots, open_port
 
 RIG = load_rig()
@@ -38,8 +40,19 @@ def test_bytes_go_both_ways_and_nothing_waits(terminal):
 
 
 def test_missing_port_is_told():
-    with pytest.raises(PlateError, match="port is '/dev/nowhere', allowed: a serial port that"):
+    with pytest.raises(PlateError, match=r"serial port /dev/nowhere is not there$"):
         open_port("/dev/nowhere")
+    with pytest.raises(PlateError, match=r"serial port /dev/null does not open at 921600 baud \("):
+        open_port("/dev/null")
+
+
+def test_a_port_is_for_one_program(terminal):
+    _, slave = terminal
+    port = open_port(os.ttyname(slave))
+    with pytest.raises(PlateError, match="is used by another program"):
+        open_port(os.ttyname(slave))
+    port.close()
+    open_port(os.ttyname(slave)).close()
 
 
 def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
@@ -61,10 +74,27 @@ def test_other_end_that_vanishes_is_a_trouble_not_a_crash(terminal):
     transport.close()
 
 
-def test_what_does_not_open_is_told_at_start():
-    transport = SerialTransport(lambda: open_port("/dev/nowhere"), time.monotonic, 1)
-    with pytest.raises(PlateError, match="/dev/nowhere"):
-        transport.open()
+def test_a_port_that_is_not_there_is_waited_for(terminal, tmp_path):
+    """As one that is lost: it is told once, and the device is greeted when it comes."""
+    master, slave = terminal
+    link, clock = tmp_path / "port", [0.0]
+    transport = SerialTransport(lambda: open_port(str(link)), lambda: clock[0], 1)
+    transport.open()
+    text = f"serial port {link} is not there: waiting for it"
+    told = []
+    for clock[0] in np.arange(0.0, 5.0, 0.05):
+        transport.poll()
+        told += transport.troubles()
+    assert told == [text]
+    assert transport.report() == Report(Condition.GONE, DriverReason.PORT, text)
+    assert transport.enable().failure == text
+    link.symlink_to(os.ttyname(slave))
+    clock[0] += 0.8
+    for _ in range(2):
+        transport.poll()
+    _, [hello] = Reader().fed(os.read(master, 1000))
+    assert isinstance(parse(hello).message, Hello)
+    transport.close()
 
 
 def test_knots_are_the_table():

@@ -1,6 +1,7 @@
 """The latch, and a transport in its thread: what was made before a stop is not sent after it."""
 
 import threading
+import time
 
 import pytest
 
@@ -11,8 +12,8 @@ from plate_driver.raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from plate_driver.setpoints import Statistics
 from plate_driver.setpoints.motor_table import MotorTable
 from plate_driver.status import LOOK, OFF, UNCERTAIN, driver_status, health
-from plate_driver.transports import Condition, Order, Report, SimTransport
-from plate_driver.transports.thread import Latch, TransportThread
+from plate_driver.transports import Condition, Measured, Order, Report, SimTransport
+from plate_driver.transports.thread import BUSY, STOPPED_SINCE, Latch, TransportThread
 
 RIG = load_rig()
 TABLE = MotorTable.rest(RIG, 0.1, 1)
@@ -68,16 +69,123 @@ def test_a_weaker_reason_does_not_replace_a_stronger_one():
     assert latch.number == 5
 
 
+class Motors(SimTransport):
+    """Motors that do and tell nothing by themselves: the test is their controller."""
+
+    motors = True
+
+    def __init__(self) -> None:
+        super().__init__(RIG, lambda table: None)
+        self.enabled, self.stops, self.told = Order(60.0), [], Condition.OFF
+        self.measured_at: list[float] = []
+
+    def stop(self, cut=False):
+        self.stops.append(cut)
+        self.last = Order(60.0)
+        return self.last
+
+    def enable(self):
+        return self.enabled
+
+    def report(self):
+        return Report(self.told)
+
+    def poll(self):
+        times, self.measured_at = self.measured_at, []
+        return [Measured(t, t, 0, (0.0,) * 4, (0.0,) * 4) for t in times]
+
+
+def driven() -> tuple[TransportThread, Motors, Latch]:
+    motors, latch = Motors(), Latch()
+    return TransportThread(motors, latch, lambda error: pytest.fail(repr(error))), motors, latch
+
+
+def test_an_enable_opens_the_latch_when_the_motors_are_ready_whoever_waits():
+    thread, motors, latch = driven()
+    latch.close(EMERGENCY)
+    order = thread.enable(latch.number)
+    thread.poll()
+    assert (order.settled, latch.enabling, latch.reason) == (False, True, EMERGENCY)
+    motors.enabled.settle()
+    thread.poll()
+    assert (order.done, latch.enabling, latch.reason) == (True, False, NONE)
+    assert not motors.stops
+
+
+def test_an_enable_that_fails_or_comes_too_late_leaves_the_latch_closed():
+    thread, motors, latch = driven()
+    latch.close(EMERGENCY)
+    order = thread.enable(latch.number)
+    motors.enabled.settle("wrong stop")
+    thread.poll()
+    assert (order.failure, latch.enabling, latch.reason) == ("wrong stop", False, EMERGENCY)
+    assert not motors.stops
+    motors.enabled = Order(0.0)
+    order = thread.enable(latch.number)
+    assert order.failure == "the motors are not ready after 0 s"
+    assert (motors.stops, latch.enabling, latch.reason) == ([False], False, EMERGENCY)
+
+
+def test_a_stop_wins_over_an_enable_that_is_under_way():
+    thread, motors, latch = driven()
+    latch.close(EMERGENCY)
+    order = thread.enable(latch.number)
+    latch.close(CUT, over=())
+    motors.enabled.settle()  # the device has taken it before it heard of the stop
+    thread.poll()
+    assert order.failure == STOPPED_SINCE
+    assert (motors.stops, latch.reason, latch.enabling) == ([False], CUT, False)
+
+
+def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
+    thread, motors, _ = driven()
+
+    def shown(condition: Condition, cut: bool, measured_at: float, end: float) -> bool:
+        order = thread.stop(cut)
+        motors.told, motors.measured_at = condition, [measured_at]
+        thread.poll()
+        return thread.stopped(order, cut, end)
+
+    now = time.monotonic()
+    assert shown(Condition.OFF, False, now - 0.1, now)
+    assert shown(Condition.OFF, True, now - 0.1, now)
+    assert shown(Condition.BRAKING, False, now - 0.1, now)
+    assert not shown(Condition.BRAKING, True, now - 0.1, now)
+    assert not shown(Condition.READY, False, now - 0.1, now)
+    assert not shown(Condition.GONE, False, now - 0.1, now)
+    assert not shown(Condition.OFF, False, now - 0.3, now)  # before the stop had come, it may be
+    order = thread.stop(True)
+    motors.told, motors.measured_at = Condition.OFF, [now]
+    thread.poll()
+    order.settle("it cannot be cut from here")
+    assert not thread.stopped(order, True, now)  # what the transport says of it counts
+
+
+def test_a_late_stop_is_forgotten_once_it_is_acknowledged_or_the_motors_are_off():
+    thread, motors, latch = driven()
+    latch.late = thread.stop()
+    assert (latch.unanswered, thread.stopping) == (True, True)
+    motors.last.settle()
+    assert (latch.unanswered, thread.stopping) == (False, False)
+    latch.late = thread.stop()
+    thread.poll()
+    assert latch.unanswered  # the motors were off before it: nothing is measured since
+    motors.measured_at = [0.0]
+    thread.poll()
+    assert not latch.unanswered
+
+
 def test_a_stop_does_not_wait_behind_an_enable():
-    """The enable of a transport that never becomes ready is waited for without a lock."""
-    thread, _, _ = kept()
-    never = Order(longest_s=60.0)
-    thread._transport.enable = lambda: never
-    waiting = threading.Thread(target=lambda: thread.enable(0).wait(), daemon=True)
+    """The enable of motors that never become ready is waited for without a lock."""
+    thread, motors, latch = driven()
+    order = thread.enable(latch.number)
+    waiting = threading.Thread(target=order.wait, daemon=True)
     waiting.start()
-    assert thread.stop().done
+    thread.stop()
+    assert motors.stops == [False]
     assert waiting.is_alive()
-    never.settle("stopped")
+    motors.enabled.settle("stopped")
+    thread.poll()
     waiting.join(10)
     assert not waiting.is_alive()
 
@@ -144,10 +252,13 @@ def test_a_transport_that_hangs_does_not_hold_up_an_answer():
     thread._transport.poll = poll
     thread.start()
     assert hangs.wait(10)
-    order = thread.stop()
-    assert order.failure == "the transport is busy"
+    stops = []
+    thread._transport.stop = lambda cut=False: stops.append(cut) or Order().settle()
+    order = thread.stop(cut=True)
+    assert (order.failure, stops, thread.stopping) == (BUSY, [], True)
     go_on.set()
     thread.close()
+    assert True in stops  # as soon as it could
 
 
 def test_a_defect_of_a_transport_is_told_and_the_thread_goes_on():
@@ -173,7 +284,7 @@ def closed(reason: DriverReason, unanswered: bool = False) -> Latch:
     latch = Latch()
     if reason:
         latch.close(reason)
-    latch.unanswered = unanswered
+    latch.late = Order() if unanswered else None
     return latch
 
 
@@ -236,17 +347,18 @@ def test_motors_that_are_ready_before_the_latch_is_open_do_not_brake():
     def state() -> DriverState:
         return driver_status(True, latch, Report(Condition.READY), calibrating=False).state
 
-    with latch.being_enabled(number):
-        assert state() is DriverState.ENABLING
-        with latch.being_enabled(number):  # by somebody else, who is refused
-            pass
-        assert state() is DriverState.ENABLING
-        assert latch.open(number)
+    latch.enable_began(number)
+    assert state() is DriverState.ENABLING
+    latch.enable_began(number)  # by somebody else, who is refused
+    latch.enable_ended(number)
+    assert state() is DriverState.ENABLING
+    assert latch.open(number)
+    latch.enable_ended(number)
     assert state() is DriverState.READY
     latch.close(CUT)
-    with latch.being_enabled(latch.number):
-        latch.close(EMERGENCY, over=())
-        assert state() is DriverState.BRAKING
+    latch.enable_began(latch.number)
+    latch.close(EMERGENCY, over=())
+    assert state() is DriverState.BRAKING
 
 
 def test_each_enable_has_another_time():

@@ -22,7 +22,7 @@ from plate_core.ros import CALLS, LATCHED, driver_status_to_msg
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
 from ..status import UNANSWERED
-from ..transports import STOPPED_SINCE, Condition
+from ..transports import ANSWER_S, Condition
 
 if TYPE_CHECKING:
     from ..node import DriverNode
@@ -34,16 +34,23 @@ FAREWELL_S = 0.5
 """How long to wait until the last messages have arrived [s]."""
 
 END_S = 10.0
-"""Longest wait for the thread that spins [s]: one that outlives the interpreter crashes the
-process, and on a busy machine half a second may pass before it runs again."""
+"""Longest wait for the thread that spins, and for those that answer [s]: one that outlives the
+interpreter crashes the process, and on a busy machine half a second may pass before it runs
+again."""
 
-THREADS = 16
-"""For stops, while others wait for an answer."""
+THREADS = 128
+"""So many calls may wait for an answer before the next one is late; made when they are needed."""
+
+
+ENABLING = "enabling: driver_status tells when the motors are ready"
+SILENT = "the device has not answered yet"
+"""What an enable and a home say that are not settled when their caller gets an answer."""
 
 
 class SafetyNode:
     """Stops, enable, home and driver_status, apart from all that cycles do: a participant of its
-    own receives nothing else, threads of its own answer, and the clock is the steady one.
+    own receives nothing else, threads of its own answer, and the clock is the steady one. Each call
+    is answered within 0.5 s with what is known then; driver_status tells the rest.
 
     Parameters
     ----------
@@ -126,7 +133,7 @@ class SafetyNode:
         self._ended = True
         self._thread.join(END_S)
         # Only now: it destroys what a thread that still spins waits for.
-        self._executor.shutdown(timeout_sec=FAREWELL_S)
+        self._executor.shutdown(timeout_sec=END_S)
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
@@ -147,9 +154,8 @@ class SafetyNode:
     ) -> Any:  # fmt: skip
         """Close the latch, have the motors stop, and answer whether they do."""
         self._latch.close(reason, over)
-        order = self._driver.stop_motors(cut=reason is DriverReason.POWER_CUT)
-        response.success = order.done
-        response.message = self._driver.status.text if order.done else UNANSWERED
+        response.success = self._driver.stop_motors(cut=reason is DriverReason.POWER_CUT)
+        response.message = self._driver.status.text if response.success else UNANSWERED
         self.publish_status()
         return response
 
@@ -171,25 +177,17 @@ class SafetyNode:
             response.success = False
             response.message = f"the driver is {self._driver.status.text}, allowed: active"
             return response
-        transport.poll()
         status = self._driver.status
         if status.state is DriverState.READY:  # there is no stop to clear, and a task may run
             response.success, response.message = True, status.text
             return response
-        with self._latch.being_enabled(number):
-            order = transport.enable(number)
-            self.publish_status()
-            order.wait()
-            failure = order.failure
-            if not order.settled:
-                failure = f"the motors are not ready after {order.longest_s:.2g} s"
-                transport.stop()  # nobody waits for them any more
-            elif not failure and not self._latch.open(number):
-                failure = STOPPED_SINCE
-                transport.stop()  # whatever it has found
-        transport.poll()
+        order = transport.enable(number)
         self.publish_status()
-        response.success, response.message = not failure, failure or self._driver.status.text
+        order.wait(ANSWER_S)
+        self.publish_status()
+        response.success = not order.failure
+        done = self._driver.status.text if order.settled else ENABLING
+        response.message = order.failure or done
         return response
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -200,8 +198,8 @@ class SafetyNode:
             response.message = f"the driver is {state}, allowed: motors off; call enable, false"
             return response
         order = transport.home()
-        response.success = order.wait()
+        response.success = order.wait(ANSWER_S)
         response.message = "the next enable finds home"
         if not response.success:
-            response.message = order.failure or UNANSWERED
+            response.message = order.failure or SILENT
         return response

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import termios
 from collections.abc import Callable
@@ -93,6 +94,15 @@ REFUSED = {
 """Why a device does not enable, or find home."""
 
 
+PORT_ERRORS = {
+    errno.ENOENT: "is not there",
+    errno.EACCES: "is not allowed to this user: is it in the group dialout?",
+    errno.EWOULDBLOCK: "is used by another program",
+    errno.EBUSY: "is used by another program",
+}
+"""Why a port does not open, where that is known."""
+
+
 class Port(Protocol):
     """What is used of `serial.Serial`: reading and writing return at once."""
 
@@ -120,14 +130,14 @@ def open_port(name: str, baud: int = BAUD) -> Port:
     Raises
     ------
     PlateError
-        If it is not there or cannot be used.
+        If it is not there or cannot be used: why.
     """
     try:
         port: Port = _Serial(name, baud, timeout=0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError
-        raise PlateError(
-            f"port is {name!r}, allowed: a serial port that opens at {baud} baud ({error})"
-        ) from None
+        known = PORT_ERRORS.get(getattr(error, "errno", None) or 0)
+        why = known or f"does not open at {baud} baud ({error})"
+        raise PlateError(f"serial port {name} {why}") from None
     return port
 
 
@@ -241,9 +251,10 @@ class SerialTransport:
         return float("inf") if device is None else device.hold_ms * 1e-3
 
     def open(self) -> None:
-        """Open the port and say hello; a PlateError says what is missing."""
+        """Open the port and say hello; one that does not open is waited for like one that is
+        lost."""
         self._closed = False
-        self._connect(self._make_port())
+        self._reopen(self._clock())
         self.poll()
 
     def send(self, table: MotorTable, repeats: int) -> None:
@@ -389,8 +400,7 @@ class SerialTransport:
             return order.settle(self._unfit.text)
         report = self.report()
         if report.condition is Condition.GONE or telemetry is None:
-            wrong = report.reason is DriverReason.WRONG_DEVICE
-            return order.settle(report.text if wrong else UNANSWERED)
+            return order.settle(report.text)
         if self._stops or self._link.fresh_telemetry is None:  # which stop would it clear?
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:
@@ -557,10 +567,12 @@ class SerialTransport:
         try:
             self._connect(self._make_port())
         except PlateError as error:
-            self._give_up(Report(Condition.GONE, DriverReason.PORT, str(error)), now)
+            why = f"{error}: waiting for it"
+            self._give_up(Report(Condition.GONE, DriverReason.PORT, why), now)
 
     def _give_up(self, why: Report, now: float) -> None:
-        self._note(why.text)
+        if why != self._gone:  # once, however long it is waited for
+            self._note(why.text)
         self._gone = why
         self._streamed = self._next = None
         self._settle_request(why.text)

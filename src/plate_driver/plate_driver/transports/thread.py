@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TypeVar
 
 from plate_core import CycleError, PlateError
@@ -22,9 +23,17 @@ POLL_PERIOD_S = 0.005
 """Time between two polls of the transport [s]: an upload takes some ten of them."""
 
 STOPPED_SINCE = "another stop has come since; call enable again"
+BUSY = "the transport is busy"
 
 BUSY_S, CLOSE_S = 0.3, 2.0
 """Longest wait for a transport that is in the middle of something, and for its thread's end [s]."""
+
+ANSWER_S = 0.4
+"""Longest wait for what becomes of an order [s]: who has called gets an answer within 0.5 s."""
+
+SHOWN_S = 0.2
+"""What was measured so shortly before the answer shows that the motors have stopped [s]: whatever
+was on the line before the stop has long arrived by then."""
 
 REMEMBERED = 2000
 """Measurements that are kept until somebody asks for them: 20 s of them."""
@@ -57,7 +66,7 @@ class Latch:
         self._lock = threading.Lock()
         self._reason, self._number = DriverReason.NONE, 0
         self._enabling: list[int] = []  # the numbers of stops that are being cleared
-        self.unanswered = False  # whether the last stop was not acknowledged
+        self.late: Order | None = None  # the last stop, if it was not acknowledged in time
         self.enabled_ns = 0  # wall clock when it was opened last [ns]; another one each time
 
     @property
@@ -75,6 +84,12 @@ class Latch:
         """Whether an enable is under way, and no stop has come since."""
         return self._number in self._enabling
 
+    @property
+    def unanswered(self) -> bool:
+        """Whether the last stop was not acknowledged in time, nor since."""
+        late = self.late
+        return late is not None and not late.done
+
     def close(
         self, reason: DriverReason, over: tuple[DriverReason, ...] = (DriverReason.NONE,)
     ) -> None:
@@ -84,23 +99,33 @@ class Latch:
             if not over or self._reason in over:
                 self._reason = reason
 
-    @contextlib.contextmanager
-    def being_enabled(self, number: int) -> Iterator[None]:
-        """Say meanwhile that an enable is under way, for the stop with a number."""
+    def enable_began(self, number: int) -> None:
+        """Take note of an enable that is under way, for the stop with a number."""
         self._enabling.append(number)
-        try:
-            yield
-        finally:
-            self._enabling.remove(number)
+
+    def enable_ended(self, number: int) -> None:
+        """Take note that it is over, whatever has become of it."""
+        self._enabling.remove(number)
 
     def open(self, number: int) -> bool:
         """Let cycles through again, unless there was a stop since the one with a number."""
         with self._lock:
             if number != self._number:
                 return False
-            self._reason, self.unanswered = DriverReason.NONE, False
+            self._reason, self.late = DriverReason.NONE, None
             self.enabled_ns = max(time.time_ns(), self.enabled_ns + 1)
             return True
+
+
+@dataclass(frozen=True)
+class _Enable:
+    """An enable that is under way: for which stop, what becomes of it, what its caller is told, and
+    when it is too late (steady clock [s])."""
+
+    number: int
+    order: Order
+    told: Order
+    end: float
 
 
 class TransportThread:
@@ -122,6 +147,10 @@ class TransportThread:
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._measured: deque[Measured] = deque(maxlen=REMEMBERED)
+        self._measured_at = float("-inf")
+        self._enables: list[_Enable] = []
+        self._stop = Order().settle()  # the last one
+        self._owed: list[bool] = []  # stops for which there was no time yet: whether to cut
         self._troubles: list[str] = []
         self._thread = threading.Thread(target=self._run, name="transport", daemon=True)
         self.report: Report = transport.report()
@@ -151,13 +180,39 @@ class TransportThread:
         """Poll once."""
         with self._lock:
             self._tried(self._polled)
-            if self.report.condition is Condition.OFF:
-                self._latch.unanswered = False  # whatever became of the answer
+            self._tried(self._stop_owed)
+            self._follow()
+
+    def _stop_owed(self) -> None:
+        while self._owed:
+            self._transport.stop(self._owed.pop())
 
     def _polled(self) -> None:
-        self._measured.extend(self._transport.poll())
+        measured = self._transport.poll()
+        self._measured.extend(measured)
         self._troubles += [t for t in self._transport.troubles() if t not in self._troubles]
-        self.report = self._transport.report()
+        self._reported()
+        if measured:
+            self._measured_at = measured[-1].time
+            if self.report.condition is Condition.OFF:
+                self._latch.late = None  # whatever became of the answer
+
+    def _follow(self) -> None:
+        """Open the latch once the motors that somebody enables are ready."""
+        for each in list(self._enables):
+            settled, failure = each.order.settled, each.order.failure
+            if not settled and time.monotonic() < each.end:
+                continue
+            opened = settled and not failure and self._latch.open(each.number)
+            if not settled:
+                failure = f"the motors are not ready after {each.order.longest_s:.2g} s"
+            elif not failure and not opened:
+                failure = STOPPED_SINCE
+            self._enables.remove(each)
+            self._latch.enable_ended(each.number)
+            each.told.settle(failure)
+            if not opened and (not settled or each.order.done):
+                self._tried(self._transport.stop)  # nobody wants them to be ready any more
 
     def _tried(self, ask: Callable[[], T]) -> T | None:
         """Ask the transport, with the lock held; None if that shows a defect.
@@ -185,12 +240,13 @@ class TransportThread:
     def _ordered(self, ask: Callable[[], Order]) -> Order:
         """Ask the transport for something that a person wants."""
         if not self._lock.acquire(timeout=BUSY_S):
-            return Order().settle("the transport is busy")
+            return Order().settle(BUSY)
         try:
             order = self._tried(ask)
             if order is None:
                 return Order().settle(self.report.text)
             self._tried(self._reported)
+            self._follow()
             return order
         finally:
             self._lock.release()
@@ -222,16 +278,40 @@ class TransportThread:
                 raise CycleError(self.report.text)
 
     def stop(self, cut: bool = False) -> Order:
-        """Stop, see `Transport.stop`."""
-        return self._ordered(lambda: self._transport.stop(cut))
+        """Stop, see `Transport.stop`; a transport that is busy does so as soon as it can."""
+        order = self._stop = self._ordered(lambda: self._transport.stop(cut))
+        if order.failure == BUSY:
+            self._owed.append(cut)
+        return order
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a stop is still tried."""
+        return bool(self._owed) or not self._stop.settled
+
+    def stopped(self, order: Order, cut: bool, end: float) -> bool:
+        """Wait for a stop, until `end` at most (steady clock [s]); returns whether it is done, or
+        what was measured since shows that the motors have no current, or brake if they may."""
+        order.wait(end - time.monotonic())
+        if order.settled:
+            return order.done
+        shown = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
+        return self.report.condition in shown and self._measured_at > end - SHOWN_S
 
     def enable(self, number: int) -> Order:
-        """Enable, see `Transport.enable`: for whom the latch had counted so many stops."""
+        """Enable, see `Transport.enable`: for whom the latch had counted so many stops. It opens
+        when the motors are ready; the order is settled then, or with the reason why they are not,
+        whether somebody waits for it or not."""
 
         def ask() -> Order:
             if self._latch.number != number:
                 return Order().settle(STOPPED_SINCE)
-            return self._transport.enable()
+            order = self._transport.enable()
+            told = Order(order.longest_s)
+            end = time.monotonic() + order.longest_s
+            self._latch.enable_began(number)
+            self._enables.append(_Enable(number, order, told, end))
+            return told
 
         return self._ordered(ask)
 
@@ -261,7 +341,7 @@ class TransportThread:
         """Stop the motors, wait for the answer, and release the transport."""
         order = self.stop()
         if self._thread.is_alive():
-            order.wait()
+            order.wait(ANSWER_S)
             self._ended.set()
             self._thread.join(CLOSE_S)
         if self._lock.acquire(timeout=BUSY_S):

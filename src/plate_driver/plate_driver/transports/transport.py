@@ -122,9 +122,10 @@ class Order:
             self._settled.set()
         return self
 
-    def wait(self) -> bool:
-        """Wait until it is settled, at most `longest_s`; returns whether it is done."""
-        self._settled.wait(self.longest_s)
+    def wait(self, longest_s: float | None = None) -> bool:
+        """Wait until it is settled, at most so long [s], or `longest_s` of its own; returns whether
+        it is done."""
+        self._settled.wait(self.longest_s if longest_s is None else max(0.0, longest_s))
         return self.done
 
 
@@ -154,7 +155,9 @@ class Transport(Protocol):
     def hold_s(self) -> float: ...
 
     def open(self) -> None:
-        """Make it ready to be asked; a PlateError says what is missing. Nothing moves by this."""
+        """Make it ready to be asked; nothing moves by this. A PlateError ends the configuration:
+        what may come later, such as a port, is no error, but waited for by `poll`; until it is
+        there the report is GONE, and says for what."""
 
     def poll(self) -> list[Measured]:
         """Do what is due; returns what was measured since the last call."""
