@@ -1,5 +1,7 @@
 """The driver learns the simulated plate: 35 Hz, damping 3 %, motors that differ by 15 %."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -127,4 +129,8 @@ def test_a_file_of_something_else_is_refused(tmp_path):
             saved_response(path)
     path.write_bytes(b"hello")
     with pytest.raises(PlateError, match="is no calibration"):
+        saved_response(path)
+    path.unlink()
+    os.mkfifo(path)  # that nobody writes to
+    with pytest.raises(PlateError, match=r"is no calibration .*is a FIFO, allowed: a regular"):
         saved_response(path)

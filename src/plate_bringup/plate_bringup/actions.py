@@ -22,7 +22,8 @@ from launch.actions import (
 from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
 
-from plate_core import config_path, did_you_mean
+from plate_core import PlateError, config_path, did_you_mean
+from plate_core.files import YAML_BYTES, check_file
 from plate_core.tasks import load_scenario
 
 from .graph import GraphError, RunOptions, load_graph
@@ -158,8 +159,10 @@ def start(hardware: bool, context: Any) -> list[Any]:
     files = [config_path("nodes.yaml"), *([config_path("hardware.yaml")] if hardware else [])]
     if "params_file" in given:
         files.append(Path(given["params_file"]))
-        if not files[-1].is_file():
-            raise GraphError(f"params_file is {given['params_file']!r}: no such file")
+        try:
+            check_file(files[-1], YAML_BYTES)
+        except PlateError as error:
+            raise GraphError(f"params_file {error}") from None
     topics = {"image_raw": given.get("image_topic"), "camera_info": given.get("info_topic")}
     waiting = [{"autostart": False}] if given.get("autostart") == "false" else []
     actions: list[Any] = []

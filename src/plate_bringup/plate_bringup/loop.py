@@ -28,6 +28,7 @@ from plate_core import (
     did_you_mean,
     load_rig,
 )
+from plate_core.files import check_file
 from plate_core.kernels import when_compiling
 from plate_core.status import COMPILING
 from plate_core.tasks import (
@@ -75,6 +76,9 @@ MOMENT_S = 1e-6
 
 CAMERA = ("exposure_s", "readout_s")
 """Facts of the rig's camera that a setting replaces."""
+
+PLANNER_BYTES = 1_000_000
+"""Most in a Python file of a planner."""
 
 NUMBERS = {
     **WORLD_RANGES, "image_age_s": (0.0, 1.0), "exposure_s": (0.0, 0.1), "readout_s": (0.0, 0.1),
@@ -309,6 +313,7 @@ def load_planner(path: str, rig: Rig) -> ControlLaw:
     """
     if not Path(path).is_file():
         raise PlateError(f"planner is {path!r}, allowed: a Python file with a class OwnPlanner")
+    check_file(path, PLANNER_BYTES)
     spec = importlib.util.spec_from_file_location("own_planner", path)
     if spec is None or spec.loader is None:
         raise PlateError(f"planner is {path!r}, allowed: a file whose name ends in .py")

@@ -94,7 +94,7 @@ def test_arguments_become_parameters_topics_and_a_recorder(stand_in, tmp_path):
     assert nodes["detector"].parameters[-2] == str(mine)
     assert nodes["detector"].remappings == [("image_raw", "/eye")]
     assert recorder.cmd[:3] == ["ros2", "bag", "record"]
-    with pytest.raises(GraphError, match=r"params_file is 'none\.yaml': no such file"):
+    with pytest.raises(GraphError, match=r"params_file none\.yaml: no such file"):
         started("hardware", params_file="none.yaml")
 
 
@@ -230,7 +230,7 @@ sys.exit(service.run())
     [
         ("scenario:=sort_3", "scenario is 'sort_3' (did you mean "),
         ("method:=C", "method"),
-        ("params_file:=none.yaml", "params_file is 'none.yaml': no such file"),
+        ("params_file:=none.yaml", "params_file none.yaml: no such file"),
         ("scenaro:=sort_4", "launch argument is 'scenaro' (did you mean scenario?)"),
     ],
 )

@@ -1,5 +1,6 @@
 """Recorded runs: what is shown at a time, and how they are played."""
 
+import os
 import sqlite3
 from pathlib import Path
 
@@ -105,6 +106,13 @@ def test_what_is_no_recorded_run_is_refused(tmp_path, bag):
     data.write_bytes(data.read_bytes()[:100])
     with pytest.raises(PlateError, match="allowed"):
         Replay(bag, KINDS, print)
+    for file in (data, bag / "metadata.yaml"):
+        file.unlink()
+        os.mkfifo(file)  # that nobody writes to
+        with pytest.raises(PlateError, match=f"{file.name}: is a FIFO, allowed: a regular file"):
+            Replay(bag, KINDS, print)
+        file.unlink()
+        file.touch()
 
 
 def test_a_damaged_record_is_told(replay, monkeypatch):

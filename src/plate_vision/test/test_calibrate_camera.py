@@ -1,5 +1,8 @@
 """The program `calibrate`, from pictures in a folder to the files it writes."""
 
+import os
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -79,11 +82,29 @@ def test_markers_and_home(make_plate, rng, tmp_path, capsys):
         ("no such file or folder", ["lens", "/nowhere", *BOARD]),
         ("no pictures in it", ["lens", ".", *BOARD]),
         ("fiducials are missing", ["markers"]),
+        (
+            "a_fifo.png: is a FIFO, allowed: a regular file up to 64 MB",
+            ["lens", "odd/a_fifo.png", *BOARD],
+        ),
+        ("a_fifo.png: is a FIFO, allowed", ["lens", "odd", *BOARD]),
+        ("fifo: is a FIFO, allowed: a regular file up to 4000 MB", ["lens", "odd/fifo", *BOARD]),
+        ("/dev/zero: is a device, allowed", ["lens", "/dev/zero", *BOARD]),
+        ("large.png: is of 1000 MB, allowed", ["lens", "odd/large.png", *BOARD]),
+        ("large: cannot be read, allowed: a video", ["lens", "odd/large", *BOARD]),
+        ("empty.png: cannot be read, allowed: a whole picture", ["lens", "odd/empty.png", *BOARD]),
         ("2 x 7 squares, allowed", ["board", "--board", "2x7", "--square", "0.03"]),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(words, arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    odd = Path("odd")
+    odd.mkdir()
+    for name in ("fifo", "a_fifo.png"):
+        os.mkfifo(odd / name)
+    (odd / "empty.png").touch()
+    for name in ("large", "large.png"):
+        (odd / name).touch()
+        os.truncate(odd / name, 10**9)
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     assert stop.value.code == 2

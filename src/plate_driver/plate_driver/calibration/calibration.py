@@ -7,6 +7,7 @@ import os
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 from zipfile import BadZipFile
@@ -14,6 +15,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
+from plate_core.files import read_file
 from plate_core.motion import plate_state
 
 from ..transports import Measured
@@ -48,6 +50,9 @@ FOLLOWED = 0.2
 
 RESPONSE_BYTES = 32_768
 """Length of a response's file, and more [bytes]."""
+
+MOST_BYTES = 1_000_000
+"""Of such a file, if its cycles had many times as many harmonics [bytes]."""
 
 AXES = ("x", "y", "theta")
 
@@ -273,7 +278,7 @@ def saved_response(path: str | Path) -> Response:
         If it is none.
     """
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+        with np.load(BytesIO(read_file(path, MOST_BYTES)), allow_pickle=False) as data:
             return Response(data["frequency"], data["matrix"], float(data["lever"]))
     except FILE_ERRORS as error:
         raise PlateError(f"calibration_file {path}: is no calibration ({error})") from None

@@ -12,11 +12,15 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 
 from plate_core import PlateError
+from plate_core.files import check_file
 
 BEFORE_S = 1.5
 """A jump shows what was said last before it, within so long [s]; what is latched, from any time."""
 
 LATCHED_TOPICS = ("task_status", "driver_status", "part_targets")
+
+BAG_BYTES, METADATA_BYTES = 10**12, 10**6
+"""Most in a bag's files: messages are read one by one, but metadata.yaml as a whole."""
 
 RATES = 0.05, 20.0
 """Allowed, recorded seconds per second."""
@@ -59,6 +63,9 @@ class Replay:
         except ImportError:
             raise PlateError("a replay needs the package rosbags: pip install rosbags") from None
         try:
+            for file in Path(folder).iterdir():
+                if not file.is_dir():
+                    check_file(file, METADATA_BYTES if file.suffix == ".yaml" else BAG_BYTES)
             self._reader = library.Reader(folder)
             self._reader.open()
         except (library.ReaderError, OSError) as error:

@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from plate_core import Rig
+from plate_core.files import check_file, read_file
 from plate_core.yaml_fields import Fields, read_yaml
 
 from ..errors import CalibrationError, ImageError
@@ -23,6 +24,9 @@ FAR = 1e6
 
 PICTURES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 """Endings of pictures."""
+
+PICTURE_BYTES, VIDEO_BYTES = 64_000_000, 4_000_000_000
+"""Most in a file: 20 megapixels without compression; half an hour of full HD."""
 
 
 def load_lens(path: str | Path, expected_px: tuple[int, int] | None = None) -> Lens:
@@ -101,10 +105,10 @@ def read_pictures(path: Path) -> Iterator[tuple[str, np.ndarray]]:
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
         if not files:
             raise ImageError(f"{path}: no pictures in it, allowed: {', '.join(PICTURES)}")
-    elif path.is_file():
-        files = [path] if path.suffix.lower() in PICTURES else []
-    else:
+    elif not path.exists():
         raise ImageError(f"{path}: no such file or folder, allowed: pictures or a video")
+    else:
+        files = [path] if path.suffix.lower() in PICTURES else []
     for file in files:
         yield file.name, _read(file)
     if not files:
@@ -137,9 +141,10 @@ def rig_of_picture(rig: Rig, size_px: tuple[int, int]) -> tuple[Rig, str]:
 
 
 def _read(file: Path) -> np.ndarray:
+    content = np.frombuffer(read_file(file, PICTURE_BYTES, ImageError), dtype=np.uint8)
     try:
-        pixels = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    except cv2.error:
+        pixels = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    except cv2.error:  # also if it is empty
         pixels = None
     if pixels is None:
         raise ImageError(f"{file}: cannot be read, allowed: a whole picture")
@@ -147,6 +152,7 @@ def _read(file: Path) -> np.ndarray:
 
 
 def _film(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+    check_file(path, VIDEO_BYTES, ImageError)
     film = cv2.VideoCapture(str(path))
     try:
         number = 0
