@@ -69,7 +69,7 @@ def marked(mark):
         (["--rig", "no/such/rig.yaml"], "no/such/rig.yaml: no such file"),
         (
             ["--transport", "serial", "--port", "/dev/none"],
-            "port is '/dev/none', allowed: ",
+            "serial port /dev/none is not there",
         ),
         (["--port", "/dev/null"], "port is '/dev/null' with transport sim, allowed with it: no"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),

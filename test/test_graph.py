@@ -291,7 +291,7 @@ WRONG_INPUT = [
     ("simulator", {"scenario": "broken.yaml"}, "broken.yaml: broken YAML at line "),
     ("simulator", {"seed": -1}, "parameter seed is -1, allowed: 0 to 2147483647"),
     ("solver", {"method": "C"}, "parameter method is 'C', allowed: one of "),
-    ("driver", {"transport": "serial", "port": "/dev/none"}, "port is '/dev/none', allowed: a"),
+    ("driver", {"transport": "can"}, "transport is 'can', allowed: "),
     ("detector", {"rig_file": "none.yaml"}, "none.yaml: no such file"),
 ]
 

@@ -206,7 +206,8 @@ def one(bench: Bench, stops: Any, number: int, task: bool) -> list[tuple[float, 
     wire [ms]."""
     trigger, set_bool = bench.kinds
     answer = bench.call(bench.enable, set_bool.Request(data=True))
-    if answer is None or not answer.success:
+    ready = answer is not None and answer.success
+    if not (ready and bench.until(lambda: bench.state == DriverState.READY, 10.0)):
         return []
     if task:
         bench.begin_task()

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     Said = dict[str, tuple[float, Report]]
     """When each node said what of itself last [s, steady clock]."""
 
-NOBODY_S, FOUND_S, ANSWER_S = 1.0, 3.0, 15.0
-"""Longest waits: for any node to be seen, for a service to be found, for its answer [s]."""
+NOBODY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
+"""Longest waits: for any node to be seen, for a service to be found, for its answer, and for motors
+that are being enabled [s]."""
 
 URGENT = ("emergency_stop", "cut_power", "disable")
 """These are tried for longer, also where nobody is seen."""
@@ -93,15 +94,49 @@ class Services:
             If it was not done.
         """
         service, urgent = args.command, args.command in URGENT
-        if service in ("enable", "disable"):
-            answer = self._call(
-                SetBool, "enable", SetBool.Request(data=service == "enable"), urgent
-            )
+        if service == "enable":
+            return self._enable()
+        if service == "disable":
+            answer = self._call(SetBool, "enable", SetBool.Request(data=False), urgent)
         else:
             answer = self._call(Trigger, service, Trigger.Request(), urgent)
         if not answer.success:
             raise PlateError(str(answer.message))
         return str(answer.message)
+
+    def _enable(self) -> str:
+        """Enable the motors, and wait until they are ready: that may take longer than the answer.
+
+        Raises
+        ------
+        PlateError
+            If they are not: why.
+        """
+        from plate_core.ros import LATCHED
+        from plate_interfaces.msg import DriverStatus
+
+        said: list[DriverStatus] = []
+        enabling, ready = DriverStatus.ENABLING, DriverStatus.READY
+
+        def over() -> bool:
+            states = [msg.state for msg in said]
+            return bool(states) and (
+                states[-1] == ready or (enabling in states and states[-1] != enabling)
+            )
+
+        heard = self.node.create_subscription(DriverStatus, "driver_status", said.append, LATCHED)
+        try:
+            answer = self._call(SetBool, "enable", SetBool.Request(data=True))
+            if not answer.success:
+                raise PlateError(str(answer.message))
+            if not answer.message.startswith("enabling"):
+                return str(answer.message)
+            self._until(over, READY_S)
+        finally:
+            self.node.destroy_subscription(heard)
+        if not said or said[-1].state != ready:
+            raise PlateError(f"not enabled, driver_status: {said[-1].text if said else 'nothing'}")
+        return str(said[-1].text)
 
     def _call(self, kind: Any, service: str, request: Any, urgent: bool = False) -> Any:
         client = self.node.create_client(kind, service, qos_profile=CALLS)

@@ -22,7 +22,7 @@ from plate_client.graph import Graph  # noqa: E402
 from plate_client.services import domains_in_use  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, declare, follow, parameter  # noqa: E402
-from plate_interfaces.msg import TaskStatus  # noqa: E402
+from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 NAMESPACE = f"/command_test_{os.getpid()}"
 
@@ -84,6 +84,47 @@ def test_services_and_state(graph):
         "driver_status: nothing heard",
         "task_status: idle",
     ]
+
+
+@pytest.mark.parametrize("ends", ["ready", "stopped: supply"])
+def test_enable_waits_until_the_motors_are_ready(graph, ends):
+    """They may be so later than the answer, or not at all: then the reason is told."""
+    context, namespace = rclpy.Context(), f"{NAMESPACE}_{ends[:5]}"
+    rclpy.init(context=context)
+    node = rclpy.create_node("driver", context=context, namespace=namespace)
+    statuses = node.create_publisher(DriverStatus, "driver_status", LATCHED)
+    statuses.publish(DriverStatus(state=DriverStatus.STOPPED, text="stopped: before"))
+    state = DriverStatus.READY if ends == "ready" else DriverStatus.STOPPED
+    due = []
+
+    def answer(request, response):
+        response.success, response.message = True, "enabling: driver_status tells"
+        due.extend(
+            [DriverStatus(state=DriverStatus.ENABLING), DriverStatus(state=state, text=ends)]
+        )
+        return response
+
+    node.create_service(SetBool, "enable", answer)
+    # As the driver does: what it says comes beside the answer.
+    node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    command = Graph(namespace)
+    try:
+        assert command._until(lambda: bool(command._seen()), 20)
+        if ends == "ready":
+            assert asked(command, "enable") == "ready"
+        else:
+            with pytest.raises(PlateError, match="not enabled, driver_status: stopped: supply"):
+                asked(command, "enable")
+    finally:
+        command.node.destroy_node()
+        executor.shutdown()
+        thread.join(10)
+        node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 @pytest.fixture
