@@ -1,18 +1,21 @@
 """Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
 
-python tools/freezes.py [--count 500] [--seed 0] [--scenario sort_10] [--busy 0] [--json FILE]
+python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--busy 8] [--seed 0]
+                        [--scenario sort_10] [--json FILE]
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
-emergency stop. Judged is what the driver publishes, when it publishes it, by nothing that the
-driver says: a table that moves the plate is wrong if the image that it answers is older than
-`age_limit`, or than the last emergency stop, or if its task had ended before. `--busy` starts so
-many loops beside it. Exit code 1 if a table was wrong.
+emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
+is what the driver publishes, when it publishes it, by nothing that the driver says: a table that moves
+the plate is wrong if the image that it answers is older than `age_limit`, or than the last
+emergency stop, or if its task had ended before. `--busy` starts so many loops beside it. Exit code
+1 if a table was wrong.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import subprocess
@@ -48,6 +51,9 @@ STOPS = 0.1
 
 TOLD_S = 0.1
 """The driver has heard after this time that a task has ended [s], unless it is frozen."""
+
+DEAD_S = (0.5, 3.0)
+"""How long a killed node is away [s]."""
 
 BUSY = "while True: sum(range(100000))"
 
@@ -113,12 +119,24 @@ def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) 
         processes.signal(name, signal.SIGCONT)
 
 
-def run(count: int, seed: int, options: RunOptions, logs: Path) -> dict[str, Any]:
-    """Freeze at random; return what was judged."""
+def memory_mb(processes: Processes) -> dict[str, float]:
+    """Return each node's resident memory [MB]."""
+    pages = {
+        name: int(Path(f"/proc/{processes.pid(name)}/statm").read_text(encoding="ascii").split()[1])
+        for name in processes.names
+    }
+    return {name: round(n * os.sysconf("SC_PAGESIZE") / 1e6, 1) for name, n in pages.items()}
+
+
+def run(
+    count: int, minutes: float, kills: float, seed: int, options: RunOptions, logs: Path
+) -> dict[str, Any]:
+    """Freeze and kill at random; return what was judged."""
     rng = np.random.default_rng(seed)
     graph = options.nodes(load_graph())
     names = [node.name for node in graph]
-    scenario, frozen, tasks, trouble = load_scenario(options.scenario), Counter[str](), 0, 0
+    scenario, tasks, trouble = load_scenario(options.scenario), 0, 0
+    frozen, killed, began = Counter[str](), Counter[str](), time.monotonic()
     with (
         own_domain() as domain,
         Observer(domain, pictures=False) as observer,
@@ -127,7 +145,10 @@ def run(count: int, seed: int, options: RunOptions, logs: Path) -> dict[str, Any
     ):
         observer.await_nodes(names, START_S)
         observer.await_answers(START_S)
-        for number in range(count):
+        memory = memory_mb(processes)
+        number = 0
+        while number < count and time.monotonic() - began < 60 * minutes:
+            number += 1
             status = observer.record.status
             if status is None or status.state != TaskStatus.RUNNING:
                 try:
@@ -142,6 +163,15 @@ def run(count: int, seed: int, options: RunOptions, logs: Path) -> dict[str, Any
             some = rng.choice(names, size=1 + (rng.random() < 0.3), replace=False).tolist()
             longest = {name: float(np.exp(rng.uniform(*np.log(FREEZE_S)))) for name in some}
             chance = rng.random()
+            if rng.random() < kills:
+                killed[some[0]] += 1
+                processes.signal(some[0], signal.SIGKILL)
+                processes.wait(some[0], DEAD_S[1])
+                observer.until(lambda: False, rng.uniform(*DEAD_S))
+                processes.restart(some[0])
+                observer.await_nodes(names, START_S)
+                observer.await_answers(START_S)
+                continue
             try:
                 if chance < STOPS and "planner" not in some:
                     observer.trigger("stop")
@@ -153,17 +183,19 @@ def run(count: int, seed: int, options: RunOptions, logs: Path) -> dict[str, Any
                 print(f"no stop: {error}", flush=True)
             freeze(processes, observer, longest)
             frozen.update(some)
-            if number % 10 == 9:
+            if number % 10 == 0:
                 print(
-                    f"{number + 1} freezes, {tasks} tasks, {judge.moving} moving tables, oldest "
+                    f"{number} faults, {tasks} tasks, {judge.moving} moving tables, oldest "
                     f"{judge.oldest_s:.3f} s, wrong {len(judge.wrong)}, load "
                     f"{os.getloadavg()[0]:.1f}", flush=True,
                 )  # fmt: skip
         observer.until(lambda: False, FREEZE_S[1])
         return {
-            "freezes": count, "frozen": dict(frozen), "tasks": tasks, "tables": judge.tables,
+            "faults": number, "frozen": dict(frozen), "killed": dict(killed), "tasks": tasks,
+            "minutes": (time.monotonic() - began) / 60, "tables": judge.tables,
             "moving": judge.moving, "oldest_s": judge.oldest_s, "wrong": judge.wrong,
-            "trouble": trouble, "load": os.getloadavg()[1],
+            "trouble": trouble, "memory_mb": [memory, memory_mb(processes)],
+            "load": os.getloadavg()[1],
         }  # fmt: skip
 
 
@@ -171,6 +203,8 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--minutes", type=float, default=math.inf, help="at most so long")
+    parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scenario", default="sort_10")
     parser.add_argument("--busy", type=int, default=0, help="busy loops beside it")
@@ -181,7 +215,7 @@ def main() -> int:
         for _ in range(args.busy):
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", BUSY]))
             stack.callback(loop.kill)
-        result = run(args.count, args.seed, options, Path(logs))
+        result = run(args.count, args.minutes, args.kills, args.seed, options, Path(logs))
     print(json.dumps(result, indent=1))
     if args.json:
         args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -95,6 +95,8 @@ class Controller:
         Seed of the solvers' restarts.
     centres : (N, 2), optional
         Centres of rotation of Method A [m], plate_home; as `RotationSolver` if left out.
+    deadline : float
+        Of `SinusoidOptions`: part of a cycle, in real time; 0: none.
     **effort
         `iterations`, `restarts` of the solvers, where those of `EFFORT` are not wanted.
     """
@@ -105,19 +107,28 @@ class Controller:
         method: str = "sinusoids",
         seed: int = 0,
         centres: np.ndarray | None = None,
+        deadline: float = 0.0,
         **effort: int,
     ) -> None:
         if method not in METHODS:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
+        self._sinusoids = SinusoidSolver(
+            rig, seed=seed, deadline=deadline, **EFFORT["sinusoids"] | effort
+        )
         self._solvers: dict[str, MotionSolver] = {
             "rotations": RotationSolver(rig, centres, seed=seed, **EFFORT["rotations"] | effort),
-            "sinusoids": SinusoidSolver(rig, seed=seed, **EFFORT["sinusoids"] | effort),
+            "sinusoids": self._sinusoids,
         }
         self._velocity: dict[str, np.ndarray] = {}
         self._spin: dict[str, float] = {}
         self._types: dict[str, PartType] = {}
         self.method = METHODS[method]
+
+    @property
+    def cut_short(self) -> int:
+        """Searches that the deadline has ended so far."""
+        return self._sinusoids.cut_short
 
     def reset(self) -> None:
         """Forget all parts and solutions."""

@@ -1,5 +1,7 @@
 """The controller in a small closed loop: the simulator moves the parts, one cycle ahead."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -8,9 +10,11 @@ from plate_core.motion import usage
 from plate_sim import simulate
 from plate_solver import Controller
 from plate_solver.controller import METHODS
+from plate_solver.limits import Limits
 from plate_solver.maps.stick_slip import end_state, end_state_gradient
-from plate_solver.requests import end_errors
+from plate_solver.requests import Goal, end_errors
 from plate_solver.sinusoids.descent import descend
+from plate_solver.sinusoids.steer import SinusoidSteering
 
 METHOD = pytest.mark.parametrize("method", ["sinusoids", "rotations"])
 
@@ -268,12 +272,32 @@ def test_any_number_of_parts_needs_no_kernel_of_its_own(rig, scene, method, coun
     assert [len(kernel.signatures) for kernel in kernels] == before
 
 
-def test_a_search_that_is_hard_has_an_end(rig):
+def test_a_deadline_ends_a_hard_search_and_is_told(rig):
     """A hundred parts on one spot, to keep a metre apart: beyond all use, and still answered."""
     position = np.full((100, 2), 0.01)
     parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)
     aim = np.full((100, 2), 0.1)
     wanted = Wanted.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
-    hard = Controller(rig, restarts=1000).answer(wanted, None)
+    controller = Controller(rig, restarts=1000, deadline=0.01)
+    hard = controller.answer(wanted, None)
     assert usage(rig, hard.cycle).worst <= 1
     assert hard.solution.iterations < 24 * 100
+    assert controller.cut_short == 1
+
+
+def test_a_deadline_lets_as_many_descents_begin_as_the_clock_allows(rig):
+    """Two parts that exclude each other: no descent is ever good enough. Each look at the clock
+    takes a tenth of a cycle."""
+    place = np.array([[0.0, 0.0], [0.001, 0.0]])
+    goal = Goal(place, 0 * place, np.array([[0.03, 0.0], [-0.03, 0.0]]), 0 * place, np.full(2, 2.0))
+    iterations = []
+    for deadline in (0.0, 0.35, 0.65):
+        ticks = itertools.count()
+        steering = SinusoidSteering(
+            Limits.of(rig), 5, 9, deadline, clock=lambda ticks=ticks: 0.01 * next(ticks)
+        )
+        _, steps, _ = steering.steer(goal, 4, 0.1, 0.0, 1e-9, np.random.default_rng(0))
+        assert steering.cut_short == (deadline > 0)
+        assert next(ticks) == {0.0: 0, 0.35: 5, 0.65: 8}[deadline]
+        iterations.append(steps)
+    assert iterations[1] < iterations[2] < iterations[0]

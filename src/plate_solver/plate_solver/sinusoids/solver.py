@@ -51,6 +51,9 @@ class SinusoidOptions:
         Most steps from one start.
     restarts : int
         Most further starts when the first fails; `STARTS` times as many for averages.
+    deadline : float
+        Part of a cycle after which `steer` begins no further start, by the clock: only for answers
+        in real time, as they then depend on the computer; 0: none.
     seed : int
         Seed of the further starts.
     """
@@ -61,6 +64,7 @@ class SinusoidOptions:
     tolerance: float = 1e-4
     iterations: int = 40
     restarts: int = 100
+    deadline: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -71,6 +75,7 @@ class SinusoidOptions:
             tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
+            deadline=(0.0, 1.0),
             seed=(0, 2**31 - 1),
         )
         if self.at_rest and self.harmonics == 1:
@@ -94,8 +99,16 @@ class SinusoidSolver(MotionSolver):
         self._searches: dict[tuple[int, float, bool], tuple[PlainMotions, np.ndarray]] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
-            self._limits, self.options.iterations, self.options.restarts
+            self._limits,
+            self.options.iterations,
+            self.options.restarts,
+            self.options.deadline,
         )
+
+    @property
+    def cut_short(self) -> int:
+        """Searches of `steer` that the deadline has ended."""
+        return self._steering.cut_short
 
     def forget(self) -> None:
         self._warm.clear()

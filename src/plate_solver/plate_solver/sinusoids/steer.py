@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -33,33 +34,11 @@ CROWD = 10
 SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
 
-LONGEST = 0.5
-"""Processor time after which no further descent begins, as part of a cycle: the rest of the graph
-needs time too."""
-
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
 steps of each."""
 
 Descend = Callable[[Goal, np.ndarray, float, int], Fit]
-
-
-class Clock:
-    """Whether a processor time [s] is over: so a busy machine alone changes no answer.
-
-    Reading it may take a millisecond, so it is read when the time is over on the wall.
-    """
-
-    def __init__(self, longest_s: float) -> None:
-        self._longest_s = longest_s
-        self._wall, self._own = time.perf_counter(), time.thread_time()
-
-    def is_over(self) -> bool:
-        """Whether it is."""
-        return (
-            time.perf_counter() - self._wall > self._longest_s
-            and time.thread_time() - self._own > self._longest_s
-        )
 
 
 class SinusoidSteering:
@@ -73,11 +52,30 @@ class SinusoidSteering:
     restarts : int
         Most further descents; `FRESH` more without a motion to begin with, and in proportion more
         for the progress of over `CROWD` parts.
+    deadline : float
+        Part of a cycle after which no further descent begins, by the clock; 0: none, so that a
+        seed gives the same motions on any computer.
+    clock : callable
+        Time [s].
+
+    Attributes
+    ----------
+    cut_short : int
+        Searches that the deadline has ended.
     """
 
-    def __init__(self, limits: Limits, iterations: int, restarts: int) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        iterations: int,
+        restarts: int,
+        deadline: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._limits = limits
         self._iterations, self._restarts = iterations, restarts
+        self._deadline, self._clock = deadline, clock
+        self.cut_short = 0
         self._warm: dict[tuple[int, float], np.ndarray] = {}
         self._motions: dict[tuple[int, float, float], Motions] = {}
 
@@ -103,16 +101,20 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square].
         """
+        until = self._clock() + self._deadline * period if self._deadline else math.inf
         step = ROUGH_STEP if goal.lasting else STEP
         family = limited_sinusoids(number, period, self._limits, BEYOND, step)
         to = self._descend(number, period, step, tolerance)
         known, enough = self._warm.get((number, period)), good_enough**2 * goal.asked
         start = family.random(rng) if known is None else known
-        best = to(goal, start, BEYOND, self._iterations)  # in a new process it loads its kernel
-        iterations, clock = best.iterations, Clock(LONGEST * period)
+        best = to(goal, start, BEYOND, self._iterations)
+        iterations = best.iterations
         crowd = max(1.0, len(goal.position) / CROWD) if goal.lasting else 1.0
         for index in range(round(crowd * self._restarts) + (FRESH if known is None else 0)):
-            if best.cost <= enough or clock.is_over():
+            if best.cost <= enough:
+                break
+            if until < math.inf and self._clock() > until:
+                self.cut_short += 1
                 break
             if known is None and index < FRESH:
                 start = family.random(rng)
