@@ -5,8 +5,8 @@ python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--busy 8] [-
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
 emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
-is what the driver publishes, when it publishes it, by nothing that the driver says: a table that moves
-the plate is wrong if the image that it answers is older than `age_limit`, or than the last
+is what the driver publishes, when it publishes it, by nothing that the driver says: a table that
+moves the plate is wrong if the image that it answers is older than `age_limit`, or than the last
 emergency stop, or if its task had ended before. `--busy` starts so many loops beside it. Exit code
 1 if a table was wrong.
 """
