@@ -147,13 +147,13 @@ def test_a_stop_that_is_not_acknowledged_is_done_if_what_is_measured_shows_it():
         return thread.stopped(order, cut, end)
 
     now = time.monotonic()
-    assert shown(Condition.OFF, False, now - 0.1, now)
-    assert shown(Condition.OFF, True, now - 0.1, now)
-    assert shown(Condition.BRAKING, False, now - 0.1, now)
-    assert not shown(Condition.BRAKING, True, now - 0.1, now)
-    assert not shown(Condition.READY, False, now - 0.1, now)
-    assert not shown(Condition.GONE, False, now - 0.1, now)
-    assert not shown(Condition.OFF, False, now - 0.3, now)  # before the stop had come, it may be
+    assert shown(Condition.OFF, False, now - 0.05, now)
+    assert shown(Condition.OFF, True, now - 0.05, now)
+    assert shown(Condition.BRAKING, False, now - 0.05, now)
+    assert not shown(Condition.BRAKING, True, now - 0.05, now)
+    assert not shown(Condition.READY, False, now - 0.05, now)
+    assert not shown(Condition.GONE, False, now - 0.05, now)
+    assert not shown(Condition.OFF, False, now - 0.2, now)  # before the stop had come, it may be
     order = thread.stop(True)
     motors.told, motors.measured_at = Condition.OFF, [now]
     thread.poll()

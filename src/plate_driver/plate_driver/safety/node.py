@@ -181,9 +181,10 @@ class SafetyNode:
         if status.state is DriverState.READY:  # there is no stop to clear, and a task may run
             response.success, response.message = True, status.text
             return response
+        end = time.monotonic() + ANSWER_S
         order = transport.enable(number)
         self.publish_status()
-        order.wait(ANSWER_S)
+        order.wait(end - time.monotonic())
         self.publish_status()
         response.success = not order.failure
         done = self._driver.status.text if order.settled else ENABLING
@@ -197,8 +198,9 @@ class SafetyNode:
             state = self._driver.status.text
             response.message = f"the driver is {state}, allowed: motors off; call enable, false"
             return response
+        end = time.monotonic() + ANSWER_S
         order = transport.home()
-        response.success = order.wait(ANSWER_S)
+        response.success = order.wait(end - time.monotonic())
         response.message = "the next enable finds home"
         if not response.success:
             response.message = order.failure or SILENT

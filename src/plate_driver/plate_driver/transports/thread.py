@@ -28,12 +28,12 @@ BUSY = "the transport is busy"
 BUSY_S, CLOSE_S = 0.3, 2.0
 """Longest wait for a transport that is in the middle of something, and for its thread's end [s]."""
 
-ANSWER_S = 0.4
+ANSWER_S = 0.3
 """Longest wait for what becomes of an order [s]: who has called gets an answer within 0.5 s."""
 
-SHOWN_S = 0.2
-"""What was measured so shortly before the answer shows that the motors have stopped [s]: whatever
-was on the line before the stop has long arrived by then."""
+SHOWN_S = 0.1
+"""What was measured so shortly before the last moment for an answer, or later, shows that the
+motors have stopped [s]: whatever was on the line before the stop has long arrived by then."""
 
 REMEMBERED = 2000
 """Measurements that are kept until somebody asks for them: 20 s of them."""
@@ -292,11 +292,14 @@ class TransportThread:
     def stopped(self, order: Order, cut: bool, end: float) -> bool:
         """Wait for a stop, until `end` at most (steady clock [s]); returns whether it is done, or
         what was measured since shows that the motors have no current, or brake if they may."""
-        order.wait(end - time.monotonic())
-        if order.settled:
-            return order.done
-        shown = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
-        return self.report.condition in shown and self._measured_at > end - SHOWN_S
+        stopped = (Condition.OFF,) if cut else (Condition.OFF, Condition.BRAKING)
+
+        def shown() -> bool:
+            return self._measured_at > end - SHOWN_S and self.report.condition in stopped
+
+        while not shown() and (left_s := end - time.monotonic()) > 0 and not order.settled:
+            order.wait(min(left_s, 2 * POLL_PERIOD_S))
+        return order.done if order.settled else shown()
 
     def enable(self, number: int) -> Order:
         """Enable, see `Transport.enable`: for whom the latch had counted so many stops. It opens
