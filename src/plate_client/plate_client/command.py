@@ -32,11 +32,11 @@ OTHERS = {
 
 
 def main() -> None:
-    """Run the command line; exit code 0 if it was done, 1 if not."""
+    """Run the command line; exit code 0 if it was done, 1 if not, 2: wrong arguments or files."""
     signal.signal(signal.SIGINT, _interrupted)  # while modules are imported
     import rclpy
 
-    from plate_core import PlateError
+    from plate_core import PlateError, ScenarioError
 
     from .messages import defer_signals
     from .services import Services, start_ros
@@ -56,7 +56,7 @@ def main() -> None:
             graph.node.destroy_node()
     except PlateError as error:
         print(f"plate: {error}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(2 if isinstance(error, ScenarioError) else 1)
     except KeyboardInterrupt as interrupt:
         sys.exit(128 + int(interrupt.args[0]))
     except BrokenPipeError:  # the reader has enough, as in `plate state | head`

@@ -241,25 +241,27 @@ def test_nobody_is_there(graph):
 
 
 @pytest.mark.parametrize(
-    ("domain", "words", "message"),
+    ("domain", "words", "message", "code"),
     [
         (
             "abc",
             ["state"],
             "plate: ROS_DOMAIN_ID is 'abc', allowed: a whole number from 0 to 232\n",
+            1,
         ),
-        ("-1", ["cut_power"], "plate: ROS_DOMAIN_ID is '-1', allowed"),
-        ("999", ["state"], "plate: ROS_DOMAIN_ID is '999', allowed"),
-        ("", ["state", "--namespace", "a b"], "plate: namespace is 'a b', allowed"),
+        ("-1", ["cut_power"], "plate: ROS_DOMAIN_ID is '-1', allowed", 1),
+        ("999", ["state"], "plate: ROS_DOMAIN_ID is '999', allowed", 1),
+        ("", ["state", "--namespace", "a b"], "plate: namespace is 'a b', allowed", 1),
+        ("", ["goal", "/nowhere.yaml"], "plate: /nowhere.yaml: no such file\n", 2),
     ],
 )
-def test_a_domain_or_namespace_that_is_none_is_refused_in_a_line(domain, words, message):
-    code = "from plate_client.command import main; main()"
+def test_what_is_wrong_on_the_command_line_is_refused_in_a_line(domain, words, message, code):
+    program = "from plate_client.command import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], env=os.environ | {"ROS_DOMAIN_ID": domain},
+        [sys.executable, "-c", program, *words], env=os.environ | {"ROS_DOMAIN_ID": domain},
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
-    assert (done.returncode, done.stderr[: len(message)]) == (1, message)
+    assert (done.returncode, done.stderr[: len(message)]) == (code, message)
     assert done.stderr.count("\n") == 1
 
 

@@ -193,7 +193,7 @@ def test_command_tells_all_that_is_wrong(spoilt, tmp_path):
     assert out.count("WRONG: ") == 2
     assert (tmp_path / "a.png").stat().st_size > 10_000
     code, _, err = check_rig("desc")
-    assert code == 1
+    assert code == 2
     assert (
         "rig is 'desc' (did you mean desk?), allowed: desk, shapes, voice_coils, washers, or" in err
     )

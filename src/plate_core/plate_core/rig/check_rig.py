@@ -32,7 +32,7 @@ class Shake(NamedTuple):
 
 
 def main() -> None:
-    """Run the command line; exit code 0: consistent, 1: not, or no rig file."""
+    """Run the command line; exit code 0: consistent, 1: not, 2: wrong arguments or files."""
     parser = argparse.ArgumentParser(
         prog="check_rig", description="Tell what a rig can do, and what is wrong with its file."
     )
@@ -50,7 +50,7 @@ def main() -> None:
         rig = read_rig(path)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(2)
     found = doubts(rig)
     print(report(rig, path.name, found))
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
@@ -64,7 +64,7 @@ def main() -> None:
         print(f"no drawing: {error}", file=sys.stderr)
     except (OSError, ValueError) as error:
         print(f"error: the drawing cannot be written: {error}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(2)
     sys.exit(1 if any(doubt.impossible for doubt in found) else 0)
 
 
