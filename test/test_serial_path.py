@@ -32,6 +32,7 @@ from plate_driver.transports import (
     Latch,
     Measured,
     Order,
+    Report,
     SerialTransport,
     TransportThread,
 )  # fmt: skip
@@ -53,6 +54,16 @@ def shaking(amplitude: float, turns: int = 2) -> MotorTable:
     return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
 
 
+def long_table() -> MotorTable:
+    """Table of 64 pieces in 0.2 s."""
+    t = np.arange(64) * 0.2 / 64
+    wave = 5e-4 * np.sin(np.pi * t / 0.2) ** 4
+    cycle = PlateCycle.from_samples(0.2, np.outer(wave, [1, 1, 0]))
+    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
+    twist[[0, -1]] = accel[[0, -1]] = 0
+    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
+
+
 @dataclass
 class SimulatedFirmware:
     """The firmware as a process, its time, and the line to it with all that may go wrong."""
@@ -62,6 +73,7 @@ class SimulatedFirmware:
     damage: float = 0.0  # share of bytes that change
     loss: float = 0.0  # share of bytes that vanish
     delay: float = 0.0  # [s], each way
+    fast: float = 0.0  # share by which its clock, and so the plate, is faster than the host's
     cut: bool = False
     withholds: bool = False  # acknowledgements
     now: float = 0.0
@@ -75,6 +87,7 @@ class SimulatedFirmware:
 
     def __post_init__(self) -> None:
         self.rng = np.random.default_rng(4)
+        self.own = 0.5  # ticks of the device so far
         self.start()
 
     def start(self) -> None:
@@ -107,7 +120,9 @@ class SimulatedFirmware:
         self.now += TICK_S
         arrived = b"".join(d for at, d in self.to_device if at <= self.now)
         self.to_device = [item for item in self.to_device if item[0] > self.now]
-        order = (f"rx {arrived.hex()}\n" if arrived else "") + "run 1000\n"
+        before, self.own = self.own, self.own + 1 + self.fast
+        ticks = int(self.own) - int(before)
+        order = (f"rx {arrived.hex()}\n" if arrived else "") + f"run {1000 * ticks}\n"
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(order)
@@ -618,6 +633,70 @@ def test_a_jam_is_told(firmware):
     assert float(transport.values()["following_error_mm"]) > 3
 
 
+@pytest.mark.parametrize("fast", [0.2, -0.2])
+def test_a_device_whose_clock_is_wrong_is_stopped(firmware, fast):
+    transport = enabled(firmware)
+    assert play(firmware, transport, 1.0)
+    assert transport.troubles() == []
+    firmware.fast, since = fast, firmware.now
+    measured = []
+    while firmware.states[-1] not in (State.BRAKING, State.OFF) and firmware.now < since + 2:
+        measured += pass_time(firmware, transport, 0.005)
+    assert firmware.now - since < 0.5
+    assert transport.troubles()[0].startswith("the device's clock ran ")
+    assert measured[-1].doubt
+    pass_time(firmware, transport, 1.5)
+    assert not firmware.current
+    assert transport.report().reason is DriverReason.DEVICE_CLOCK
+    # Enabled only when it is right again.
+    assert transport.enable().failure.startswith("the device's clock ran ")
+    firmware.fast = 0.0
+    pass_time(firmware, transport, 3.0)
+    assert settled(firmware, transport, transport.enable()).done
+    assert transport.report() == Report(Condition.READY)
+    assert play(firmware, transport, 0.5)
+
+
+def test_a_clock_that_is_set_once_is_told_and_stops_nothing(firmware):
+    transport = enabled(firmware)
+    play(firmware, transport, 0.5)
+    firmware.order("late 40000")
+    play(firmware, transport, 2.5)
+    [told] = transport.troubles()
+    assert told.startswith("the device's clock ran ")
+    assert firmware.current
+    assert pass_time(firmware, transport, 0.1)[-1].doubt == ""
+
+
+def test_a_brake_is_no_problem_of_the_clock(firmware):
+    transport = enabled(firmware)
+    transport.send(shaking(0.0005), 50)
+    pass_time(firmware, transport, 0.5)
+    starts = CycleStarts(firmware.now)
+    transport.stop()
+    measured = pass_time(firmware, transport, 1.0)
+    assert State.BRAKING in firmware.states[-1000:]
+    for sample in measured:
+        starts, _, problem = starts.heard(sample, PERIOD, firmware.now)
+        assert problem == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_table_a_second_on_a_line_that_loses_3_percent(firmware, seed):
+    """And no false word of the device's clock, nor an error, in ten seconds."""
+    firmware.rng = np.random.default_rng(seed)
+    firmware.loss = 0.03
+    transport = enabled(firmware)
+    assert firmware.now < 5
+    tables: set[int] = set()
+    for _ in range(50):
+        assert transport.report() == Report(Condition.READY)
+        transport.send(long_table(), 2)
+        tables |= {m.table for m in pass_time(firmware, transport, 0.2)}
+    assert len(tables - {0}) >= 10
+    assert transport.troubles() == []
+
+
 def test_long_tables_are_refused(firmware):
     transport = enabled(firmware)
     cycle = PlateCycle.from_samples(1.0, np.zeros((600, 3)))
@@ -736,6 +815,15 @@ def provoke_following(firmware, latch):
 def provoke_device_reset(firmware, latch):
     transport = enabled(firmware)
     firmware.order("reset")
+    pass_time(firmware, transport, 2.0)
+    return transport
+
+
+@provokes(DriverReason.DEVICE_CLOCK, DriverState.STOPPED)
+def provoke_device_clock(firmware, latch):
+    transport = enabled(firmware)
+    play(firmware, transport, 0.5)
+    firmware.fast = 0.2
     pass_time(firmware, transport, 2.0)
     return transport
 

@@ -99,8 +99,9 @@ def device(link: str, ready: Event, done: Event) -> Iterator[tuple[bytes, float]
         due = (time.monotonic_ns() - began) // 1_000 - emulator.device.now_us
         yield data, 1e-6 * max(0, due - TICK_US)
         began += 1_000 * max(0, due - MOST_BEHIND_US)
-        emulator.to_device.sent(data, emulator.now)
-        for _ in range(min(due, MOST_BEHIND_US) // TICK_US):
+        ticks = min(due, MOST_BEHIND_US) // TICK_US
+        emulator.to_device.sent(data, emulator.now + ticks * TICK_US * 1e-6)
+        for _ in range(ticks):
             emulator.tick()
         terminal.write(emulator.to_host.arrived(emulator.now))
         time.sleep(0.0005)

@@ -44,6 +44,7 @@ class DriverReason(IntEnum):
     DEFECT = 16
     STOP_UNANSWERED = 17
     OTHER = 18
+    DEVICE_CLOCK = 19
 
     @property
     def words(self) -> str:

@@ -2,6 +2,7 @@
 
 A device may be wrong of how long a table has played. Where that cannot be, by the device's clock,
 the table's period and our time, no start is taken from it: the planner would find parts elsewhere.
+Whether the device's clock itself can be true, `transports.device_clock` tells.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from .transports import Measured
+from .transports.device_clock import DRIFT
 
 __all__ = ["CycleStarts"]
 
@@ -36,13 +38,17 @@ class CycleStarts:
     table : int
         The table whose play it is; 0: the motors rest.
     last : Measured or None
-        The telemetry before.
+        The telemetry before, if it is believed.
+    slip : float
+        By how much tables have begun later than whole periods apart, of late, by the device's own
+        clock [s].
     """
 
     until: float
     began: float = float("-inf")
     table: int = 0
     last: Measured | None = None
+    slip: float = 0.0
 
     def heard(
         self, new: Measured, period: float, now: float
@@ -64,14 +70,17 @@ class CycleStarts:
         problem : str
             Why the telemetry cannot be; empty if it can.
         """
-        seen = replace(self, last=new)
+        if new.doubt:
+            return replace(self, last=None, slip=0.0), None, new.doubt
+        seen = replace(self, last=new, slip=0.0)
         if not new.table:
             if new.time < self.until:
                 return seen, None, ""
             return seen._told(new, self.until, period), self.until, ""
         if new.playing is None:
             return seen, None, ""
-        problem = self._problem(new, new.playing.cycle.period, now)
+        slip, problem = self._problem(new, new.playing.cycle.period, now)
+        seen = replace(seen, slip=slip)
         same = new.table == self.table and new.began - self.began < SAME_START * period
         if problem or same:
             return seen, None, problem
@@ -81,25 +90,32 @@ class CycleStarts:
         until = max(began + period, new.time)
         return replace(self, table=new.table, began=began, until=until)
 
-    def _problem(self, new: Measured, period: float, now: float) -> str:
-        """Say why telemetry of a table of `period` [s] cannot be."""
+    def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:
+        """Return the new slip, and why telemetry of a table of `period` [s] cannot be."""
         played = new.time - new.began
         if played > period + MARGIN_S:
-            return f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
+            return 0.0, f"played for {played:.3g} s, allowed: {period:.3g} s, its period"
         if new.time > now + AHEAD_S:
-            return f"measured {new.time - now:.3g} s ahead of our time"
+            return 0.0, f"measured {new.time - now:.3g} s ahead of our time"
         last = self.last
         if last is None or new.device_s < last.device_s:
-            return ""
+            return 0.0, ""
         began = new.device_s - played
-        if last.table == new.table:
-            later = began - (last.device_s - (last.time - last.began))
-            if abs(later) <= MARGIN_S:
-                return ""
-            if abs(later - round(later / period) * period) > MARGIN_S:
-                return f"began {later:.3g} s later than before, allowed: 0, or whole periods"
-        if began < last.device_s - MARGIN_S:
-            return (
-                f"played for {played:.3g} s, but did not {new.device_s - last.device_s:.3g} s ago"
-            )
-        return ""
+        if not last.table or last.playing is None:
+            if began < last.device_s - MARGIN_S:
+                passed = new.device_s - last.device_s
+                return 0.0, f"played for {played:.3g} s, but did not {passed:.3g} s ago"
+            return 0.0, ""
+        before = last.playing.cycle.period
+        later = began - (last.device_s - (last.time - last.began))
+        off = later - round(later / before) * before
+        if last.table != new.table:
+            if later < before - MARGIN_S:
+                return 0.0, f"began {later:.3g} s after the table before, allowed: {before:.3g} s"
+            if abs(off) > MARGIN_S:  # the plate rested meanwhile
+                return 0.0, ""
+        slip = self.slip + off
+        if abs(slip) > MARGIN_S:
+            return 0.0, f"began {slip:.3g} s later than whole periods ago, allowed: {MARGIN_S:g} s"
+        forgiven = DRIFT * (new.device_s - last.device_s)
+        return slip - min(max(slip, -forgiven), forgiven), ""

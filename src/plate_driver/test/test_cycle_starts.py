@@ -70,6 +70,26 @@ def test_no_start_is_told_where_ticks_cannot_be(lie):
     assert len(wrong) <= 5
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.5])
+@pytest.mark.parametrize("rate", [0.8, 0.99, 1.01, 1.2])
+def test_ticks_that_run_fast_or_slow_are_found(rate, lost):
+    """Each table of 0.2 s then lasts as much longer or shorter by the device's clock."""
+    rng = np.random.default_rng(5)
+
+    def telemetry(seconds=2.0):
+        for time in np.arange(0.005, seconds, EACH_S):
+            if rng.random() < lost:
+                continue
+            ticks = rate * (time - 0.05)
+            table = 0 if ticks < 0 else 1 + int(ticks / PERIOD)
+            yield time, table, ticks % PERIOD if table else 0.0
+
+    _, problems = told(telemetry())
+    assert problems
+    if rate in (0.8, 1.2):
+        assert len(problems) > 5
+
+
 def test_a_jump_is_not_told_and_truth_is_again_after_it():
     def late(true, time):
         return true + 0.05 * (1.65 < time < 1.73)

@@ -36,7 +36,6 @@ from plate_driver.transports.link import (
     LATER_GREETING_S,
     QUEUE_S,
     SILENCE_S,
-    DeviceClock,
     Link,
 )  # fmt: skip
 
@@ -303,18 +302,3 @@ def test_silence_ends_a_link_later_where_the_way_is_long():
     far = replace(link, line=replace(link.line, trip_s=0.2, deviation_s=0.05))
     assert not far.due(SILENCE_S + 0.399)[0].failed
     assert far.due(SILENCE_S + 0.401)[0].failed
-
-
-def test_clock_is_right_to_half_the_round_trip():
-    clock, offset = DeviceClock(), 123.0  # host minus device
-    trips = [(1.0, 0.010, 0.002), (2.0, 0.001, 0.003), (3.0, 0.050, 0.0)]
-    for sent, there, back in trips:
-        device_us = round((sent + there - offset + 200) * 1e6)
-        clock = clock.heard(Pulse(round(sent * 1e9), device_us), sent + there + back)
-    assert clock.trip_s == pytest.approx(0.004)  # the shortest
-    assert clock.host_time(0) == pytest.approx(offset - 200, abs=0.002)
-    # After five seconds a longer one is better than an old one.
-    clock = clock.heard(Pulse(8_000_000_000, 0), 8.02)
-    assert clock.trip_s == pytest.approx(0.02)
-    # A pulse from the future is nobody's.
-    assert clock.heard(Pulse(9_000_000_000, 0), 8.5) == clock

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, log, log1p
 
 from plate_core.serial_protocol import (
     HEADER,
     KNOTS_PER_MESSAGE,
     LAYOUTS,
+    Acknowledgement,
     Begin,
     Commit,
     Heartbeat,
@@ -16,6 +17,8 @@ from plate_core.serial_protocol import (
     Knots,
     Message,
     Pulse,
+    Status,
+    Telemetry,
 )
 
 BITS_PER_BYTE = 10
@@ -53,6 +56,14 @@ ROUNDING_S = 1e-6
 MOST_FRAME_S = 0.02
 """Longest that knots may keep the line [s]: a stop and heartbeats wait behind them."""
 
+UNANSWERED = 0.05
+"""Share of commands that may come to nothing: a round trip more each."""
+
+TELEMETRY_S, CHANCE, MOST_PATIENCE_S = 0.01, 1e-9, 3.0
+"""Time between two telemetries [s]; how unlikely it must be that the line has lost all of them, so
+that none is worth an error (what it loses is known roughly); and the longest time without any,
+whatever it loses [s]."""
+
 MOST_COPIES = 8
 """Times that a message is sent at once, at most, on a line that loses nearly all."""
 
@@ -70,6 +81,10 @@ def _full(count: int) -> Knots:
 
 ROUND_BYTES = frame_bytes(Heartbeat(0)) + frame_bytes(Pulse(0, 0))
 """Of a heartbeat and its pulse."""
+
+ANSWER_BYTES = frame_bytes(Acknowledgement(0, Status.DONE))
+
+TELEMETRY_BYTES = HEADER.size + LAYOUTS[Telemetry].size + FRAME_BYTES
 
 FULL_BYTES = frame_bytes(_full(KNOTS_PER_MESSAGE))
 """Of the longest message of knots: a device's window is so many of them."""
@@ -149,6 +164,19 @@ class LineModel:
         if not self.lossy:
             return 1
         return min(MOST_COPIES, max(1, ceil(1 / self.arriving(size) - 0.25)))
+
+    def command_copies(self, size: int) -> int:
+        """Return how often a command is to be sent at once, so that it is most likely answered."""
+        if not self.lossy:
+            return 1
+        none = log1p(-self.arriving(size + ANSWER_BYTES))
+        return min(MOST_COPIES, ceil(log(UNANSWERED) / none))
+
+    @property
+    def patience_s(self) -> float:
+        """Time after which it is not the line that has kept all telemetry back [s]."""
+        lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
+        return min(MOST_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)
 
     @property
     def knots_per_message(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 
 from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import (
@@ -30,6 +31,7 @@ from plate_core.serial_protocol import (
     table_crc,
 )
 
+from .device_clock import DeviceClock
 from .line import ANSWER_S, FULL_BYTES, LineModel, frame_bytes
 from .transport import Condition, Report
 
@@ -39,7 +41,7 @@ The device itself brakes after a quarter of that. A link that is begun anew cost
 that loses nearly everything must not seem silent: where 5 % of the bytes are lost one message in
 seven comes whole, of some two hundred in this time."""
 
-GREETING_S, GREETING_TRIES, LATER_GREETING_S = 5.0, 10, 0.1
+GREETING_S, GREETING_TRIES, LATER_GREETING_S = 5.0, 30, 0.1
 """Time after which a Hello that is not answered is given up; how often it is sent at first, each
 `ANSWER_S`, and the time between those after that [s]."""
 
@@ -57,9 +59,6 @@ KNOTS_ANSWER_S = 0.01
 MOST_TRIP_S = 1.0
 """A pulse that took longer says nothing of the line [s]."""
 
-PULSE_AGE_S = 5.0
-"""How long the pulse with the shortest round trip is kept [s]: 50 ppm of drift make 0.25 ms."""
-
 SCATTER = 40_503
 """Sessions that follow each other begin so far apart (Knuth's multiplicative hashing)."""
 
@@ -68,37 +67,6 @@ MOVABLE = (State.READY, State.PLAYING)
 
 LATER = (Status.INCOMPLETE, Status.TOO_LONG)
 """Answers to setpoints of a stream that come before others, or find no room."""
-
-
-@dataclass(frozen=True)
-class DeviceClock:
-    """Where the device's clock stands on the host's.
-
-    Attributes
-    ----------
-    offset_s : float
-        Host time minus device time [s], right to half the round trip.
-    trip_s : float
-        Round trip of the pulse it comes from [s]; infinite if none has come.
-    at : float
-        When that pulse came [s].
-    """
-
-    offset_s: float = 0.0
-    trip_s: float = float("inf")
-    at: float = float("-inf")
-
-    def heard(self, pulse: Pulse, now: float) -> DeviceClock:
-        """Return the clock after a pulse that came at `now` [s]."""
-        sent, device = pulse.host_ns * 1e-9, pulse.device_us * 1e-6
-        trip = now - sent
-        if trip < 0 or (trip > self.trip_s and now - self.at < PULSE_AGE_S):
-            return self
-        return DeviceClock((sent + now) / 2 - device, trip, now)
-
-    def host_time(self, device_us: int) -> float:
-        """Return the host's time [s] of a time of the device."""
-        return device_us * 1e-6 + self.offset_s
 
 
 @dataclass(frozen=True)
@@ -156,6 +124,8 @@ class Link:
         What the device refused since the last `without_refusal`.
     retries : int
         Messages repeated so far.
+    in_turn : bool
+        Whether knots count only in their order: of a stream, not of a table.
     """
 
     session: int
@@ -175,6 +145,7 @@ class Link:
     failed: Report | None = None
     refusal: str = ""
     retries: int = 0
+    in_turn: bool = False
 
     @classmethod
     def begun(
@@ -208,12 +179,13 @@ class Link:
         """
         begin = Begin(table, len(knots), table_crc(knots))
         parts = _parts(table, 0, knots, self.line.knots_per_message)
-        return replace(self, next_table=(begin, *parts, Commit(table, repeats)))
+        return replace(self, next_table=(begin, *parts, Commit(table, repeats)), in_turn=False)
 
     def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
         """Return the link that opens a stream with its first setpoints."""
         parts = _parts(table, 0, knots, self.line.knots_per_message)
-        return replace(self, next_table=(Begin(table, 0, 0), *parts, Commit(table, 1)))
+        next_table = (Begin(table, 0, 0), *parts, Commit(table, 1))
+        return replace(self, next_table=next_table, in_turn=True)
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
         """Return the link that adds setpoints, from number `first` on, to the stream that plays."""
@@ -277,8 +249,9 @@ class Link:
 
     def _reported(self, telemetry: Telemetry) -> Link:
         link = replace(
-            self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.heard_at
-        )
+            self, telemetry=telemetry, fresh_telemetry=telemetry, telemetry_at=self.heard_at,
+            clock=self.clock.stamped(telemetry.device_us, self.heard_at),
+        )  # fmt: skip
         if telemetry.state in MOVABLE:
             return link
         # A device that has stopped takes no table, and must not find one when it is enabled.
@@ -349,15 +322,17 @@ class Link:
         link = replace(link, flight=tuple(item for item in link.flight if item[0] > now))
         packets: list[Packet] = []
         for pending in link._stops(now):
-            link = link._sent(pending, now, packets)
+            link = link._sent(pending, now, link._copies(pending.message), packets)
         link = link._beaten(now, packets)
-        for pending in link._sendable(now):
+        sendable = link._sendable(now)
+        for pending in sendable:
             if pending.tries and now - pending.first_at > link._longest(pending.message):
                 why = f"device does not answer {type(pending.message).__name__}"
                 return link._failing(DriverReason.NO_ANSWER, why), []
-            if not link._room(pending.message, now):
+            copies = link._copies(pending.message, len(sendable))
+            if not link._room(pending.message, copies, now):
                 break
-            link = link._sent(pending, now, packets)
+            link = link._sent(pending, now, copies, packets)
         return link, packets
 
     def _longest(self, message: Message) -> float:
@@ -377,10 +352,17 @@ class Link:
         line = self.line.sent(frame_bytes(beat), now).beaten(beat.host_ns, now)
         return replace(self, line=line, heartbeat_at=now)
 
-    def _sent(self, pending: Pending, now: float, packets: list[Packet]) -> Link:
-        """Return the link after sending a command, as often at once as the line needs."""
+    def _copies(self, message: Message, abreast: int = 1) -> int:
+        """How often to send a command at once; of a table's knots, which come again and again as
+        long as they are not answered, those that are sent `abreast` share the copies."""
+        size = frame_bytes(message)
+        if not isinstance(message, Knots):
+            return self.line.command_copies(size)
+        return ceil(self.line.copies(size) / (1 if self.in_turn else abreast))
+
+    def _sent(self, pending: Pending, now: float, copies: int, packets: list[Packet]) -> Link:
+        """Return the link after sending copies of a command."""
         size = frame_bytes(pending.message)
-        copies = self.line.copies(size)
         packets += [Packet(pending.sequence, pending.message)] * copies
         line = self.line.sent(copies * size, now)
         first_at = pending.first_at if pending.tries else now
@@ -447,9 +429,12 @@ class Link:
         queue = [p for p in self.queue if not isinstance(p.message, Stop)]
         if self.device is None or not queue or not isinstance(queue[0].message, Knots):
             return [p for p in queue[:1] if not self._in_flight(p, now)]
-        return [p for p in queue if isinstance(p.message, Knots) and not self._in_flight(p, now)]
+        knots = [p for p in queue if isinstance(p.message, Knots)]
+        if self.line.lossy and not self.in_turn:  # the line is never idle: most must come again
+            return sorted(knots, key=lambda p: p.sent_at)
+        return [p for p in knots if not self._in_flight(p, now)]
 
-    def _room(self, message: Message, now: float) -> bool:
+    def _room(self, message: Message, copies: int, now: float) -> bool:
         """Tell whether the line, and for knots the device, has room for a message."""
         if self.line.free_at - now >= QUEUE_S:
             return False
@@ -457,7 +442,7 @@ class Link:
             return True
         size = frame_bytes(message)
         most = self.device.window * FULL_BYTES
-        return sum(n for _, n in self.flight) + self.line.copies(size) * size <= most
+        return sum(n for _, n in self.flight) + copies * size <= most
 
 
 def _parts(table: int, first: int, knots: Sequence[Knot], count: int) -> list[Message]:

@@ -209,6 +209,7 @@ class SerialTransport:
         self._unfit: Report | None = None
         self._boot: int | None = None
         self._reset = False  # and not enabled since
+        self._clock_fault = ""  # why it was stopped, and not enabled since
         self._closed = False
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
@@ -287,21 +288,24 @@ class SerialTransport:
 
     def poll(self) -> list[Measured]:
         """Read, answer and repeat; call it every few milliseconds. Returns what was measured."""
-        now = self._clock()
         if self._port is None:
-            self._reopen(now)
+            self._reopen(self._clock())
             return []
+        measured: list[Measured] = []
+        now = self._clock()
         self.least_lead_s = min(self.least_lead_s, self._lead(now))
-        measured = []
         try:
-            reader, packets = self._reader.fed(self._port.read(READ_BYTES))
+            data = self._port.read(READ_BYTES)
+            now = self._clock()  # nothing of that came later, however long reading took
+            reader, packets = self._reader.fed(data)
             self.refused += reader.refused - self._reader.refused
             self._reader = reader
             for data in packets:
                 telemetry = self._heard(data, now)
                 if telemetry is not None:
                     when = self._link.clock.host_time(telemetry.device_us)
-                    measured.append(self._measured(telemetry, min(when, now)))
+                    measured.append(self._measured(telemetry, min(when, now), now))
+            self._check_clock(now)
             self._settle_orders()
             self._feed_stream(now)
             link, due = self._link.due(now)
@@ -328,12 +332,16 @@ class SerialTransport:
         longest = QUIET_S + self._link.line.round_s
         if now - self._link.heard_at > longest:
             return NO_ANSWER
-        if now - self._link.telemetry_at > longest:
+        if now - self._link.telemetry_at > max(longest, self._link.line.patience_s):
             why = "the device does not report its state"
             return Report(Condition.GONE, DriverReason.NO_TELEMETRY, why)
         if self._unfit:
             return self._unfit
         condition = CONDITIONS[telemetry.state]
+        if self._clock_fault:
+            halting = condition in (Condition.OFF, Condition.BRAKING)
+            condition = condition if halting else Condition.GONE  # the stop is on its way
+            return Report(condition, DriverReason.DEVICE_CLOCK, self._clock_fault)
         if telemetry.state is State.OFF and self._reset:
             return Report(condition, DriverReason.DEVICE_RESET, "the device was reset")
         if telemetry.state not in (State.OFF, State.BRAKING):
@@ -405,6 +413,9 @@ class SerialTransport:
             return order.settle("the device has not reported the last stop yet; call enable again")
         if self._request is not None:
             return order.settle("another enable or home is not answered yet")
+        if self._clock_broken(self._clock()):
+            return order.settle(self._link.clock.problem)
+        self._clock_fault = ""
         self._request, self._link = order, self._link.enabling(telemetry.stop)
         self.poll()
         return order
@@ -480,8 +491,10 @@ class SerialTransport:
         except FrameError:
             self.refused += 1
             return None
-        before = self._link.device
+        before, suspect = self._link.device, self._link.clock.suspect(now)
         self._link = self._link.heard(packet, now)
+        if self._link.clock.suspect(now) and not suspect:
+            self._note(self._link.clock.problem)
         if before is None and self._link.device is not None:
             self._failures, self._gone = 0, NO_ANSWER
             self._greeted(self._link.device)
@@ -496,7 +509,7 @@ class SerialTransport:
         if message.state not in (State.READY, State.PLAYING):
             self._streamed = self._next = None
         # Until a pulse has come nobody knows when it was.
-        return message if np.isfinite(self._link.clock.trip_s) else None
+        return message if self._link.clock.known else None
 
     def _greeted(self, device: Capabilities) -> None:
         """Look at a device that has answered: is it the same, and is it for this rig?"""
@@ -507,12 +520,29 @@ class SerialTransport:
         if why:
             self._note(why)
 
-    def _measured(self, telemetry: Telemetry, time: float) -> Measured:
-        """Return what the sensors said at a time of ours [s]."""
+    def _clock_broken(self, now: float) -> bool:
+        return self._link.clock.broken(now, self._link.line.round_s)
+
+    def _check_clock(self, now: float) -> None:
+        """Stop a device whose clock is none: neither its speed nor its watchdog is what it says."""
+        telemetry = self._link.fresh_telemetry
+        if telemetry is None or telemetry.state in (State.OFF, State.BRAKING):
+            return
+        if self._stops or not self._clock_broken(now):
+            return
+        self._clock_fault = self._link.clock.problem
+        self._streamed = self._next = None
+        self._settle_request(self._clock_fault)
+        self._link = self._link.stopping()
+
+    def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
+        """Return what the sensors said at a time of ours [s]; a brake plays no whole cycle."""
+        braking = telemetry.state is State.BRAKING
         return Measured(
             time, telemetry.device_us * 1e-6, telemetry.table,
             telemetry.position, telemetry.acceleration,
-            self._sent.get(telemetry.table), time - telemetry.ticks * TICK_S,
+            None if braking else self._sent.get(telemetry.table),
+            time - telemetry.ticks * TICK_S, self._link.clock.doubt(now),
         )  # fmt: skip
 
     def _following(self, telemetry: Telemetry) -> str:
@@ -544,7 +574,7 @@ class SerialTransport:
                 self._stream_began = None
                 self._link = self._link.streaming(self._table, first)
             return
-        if telemetry.table != self._table or not np.isfinite(self._link.clock.trip_s):
+        if telemetry.table != self._table or not self._link.clock.known:
             return  # it does not play yet, or nobody knows what the time is there
         if self._stream_began is None:
             self._stream_began = telemetry.device_us * 1e-6

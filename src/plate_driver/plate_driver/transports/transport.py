@@ -80,6 +80,8 @@ class Measured:
         The table that plays, where it is known.
     began : float
         When this play of it began, on the context's clock [s].
+    doubt : str
+        Why these times are not believed; empty if they are.
     """
 
     time: float
@@ -89,6 +91,7 @@ class Measured:
     acceleration: tuple[float, ...]
     playing: MotorTable | None = None
     began: float = float("nan")
+    doubt: str = ""
 
 
 class Order:

@@ -120,7 +120,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
 
     def _serve(self) -> None:
         """Let the device catch up with the clock."""
-        emulator = self._emulator
+        emulator, came = self._emulator, self._terminal.read()
         due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.device.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
         lost = max(0, due - MOST_BEHIND_US)
@@ -130,8 +130,10 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self._lost_ms += lost * 1e-3
         if emulator.connected != self._terminal.plugged:
             (self._terminal.plug if emulator.connected else self._terminal.unplug)()
-        emulator.to_device.sent(self._terminal.read(), emulator.now)
-        for _ in range(due // TICK_US):
+        ticks = due // TICK_US
+        # It came by now: the device, which is late, must not have heard it before it was said.
+        emulator.to_device.sent(came, emulator.now + ticks * TICK_US * 1e-6)
+        for _ in range(ticks):
             for segment in emulator.tick():
                 self._publish(segment)
             if emulator.triggered:
