@@ -257,6 +257,17 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
     hung.close()
 
 
+def test_a_flood_of_commands_ends_no_node_and_every_stop_is_answered(graph):
+    from page_flood import Verdict, flooded
+
+    verdict = Verdict(minutes=0.1, sockets=3)
+    flooded(graph, verdict, seed=0)
+    assert verdict.sent > 0
+    assert verdict.stops > 0
+    assert not verdict.ends
+    assert not verdict.problems
+
+
 def kill_node(mark, name):
     """Kill the node of this name that was started with this in its environment."""
     killed = 0

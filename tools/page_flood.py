@@ -164,6 +164,8 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
     given = url, verdict.sockets, seed, over, sent
     flooding = context.Process(target=flooder, args=given)
     flooding.start()
+    while verdict.sockets and not sent.value and flooding.is_alive():
+        time.sleep(STOP_S)
     try:
         took = np.array(asyncio.run(stop(url, time.monotonic() + 60 * verdict.minutes, verdict)))
     finally:
