@@ -26,8 +26,9 @@ DOUBT_S = 2.0
 """Time for which a clock that was wrong is not believed [s]."""
 
 STRIKES = 5
-"""Times that a clock is wrong within `DOUBT_S` and twenty round trips, and it is no clock. A clock
-that has stood still or was set is wrong once."""
+"""Times that a clock runs too fast or back within `DOUBT_S` and twenty round trips, and it is no
+clock. One that was set is wrong once; one that is slow, or stands still, passes no limit: so does a
+simulated device without a processor."""
 
 PULSE_AGE_S = 5.0
 """A clock that no pulse has told for so long is not believed [s]: true ones may be 20 ms apart."""
@@ -48,10 +49,12 @@ class DeviceClock:
         Host's and device's time when the bounds began [s].
     told_us : int
         Last time that the device told, whatever the message [us].
-    wrong : tuple of float
-        When it was wrong, the last few times [s].
+    wrong_at : float
+        When it was wrong last [s].
     problem : str
-        What was wrong the last time.
+        What was wrong then.
+    strikes : tuple of float
+        When it ran too fast or back, the last few times [s].
     """
 
     earliest: float = float("-inf")
@@ -60,8 +63,9 @@ class DeviceClock:
     pulse_at: float = float("-inf")
     since: tuple[float, float] = (0.0, 0.0)
     told_us: int = 0
-    wrong: tuple[float, ...] = ()
+    wrong_at: float = float("-inf")
     problem: str = ""
+    strikes: tuple[float, ...] = ()
 
     @property
     def known(self) -> bool:
@@ -97,25 +101,26 @@ class DeviceClock:
             self, earliest=earliest, latest=latest, at=now, since=(now, own), told_us=device_us
         )
         if back > 0:  # whatever a device says, it says in order
-            return begun._found(f"went back by {1e-6 * back:.3f} s", now)
+            return begun._found(f"went back by {1e-6 * back:.3f} s", now, strikes=True)
         if not self.known:
             return begun
         drift = DRIFT * (now - self.at)
+        fast = latest < self.earliest - drift
         earliest, latest = max(self.earliest - drift, earliest), min(self.latest + drift, latest)
         if earliest > latest + TICK_S:
             ran, passed = own - self.since[1], now - self.since[0]
-            return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now)
+            return begun._found(f"ran {ran:.3f} s in {passed:.3f} s", now, strikes=fast)
         middle = (earliest + latest) / 2  # they may cross by a tick
         bounds = min(earliest, middle), max(latest, middle)
         return replace(begun, earliest=bounds[0], latest=bounds[1], since=self.since)
 
-    def _found(self, problem: str, now: float) -> DeviceClock:
-        wrong = (*self.wrong, now)[-STRIKES:]
-        return replace(self, wrong=wrong, problem=f"the device's clock {problem}")
+    def _found(self, problem: str, now: float, strikes: bool) -> DeviceClock:
+        new = (*self.strikes, now)[-STRIKES:] if strikes else self.strikes
+        return replace(self, wrong_at=now, problem=f"the device's clock {problem}", strikes=new)
 
     def suspect(self, now: float) -> bool:
         """Tell whether it was wrong of late."""
-        return bool(self.wrong) and now - self.wrong[-1] < DOUBT_S
+        return now - self.wrong_at < DOUBT_S
 
     def doubt(self, now: float) -> str:
         """Say why times of the device are not believed at `now` [s]; empty if they are."""
@@ -126,6 +131,6 @@ class DeviceClock:
         return ""
 
     def broken(self, now: float, round_s: float) -> bool:
-        """Tell whether it is wrong again and again, over a line of this round trip [s]."""
+        """Tell whether it is no clock, over a line of this round trip [s]."""
         longest = DOUBT_S + 20 * round_s
-        return len(self.wrong) == STRIKES and now - self.wrong[0] < longest
+        return len(self.strikes) == STRIKES and now - self.strikes[0] < longest

@@ -524,7 +524,7 @@ class SerialTransport:
         return self._link.clock.broken(now, self._link.line.round_s)
 
     def _check_clock(self, now: float) -> None:
-        """Stop a device whose clock is none: neither its speed nor its watchdog is what it says."""
+        """Stop a device whose clock is none: its plate may be faster than the limits allow."""
         telemetry = self._link.fresh_telemetry
         if telemetry is None or telemetry.state in (State.OFF, State.BRAKING):
             return
