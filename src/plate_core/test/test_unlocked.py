@@ -40,13 +40,32 @@ def test_takes_messages_in_order_and_the_beginning_of_long_ones(node):
         time.sleep(0.01)
     for word in ("one", "two", 1000 * "x"):
         publisher.publish(String(data=word))
+    sources = set()
     for word in ("one", "two"):
-        data, size = taken(subscription)
+        data, size, source = taken(subscription)
+        sources.add(source)
         assert deserialize_message(data, String).data == word
         assert size == len(data)
-    data, size = taken(subscription)
+    data, size, source = taken(subscription)
     assert len(data) == 100
     assert size > 1000
+    assert sources == {source}
+
+
+def test_tells_publishers_of_nodes_with_one_name_apart(node):
+    subscription = UnlockedSubscription(node, String, "words", DATA, 100)
+    publishers = [node.create_publisher(String, "words", DATA) for _ in range(2)]
+    sources = {}
+    for word, publisher in zip(("one", "two"), publishers, strict=True):
+        end = time.monotonic() + 20
+        while not publisher.get_subscription_count() and time.monotonic() < end:
+            time.sleep(0.01)
+        for _ in range(2):
+            publisher.publish(String(data=word))
+            data, _, source = taken(subscription)
+            sources.setdefault(deserialize_message(data, String).data, set()).add(source)
+    assert [len(sources[word]) for word in ("one", "two")] == [1, 1]
+    assert sources["one"] != sources["two"]
 
 
 def test_nothing_comes_once_it_is_destroyed(node):

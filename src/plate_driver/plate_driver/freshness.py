@@ -7,11 +7,11 @@ again or out of order on the way, its age is known here. Pure; times are argumen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from plate_core import CycleError
 
-__all__ = ["AHEAD_S", "STANDSTILL_S", "Freshness", "age_limit"]
+__all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness", "age_limit"]
 
 LATENCY_S, MOST_AGE_S = 0.2, 0.6
 """What vision, planner and solver may take on a slow computer, and the greatest age of a moving
@@ -22,6 +22,10 @@ AHEAD_S = 0.1
 
 STANDSTILL_S = 0.25
 """A driver that did not run for longer stood still [s]: about a cycle."""
+
+ALONE_S = 1.0
+"""Two nodes that have sent cycles within this time are rivals [s], also if their names are one: a
+solver that was started again is not so quick."""
 
 RESTART_NS = 1_000_000_000
 """What happened so long after a stamp does not count [ns]: that stamp is too old anyway, or of a
@@ -50,6 +54,8 @@ class Freshness:
         Stops before the motors became ready; None: they are not.
     looked : float
         When it was last looked whether they are [s, steady clock].
+    heard : dict of bytes to float
+        When each publisher has sent its last cycle [s, steady clock], by its key.
     """
 
     since_ns: int = 0
@@ -57,6 +63,7 @@ class Freshness:
     ended_ns: int = 0
     number: int | None = None
     looked: float = 0.0
+    heard: dict[bytes, float] = field(default_factory=dict)
 
     def seen(self, number: int | None, now: float, clock_ns: int) -> Freshness:
         """Take in whether the motors are ready; to be called every 20 ms or so.
@@ -82,6 +89,11 @@ class Freshness:
         """Take in that a task has ended, whose last request answered the image of this stamp."""
         return replace(self, ended_ns=stamp_ns)
 
+    def came(self, source: bytes, now: float) -> Freshness:
+        """Take in that a cycle has come, at rest or not: from whom, and when [s, steady clock]."""
+        recent = {key: at for key, at in self.heard.items() if now - at < ALONE_S}
+        return replace(self, heard=recent | {source: now})
+
     def left(self, stamp_ns: int, clock_ns: int, period: float) -> float:
         """Return for how long a moving cycle may still be sent [s].
 
@@ -96,6 +108,8 @@ class Freshness:
                 f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
                 "; does the clock that stamps images agree with this computer's?"
             )
+        if len(self.heard) > 1:
+            raise CycleError(f"{len(self.heard)} nodes publish plate_cycle, allowed: one")
         if 0 < self.since_ns - stamp_ns < RESTART_NS:
             raise CycleError(f"plate_cycle answers an image from before {self.why}")
         if 0 <= self.ended_ns - stamp_ns < RESTART_NS:

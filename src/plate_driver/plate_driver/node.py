@@ -374,12 +374,14 @@ class DriverNode(SafeLifecycleNode[Options]):
         left = self._freshness.left(stamp_ns, clock_ns, cycle.period)
         return math.inf if self._simulated else left
 
-    def take_cycle(self, data: bytes, size: int) -> None:
-        """Send on a cycle that came as `size` bytes, the first of which are `data`."""
+    def take_cycle(self, data: bytes, size: int, source: bytes = b"") -> None:
+        """Send on a cycle that came as `size` bytes, the first of which are `data`, from a
+        publisher with this key."""
         transport = self._transport
         if not self.active or transport is None:
             return
         number, status = self._latch.number, self._look()
+        self._freshness = self._freshness.came(source, time.monotonic())
         if status.state is not DriverState.READY:
             self._guard = self._guard.refused()
             text = f"cycle refused: the driver is {status.text}"  # never hidden by another reason

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError
-from plate_driver.freshness import AHEAD_S, STANDSTILL_S, Freshness, age_limit
+from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness, age_limit
 from plate_driver.setpoints.motor_table import check_order
 
 PERIOD = 0.2
@@ -37,6 +37,18 @@ def test_age_is_by_the_stamp_and_both_ways():
     for clock in (10.61, 300.0, 10 - AHEAD_S - 0.01):
         with pytest.raises(CycleError, match=r"old, allowed: 0 to 0\.60 s"):
             fresh.left(at(10), at(clock), PERIOD)
+
+
+def test_where_two_send_cycles_neither_moves_the_plate():
+    fresh = ready().came(b"a", 10.0)
+    assert fresh.left(at(10), at(10.1), PERIOD) > 0
+    both = fresh.came(b"b", 10.2)
+    for each in (both, both.came(b"a", 10.3), both.came(b"a", 10.3).came(b"b", 10.4)):
+        with pytest.raises(CycleError, match="2 nodes publish plate_cycle, allowed: one"):
+            each.left(at(10.3), at(10.4), PERIOD)
+    # One that was started again, and its predecessor's last cycle.
+    alone = both.came(b"b", 10.0 + ALONE_S)
+    assert alone.left(at(11), at(11.1), PERIOD) > 0
 
 
 def test_what_came_before_the_motors_were_ready_moves_nothing():

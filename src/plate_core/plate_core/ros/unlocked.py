@@ -36,6 +36,18 @@ class _Bytes(ctypes.Structure):
     ]
 
 
+class _Info(ctypes.Structure):
+    """rmw_message_info_t."""
+
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("source_timestamp", "received_timestamp")),
+        *((name, ctypes.c_uint64) for name in ("publication_number", "reception_number")),
+        ("implementation", ctypes.c_void_p),
+        ("publisher", ctypes.c_uint8 * 16),
+        ("from_own_process", ctypes.c_bool),
+    ]
+
+
 _rcl = ctypes.CDLL("librcl.so")
 _rcutils = ctypes.CDLL("librcutils.so")
 _rcutils.rcutils_get_default_allocator.restype = _Allocator
@@ -68,20 +80,24 @@ class UnlockedSubscription:
             )
         self.kind, self.topic_name, self._keep = kind, name, keep
 
-    def take(self) -> tuple[bytes, int] | None:
-        """Return the next message as it came, and its length; None if none waits.
+    def take(self) -> tuple[bytes, int, bytes] | None:
+        """Return the next message as it came, its length, and a key of who published it; None if
+        none waits.
 
         None after `destroy` too: an executor may call a timer that has just been destroyed.
         """
         if self._handle is None:
             return None
-        message = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
+        message, info = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator()), _Info()
         with self._handle:
-            code = _TAKE(self._handle.pointer, ctypes.addressof(message), None, None)
+            code = _TAKE(
+                self._handle.pointer, ctypes.addressof(message), ctypes.addressof(info), None
+            )
         try:
             if code or not message.length:
                 return None
-            return ctypes.string_at(message.buffer, min(message.length, self._keep)), message.length
+            data = ctypes.string_at(message.buffer, min(message.length, self._keep))
+            return data, message.length, bytes(info.publisher)
         finally:
             _END(ctypes.addressof(message))
 
