@@ -115,6 +115,10 @@ class SimulatedFirmware:
         kept = zip(changed, noise[1], strict=True)
         return bytes(b for b, n in kept if n >= self.loss)
 
+    def arrival(self, way: list[tuple[float, bytes]]) -> float:
+        """When what is sent now arrives: a line keeps the order, also if its delay changes."""
+        return max([self.now + self.delay, *(at for at, _ in way[-1:])])
+
     def tick(self) -> None:
         """Let one tick of the device pass."""
         self.now += TICK_S
@@ -131,7 +135,7 @@ class SimulatedFirmware:
             kind, *words = line.split()
             if kind == "tx" and not self.cut:
                 data = self.spoilt(self.let_through(bytes.fromhex(words[0])))
-                self.to_host.append((self.now + self.delay, data))
+                self.to_host.append((self.arrival(self.to_host), data))
             elif kind == "at":
                 self.setpoints.append([self.now, *map(float, words[1:])])
             elif kind == "drive":
@@ -170,7 +174,7 @@ class SimulatedFirmware:
 
     def write(self, data: bytes) -> int:
         self.wire.append((self.now, data))
-        self.to_device.append((self.now + self.delay, self.spoilt(data)))
+        self.to_device.append((self.arrival(self.to_device), self.spoilt(data)))
         return len(data)
 
     def close(self) -> None:
