@@ -24,7 +24,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +217,7 @@ def main() -> int:
                 verdicts.append(judged(executor, way, args.seconds))
                 print(verdicts[-1], flush=True)
     if args.json:
-        text = json.dumps([asdict(each) for each in verdicts], indent=1)
+        text = json.dumps([vars(each) for each in verdicts], indent=1)
         args.json.write_text(text, encoding="utf-8")
     return int(any(set(each.ends) - {"survived"} for each in verdicts))
 

@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +23,7 @@ from typing import Any
 import rclpy
 from graph.domains import own_domain
 from graph.observer import Observer
-from graph.processes import Processes, command
+from graph.processes import Processes, command, signals_raise
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core.ros import DATA
@@ -47,12 +47,13 @@ class Verdict:
 
 
 def kind_of(name: str) -> Any:
-    """Return the class of a type such as std_msgs/msg/String, or of a service of an action."""
+    """Return the class of a type such as std_msgs/msg/String, or of a part of an action."""
     package, group, kind = name.split("/")
     module = import_module(f"{package}.{group}")
     if group == "action":
         action, part = kind.rsplit("_", 1)
-        return getattr(getattr(module, action).Impl, f"{part}Service")
+        parts = getattr(module, action).Impl
+        return getattr(parts, part, None) or getattr(parts, f"{part}Service")
     return getattr(module, kind)
 
 
@@ -100,10 +101,13 @@ class Flood:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        ended = not self._thread.is_alive()
         self._over.set()
         self._thread.join()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
+        if ended:
+            self._verdict.problem = "the flood has ended before"
 
 
 @contextmanager
@@ -151,12 +155,12 @@ def main() -> int:
     if unknown:
         parser.error(f"node is {unknown[0]!r}, allowed: {', '.join(NODES)}")
     verdicts = []
-    with TemporaryDirectory(prefix="lifecycle_flood_") as folder:
+    with signals_raise(), TemporaryDirectory(prefix="lifecycle_flood_") as folder:
         for name in args.nodes or NODES:
             verdicts.append(cycled(name, args.cycles, Path(folder)))
             print(verdicts[-1], flush=True)
     if args.json:
-        text = json.dumps([asdict(each) for each in verdicts], indent=1)
+        text = json.dumps([vars(each) for each in verdicts], indent=1)
         args.json.write_text(text, encoding="utf-8")
     return int(any(each.problem for each in verdicts))
 

@@ -20,7 +20,7 @@ import random
 import sys
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import tornado.httpclient
 import tornado.websocket
+from graph.processes import signals_raise
 from graph.session import Session, session
 
 from plate_bringup import RunOptions
@@ -187,7 +188,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     verdict = Verdict(args.minutes, args.sockets)
-    with TemporaryDirectory(prefix="page_flood_") as folder:
+    with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
         try:
             options = RunOptions(scenario="play", view=True)
             with session(options, Path(folder), pictures=False) as graph:
@@ -196,7 +197,7 @@ def main() -> int:
             parser.error(str(error))
     print(verdict, *verdict.ends, sep="\n")
     if args.json:
-        args.json.write_text(json.dumps(asdict(verdict), indent=1), encoding="utf-8")
+        args.json.write_text(json.dumps(vars(verdict), indent=1), encoding="utf-8")
     return int(bool(verdict.ends or verdict.late or verdict.problems or not verdict.stops))
 
 
