@@ -60,7 +60,7 @@ from .transports import (
     urgent,
 )
 
-CYCLE_PERIOD_S = 0.002
+CYCLE_PERIOD_S = 0.004
 """Time between polls for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
 
 MOST_CYCLES = 5
