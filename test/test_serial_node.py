@@ -246,10 +246,12 @@ class Bench:
         return output
 
     def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
+        # Not killed at once: where one that is killed held a lock of shared memory, Fast DDS makes
+        # that anew, and crashes who leaves meanwhile: the process of the tests.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.end()
+        self.process.kill()
         self.process.wait()
-        self.process.stdout.close()
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)

@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from plate_core import PlateError, config_path, load_rig
 from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, run_node
 from plate_core.status import Finding, Level
 from plate_core.tasks import check_scenario, load_scenario, scenario_names
+from plate_core.yaml_fields import read_yaml
 from plate_interfaces.msg import Targets
 
 from .access import Access
@@ -135,7 +134,7 @@ class PageNode(SafeLifecycleNode[Options]):
                 scenario = load_scenario(name)
                 check_scenario(scenario, self._rig)
                 path = Path(name) if name in own else config_path("scenarios") / f"{name}.yaml"
-                found[scenario.name] = yaml.safe_load(path.read_text(encoding="utf-8"))
+                found[scenario.name] = read_yaml(path, PlateError).data
         return found
 
     def _tick(self) -> None:
