@@ -18,11 +18,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import play
 from demo import arguments
 from graph.demo import LAST, clear, own_folder, rig_title
 from graph.demo import demo as run
 from graph.processes import Interrupted
 from PIL import Image
+
+from plate_core import PlateError
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = "PLATE_TEST_RUN"
@@ -96,6 +99,15 @@ def test_the_program_ends_with_the_code_of_the_run(tmp_path):
     assert process.returncode == 2
     assert output == ""
     assert errors == "demo: seed is -1, allowed: 0 to 2147483647\n"
+
+
+@pytest.mark.parametrize("name", ["nothing", "fifo"])
+def test_a_bag_that_is_no_folder_starts_no_page(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("fifo")
+    monkeypatch.setattr(sys, "argv", ["play.py", "--bag", name])
+    with pytest.raises(PlateError, match=f"bag is '{name}', allowed: the folder of a recorded run"):
+        play.checked(play.arguments())
 
 
 def test_a_run_leaves_results_and_pictures(tmp_path):

@@ -95,6 +95,8 @@ def checked(args: argparse.Namespace):
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
         raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    if args.bag and not Path(args.bag).is_dir():
+        raise PlateError(f"bag is {args.bag!r}, allowed: the folder of a recorded run")
     start_positions(scenario, load_rig(rig), np.random.default_rng(args.seed))
     return RunOptions(
         scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
