@@ -60,7 +60,8 @@ class Crowd:
     """Entities of a node that come and go."""
 
     def __init__(self, node: Any) -> None:
-        self._node, self._there, self._lock = node, [], threading.Lock()
+        self._node, self._lock = node, threading.Lock()
+        self._there: list[tuple[Any, Any]] = []
         self.changes = self.executed = 0
 
     def heard(self, *_: Any) -> Any:

@@ -20,7 +20,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -203,7 +203,7 @@ class Faults:
 
     Parameters
     ----------
-    processes : mapping of str to Processes
+    processes : Processes
         By node: those that it is one of.
     observer : Observer
     options : RunOptions
@@ -213,7 +213,7 @@ class Faults:
 
     def __init__(
         self,
-        processes: Mapping[str, Processes],
+        processes: Processes,
         observer: Observer,
         options: RunOptions,
         times: Times | None = None,
@@ -250,7 +250,7 @@ class Faults:
             yield
             assert self.observer.set_parameter(gate.NAME, "cut", "")[0]
             return
-        processes = self.processes[node]
+        processes = self.processes
         processes.signal(node, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
         yield
         if kind == "kill":
@@ -341,7 +341,7 @@ class Faults:
 @contextmanager
 def running(
     graph: Sequence[GraphNode], options: RunOptions, logs: Path, domain: int, gated: bool
-) -> Iterator[dict[str, Processes]]:
+) -> Iterator[Processes]:
     """Run the nodes, all behind the gate or none."""
     behind = gate.remaps(options.transport) if gated else {}
     with Processes(graph, options, logs, domain, remaps=behind) as processes:

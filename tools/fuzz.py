@@ -164,13 +164,13 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
     """Topics, and services that take numbers, of a node: name, type, and what takes a message."""
     topics = [(s.topic_name, s.msg_type, s.callback) for s in node.subscriptions]
-    if hasattr(node, "take_cycle"):  # the driver's, which takes bytes
+    for subscription, take in getattr(node, "heard", ()):  # the driver's, which takes bytes
 
-        def take(msg: Any) -> None:
+        def take_bytes(msg: Any, take: Any = take) -> None:
             data = serialize_message(msg)
-            node.take_cycle(data, len(data))
+            take(data, len(data), b"")
 
-        topics.append((node._cycles.topic_name, node._cycles.kind, take))
+        topics.append((subscription.topic_name, subscription.kind, take_bytes))
     for service in node.services:
         kind = service.srv_type
         if kind in (PlacePart, RemovePart):  # the others take nothing, or a bit

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,6 +58,11 @@ def kind_of(name: str) -> Any:
     return getattr(module, kind)
 
 
+def call(client: Any, request: Any) -> None:
+    """Call a service, and do not wait for the answer."""
+    client.remove_pending_request(client.call_async(request))
+
+
 class Flood:
     """Sends to whatever a node has, in a thread and a context of its own."""
 
@@ -78,13 +84,11 @@ class Flood:
         for name, (kind, *_) in topics:
             if name not in self._sends and "clock" not in name:
                 publisher, msg = node.create_publisher(kind_of(kind), name, DATA), kind_of(kind)()
-                self._sends[name] = lambda p=publisher, m=msg: p.publish(m)
+                self._sends[name] = partial(publisher.publish, msg)
         for name, (kind, *_) in services:
             if name not in self._sends and not name.endswith("change_state"):
                 client, request = node.create_client(kind_of(kind), name), kind_of(kind).Request()
-                self._sends[name] = lambda c=client, r=request: c.remove_pending_request(
-                    c.call_async(r)
-                )
+                self._sends[name] = partial(call, client, request)
 
     def _run(self) -> None:
         while not self._over.is_set():

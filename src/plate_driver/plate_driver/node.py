@@ -6,6 +6,8 @@ import contextlib
 import math
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -60,11 +62,14 @@ from .transports import (
     urgent,
 )
 
-CYCLE_PERIOD_S = 0.004
+CYCLE_PERIOD_S = 0.002
 """Time between polls for a cycle [s]: the take is ours, see `UnlockedSubscription`."""
 
-MOST_CYCLES = 5
-"""Cycles that are taken in one poll."""
+MOST_WAITING = 5
+"""Messages that wait for the executor: a few, so that a flood leaves time for all else."""
+
+STATUS_BYTES = 100_000
+"""A longer task_status is none of the planner's."""
 
 WATCH_PERIOD_S = 0.02
 QUIET_S = 2.0
@@ -84,6 +89,10 @@ MOTIONS_KEPT = 8
 
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
+
+
+Take = Callable[[bytes, int, bytes], None]
+"""Takes a message as it came, its length and a key of its publisher."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +145,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._measured: Measured | None = None
         self._ready_since = 0.0
         self._freshness = Freshness()
+        self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()
+        self._came: deque[tuple[Take, tuple[bytes, int, bytes]]] = deque()
         self._reported: dict[str, str] = {}  # values of the last diagnostics
         self._warned: dict[str, float] = {}  # troubles of the transport, when they were logged [s]
         self._again = 0  # messages repeated between the last two
@@ -174,12 +185,21 @@ class DriverNode(SafeLifecycleNode[Options]):
         if self._transport.motors and self._transport.calibrates:
             self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
-        self._cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
-        self.keep(UnlockedSubscription.destroy, self._cycles)
-        self.managed_subscription(TaskStatus, "task_status", self._on_task, LATCHED)
+        cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
+        tasks = UnlockedSubscription(self, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
+        # The ends of tasks first, for a cycle that came with one may be of that task.
+        self.heard = (tasks, self._take_task), (cycles, self.take_cycle)
+        self._came.clear()
+        over = threading.Event()
+        # A thread that looks each 2 ms takes a tenth of the time of a timer of the executor.
+        thread = threading.Thread(target=self._listen, args=(over,), daemon=True)
+        thread.start()
+        self.keep(lambda event: event.set(), over)
+        self.keep(threading.Thread.join, thread)
+        self.keep(UnlockedSubscription.destroy, cycles, tasks)
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
-        timers = [(CYCLE_PERIOD_S, self._take), (WATCH_PERIOD_S, self._watch)]
+        timers = [(WATCH_PERIOD_S, self._watch)]
         if options.state_rate > 0:
             timers.append((1 / options.state_rate, self._publish_state))
         for t, tick in timers:
@@ -343,15 +363,29 @@ class DriverNode(SafeLifecycleNode[Options]):
             return 1e-9 * self.get_clock().now().nanoseconds
         return time.monotonic()
 
-    def _take(self) -> None:
-        """Take cycles that have come: a few, so that a flood leaves time for all else."""
-        for _ in range(MOST_CYCLES):
-            taken = self._cycles.take()
-            if taken is None:
-                return
-            self.take_cycle(*taken)
+    def _listen(self, over: threading.Event) -> None:
+        """Hand what is `heard` to the executor as it comes, until it is over."""
+        while not over.wait(CYCLE_PERIOD_S):
+            executor = self.executor
+            for subscription, take in self.heard:
+                while executor is not None and len(self._came) < MOST_WAITING:
+                    taken = subscription.take()
+                    if taken is None:
+                        break
+                    self._came.append((take, taken))
+                    executor.create_task(self._take)
 
-    def _on_task(self, msg: TaskStatus) -> None:
+    def _take(self) -> None:
+        """Take what has come first, unless the node was cleaned up since."""
+        if self._came:
+            take, taken = self._came.popleft()
+            take(*taken)
+
+    def _take_task(self, data: bytes, size: int, _: bytes) -> None:
+        """Take in whether a task has ended."""
+        if not self.active or size > len(data):
+            return
+        msg = deserialize_message(data, TaskStatus)
         if msg.state != TaskStatus.RUNNING:
             self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
