@@ -167,7 +167,7 @@ def test_driver_status_there_and_back():
 
 @pytest.mark.parametrize("name", ["state", "reason"])
 def test_a_wrong_driver_status_is_refused(name):
-    most = {"state": 8, "reason": 18}[name]
+    most = {"state": 8, "reason": 19}[name]
     with pytest.raises(PlateError, match=f"driver_status: {name} is 200, allowed: 0 to {most}"):
         convert.msg_to_driver_status(DriverStatusMsg(**{name: 200}))
 

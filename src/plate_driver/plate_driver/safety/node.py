@@ -132,7 +132,8 @@ class SafetyNode:
         self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         self._ended = True
         self._thread.join(END_S)
-        # Only now: it destroys what a thread that still spins waits for.
+        # rclpy's own shutdown waits for no callback, but destroys what each one needs at its end.
+        self._executor._executor.shutdown()
         self._executor.shutdown(timeout_sec=END_S)
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
