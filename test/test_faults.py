@@ -57,7 +57,7 @@ def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain
         names = [node.name for node in graph]
         observer.await_nodes(names, START_S)
         observer.await_answers(START_S)
-        faults = Faults(dict.fromkeys(names, processes), observer, options, TIMES)
+        faults = Faults(processes, observer, options, TIMES)
         for (kind, node), (reason, question, other) in EXPECTED.items():
             row = faults.put(kind, node)
             assert row.task.startswith("aborted"), row
