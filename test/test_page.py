@@ -282,8 +282,10 @@ def kill_node(mark, name):
 
 async def opened_again(url):
     """Open the page as a browser does that has lost it: again and again."""
+    port = int(url.rstrip("/").rpartition(":")[2])
     for _ in range(round(TIMEOUT_S / 0.1)):
         with contextlib.suppress(OSError):
+            socket.create_connection(("127.0.0.1", port)).close()
             return await Browser.open(url)
         await asyncio.sleep(0.1)
     raise AssertionError(f"no page at {url}")
