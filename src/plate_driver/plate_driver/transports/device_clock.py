@@ -123,8 +123,9 @@ class DeviceClock:
         return now - self.wrong_at < DOUBT_S
 
     def doubt(self, now: float) -> str:
-        """Say why times of the device are not believed at `now` [s]; empty if they are."""
-        if self.suspect(now):
+        """Say why times of the device are not believed at `now` [s]; empty if they are, as those of
+        a slow clock: each pulse that shows it slow tells where it stands."""
+        if self.strikes and now - self.strikes[-1] < DOUBT_S:
             return self.problem
         if now - self.pulse_at > PULSE_AGE_S:
             return f"the device's clock was not told for {now - self.pulse_at:.0f} s"
