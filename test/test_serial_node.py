@@ -479,11 +479,11 @@ def test_the_port_is_for_one_driver(bench):
         text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
     )  # fmt: skip
     waits = f"serial port {bench.board.port} is used by another program: waiting for it"
-    patience = threading.Timer(60.0, second.kill)
-    patience.start()
+    timeout = threading.Timer(60.0, second.kill)
+    timeout.start()
     assert any(waits in line for line in second.stderr)  # until it says so
     second.send_signal(signal.SIGTERM)
     second.communicate()
-    patience.cancel()
+    timeout.cancel()
     assert bench.board.count(Hello) == hellos
     bench.moving()  # again, where a busy machine has let the line fall silent meanwhile

@@ -173,7 +173,7 @@ class LineModel:
         return min(MOST_COPIES, ceil(log(UNANSWERED) / none))
 
     @property
-    def patience_s(self) -> float:
+    def telemetry_timeout_s(self) -> float:
         """Time after which it is not the line that has kept all telemetry back [s]."""
         lost = log1p(-self.arriving(TELEMETRY_BYTES)) if self.lossy else float("-inf")
         return min(MOST_PATIENCE_S, TELEMETRY_S * log(CHANCE) / lost)

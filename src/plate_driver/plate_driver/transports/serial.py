@@ -332,7 +332,7 @@ class SerialTransport:
         longest = QUIET_S + self._link.line.round_s
         if now - self._link.heard_at > longest:
             return NO_ANSWER
-        if now - self._link.telemetry_at > max(longest, self._link.line.patience_s):
+        if now - self._link.telemetry_at > max(longest, self._link.line.telemetry_timeout_s):
             why = "the device does not report its state"
             return Report(Condition.GONE, DriverReason.NO_TELEMETRY, why)
         if self._unfit:
