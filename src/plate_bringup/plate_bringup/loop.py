@@ -120,7 +120,8 @@ class Setup:
         `iterations`, `restarts` of the solver, where `Controller`'s own are not wanted.
     own_planner : str
         Python file with a class `OwnPlanner` that says what is wanted of the parts, in place of
-        ours, which then only judges: it says when the task is done, stuck or has lost a part.
+        ours, which then only judges: it says when the task is done, stuck or has lost a part, and
+        rests the plate for the image that shows it done.
     """
 
     scenario: str | Scenario
@@ -431,7 +432,8 @@ def run(
                 planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
             expected = predicted(wanted, state)
-            if own is not None:
+            # What is held is to be seen at rest, whoever plans.
+            if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
                 wanted = _checked(own.plan(tracker.parts, began), setup.own_planner)
             solving = cpu_time()
             answer = controller.answer(wanted, line.running)

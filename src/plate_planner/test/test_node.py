@@ -280,7 +280,7 @@ def test_a_driver_status_that_is_none_is_refused(graph):
     graph.begin()
     for wrong in (DriverStatus(state=99), DriverStatus(state=DriverStatus.READY, reason=200)):
         graph.drivers.publish(wrong)
-    graph.until(lambda: "driver_status: reason is 200, allowed: 0 to 18" in graph.report()[1])
+    graph.until(lambda: "driver_status: reason is 200, allowed: 0 to 19" in graph.report()[1])
     assert graph.states[-1] == "running"
 
 
