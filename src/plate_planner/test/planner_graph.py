@@ -142,10 +142,15 @@ class Graph:
         return status.level, status.message
 
     def begin(self, stamp_s=0.0, scenario=SORT_4):
-        """Start, and show all parts until the task has begun."""
-        self.image(stamp_s, APART)
-        handle = self.send(scenario)
-        self.until(lambda: self.states[-1] == "running")
+        """Start, and show all parts until the task has begun; again where it was refused because
+        this process itself was silent for longer than the planner's `input_timeout_s`."""
+        for k in range(10):
+            self.image(stamp_s + 0.01 * k, APART)
+            handle = self.send(scenario)
+            ended = handle.get_result_async()
+            self.until(lambda ended=ended: self.states[-1] == "running" or ended.done())
+            if not ended.done() or ended.result().result.status.reason != TaskStatus.NO_DRIVER:
+                break
         for k in (1, 2):
             self.image(stamp_s + 0.1 * k, APART)
         return handle
