@@ -306,7 +306,7 @@ def silenced():
 
 def test_without_parts_the_task_ends_without_any_image(silenced):
     silenced.until(lambda: silenced.states[-1] != "running")
-    assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for 0.")
+    assert silenced.states[-1].startswith("aborted after 0.1 s: no parts for ")
     assert silenced.states[-1].endswith("does the detector run, does the camera?")
     silenced.until(lambda: silenced.report()[0] == DiagnosticStatus.ERROR)
     # A stop acknowledges it; then diagnostics only tell what is missing.
@@ -335,7 +335,7 @@ def test_a_solver_that_does_not_answer_ends_the_task(silenced):
 def test_a_driver_that_falls_silent_ends_the_task(silenced):
     silenced.driver = None
     silenced.feed(lambda: silenced.states[-1] != "running")
-    assert ": no driver_status for 0." in silenced.states[-1]
+    assert ": no driver_status for " in silenced.states[-1]
 
 
 def test_a_node_of_the_loop_that_misses_its_input_ends_the_task(silenced):

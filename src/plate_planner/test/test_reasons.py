@@ -84,7 +84,7 @@ def provoke_part_unseen(make):
 
 @provokes(Reason.PARTS_MISSING)
 def provoke_parts_missing(make):
-    graph = make(start_timeout_s=0.3, input_timeout_s=0.3)
+    graph = make(start_timeout_s=0.3)
     graph.image(0.0, APART[:3], IDS[:3])
     handle = graph.send()
     return graph.until_ended(handle, lambda k: graph.image(0.1 * k, APART[:3], IDS[:3]))
