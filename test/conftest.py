@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from device_orders import running, twin
 from graph.domains import own_domain
+from simulated_firmware import SimulatedFirmware
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
 STRICT = [
@@ -64,3 +65,11 @@ def _device(request):
     if request.param == "twin":
         return twin
     return running(request.getfixturevalue("program"))
+
+
+@pytest.fixture(name="firmware")
+def _firmware(program):
+    """The firmware in simulated time, on a line of its own."""
+    firmware = SimulatedFirmware(program)
+    yield firmware
+    firmware.end()

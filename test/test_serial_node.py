@@ -33,6 +33,7 @@ from plate_core.ros import (  # noqa: E402
     nanoseconds,
     to_time,
 )
+from plate_driver.safety.node import LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
@@ -208,13 +209,12 @@ class Bench:
         return self.call(self.clients[name], Trigger.Request())
 
     def stopped(self, name: str = "emergency_stop"):
-        """Stop, and again as long as the answer is that the device has not confirmed it yet: where
-        the computer is busy it may take longer than a call may wait."""
-        for _ in range(20):
-            answer = self.stop(name)
-            if answer.message != UNANSWERED:
-                break
-        return answer
+        """Stop with one call. On a busy computer the device may confirm later than a call waits;
+        the driver goes on by itself, and says when it has."""
+        answer = self.stop(name)
+        assert answer.success or answer.message == UNANSWERED, answer.message
+        self.wait(LIFE_PERIOD_S)
+        assert self.until(lambda: self.status.reason != DriverStatus.STOP_UNANSWERED)
 
     def enable(self, value: bool = True):
         return self.call(self.enabler, SetBool.Request(data=value))
@@ -327,8 +327,8 @@ def test_streams_reach_the_board_too(bench):
 
 
 def again(bench: Bench) -> None:
-    assert bench.stopped().success
-    assert bench.stopped("cut_power").success
+    bench.stopped()
+    bench.stopped("cut_power")
 
 
 def lifecycle(bench: Bench) -> None:
@@ -366,8 +366,7 @@ def test_no_way_undoes_a_stop(bench, way):
     bench.start()
     bench.tells(OFF)
     bench.moving()
-    answer = bench.stopped()
-    assert (answer.success, "emergency stop" in answer.message) == (True, True)
+    bench.stopped()
     bench.tells(EMERGENCY)
     assert not board.current
     enables, setpoints = board.count(Enable), board.setpoints
@@ -407,8 +406,7 @@ def test_kinds_of_stop_and_a_device_that_does_not_answer(bench):
     bench.start()
     bench.tells(OFF)
     bench.moving()
-    answer = bench.stopped("cut_power")
-    assert (answer.success, "power cut" in answer.message) == (True, True)
+    bench.stopped("cut_power")
     assert not board.current
     assert Stop(1) in board.heard
     bench.tells(CUT)
@@ -466,11 +464,11 @@ def test_a_stop_in_every_lifecycle_state_reaches_the_device(bench):
     board = bench.board
     bench.start("autostart:=false")
     bench.tells("unconfigured")
-    assert bench.stopped().success
+    bench.stopped()
     assert board.count(Stop) >= 1
     bench.change("configure")
     stops = board.count(Stop)
-    assert bench.stopped().success
+    bench.stopped()
     assert board.count(Stop) > stops
     bench.change("activate")
     bench.tells(EMERGENCY)

@@ -1,263 +1,41 @@
 """The driver's serial transport against the C firmware, byte by byte, in simulated time."""
 
-import subprocess
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
+from simulated_firmware import (
+    PERIOD,
+    REPEATS,
+    RIG,
+    TICK_S,
+    SimulatedFirmware,
+    enabled,
+    link,
+    long_table,
+    pass_time,
+    play,
+    settled,
+    shaking,
+)
 
-from plate_core import CycleError, PlateCycle, PlateError, load_rig
-from plate_core.driver_status import DriverReason, DriverState
+from plate_core import CycleError, PlateCycle
+from plate_core.driver_status import DriverReason
 from plate_core.serial_protocol import (
-    Acknowledgement,
     Commit,
     Enable,
     Hello,
-    Message,
-    Reader,
     State,
     Stop,
-    Telemetry,
-    frame,
-    parse,
 )  # fmt: skip
 from plate_driver.cycle_starts import CycleStarts
-from plate_driver.setpoints import MotorTable, prepare
-from plate_driver.status import driver_status
+from plate_driver.setpoints import prepare
 from plate_driver.transports import (
     Condition,
     Latch,
-    Measured,
-    Order,
     Report,
     SerialTransport,
     TransportThread,
 )  # fmt: skip
-
-RIG = load_rig()
-PERIOD = 0.1
-TICK_S = 1e-3
-
-
-def shaking(amplitude: float, turns: int = 2) -> MotorTable:
-    """Table of a cycle that starts at rest; amplitude [m]."""
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4
-    phase = 2 * np.pi * turns * t / PERIOD
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(PERIOD, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
-
-
-def long_table() -> MotorTable:
-    """Table of 64 pieces in 0.2 s."""
-    t = np.arange(64) * 0.2 / 64
-    wave = 5e-4 * np.sin(np.pi * t / 0.2) ** 4
-    cycle = PlateCycle.from_samples(0.2, np.outer(wave, [1, 1, 0]))
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return prepare(RIG, PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel), 1)[0]
-
-
-@dataclass
-class SimulatedFirmware:
-    """The firmware as a process, its time, and the line to it with all that may go wrong."""
-
-    program: Path
-    options: tuple[str, ...] = ()  # time in which motors get warm [s], force they bear [N]
-    damage: float = 0.0  # share of bytes that change
-    loss: float = 0.0  # share of bytes that vanish
-    delay: float = 0.0  # [s], each way
-    fast: float = 0.0  # share by which its clock, and so the plate, is faster than the host's
-    cut: bool = False
-    withholds: bool = False  # acknowledgements
-    now: float = 0.0
-    to_device: list[tuple[float, bytes]] = field(default_factory=list)
-    to_host: list[tuple[float, bytes]] = field(default_factory=list)
-    states: list[State] = field(default_factory=list)
-    setpoints: list[list[float]] = field(default_factory=list)
-    wire: list[tuple[float, bytes]] = field(default_factory=list)  # all that the host has written
-    current: bool = False
-    stop: int = 0  # number of the last stop, as the device counts
-
-    def __post_init__(self) -> None:
-        self.rng = np.random.default_rng(4)
-        self.own = 0.5  # ticks of the device so far
-        self.start()
-
-    def start(self) -> None:
-        self.process = subprocess.Popen(
-            [self.program, *self.options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        self.started = self.now
-
-    def end(self) -> None:
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.close()
-        self.process.stdout.read()
-        self.process.stdout.close()
-        assert self.process.wait(10) == 0
-
-    def reset(self) -> None:
-        self.end()
-        self.start()
-
-    def spoilt(self, data: bytes) -> bytes:
-        noise = self.rng.random((2, len(data)))
-        changed = (b ^ int(self.rng.integers(1, 256)) if n < self.damage else b
-                   for b, n in zip(data, noise[0], strict=True))  # fmt: skip
-        kept = zip(changed, noise[1], strict=True)
-        return bytes(b for b, n in kept if n >= self.loss)
-
-    def arrival(self, way: list[tuple[float, bytes]]) -> float:
-        """When what is sent now arrives: a line keeps the order, also if its delay changes."""
-        return max([self.now + self.delay, *(at for at, _ in way[-1:])])
-
-    def tick(self) -> None:
-        """Let one tick of the device pass."""
-        self.now += TICK_S
-        arrived = b"".join(d for at, d in self.to_device if at <= self.now)
-        self.to_device = [item for item in self.to_device if item[0] > self.now]
-        before, self.own = self.own, self.own + 1 + self.fast
-        ticks = int(self.own) - int(before)
-        order = (f"rx {arrived.hex()}\n" if arrived else "") + f"run {1000 * ticks}\n"
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(order)
-        self.process.stdin.flush()
-        for line in iter(self.process.stdout.readline, ""):
-            kind, *words = line.split()
-            if kind == "tx" and not self.cut:
-                data = self.spoilt(self.let_through(bytes.fromhex(words[0])))
-                self.to_host.append((self.arrival(self.to_host), data))
-            elif kind == "at":
-                self.setpoints.append([self.now, *map(float, words[1:])])
-            elif kind == "drive":
-                self.current = bool(int(words[1]))
-            elif kind == "state":
-                self.states.append(State(int(words[0])))
-                self.stop = int(words[3])
-                return
-        pytest.fail("the firmware has ended")
-
-    def let_through(self, data: bytes) -> bytes:
-        if not self.withholds:
-            return data
-        said = Reader().fed(data)[1]
-        told = [p for p in said if not isinstance(parse(p).message, Acknowledgement)]
-        return b"".join(map(frame, told))
-
-    def order(self, line: str) -> None:
-        """Tell the board something that comes from no line."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
-
-    def said(self, since: float = 0.0) -> list[Message]:
-        """What the host has put on the line, before anything could spoil it."""
-        data = b"".join(data for at, data in self.wire if at >= since)
-        return [parse(packet).message for packet in Reader().fed(data)[1]]
-
-    # The port
-
-    def read(self, size: int) -> bytes:
-        if self.cut:
-            raise OSError("device reports readiness to read but returned no data")
-        arrived = b"".join(d for at, d in self.to_host if at <= self.now)
-        self.to_host = [item for item in self.to_host if item[0] > self.now]
-        return arrived
-
-    def write(self, data: bytes) -> int:
-        self.wire.append((self.now, data))
-        self.to_device.append((self.arrival(self.to_device), self.spoilt(data)))
-        return len(data)
-
-    def close(self) -> None:
-        self.to_host = []  # what was written is on its way, although the port is closed
-
-    def opened(self) -> "SimulatedFirmware":
-        if self.cut:
-            raise PlateError("port is '/dev/plate', allowed: a serial port that opens")
-        return self
-
-    # What was played
-
-    def check_limits(self) -> None:
-        rows = np.array(self.setpoints).reshape(-1, 13)
-        assert np.max(np.abs(rows[:, 1:5]), initial=0.0) <= RIG.limits.stroke_m
-        assert np.max(np.abs(rows[:, 5:9]), initial=0.0) <= RIG.limits.speed
-
-    def check_smooth(self) -> None:
-        """No jump of position or speed from tick to tick, current on or not."""
-        rows = np.array(self.setpoints)
-        dt = np.diff(rows[:, 0])
-        near = dt < 1.5 * TICK_S
-        q, v, a = rows[:, 1:5], rows[:, 5:9], rows[:, 9:13]
-        steps = TICK_S * (v[1:] + v[:-1]) / 2 - TICK_S**2 * np.diff(a, axis=0) / 12
-        np.testing.assert_allclose(np.diff(q, axis=0)[near], steps[near], atol=5e-8)
-
-
-@pytest.fixture(name="firmware")
-def _firmware(program):
-    firmware = SimulatedFirmware(program)
-    yield firmware
-    firmware.end()
-
-
-REPEATS = 5
-
-
-def link(firmware: SimulatedFirmware, streams: bool = False, seed: int = 7) -> SerialTransport:
-    transport = SerialTransport(firmware.opened, lambda: firmware.now, seed, streams)
-    transport.open()
-    return transport
-
-
-def pass_time(
-    firmware: SimulatedFirmware, transport: SerialTransport, seconds: float
-) -> list[Measured]:
-    """Let time pass; the host looks every 5 ms."""
-    measured = []
-    for tick in range(round(seconds / TICK_S)):
-        firmware.tick()
-        if tick % 5 == 0:
-            measured += transport.poll()
-    return measured
-
-
-def settled(firmware: SimulatedFirmware, transport: SerialTransport, order: Order) -> Order:
-    """Let time pass until an order is settled, or its time is over."""
-    end = firmware.now + order.longest_s
-    while not order.settled and firmware.now < end:
-        pass_time(firmware, transport, 0.005)
-    return order
-
-
-def enabled(firmware: SimulatedFirmware, seed: int = 7) -> SerialTransport:
-    """A transport whose motors a person has enabled."""
-    transport = link(firmware, seed=seed)
-    while transport.report().condition is Condition.GONE and firmware.now < 10:
-        pass_time(firmware, transport, 0.1)
-    order = settled(firmware, transport, transport.enable())
-    assert order.done, order.failure
-    return transport
-
-
-def play(
-    firmware: SimulatedFirmware, transport: SerialTransport, seconds: float, size: float = 0.002
-) -> set[int]:
-    """Send a table in every period; returns the numbers of those that were played."""
-    tables: set[int] = set()
-    for n in range(round(seconds / PERIOD)):
-        if transport.report().condition is Condition.READY:
-            transport.send(shaking(size if n % 2 else size / 2), REPEATS)
-        tables |= {m.table for m in pass_time(firmware, transport, PERIOD)}
-    return tables - {0}
 
 
 def test_tables_arrive_and_are_played_as_often_as_asked(firmware):
@@ -718,213 +496,8 @@ def test_long_tables_are_refused(firmware):
         transport.send(prepare(RIG, cycle, 1)[0], 1)
 
 
-Provoke = Callable[[SimulatedFirmware, Latch], SerialTransport | TransportThread]
-
-PROVOKE: dict[DriverReason, tuple[DriverState, Provoke]] = {}
-"""By reason: the state that has it, and a function that brings motors and latch there."""
-
-
-def provokes(reason: DriverReason, state: DriverState) -> Callable[[Provoke], Provoke]:
-    def keep(provoke: Provoke) -> Provoke:
-        PROVOKE[reason] = state, provoke
-        return provoke
-
-    return keep
-
-
-@provokes(DriverReason.NONE, DriverState.READY)
-def provoke_nothing(firmware, latch):
-    return enabled(firmware)
-
-
-def stopped_by(firmware: SimulatedFirmware, latch: Latch, reason: DriverReason) -> SerialTransport:
-    transport = enabled(firmware)
-    play(firmware, transport, 0.3)
-    latch.close(reason)
-    settled(firmware, transport, transport.stop(cut=reason is DriverReason.POWER_CUT))
-    pass_time(firmware, transport, 1.0)
-    return transport
-
-
-@provokes(DriverReason.SWITCHED_OFF, DriverState.DISABLED)
-def provoke_switched_off(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.SWITCHED_OFF)
-
-
-@provokes(DriverReason.EMERGENCY_STOP, DriverState.STOPPED)
-def provoke_emergency_stop(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.EMERGENCY_STOP)
-
-
-@provokes(DriverReason.POWER_CUT, DriverState.STOPPED)
-def provoke_power_cut(firmware, latch):
-    return stopped_by(firmware, latch, DriverReason.POWER_CUT)
-
-
-@provokes(DriverReason.EARLIER_STOP, DriverState.STOPPED)
-def provoke_earlier_stop(firmware, latch):
-    before = enabled(firmware)
-    settled(firmware, before, before.stop())
-    before.close()
-    transport = link(firmware, seed=8)
-    pass_time(firmware, transport, 1.0)
-    return transport
-
-
-@provokes(DriverReason.HOST_SILENT, DriverState.STOPPED)
-def provoke_host_silent(firmware, latch):
-    transport = enabled(firmware)
-    for _ in range(800):  # and nobody polls
-        firmware.tick()
-    pass_time(firmware, transport, 0.2)
-    return transport
-
-
-@provokes(DriverReason.LIMIT, DriverState.STOPPED)
-def provoke_limit(firmware, latch):
-    transport = link(firmware)
-    firmware.order("place 0.0101")  # [m]: no way leads home from there
-    pass_time(firmware, transport, 0.5)
-    assert settled(firmware, transport, transport.enable()).failure
-    return transport
-
-
-@provokes(DriverReason.SUPPLY, DriverState.STOPPED)
-def provoke_supply(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("fault 8")
-    pass_time(firmware, transport, 0.2)
-    return transport
-
-
-@provokes(DriverReason.HARDWARE, DriverState.STOPPED)
-def provoke_hardware(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("fault 24")  # a failing supply may be its doing
-    pass_time(firmware, transport, 0.2)
-    return transport
-
-
-@provokes(DriverReason.HEAT, DriverState.STOPPED)
-def provoke_heat(firmware, latch):
-    firmware.options = "0.005", "20"  # quicker than the table, which as a whole is allowed
-    firmware.reset()
-    transport = enabled(firmware)
-    transport.send(shaking(0.002), 50)
-    pass_time(firmware, transport, 1.5)
-    return transport
-
-
-@provokes(DriverReason.FOLLOWING, DriverState.STOPPED)
-def provoke_following(firmware, latch):
-    transport = enabled(firmware)
-    transport.send(shaking(0.008), 50)
-    pass_time(firmware, transport, 0.5)
-    firmware.order("jam 1")
-    pass_time(firmware, transport, 0.5)
-    return transport
-
-
-@provokes(DriverReason.DEVICE_RESET, DriverState.STOPPED)
-def provoke_device_reset(firmware, latch):
-    transport = enabled(firmware)
-    firmware.order("reset")
-    pass_time(firmware, transport, 2.0)
-    return transport
-
-
-@provokes(DriverReason.DEVICE_CLOCK, DriverState.STOPPED)
-def provoke_device_clock(firmware, latch):
-    transport = enabled(firmware)
-    play(firmware, transport, 0.5)
-    firmware.fast = 0.2
-    pass_time(firmware, transport, 2.0)
-    return transport
-
-
-@provokes(DriverReason.NO_ANSWER, DriverState.ERROR)
-def provoke_no_answer(firmware, latch):
-    transport = enabled(firmware)
-    firmware.loss = 1.0
-    pass_time(firmware, transport, 1.0)
-    return transport
-
-
-@provokes(DriverReason.NO_TELEMETRY, DriverState.ERROR)
-def provoke_no_telemetry(firmware, latch):
-    transport = enabled(firmware)
-    read, reader = firmware.read, Reader()
-
-    def read_without(size: int) -> bytes:
-        nonlocal reader
-        reader, packets = reader.fed(read(size))
-        kept = [data for data in packets if not isinstance(parse(data).message, Telemetry)]
-        return b"".join(map(frame, kept))
-
-    firmware.read = read_without
-    pass_time(firmware, transport, 0.7)
-    return transport
-
-
-@provokes(DriverReason.PORT, DriverState.ERROR)
-def provoke_port(firmware, latch):
-    transport = enabled(firmware)
-    firmware.cut = True
-    pass_time(firmware, transport, 0.5)
-    return transport
-
-
-@provokes(DriverReason.WRONG_DEVICE, DriverState.ERROR)
-def provoke_wrong_device(firmware, latch):
-    limits = replace(RIG.limits, stroke_m=0.02)
-    transport = SerialTransport(firmware.opened, lambda: firmware.now, 7, limits=limits)
-    transport.open()
-    pass_time(firmware, transport, 0.5)
-    return transport
-
-
 def test_an_enable_says_that_the_device_speaks_another_version(firmware, monkeypatch):
     monkeypatch.setattr("plate_driver.transports.link.VERSION", 9)
     transport = link(firmware)
     pass_time(firmware, transport, 0.5)
     assert "for 4 motors, allowed: version 9 for 4" in transport.enable().failure
-
-
-@provokes(DriverReason.DEFECT, DriverState.ERROR)
-def provoke_defect(firmware, latch):
-    transport = enabled(firmware)
-
-    def poll() -> list[Measured]:
-        raise RuntimeError("a defect")
-
-    transport.poll = poll
-    thread = TransportThread(transport, latch, lambda error: None)
-    thread.poll()
-    return thread
-
-
-@provokes(DriverReason.STOP_UNANSWERED, DriverState.ERROR)
-def provoke_stop_unanswered(firmware, latch):
-    transport = enabled(firmware)
-    firmware.loss = 1.0
-    latch.close(DriverReason.EMERGENCY_STOP)
-    latch.late = settled(firmware, transport, transport.stop())
-    pass_time(firmware, transport, 1.0)
-    return transport
-
-
-OTHERS = {DriverReason.OTHER: "test_trajectory_relay.py"}
-"""Provoked there: no transport of ours has it."""
-
-
-@pytest.mark.parametrize(
-    "reason", [r for r in DriverReason if r not in OTHERS], ids=lambda reason: reason.name
-)
-def test_every_reason_of_the_driver_can_be_provoked(firmware, reason):
-    latch = Latch()
-    state, provoke = PROVOKE[reason]
-    motors = provoke(firmware, latch)
-    report = motors.report if isinstance(motors, TransportThread) else motors.report()
-    status = driver_status(True, latch, report, calibrating=False)
-    assert (status.state, status.reason) == (state, reason), status
-    assert status.text.startswith(state.name.lower())

@@ -432,7 +432,7 @@ def run(
                 planner = planner.order(state, cell.order(state.memory.report, now))
             state, wanted, progress = planner.answer(state)
             expected = predicted(wanted, state)
-            # What is held is to be seen at rest, whoever plans.
+            # What is held is to be seen at rest, also with a planner of the user's own.
             if own is not None and not state.task.held(state.estimator.stamp, planner.limits):
                 wanted = _checked(own.plan(tracker.parts, began), setup.own_planner)
             solving = cpu_time()
