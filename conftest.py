@@ -3,13 +3,23 @@
 So neither the workers of one run nor two runs on a machine hear each other.
 """
 
+import gc
 import os
 import time
 from pathlib import Path
 
+import pytest
 from graph.domains import own_domain
 
 BEGAN = time.time()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """What a test of a real graph leaves open is told in that test, not in a later one."""
+    yield
+    if item.get_closest_marker("alone"):
+        gc.collect()
 
 
 def pytest_configure(config):

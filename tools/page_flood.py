@@ -95,6 +95,18 @@ async def connect(url: str) -> tornado.websocket.WebSocketClientConnection:
     )
 
 
+async def hang_up(socket: tornado.websocket.WebSocketClientConnection) -> None:
+    """Close a websocket, and read until the page has closed it too."""
+
+    async def rest() -> None:
+        while await socket.read_message() is not None:
+            pass
+
+    socket.close()
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(rest(), LONGEST_S)
+
+
 async def flood(url: str, rng: random.Random, over: Event, sent: Any) -> None:
     """Send commands until it is over."""
     number = 0
@@ -142,9 +154,11 @@ async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
             took.append(1e3 * (time.monotonic() - began))
         except (TimeoutError, tornado.websocket.WebSocketClosedError) as error:
             verdict.problems[f"{name}: {type(error).__name__}"] += 1
+            await hang_up(socket)
             with contextlib.suppress(OSError):
                 socket = await connect(url)
         await asyncio.sleep(STOP_S)
+    await hang_up(socket)
     return took
 
 

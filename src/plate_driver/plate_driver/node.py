@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -72,6 +71,10 @@ STATUS_BYTES = 100_000
 """A longer task_status is none of the planner's."""
 
 WATCH_PERIOD_S = 0.02
+STALLED_S, SETTLE_S = 0.05, 0.01
+"""A process that has not run for so long is given this time to receive what was sent to it
+meanwhile [s]: the end of a task would else be heard after a cycle that came later."""
+
 QUIET_S = 2.0
 """Least time between two warnings of the same kind [s]."""
 
@@ -89,10 +92,6 @@ MOTIONS_KEPT = 8
 
 WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
-
-
-Take = Callable[[bytes, int, bytes], None]
-"""Takes a message as it came, its length and a key of its publisher."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,10 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._measured: Measured | None = None
         self._ready_since = 0.0
         self._freshness = Freshness()
-        self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()
-        self._came: deque[tuple[Take, tuple[bytes, int, bytes]]] = deque()
+        self.cycles: UnlockedSubscription | None = None
+        self.tasks: UnlockedSubscription | None = None
+        self._heard_at = 0.0  # when it was last looked whether a task has ended [s, steady]
+        self._came: deque[tuple[bytes, int, bytes]] = deque()  # cycles, as they came
         self._reported: dict[str, str] = {}  # values of the last diagnostics
         self._warned: dict[str, float] = {}  # troubles of the transport, when they were logged [s]
         self._again = 0  # messages repeated between the last two
@@ -185,18 +186,16 @@ class DriverNode(SafeLifecycleNode[Options]):
         if self._transport.motors and self._transport.calibrates:
             self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
-        cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
-        tasks = UnlockedSubscription(self, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
-        # The ends of tasks first, for a cycle that came with one may be of that task.
-        self.heard = (tasks, self._take_task), (cycles, self.take_cycle)
+        self.cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
+        self.tasks = UnlockedSubscription(self, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
         self._came.clear()
         over = threading.Event()
         # A thread that looks each 2 ms takes a tenth of the time of a timer of the executor.
-        thread = threading.Thread(target=self._listen, args=(over,), daemon=True)
+        thread = threading.Thread(target=self._listen, args=(self.cycles, over), daemon=True)
         thread.start()
         self.keep(lambda event: event.set(), over)
         self.keep(threading.Thread.join, thread)
-        self.keep(UnlockedSubscription.destroy, cycles, tasks)
+        self.keep(UnlockedSubscription.destroy, self.cycles, self.tasks)
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
         timers = [(WATCH_PERIOD_S, self._watch)]
@@ -363,31 +362,37 @@ class DriverNode(SafeLifecycleNode[Options]):
             return 1e-9 * self.get_clock().now().nanoseconds
         return time.monotonic()
 
-    def _listen(self, over: threading.Event) -> None:
-        """Hand what is `heard` to the executor as it comes, until it is over."""
+    def _listen(self, cycles: UnlockedSubscription, over: threading.Event) -> None:
+        """Hand cycles to the executor as they come, until it is over."""
         while not over.wait(CYCLE_PERIOD_S):
             executor = self.executor
-            for subscription, take in self.heard:
-                while executor is not None and len(self._came) < MOST_WAITING:
-                    taken = subscription.take()
-                    if taken is None:
-                        break
-                    self._came.append((take, taken))
-                    executor.create_task(self._take)
+            while executor is not None and len(self._came) < MOST_WAITING:
+                taken = cycles.take()
+                if taken is None:
+                    break
+                self._came.append(taken)
+                executor.create_task(self._take)
 
     def _take(self) -> None:
-        """Take what has come first, unless the node was cleaned up since."""
+        """Take the cycle that has come first, unless the node was cleaned up since."""
         if self._came:
-            take, taken = self._came.popleft()
-            take(*taken)
+            self.take_cycle(*self._came.popleft())
 
-    def _take_task(self, data: bytes, size: int, _: bytes) -> None:
-        """Take in whether a task has ended."""
-        if not self.active or size > len(data):
-            return
-        msg = deserialize_message(data, TaskStatus)
-        if msg.state != TaskStatus.RUNNING:
-            self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
+    def _hear_tasks(self) -> None:
+        """Take in whether a task has ended; to be called every 20 ms or so."""
+        if time.monotonic() - self._heard_at > STALLED_S:
+            time.sleep(SETTLE_S)
+        self._heard_at = time.monotonic()
+        for _ in range(MOST_WAITING):
+            taken = None if self.tasks is None else self.tasks.take()
+            if taken is None:
+                break
+            data, size, _ = taken
+            if size > len(data):
+                continue
+            msg = deserialize_message(data, TaskStatus)
+            if msg.state != TaskStatus.RUNNING:
+                self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
     def _look(self) -> DriverStatus:
         """Return the status, and notice that the motors have become ready, or that this process
@@ -431,6 +436,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             cycle = msg_to_cycle(msg)
             guard, fit = self._guarded(transport).accepted(cycle, stamp_ns, now)
             if cycle.moves:
+                self._hear_tasks()  # last, for one may have ended that has asked for this cycle
                 guard = guard.lasting(time.monotonic() + self._left_s(cycle, stamp_ns))
             self._send(transport, guard, number)
             self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
@@ -505,6 +511,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             if trouble not in self._warned:
                 self._warned[trouble] = time.monotonic()
                 self.get_logger().warning(trouble)
+        self._hear_tasks()
         if not self.active:
             return
         status, now = self._look(), self._now()

@@ -3,6 +3,7 @@
 import math
 import socket
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -235,7 +236,7 @@ def test_nothing_moves_until_somebody_asks_and_a_part_is_told(graph):
 
 def test_over_tcp(graph):
     robot, other = graph.robot(), graph.robot()
-    answer = graph.say(robot, "get_part black 5")
+    answer = graph.say(robot, f"get_part black {WAIT_S:g}")
     assert answer.startswith("200 x=100.00 y=20.00 angle=5.73 id=black_3 class=black valid_s=")
     assert graph.say(other, "get_part").startswith("409 ")
     assert "state=reserved" in graph.say(other, "state")
@@ -248,6 +249,26 @@ def test_over_tcp(graph):
     assert graph.say(robot, "part_quantity").startswith("200 seen=15 ")
     assert graph.say(robot, "get_part blue").startswith("422 ")
     assert graph.say(robot, "prepare_part").startswith("200 ")
+
+
+def test_a_goal_that_nobody_answers_is_sent_again(graph, monkeypatch):
+    client = graph.feeder._task._client
+    send, unanswered = client.send_goal_async, []
+
+    def lose_the_first(goal):
+        if unanswered:
+            return send(goal)
+        unanswered.append(Future())
+        return unanswered[0]
+
+    monkeypatch.setattr(client, "send_goal_async", lose_the_first)
+    assert graph.say(graph.robot(), f"get_part black {WAIT_S:g}").startswith("200 ")
+    assert graph.planner.began == 1
+    late = SimpleNamespace(accepted=True, canceled=0, get_result_async=Future)
+    late.cancel_goal_async = lambda: setattr(late, "canceled", late.canceled + 1)
+    unanswered[0].set_result(late)
+    graph.until(lambda: late.canceled)
+    assert graph.feeder._task.runs
 
 
 def test_no_part_in_time(graph):

@@ -15,6 +15,10 @@ from plate_interfaces.msg import TaskStatus
 END_S = 5.0
 """A planner that does not end a canceled task within this time is not waited for [s]."""
 
+ANSWER_S = 1.0
+"""A goal that is not answered within this time is sent again [s]: its planner was killed meanwhile,
+or stood still."""
+
 
 class FeedGoal:
     """The goal of `feed_parts`, kept as it is wanted.
@@ -40,16 +44,20 @@ class FeedGoal:
         self._handle: Any = None
         self._number = 0  # of the goal that is wanted; answers to others are of no use
         self._sent = self.runs = self._seen = False
+        self._answer_by = 0.0
         self._ending, self._until = 0, 0.0  # number of the one that was canceled
 
     def want(self, run: bool) -> None:
         """Begin the task if it does not run, or cancel it if it does; call it again and again."""
         if self._sent and not run:
             self._cancel()
-        waits = self._ending and time.monotonic() < self._until
-        if run and not self._sent and not waits and self._client.server_is_ready():
+        now = time.monotonic()
+        waits = (self._ending and now < self._until) or (
+            self._sent and (self.runs or now < self._answer_by)
+        )
+        if run and not waits and self._client.server_is_ready():
             self._number, self._sent, self._ending = self._number + 1, True, 0
-            number = self._number
+            number, self._answer_by = self._number, now + ANSWER_S
             future = self._client.send_goal_async(self._goal)
             future.add_done_callback(lambda done: self._on_answer(number, done))
 
