@@ -149,8 +149,7 @@ def run(
         number = 0
         while number < count and time.monotonic() - began < 60 * minutes:
             number += 1
-            status = observer.record.status
-            if status is None or status.state != TaskStatus.RUNNING:
+            if not observer.record.running:
                 try:
                     if not observer.record.ready:
                         observer.enable()

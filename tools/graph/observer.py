@@ -157,6 +157,11 @@ class Record:
         return self.status is not None and self.status.state == TaskStatus.DONE
 
     @property
+    def running(self) -> bool:
+        """Whether a task runs."""
+        return self.status is not None and self.status.state == TaskStatus.RUNNING
+
+    @property
     def ended(self) -> bool:
         """Whether the task is over."""
         going = (TaskStatus.IDLE, TaskStatus.RUNNING)
@@ -451,9 +456,12 @@ class Observer:
             self._client = PlateClient(self.node, self.until)
         self.record.status = None
         try:
-            return self._client.start(scenario, ready_timeout_s, waiting)
+            task = self._client.start(scenario, ready_timeout_s, waiting)
         except PlateError as refusal:
             raise GraphError(str(refusal)) from None
+        # What was said of the task before may come after the new goal was sent.
+        self.until(lambda: task.ended or self.record.running, ACCEPTED_S)
+        return task
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call a service and return its answer.
