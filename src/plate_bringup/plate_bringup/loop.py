@@ -8,6 +8,7 @@ no answer comes, the plate repeats what it did. How answers get to the plate is 
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import sys
@@ -557,10 +558,13 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []
     shares, scaled, held, late = [], 0, 0, 0
-    task = setup.recipe.task
+    task, cycles = setup.recipe.task, hashlib.blake2b(digest_size=8)
     for moment in run(setup, rig):
+        cycle = moment.answer.cycle
+        for knots in (cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel):
+            cycles.update(knots.tobytes())
         held += moment.held
-        late += moment.step_s > moment.answer.cycle.period
+        late += moment.step_s > cycle.period
         if moment.answer.solution is not None:
             solve_s.append(moment.solve_s)
             step_s.append(moment.step_s)
@@ -580,6 +584,7 @@ def summary(setup: Setup, rig: Rig) -> dict[str, object]:
         "scenario": setup.scenario,
         "seed": setup.seed,
         "method": setup.method,
+        "cycles": cycles.hexdigest(),
         "success": moment.progress.phase == "done" and as_asked(task, rig, moment, error),
         "message": moment.progress.text,
         "time_s": round(moment.progress.time_s, 3),
