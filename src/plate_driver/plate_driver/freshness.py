@@ -86,8 +86,11 @@ class Freshness:
         return replace(new, since_ns=clock_ns, why=why) if why else new
 
     def ended(self, stamp_ns: int) -> Freshness:
-        """Take in that a task has ended, whose last request answered the image of this stamp."""
-        return replace(self, ended_ns=stamp_ns)
+        """Take in that a task has ended, or that none runs: the planner's last request answered the
+        image of this stamp. 0, of one that has asked for nothing yet, and what was said of older
+        images count for nothing."""
+        old = not stamp_ns or 0 < self.ended_ns - stamp_ns < RESTART_NS
+        return self if old else replace(self, ended_ns=stamp_ns)
 
     def came(self, source: bytes, now: float) -> Freshness:
         """Take in that a cycle has come, at rest or not: from whom, and when [s, steady clock]."""

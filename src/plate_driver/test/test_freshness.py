@@ -80,6 +80,14 @@ def test_what_a_task_asked_for_moves_nothing_after_its_end():
     assert fresh.left(at(7.2), at(7.3), PERIOD) > 0
 
 
+@pytest.mark.parametrize("stamp_ns", [0, at(6.5), at(7.0)])
+def test_what_is_said_later_of_older_images_does_not_bring_back_what_has_ended(stamp_ns):
+    """A planner that was started again has asked for nothing yet."""
+    fresh = ready().seen(0, 0.1, at(0.1)).ended(at(7.0)).ended(stamp_ns)
+    with pytest.raises(CycleError, match="a task that has ended"):
+        fresh.left(at(6.8), at(7.1), PERIOD)
+
+
 def test_a_simulator_that_begins_anew_is_heard():
     fresh = ready(50.0).ended(at(70.0))
     assert fresh.left(at(0.0), at(0.0), PERIOD) > 0

@@ -575,7 +575,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._end(STOP)
         if run is None or run.state.task.text == was:  # nothing ran: an end is acknowledged
             self._idle, self._run, self._reported = self._estimator, None, ""
-            self._statuses.publish(TaskStatus(text="idle", reason=int(Reason.STOPPED)))
+            self._statuses.publish(self._idle_status(Reason.STOPPED))
         self._go_on()
         response.success = True
         response.message = f"stopped, was {was}"
@@ -667,15 +667,21 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._finish(run.goal, status)
 
     def _publish_status(self) -> TaskStatus:
-        status = TaskStatus(text="idle") if self._run is None else self._status(self._run)
+        status = self._idle_status() if self._run is None else self._status(self._run)
         self._statuses.publish(status)
         return status
 
+    def _answered(self) -> Header:
+        """Stamp of the last image, or cycle's start, that was answered."""
+        return Header(stamp=self._stamp if self._asked_ns is None else to_time(self._asked_ns))
+
+    def _idle_status(self, reason: Reason = Reason.NONE) -> TaskStatus:
+        return TaskStatus(header=self._answered(), text="idle", reason=int(reason))
+
     def _status(self, run: Run) -> TaskStatus:
         task = run.state.task
-        asked = self._stamp if self._asked_ns is None else to_time(self._asked_ns)
         status = TaskStatus(
-            header=Header(stamp=asked), task=run.name, state=STATES[task.phase],
+            header=self._answered(), task=run.name, state=STATES[task.phase],
             reason=int(task.reason), text=task.text,
         )  # fmt: skip
         if run.progress is None:

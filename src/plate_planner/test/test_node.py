@@ -158,6 +158,8 @@ def test_stop_says_what_was_stopped(graph):
     graph.until(lambda: graph.states[-1] == aborted)
     assert graph.stop().message == f"stopped, was {aborted}"
     graph.until(lambda: graph.states[-1] == "idle")
+    # What this task has asked for stays told: the driver may have heard of its end by this alone.
+    assert nanoseconds(graph.statuses[-1].header.stamp) == 400_000_000
 
 
 def test_a_stop_when_no_task_runs_is_told(graph):
