@@ -30,7 +30,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from graph import gate
 from graph.domains import own_domain
 from graph.observer import ALL, Observer
-from graph.processes import Processes
+from graph.processes import Processes, signals_raise
 from record.judge import LimitCheck, check_limits
 from trajectory_msgs.msg import JointTrajectory
 
@@ -427,7 +427,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--markdown", type=Path)
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as logs:
+    with signals_raise(), tempfile.TemporaryDirectory() as logs:
         link = str(Path(logs) / "device")
         rig = load_scenario(args.scenario).rig
         options = RunOptions(

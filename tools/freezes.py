@@ -32,7 +32,7 @@ import numpy as np
 import rclpy
 from graph.domains import own_domain
 from graph.observer import ALL, Observer
-from graph.processes import Processes
+from graph.processes import Processes, signals_raise
 from rclpy.executors import SingleThreadedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
@@ -210,7 +210,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     options = RunOptions(scenario=args.scenario, rig_file=load_scenario(args.scenario).rig)
-    with tempfile.TemporaryDirectory() as logs, ExitStack() as stack:
+    with signals_raise(), tempfile.TemporaryDirectory() as logs, ExitStack() as stack:
         for _ in range(args.busy):
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", BUSY]))
             stack.callback(loop.kill)

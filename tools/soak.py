@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from graph.processes import signals_raise
 from graph.series import Series, Task, work_again
 from scipy import stats
 
@@ -118,7 +119,7 @@ def main() -> int:
     rig = load_scenario(args.scenario).rig
     options = RunOptions(scenario=args.scenario, rig_file=rig, autostart=False)
     load = os.getloadavg()[2]
-    with tempfile.TemporaryDirectory() as logs:
+    with signals_raise(), tempfile.TemporaryDirectory() as logs:
         for now in work_again(options, Path(logs), lambda _: time.monotonic() > until):
             print(line(now.tasks[-1]), flush=True)
             result = {**summed_up(now), "load": [load, os.getloadavg()[2]]}
