@@ -35,7 +35,7 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_driver.safety.node import LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
-from plate_driver.transports.thread import BUSY  # noqa: E402
+from plate_driver.transports import BUSY  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 pytestmark = pytest.mark.alone  # the device must be heard in time

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -94,6 +95,10 @@ WORTH_A_WARNING = 0.99
 """A cycle scaled by less than this much is counted, but no cause for a warning."""
 
 
+Take = Callable[[bytes, int, bytes], None]
+"""Takes a message as it came, its length and a key of its publisher."""
+
+
 @dataclass(frozen=True)
 class Options(NodeOptions):
     """Parameters of the driver."""
@@ -144,8 +149,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._measured: Measured | None = None
         self._ready_since = 0.0
         self._freshness = Freshness()
-        self.cycles: UnlockedSubscription | None = None
-        self.tasks: UnlockedSubscription | None = None
+        self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()  # tasks, and cycles
         self._heard_at = 0.0  # when it was last looked whether a task has ended [s, steady]
         self._came: deque[tuple[bytes, int, bytes]] = deque()  # cycles, as they came
         self._reported: dict[str, str] = {}  # values of the last diagnostics
@@ -186,16 +190,17 @@ class DriverNode(SafeLifecycleNode[Options]):
         if self._transport.motors and self._transport.calibrates:
             self._starts = self.managed_publisher(JointTrajectory, "cycle_started", DATA)
         most = HEAD_BYTES + POINT_BYTES * MAX_KNOTS
-        self.cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
-        self.tasks = UnlockedSubscription(self, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
+        cycles = UnlockedSubscription(self, JointTrajectory, "plate_cycle", DATA, most)
+        tasks = UnlockedSubscription(self, TaskStatus, "task_status", LATCHED, STATUS_BYTES)
+        self.heard = (tasks, self.take_task), (cycles, self.take_cycle)
         self._came.clear()
         over = threading.Event()
         # A thread that looks each 2 ms takes a tenth of the time of a timer of the executor.
-        thread = threading.Thread(target=self._listen, args=(self.cycles, over), daemon=True)
+        thread = threading.Thread(target=self._listen, args=(cycles, over), daemon=True)
         thread.start()
         self.keep(lambda event: event.set(), over)
         self.keep(threading.Thread.join, thread)
-        self.keep(UnlockedSubscription.destroy, self.cycles, self.tasks)
+        self.keep(UnlockedSubscription.destroy, cycles, tasks)
         service = self.create_service(Trigger, "calibrate", self._on_calibrate)
         self.keep(self.destroy_service, service)
         timers = [(WATCH_PERIOD_S, self._watch)]
@@ -383,16 +388,20 @@ class DriverNode(SafeLifecycleNode[Options]):
         if time.monotonic() - self._heard_at > STALLED_S:
             time.sleep(SETTLE_S)
         self._heard_at = time.monotonic()
-        for _ in range(MOST_WAITING):
-            taken = None if self.tasks is None else self.tasks.take()
-            if taken is None:
-                break
-            data, size, _ = taken
-            if size > len(data):
-                continue
-            msg = deserialize_message(data, TaskStatus)
-            if msg.state != TaskStatus.RUNNING:
-                self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
+        for subscription, take in self.heard[:1]:  # none before configure
+            for _ in range(MOST_WAITING):
+                taken = subscription.take()
+                if taken is None:
+                    break
+                take(*taken)
+
+    def take_task(self, data: bytes, size: int, _: bytes) -> None:
+        """Take in a task_status that came as `size` bytes, the first of which are `data`."""
+        if size > len(data):
+            return
+        msg = deserialize_message(data, TaskStatus)
+        if msg.state != TaskStatus.RUNNING:
+            self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
     def _look(self) -> DriverStatus:
         """Return the status, and notice that the motors have become ready, or that this process

@@ -120,7 +120,7 @@ class Peer:
             lambda: (
                 self.cycles.get_subscription_count() > 0
                 and self.node.count_publishers("motor_setpoints") > 0
-                and (not self.told or self.told[-1] == "ready" or not ready)
+                and (not ready or self.told[-1:] == ["ready"])
             )
         ), self.end()
         # The driver may get to know us a little later than we it; until then its words are lost.

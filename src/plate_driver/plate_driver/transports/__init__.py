@@ -7,7 +7,7 @@ from .line import upload_s
 from .link import Link
 from .serial import LEAD_S, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
-from .thread import ANSWER_S, BUSY_S, Latch, TransportThread, urgent
+from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
 from .transport import (
     Condition,
     Measured,
@@ -21,6 +21,7 @@ from .transport import (
 
 __all__ = [
     "ANSWER_S",
+    "BUSY",
     "BUSY_S",
     "LEAD_S",
     "Condition",
