@@ -12,6 +12,7 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     # ROS: stay on this machine (docs/machines.md: how to open the graph to others), find nodes quickly
     export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
     export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_plate_root/config/fastdds.xml}"
+    export SKIP_DEFAULT_XML_FILE="${SKIP_DEFAULT_XML_FILE:-1}"  # none that lies in the current folder
 
     # Logs and caches stay in the clone: the home folder need not be there, nor be writable
     export ROS_LOG_DIR="${ROS_LOG_DIR:-$_plate_root/log/ros}"

@@ -84,6 +84,7 @@ def ros_environment(domain: int) -> dict[str, str]:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_STATIC_PEERS": "",
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_path("fastdds.xml")),
+        "SKIP_DEFAULT_XML_FILE": "1",
         "RCUTILS_COLORIZED_OUTPUT": "0",
         "PYTHONUNBUFFERED": "1",
     }

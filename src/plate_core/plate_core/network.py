@@ -8,6 +8,9 @@ from pathlib import Path
 from .yaml_fields import config_path
 
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
+"""Has Fast DDS not look for a DEFAULT_FASTRTPS_PROFILES.xml in the current folder."""
+
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 """Profiles of config/: for this machine alone, and for the network."""
 
@@ -17,7 +20,8 @@ RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 def choose_network(environ: MutableMapping[str, str]) -> str:
     """Have DDS keep to this machine, unless peers are named or a wider range is asked for.
 
-    To be called before a process makes its first node. A profile that is not ours stays.
+    To be called before a process makes its first node. A profile that is not ours stays if it is
+    named; one that only lies in the current folder is not read.
 
     Parameters
     ----------
@@ -31,6 +35,7 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
     """
     reach, peers = environ.setdefault(RANGE, "LOCALHOST") or "SUBNET", environ.get(PEERS, "")
     is_open = bool(peers) or reach not in ("LOCALHOST", "OFF")
+    environ[SKIP_OTHERS] = "1"
     if Path(environ.get(PROFILE, "")).name in ("", OWN, NETWORK):
         environ[PROFILE] = str(config_path(NETWORK if is_open else OWN))
     if not is_open:

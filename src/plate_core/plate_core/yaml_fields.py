@@ -459,6 +459,8 @@ def read_yaml(path: str | Path, error: type[PlateError]) -> Fields:
         raise error(f"{path}: broken YAML{line}: {reason}") from None
     except RecursionError:
         raise error(f"{path}: broken YAML: nested too deeply") from None
+    except ValueError as problem:  # of the scanner: an escape beyond Unicode
+        raise error(f"{path}: broken YAML: {problem}") from None
     if mistake:
         raise error(f"{path.name}: {mistake}")
     return Fields(data, path.name, error)

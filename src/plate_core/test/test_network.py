@@ -1,5 +1,7 @@
 """By default DDS keeps to this machine."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,6 +35,46 @@ def test_only_what_is_asked_for_opens_the_network(given, profile, told, before):
     assert environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == given.get(
         "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
     )
+
+
+FOREIGN = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+<participant profile_name="other" is_default_profile="true"/></profiles>"""
+
+ADDRESSES = """
+import os, rclpy
+from pathlib import Path
+from plate_core import choose_network
+choose_network(os.environ)
+rclpy.init()
+node = rclpy.create_node("lone")
+own = set()
+for file in Path("/proc/self/fd").iterdir():
+    try:
+        own.add(os.readlink(file))
+    except OSError:  # the list's own
+        pass
+for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:
+    words = line.split()
+    if f"socket:[{words[9]}]" in own:
+        print(words[1].split(":")[0])
+"""
+
+
+def addresses(folder: Path) -> list[str]:
+    """Local addresses of the sockets that a node has which is started in a folder."""
+    command = [sys.executable, "-c", ADDRESSES]
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=60, check=True
+    )
+    return sorted(done.stdout.split())
+
+
+def test_a_profile_that_lies_in_the_current_folder_opens_nothing(tmp_path):
+    pytest.importorskip("rclpy")
+    alone = addresses(tmp_path)
+    assert "0100007F" in alone  # 127.0.0.1
+    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text(FOREIGN)
+    assert addresses(tmp_path) == alone
 
 
 def test_a_profile_of_somebody_else_stays():

@@ -116,7 +116,8 @@ def test_motors_that_cannot_turn_the_plate_are_refused(data, load):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "- 1\n- 2\n", "plate: [1, 2\n", "plate: {a: 1}\nplate: b: c\n"]
+    "text",
+    ["", "- 1\n- 2\n", "plate: [1, 2\n", "plate: {a: 1}\nplate: b: c\n", '"\\U00110000": 1\n'],
 )
 def test_broken_files_are_refused(load, text):
     with pytest.raises(RigError, match=r"rig\.yaml: (got|broken YAML)"):

@@ -14,7 +14,6 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -31,6 +30,7 @@ from plate_core.ros import (
     SafeLifecycleNode,
     UnlockedSubscription,
     cycle_to_msg,
+    deserialized,
     msg_to_cycle,
     nanoseconds,
     parameter,
@@ -397,10 +397,12 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def take_task(self, data: bytes, size: int, _: bytes) -> None:
         """Take in a task_status that came as `size` bytes, the first of which are `data`."""
-        if size > len(data):
+        try:
+            msg = deserialized(data, TaskStatus)
+        except PlateError as error:  # a longer one was cut off: neither is the planner's
+            self.get_logger().warning(f"task_status: {error}", throttle_duration_sec=QUIET_S)
             return
-        msg = deserialize_message(data, TaskStatus)
-        if msg.state != TaskStatus.RUNNING:
+        if size <= len(data) and msg.state != TaskStatus.RUNNING:
             self._freshness = self._freshness.ended(nanoseconds(msg.header.stamp))
 
     def _look(self) -> DriverStatus:
@@ -437,7 +439,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             return
         try:
             check_length(data, size, min(MAX_KNOTS, transport.max_knots))
-            msg = deserialize_message(data, JointTrajectory)
+            msg = deserialized(data, JointTrajectory)
             stamp_ns = nanoseconds(msg.header.stamp)
             now = self._now()
             if self._simulated:  # the clock may be heard after the cycle

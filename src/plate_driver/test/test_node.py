@@ -18,6 +18,7 @@ rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
@@ -550,6 +551,22 @@ def test_an_enable_without_a_stop_changes_nothing(peer):
     stopped = next(s for s in peer.statuses if s.state == DriverStatus.STOPPED)
     assert (stopped.reason, stopped.text) == (DriverStatus.EMERGENCY_STOP, EMERGENCY)
     assert stopped.enabled_at == before
+
+
+def test_bytes_that_are_no_message_end_nothing(peer):
+    """As of a computer with other interfaces; one of the latched topic comes again and again."""
+    peer.connect()
+    status, cycle = TaskStatus(text="idle"), cycle_to_msg(shaking(0.0005), to_time(time.time_ns()))
+    for publisher, msg in ((peer.tasks, status), (peer.cycles, cycle)):
+        data = serialize_message(msg)
+        publisher.publish(data[: len(data) // 2])
+    assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
+    peer.moved()
+    stop = peer.node.create_client(Trigger, "emergency_stop")
+    assert peer.call(stop, Trigger.Request()).success
+    _, output = peer.end()
+    assert "cycle refused: JointTrajectory: " in output
+    assert "task_status: TaskStatus: " in output
 
 
 def test_cycles_that_are_too_long_are_refused_unread(peer):

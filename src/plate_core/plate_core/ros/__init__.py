@@ -44,7 +44,7 @@ from .main import run_node, run_nodes
 from .markers import centres_to_msg, forces_to_msg, scene_to_msg
 from .params import declare, follow, parameter
 from .qos import CALLS, CAMERA, DATA, IMAGE, LATCHED, NEWEST, TRANSFORMS
-from .unlocked import UnlockedSubscription
+from .unlocked import UnlockedSubscription, deserialized
 
 __all__ = [
     "ACTIONS",
@@ -69,6 +69,7 @@ __all__ = [
     "compiling",
     "cycle_to_msg",
     "declare",
+    "deserialized",
     "driver_status_to_msg",
     "follow",
     "forces_to_msg",

@@ -18,11 +18,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
 from ..network import choose_network
+from .console import never_held
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
 LAST_ROUNDS = 5
 """Rounds of the executor in which what was said at the end is sent."""
+
+MOST_DOMAIN = 232
+"""Beyond, a domain has no ports."""
 
 POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
@@ -55,6 +59,14 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     """Do the same for several nodes in one process and one executor, given by name: all are made,
     then configured, then activated, in this order. What one refuses begins with its name.
     """
+    with never_held():
+        code = _run(makes, args)
+    if code:
+        sys.exit(code)
+
+
+def _run(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None) -> int:
+    """Do so, and return the exit code."""
     stopped, spinning = False, False
     nodes: list[Any] = []
     code = 0
@@ -101,8 +113,7 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
             stack.callback(rclpy.try_shutdown)
             for node in nodes:
                 stack.callback(node.destroy_node)
-    if code:
-        sys.exit(code)
+    return code
 
 
 def _init(args: Sequence[str] | None) -> None:
@@ -110,6 +121,9 @@ def _init(args: Sequence[str] | None) -> None:
     if opened := choose_network(os.environ):
         print(f"warning: {opened}", file=sys.stderr, flush=True)
     check_parameter_files(args)
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain.isdecimal() and int(domain) > MOST_DOMAIN:  # what is no number ROS tells of
+        raise PlateError(f"ROS_DOMAIN_ID is {domain}, allowed: 0 to {MOST_DOMAIN}")
     try:
         rclpy.init(
             args=list(args) if args is not None else None,

@@ -13,7 +13,10 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.type_support import check_is_valid_msg_type
+
+from ..errors import PlateError
 
 
 class _Allocator(ctypes.Structure):
@@ -55,6 +58,20 @@ _TAKE = _rcl.rcl_take_serialized_message
 _TAKE.argtypes = [ctypes.c_void_p] * 4
 _END = _rcutils.rcutils_uint8_array_fini
 _END.argtypes = [ctypes.c_void_p]
+
+
+def deserialized(data: bytes, kind: type) -> Any:
+    """Return the message that these bytes are.
+
+    Raises
+    ------
+    PlateError
+        If they are none of this kind: rclpy itself only drops such a message.
+    """
+    try:
+        return deserialize_message(data, kind)
+    except Exception:  # also of conversions
+        raise PlateError(f"{kind.__name__}: {len(data)} bytes that are none") from None
 
 
 class UnlockedSubscription:

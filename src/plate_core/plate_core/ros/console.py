@@ -1,0 +1,48 @@
+"""What a node logs waits for nobody: a terminal that is held by Ctrl-S, a pipe that nobody empties
+or a hung connection would else hold up all its threads at the next line, those that stop motors
+too, since ROS writes to stderr with Python's lock held."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Iterator
+
+CHUNK = 4096
+LAST_S = 0.5
+"""Longest wait at the end for what was written last [s]."""
+
+COLOUR = "RCUTILS_COLORIZED_OUTPUT"
+STDERR = 2
+
+
+@contextlib.contextmanager
+def never_held() -> Iterator[None]:
+    """Have a thread write out stderr, through a pipe; what finds that full is dropped."""
+    if os.isatty(STDERR):  # which ROS looks for, and will not find
+        os.environ.setdefault(COLOUR, "1")
+    kept = os.dup(STDERR)
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    os.dup2(write, STDERR)
+    os.close(write)
+    thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            sys.stderr.flush()
+        os.dup2(kept, STDERR)  # the pipe has an end now
+        thread.join(LAST_S)
+
+
+def _write_out(read: int, kept: int) -> None:
+    with contextlib.suppress(OSError):  # whoever listened is gone
+        while data := os.read(read, CHUNK):
+            while data:
+                data = data[os.write(kept, data) :]
+    os.close(read)
+    os.close(kept)

@@ -1,0 +1,63 @@
+"""A node whose console nobody reads goes on; and what it logs arrives where somebody does."""
+
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+LINES = 2000
+"""More than a pipe holds."""
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from plate_core.ros import NodeOptions, SafeLifecycleNode, run_node
+
+class Talker(SafeLifecycleNode[NodeOptions]):
+    def __init__(self):
+        super().__init__("talker", NodeOptions)
+
+    def begin(self):
+        for number in range(int(sys.argv[1])):
+            self.get_logger().warning(f"line {number} " + 80 * "x")
+        Path(sys.argv[2]).touch()
+
+run_node(Talker)
+"""
+
+
+@contextmanager
+def talker(lines, file):
+    command = [sys.executable, "-c", PROGRAM, str(lines), str(file)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as node:
+        try:
+            yield node
+        finally:
+            node.kill()
+
+
+def appears(file, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not file.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    return file.exists()
+
+
+def test_a_console_that_nobody_reads_does_not_hold_up_a_node(tmp_path):
+    with talker(LINES, tmp_path / "said") as node:
+        assert appears(tmp_path / "said")
+        node.send_signal(signal.SIGINT)
+        assert node.wait(60) == 0  # its last words are not waited for either
+
+
+def test_what_is_logged_arrives_in_order_and_to_the_end(tmp_path):
+    with talker(20, tmp_path / "said") as node:
+        assert appears(tmp_path / "said")
+        node.send_signal(signal.SIGINT)
+        _, said = node.communicate(timeout=60)
+    assert [word for word in said.split() if word.isdigit()] == [str(n) for n in range(20)]
