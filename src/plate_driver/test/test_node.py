@@ -468,7 +468,8 @@ def test_the_command_line_stops_and_tells(peer):
             [sys.executable, "-c", code, *words, "--namespace", NAMESPACE],
             capture_output=True, text=True, timeout=60,
         )  # fmt: skip
-        return done.returncode, done.stdout + done.stderr
+        # On a busy machine Fast DDS may report on stderr that it tries the next port.
+        return done.returncode, done.stdout or done.stderr
 
     assert plate("emergency_stop") == (0, EMERGENCY + "\n")
     code, text = plate("state")
