@@ -17,6 +17,10 @@ LATENCY_S, MOST_AGE_S = 0.2, 0.6
 """What vision, planner and solver may take on a slow computer, and the greatest age of a moving
 cycle, unless a period is longer [s]."""
 
+SEND_S = 0.02
+"""What sending may take on a busy computer [s]: a cycle that comes later than that before its limit
+is refused, so that none is sent beyond it."""
+
 AHEAD_S = 0.1
 """How far the clock of another computer may be ahead of ours [s]."""
 
@@ -105,7 +109,7 @@ class Freshness:
         CycleError
             If it may no more, with the reason.
         """
-        age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period)
+        age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
         if not -AHEAD_S <= age <= limit:
             raise CycleError(
                 f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
