@@ -232,7 +232,8 @@ def nobody() -> str:
     text = f"no graph runs in ROS domain {domain()}"
     if others:
         listed = ", ".join(map(str, others))
-        text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID={others[0]}"
+        text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
+        text += listed if len(others) == 1 else "that of yours"  # one may be another's plate
     return text
 
 

@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from plate_client.client import TaskError  # noqa: E402
 from plate_client.command import main  # noqa: E402
 from plate_client.graph import Graph  # noqa: E402
-from plate_client.services import domains_in_use  # noqa: E402
+from plate_client.services import domains_in_use, nobody  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, declare, follow, parameter  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
@@ -238,6 +238,14 @@ def test_nobody_is_there(graph):
     finally:
         alone.node.destroy_node()
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
+
+
+@pytest.mark.parametrize(("others", "end"), [({5}, "=5"), ({5, 9}, "=that of yours"), ({0}, "0")])
+def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, others, end):
+    """The next command may be an enable."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    monkeypatch.setattr("plate_client.services.domains_in_use", lambda: others)
+    assert nobody().endswith(end)
 
 
 @pytest.mark.parametrize(
