@@ -16,7 +16,7 @@ BEGAN = time.time()
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item):
-    """What a test of a real graph leaves open is told in that test, not in a later one."""
+    """What a test of a real graph leaves open is reported by that test, not by a later one."""
     yield
     if item.get_closest_marker("alone"):
         gc.collect()

@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from plate_core import PlateError, choose_network
+from plate_core import PlateError, choose_network, ros_domain
 
 from .messages import spin_until
 
@@ -46,9 +46,6 @@ CALLS = QoSProfile(depth=1000)
 
 NAME = "plate_command"
 
-LAST_DOMAIN = 232
-"""The ports of the next one would be beyond 65535."""
-
 DDS_PORT, PORTS_PER_DOMAIN, DOMAINS = 7400, 250, range(102)
 """UDP ports of a ROS domain (DDSI-RTPS 9.6.1.1), and the domains whose ports are nobody else's."""
 
@@ -62,7 +59,7 @@ def start_ros(namespace: str) -> None:
         If the environment names no ROS domain, or the namespace is none.
     """
     choose_network(os.environ)
-    domain()
+    ros_domain(os.environ)
     if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", namespace, re.ASCII):
         raise PlateError(
             f"namespace is {namespace!r}, allowed: words of letters, digits and _, with / "
@@ -228,29 +225,14 @@ def compiling(said: Said) -> list[Report]:
 
 def nobody() -> str:
     """Say that no graph is there, and in which domains of this machine there may be one."""
-    others = sorted(domains_in_use() - {domain()})
-    text = f"no graph runs in ROS domain {domain()}"
+    ours = ros_domain(os.environ)
+    others = sorted(domains_in_use() - {ours})
+    text = f"no graph runs in ROS domain {ours}"
     if others:
         listed = ", ".join(map(str, others))
         text += f"; ROS runs on this machine in {listed}: export ROS_DOMAIN_ID="
         text += listed if len(others) == 1 else "that of yours"  # one may be another's plate
     return text
-
-
-def domain() -> int:
-    """Return the ROS domain of this process.
-
-    Raises
-    ------
-    PlateError
-        If the environment names none.
-    """
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal() or int(text) > LAST_DOMAIN:
-        raise PlateError(
-            f"ROS_DOMAIN_ID is {text!r}, allowed: a whole number from 0 to {LAST_DOMAIN}"
-        )
-    return int(text)
 
 
 def domains_in_use() -> set[int]:

@@ -6,7 +6,7 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
-from .network import choose_network
+from .network import choose_network, ros_domain
 from .parts import MOST_PARTS, AngleTargets, Parts, Targets, Wanted, part_class
 from .rig import Rig, load_rig
 from .yaml_fields import config_path
@@ -29,4 +29,5 @@ __all__ = [
     "did_you_mean",
     "load_rig",
     "part_class",
+    "ros_domain",
 ]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
+from .errors import PlateError
 from .yaml_fields import config_path
 
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -13,6 +14,9 @@ SKIP_OTHERS = "SKIP_DEFAULT_XML_FILE"
 
 OWN, NETWORK = "fastdds.xml", "fastdds_network.xml"
 """Profiles of config/: for this machine alone, and for the network."""
+
+LAST_DOMAIN = 232
+"""ROS domains with a higher number have no ports."""
 
 RANGE, PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS"
 
@@ -42,3 +46,19 @@ def choose_network(environ: MutableMapping[str, str]) -> str:
         return ""
     why = f"{PEERS} is {peers}" if peers else f"{RANGE} is {reach}"
     return f"{why}: whoever reaches this machine over the network can move the plate"
+
+
+def ros_domain(environ: Mapping[str, str]) -> int:
+    """Return the ROS domain of a process with this environment.
+
+    Raises
+    ------
+    PlateError
+        If the environment names none.
+    """
+    text = environ.get("ROS_DOMAIN_ID") or "0"
+    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+        raise PlateError(
+            f"ROS_DOMAIN_ID is {text!r}, allowed: a whole number from 0 to {LAST_DOMAIN}"
+        )
+    return int(text)

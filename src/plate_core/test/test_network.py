@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from plate_core import choose_network
+from plate_core import PlateError, choose_network, ros_domain
 
 ENV_SH = "/elsewhere/config/fastdds.xml"
 """What env.sh exports, whatever is asked for later."""
@@ -43,7 +43,7 @@ FOREIGN = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profil
 ADDRESSES = """
 import os, rclpy
 from pathlib import Path
-from plate_core import choose_network
+from plate_core import PlateError, choose_network, ros_domain
 choose_network(os.environ)
 rclpy.init()
 node = rclpy.create_node("lone")
@@ -81,3 +81,10 @@ def test_a_profile_of_somebody_else_stays():
     environ = {"FASTRTPS_DEFAULT_PROFILES_FILE": "/etc/dds.xml"}
     choose_network(environ)
     assert environ["FASTRTPS_DEFAULT_PROFILES_FILE"] == "/etc/dds.xml"
+
+
+@pytest.mark.parametrize("text", ["233", "5000", "abc", "-1", "1.0"])
+def test_a_domain_without_ports_is_refused(text):
+    with pytest.raises(PlateError, match=f"ROS_DOMAIN_ID is '{text}', allowed: a whole number"):
+        ros_domain({"ROS_DOMAIN_ID": text})
+    assert (ros_domain({}), ros_domain({"ROS_DOMAIN_ID": "232"})) == (0, 232)

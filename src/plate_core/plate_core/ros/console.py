@@ -40,7 +40,7 @@ def never_held() -> Iterator[None]:
 
 
 def _write_out(read: int, kept: int) -> None:
-    with contextlib.suppress(OSError):  # whoever listened is gone
+    with contextlib.suppress(OSError):  # nobody reads it any more
         while data := os.read(read, CHUNK):
             while data:
                 data = data[os.write(kept, data) :]

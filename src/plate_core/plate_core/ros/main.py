@@ -17,16 +17,13 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ..errors import PlateError
-from ..network import choose_network
+from ..network import choose_network, ros_domain
 from .console import never_held
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
 LAST_ROUNDS = 5
 """Rounds of the executor in which what was said at the end is sent."""
-
-MOST_DOMAIN = 232
-"""Beyond, a domain has no ports."""
 
 POLL_S = 0.1
 """A signal waits at most this long: Python sees it only when the executor returns."""
@@ -121,9 +118,7 @@ def _init(args: Sequence[str] | None) -> None:
     if opened := choose_network(os.environ):
         print(f"warning: {opened}", file=sys.stderr, flush=True)
     check_parameter_files(args)
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    if domain.isdecimal() and int(domain) > MOST_DOMAIN:  # what is no number ROS tells of
-        raise PlateError(f"ROS_DOMAIN_ID is {domain}, allowed: 0 to {MOST_DOMAIN}")
+    ros_domain(os.environ)
     try:
         rclpy.init(
             args=list(args) if args is not None else None,
