@@ -15,7 +15,10 @@ from pathlib import Path
 from plate_bringup import GraphError, GraphNode, RunOptions, Value
 from plate_core import config_path
 
-STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 3.0))
+KILL_S = 3.0
+"""Time for the system to end a node that must [s]."""
+
+STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, KILL_S))
 """Signals that stop a node, and how long each may take [s]; a node in a compiler needs a while."""
 
 TAIL_LINES = 12
@@ -173,7 +176,8 @@ class Processes:
                 words += ["-r", ":=".join(remaps[node.name])]
             self._commands[node.name] = words
         self._logs = logs
-        self._environment = os.environ | ros_environment(domain) | dict(environment or {})
+        traced = {"PYTHONFAULTHANDLER": "1"}  # a crash shows where it was
+        self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Processes:
@@ -255,8 +259,22 @@ class Processes:
         self._running[name].send_signal(number)
 
     def wait(self, name: str, timeout_s: float) -> int:
-        """Return the exit code of a node that ends within the time [s]."""
-        return self._running[name].wait(timeout_s)
+        """Return the exit code of a node that ends within the time [s].
+
+        Raises
+        ------
+        GraphError
+            It has not: it is ended, and its log shows where each of its threads was.
+        """
+        process = self._running[name]
+        try:
+            return process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(KILL_S)
+            log = self.log(name).read_text(encoding="utf-8", errors="replace")
+            raise GraphError(f"{name} has not ended within {timeout_s:g} s\n{log}") from None
 
     def stop(self) -> dict[str, int]:
         """End all nodes, politely at first, and return their exit codes."""

@@ -33,7 +33,7 @@ run_node(Talker)
 
 @contextmanager
 def talker(lines, file):
-    command = [sys.executable, "-c", PROGRAM, str(lines), str(file)]
+    command = [sys.executable, "-X", "faulthandler", "-c", PROGRAM, str(lines), str(file)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as node:
         try:
             yield node
@@ -61,3 +61,13 @@ def test_what_is_logged_arrives_in_order_and_to_the_end(tmp_path):
         node.send_signal(signal.SIGINT)
         _, said = node.communicate(timeout=60)
     assert [word for word in said.split() if word.isdigit()] == [str(n) for n in range(20)]
+
+
+def test_a_crash_says_where_it_was(tmp_path):
+    with talker(1, tmp_path / "said") as node:
+        assert appears(tmp_path / "said")
+        node.send_signal(signal.SIGABRT)
+        _, said = node.communicate(timeout=60)
+    assert node.returncode == -signal.SIGABRT
+    assert "Fatal Python error: Aborted" in said
+    assert "in spin_once" in said

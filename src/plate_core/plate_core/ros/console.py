@@ -5,6 +5,7 @@ too, since ROS writes to stderr with Python's lock held."""
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import sys
 import threading
@@ -30,9 +31,14 @@ def never_held() -> Iterator[None]:
     os.close(write)
     thread = threading.Thread(target=_write_out, args=(read, kept), name="console", daemon=True)
     thread.start()
+    traced = faulthandler.is_enabled()
+    if traced:  # a crash writes by itself: the thread ends with it
+        faulthandler.enable(kept)
     try:
         yield
     finally:
+        if traced:
+            faulthandler.enable(STDERR)
         with contextlib.suppress(OSError):
             sys.stderr.flush()
         os.dup2(kept, STDERR)  # the pipe has an end now
