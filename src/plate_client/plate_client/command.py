@@ -37,6 +37,7 @@ def main() -> None:
     import rclpy
 
     from plate_core import PlateError, ScenarioError
+    from plate_core.ending import ends
 
     from .messages import defer_signals
     from .services import Services, start_ros
@@ -47,23 +48,24 @@ def main() -> None:
 
         commands = Graph
     defer_signals()
+    code, graph = 0, None
     try:
         start_ros(args.namespace)
         graph = commands(args.namespace)
-        try:
-            print(graph.run(args), flush=True)
-        finally:
-            graph.node.destroy_node()
+        print(graph.run(args), flush=True)
     except PlateError as error:
         print(f"plate: {error}", file=sys.stderr)
-        sys.exit(2 if isinstance(error, ScenarioError) else 1)
+        code = 2 if isinstance(error, ScenarioError) else 1
     except KeyboardInterrupt as interrupt:
-        sys.exit(128 + int(interrupt.args[0]))
+        code = 128 + int(interrupt.args[0])
     except BrokenPipeError:  # the reader has enough, as in `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(128 + signal.SIGPIPE)
-    finally:
+        code = 128 + signal.SIGPIPE
+    with ends(code):
+        if graph is not None:
+            graph.node.destroy_node()
         rclpy.try_shutdown()
+    sys.exit(code)
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:

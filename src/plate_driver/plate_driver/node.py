@@ -161,13 +161,18 @@ class DriverNode(SafeLifecycleNode[Options]):
         with urgent():  # for the participant's own threads too
             self._safety = SafetyNode(self)
 
-    def destroy_node(self) -> None:
+    def close(self) -> None:
         """Stop the motors, whatever state this is in."""
         try:
-            super().destroy_node()
+            super().close()
         finally:
             self._safety.close()
             self._close()  # what a stop has opened meanwhile
+
+    def destroy_node(self) -> None:
+        """Do so, and destroy the node and that of its stops."""
+        super().destroy_node()
+        self._safety.destroy()
 
     def retune(self) -> None:
         """Play cycles that do not start at rest more often, or less."""

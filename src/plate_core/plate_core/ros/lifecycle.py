@@ -95,6 +95,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         super().__init__(name)
         self.failure: Exception | None = None
         self.starting = self.configuring = self.configured = self.active = False
+        self._closed = False
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
@@ -333,14 +334,21 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     def destroy_node(self) -> None:
         """Rest, and release everything, also when the process has to stop."""
         try:
+            self.close()
+        finally:  # whatever that has raised
+            super().destroy_node()
+
+    def close(self) -> None:
+        """Do so once, but leave the node itself to `destroy_node`."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
             if self.active and self.context.ok():
                 self.trigger_deactivate()
-        finally:  # whatever that has raised
+        finally:
             self.active = False
-            try:
-                self._release()
-            finally:
-                super().destroy_node()
+            self._release()
 
     def _stop(self) -> None:
         if self.active:

@@ -16,6 +16,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from ..ending import ends
 from ..errors import PlateError
 from ..network import choose_network, ros_domain
 from .console import never_held
@@ -107,10 +108,18 @@ def _run(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None) ->
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         with contextlib.ExitStack() as stack:
-            stack.callback(rclpy.try_shutdown)
+            stack.callback(_destroy, nodes, code)
             for node in nodes:
-                stack.callback(node.destroy_node)
+                if isinstance(node, SafeLifecycleNode):
+                    stack.callback(node.close)
     return code
+
+
+def _destroy(nodes: Sequence[Node], code: int) -> None:
+    with ends(code), contextlib.ExitStack() as stack:
+        stack.callback(rclpy.try_shutdown)
+        for node in nodes:
+            stack.callback(node.destroy_node)
 
 
 def _init(args: Sequence[str] | None) -> None:

@@ -127,7 +127,9 @@ class SafetyNode:
             self._statuses.publish(driver_status_to_msg(status, stamp))
 
     def close(self) -> None:
-        """Publish the last state, and end."""
+        """Publish the last state, and answer no more; once."""
+        if self._ended:
+            return
         self.publish_status()
         self._statuses.wait_for_all_acked(Duration(seconds=FAREWELL_S))
         self._ended = True
@@ -135,6 +137,9 @@ class SafetyNode:
         # rclpy's own shutdown waits for no callback, but destroys what each one needs at its end.
         self._executor._executor.shutdown()
         self._executor.shutdown(timeout_sec=END_S)
+
+    def destroy(self) -> None:
+        """Destroy the node."""
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
