@@ -52,7 +52,8 @@ NODES = ("simulator", "detector", "planner", "solver", "driver", "page", "nobody
 
 @dataclass
 class Verdict:
-    """What was seen: `stops` that were answered well, and how long that took [ms]."""
+    """What was seen: `stops` that were answered well, how long that took [ms], and `late` ones by
+    name."""
 
     minutes: float
     sockets: int
@@ -61,7 +62,7 @@ class Verdict:
     stops: int = 0
     median_ms: float = 0.0
     slowest_ms: float = 0.0
-    late: int = 0
+    late: Counter[str] = field(default_factory=Counter)
     problems: Counter[str] = field(default_factory=Counter)
 
 
@@ -152,6 +153,7 @@ async def stop(url: str, end: float, verdict: Verdict) -> list[float]:
             if not answer["ok"]:
                 verdict.problems[f"{name}: {answer['text']}"] += 1
             took.append(1e3 * (time.monotonic() - began))
+            verdict.late[name] += took[-1] > 1e3 * LATE_S
         except (TimeoutError, tornado.websocket.WebSocketClosedError) as error:
             verdict.problems[f"{name}: {type(error).__name__}"] += 1
             await hang_up(socket)
@@ -189,7 +191,6 @@ def flooded(graph: Session, verdict: Verdict, seed: int) -> None:
         flooding.kill()
     verdict.sent, verdict.stops = sent.value, len(took)
     verdict.median_ms, verdict.slowest_ms = map(float, np.round([np.median(took), took.max()], 1))
-    verdict.late = int(np.sum(took > 1e3 * LATE_S))
     verdict.ends = [end for name in graph.processes.names if (end := graph.processes.end_of(name))]
 
 
@@ -212,7 +213,8 @@ def main() -> int:
     print(verdict, *verdict.ends, sep="\n")
     if args.json:
         args.json.write_text(json.dumps(vars(verdict), indent=1), encoding="utf-8")
-    return int(bool(verdict.ends or verdict.late or verdict.problems or not verdict.stops))
+    failed = verdict.ends or any(verdict.late.values()) or verdict.problems
+    return int(bool(failed or not verdict.stops))
 
 
 if __name__ == "__main__":

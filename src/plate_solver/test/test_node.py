@@ -284,6 +284,21 @@ def test_life_of_a_solver(peer, rig):
     peer.until(lambda: False, 0.5)
     assert np.any(peer.ask(force, fresh.stamp_ns + 200 * MS).knot_pose)
 
+    # Also where it has the name of the first.
+    twin = rclpy.create_node(
+        peer.node.get_name(), context=peer.context, namespace=peer.node.get_namespace()
+    )
+    publisher = twin.create_publisher(PartForces, "part_forces", DATA)
+    peer.until(lambda: publisher.get_subscription_count() > 0)
+    for k in range(300, 340, 10):
+        publisher.publish(wanted_to_msg(force, to_time(fresh.stamp_ns + k * MS)))
+        peer.until(lambda: False, 0.1)
+        answer = peer.ask(force, fresh.stamp_ns + (k + 5) * MS)
+    assert not np.any(answer.knot_pose)
+    twin.destroy_node()
+    peer.until(lambda: peer.node.count_publishers("part_forces") == 1)
+    assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
+
     # Nobody asks: the values are old.
     peer.told(DiagnosticStatus.STALE, "no part_forces for ", "does the planner run?")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -19,6 +20,7 @@ from rclpy.timer import Timer
 
 from ..errors import PlateError
 from ..status import Finding, Level
+from ..turns import Turns
 from .diagnostics import Diagnostics
 from .frames import add_prefix
 from .params import Spec, declare, follow, parameter
@@ -96,6 +98,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         self.failure: Exception | None = None
         self.starting = self.configuring = self.configured = self.active = False
         self._closed = False
+        self._turns: dict[str, Turns] = {}
         self._kept: list[tuple[Callable[[Any], Any], Any]] = []
         self.options = self._given = declare(self, kind)
         self._follow = follow(self, self._given, self._on_options, self._fixed_now)
@@ -158,8 +161,10 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         self, kind: type, topic: str, heard: Callable[[Any], None], qos: QoSProfile
     ) -> None:
         """Have `heard` called with what comes while the node is active."""
+        turns = self._turns[topic] = Turns()
 
-        def callback(msg: Any) -> None:
+        def callback(msg: Any, info: dict[str, Any]) -> None:
+            turns.came(info["publication_sequence_number"], time.monotonic())
             if self.active:
                 heard(msg)
 
@@ -201,10 +206,12 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
         # By name: of a node that was killed and started again there are two for a while.
         names = {f"{each.node_namespace}/{each.node_name}".removeprefix(own) for each in found}
-        if len(names) < 2:
-            return ""
         told = ", ".join(sorted("a nameless node" if UNKNOWN_NAME in n else n for n in names))
-        return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
+        if len(names) > 1:
+            return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
+        if topic in self._turns and self._turns[topic].several(time.monotonic()):
+            return f"two nodes of one name publish {topic} ({told}), allowed: one"
+        return ""
 
     def report(
         self,
@@ -225,7 +232,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
                 return Finding(Level.ERROR, f"{state}: {self.failure}")
             return Finding(Level.WARN, state)
 
-        def time() -> Time:
+        def now_or_seen() -> Time:
             return stamp() if stamp and self.active else self.get_clock().now().to_msg()
 
         return Diagnostics(
@@ -234,7 +241,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             lambda: values() if self.active else {},
             hardware_id,
             lambda: reported() if self.active else None,
-            time,
+            now_or_seen,
         )
 
     # Parameters

@@ -1,0 +1,35 @@
+"""Two publishers of one topic are told apart by the numbers of their messages."""
+
+from __future__ import annotations
+
+from collections import deque
+
+SEVERAL = 3
+"""Messages out of order that show a second publisher: one that was started again causes one."""
+
+WITHIN_S = 3.0
+"""Time in which these come [s]."""
+
+
+class Turns:
+    """Looks whether messages of one topic come from two publishers in turn.
+
+    Each publisher numbers its own messages upwards, so a number that is not above the last one is
+    of another publisher.
+    """
+
+    def __init__(self) -> None:
+        self._last = -1
+        self._back = deque[float](maxlen=SEVERAL)
+
+    def came(self, number: int | None, now: float) -> None:
+        """Take in a message's number, None where the middleware has none, and when it came [s]."""
+        if number is None:
+            return
+        if number <= self._last:
+            self._back.append(now)
+        self._last = number
+
+    def several(self, now: float) -> bool:
+        """Whether two publishers have taken turns just now [s]."""
+        return len(self._back) == SEVERAL and now - self._back[0] < WITHIN_S
