@@ -1,5 +1,6 @@
 """What several tests here share: the firmware, built for this machine, and its twin in Python."""
 
+import contextlib
 import shutil
 import subprocess
 from pathlib import Path
@@ -31,8 +32,9 @@ def graph(tmp_path_factory):
 
     from plate_bringup import RunOptions
 
-    options = RunOptions(scenario="play", view=True)
-    with session(options, tmp_path_factory.mktemp("logs"), pictures=False) as running:
+    options, folder = RunOptions(scenario="play", view=True), tmp_path_factory.mktemp("logs")
+    # The page's `teach` writes its file where the detector runs.
+    with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")
         yield running
 

@@ -206,7 +206,8 @@ def main() -> int:
     with signals_raise(), TemporaryDirectory(prefix="page_flood_") as folder:
         try:
             options = RunOptions(scenario="play", view=True)
-            with session(options, Path(folder), pictures=False) as graph:
+            there = contextlib.chdir(folder)  # `teach` writes its file where the detector runs
+            with there, session(options, Path(folder), pictures=False) as graph:
                 flooded(graph, verdict, args.seed)
         except PlateError as error:
             parser.error(str(error))

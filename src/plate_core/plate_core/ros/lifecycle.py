@@ -168,7 +168,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             if self.active:
                 heard(msg)
 
-        self.keep(self.destroy_subscription, self.create_subscription(kind, topic, callback, qos))
+        subscription = self.create_subscription(kind, topic, callback, qos)  # type: ignore[arg-type]
+        self.keep(self.destroy_subscription, subscription)
 
     def managed_service(self, kind: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
         """Answer by `answer` while the node is active, and refuse while it is not."""
