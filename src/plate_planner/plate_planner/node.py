@@ -571,14 +571,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._wake()
         run = self._run
-        was = "idle" if run is None else run.state.task.text
+        was = "" if run is None else run.state.task.text
         self._end(STOP)
+        response.message = f"stopped, was {was}"
         if run is None or run.state.task.text == was:  # nothing ran: an end is acknowledged
             self._idle, self._run, self._reported = self._estimator, None, ""
             self._statuses.publish(self._idle_status(Reason.STOPPED))
+            response.message = f"no task runs; the last one: {was}" if was else "no task runs"
         self._go_on()
         response.success = True
-        response.message = f"stopped, was {was}"
         return response
 
     @staticmethod

@@ -156,7 +156,7 @@ def test_stop_says_what_was_stopped(graph):
     assert graph.image(0.4, APART).parts.ids == ()
     aborted = "aborted after 0.2 s: stopped"
     graph.until(lambda: graph.states[-1] == aborted)
-    assert graph.stop().message == f"stopped, was {aborted}"
+    assert graph.stop().message == f"no task runs; the last one: {aborted}"
     graph.until(lambda: graph.states[-1] == "idle")
     # What this task has asked for stays told: the driver may have heard of its end by this alone.
     assert nanoseconds(graph.statuses[-1].header.stamp) == 400_000_000
@@ -164,7 +164,7 @@ def test_stop_says_what_was_stopped(graph):
 
 def test_a_stop_when_no_task_runs_is_told(graph):
     graph = graph()
-    assert graph.stop().message == "stopped, was idle"
+    assert graph.stop().message == "no task runs"
     graph.until(lambda: graph.statuses[-1].reason == TaskStatus.STOPPED)
     assert graph.statuses[-1].state == TaskStatus.IDLE
     graph.begin()
