@@ -17,7 +17,6 @@ from launch.actions import (
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
-    TimerAction,
 )
 from launch.event_handlers import OnProcessIO
 from launch_ros.actions import Node
@@ -74,9 +73,6 @@ OPTIONS: Mapping[str, Callable[[str], Any]] = {
 MISTYPED = 0.8
 """Likeness from which on a name counts as one of ours, mistyped: a launch file that includes ours
 may well have a `config_file`, as like `rig_file` as 0.74."""
-
-POLL_S = 0.2
-"""Between two looks whether the simulated device is there, for which the driver waits [s]."""
 
 
 def describe(hardware: bool) -> LaunchDescription:
@@ -178,10 +174,7 @@ def start(hardware: bool, context: Any) -> list[Any]:
         )
         listen = OnProcessIO(target_action=process, on_stderr=partial(_remember, last_words))
         actions.append(RegisterEventHandler(listen))
-        if name == "driver" and options.over_link:
-            actions.append(OpaqueFunction(function=partial(_await, Path(options.link), process)))
-        else:
-            actions.append(process)
+        actions.append(process)
     if given.get("record") == "true":
         record = ["ros2", "bag", "record", "--storage", "mcap", "--all"]
         actions.append(ExecuteProcess(cmd=record, output="screen"))
@@ -206,14 +199,6 @@ def programs(options: RunOptions, given: Mapping[str, str]) -> dict[str, dict[st
     program = {"package": "plate_bringup", "executable": "one_process"}
     names = [node.name for node in nodes]
     return {"one_process": program | {"arguments": names, "parameters": file.name}}
-
-
-def _await(link: Path, process: Any, context: Any) -> list[Any]:
-    """Start a process as soon as the simulated device is there."""
-    if link.exists():
-        return [process]
-    again = OpaqueFunction(function=partial(_await, link, process))
-    return [TimerAction(period=POLL_S, actions=[again])]
 
 
 def _remember(last_words: list[str], event: Any) -> None:

@@ -37,7 +37,7 @@ def stand_in(monkeypatch):
 
     module("launch", ())
     sys.modules["launch"].LaunchDescription = list
-    module("launch.actions", (*ACTIONS, "RegisterEventHandler", "Shutdown", "TimerAction"))
+    module("launch.actions", (*ACTIONS, "RegisterEventHandler", "Shutdown"))
     module("launch.event_handlers", ("OnProcessIO",))
     module("launch_ros", ())
     module("launch_ros.actions", ("Node",))
@@ -59,8 +59,6 @@ def started(file, **given):
     values = {a.args[0]: a.default_value for a in arguments}
     actions = start.function(types.SimpleNamespace(launch_configurations=values | given))
     nodes = [action for action in actions if action.kind == "Node"]
-    # One that waits for another is given as a function of what there is.
-    nodes += [a.function.args[1] for a in actions if a.kind == "OpaqueFunction"]
     others = [action for action in actions if action.kind == "ExecuteProcess"]
     return {getattr(node, "name", node.executable): node for node in nodes}, others
 
@@ -192,7 +190,7 @@ def test_a_node_that_ends_takes_the_others_down_and_its_last_words_are_shown(sta
     assert nodes["solver"].on_exit(ended, over) is None
 
 
-def test_the_driver_waits_for_the_simulated_device(stand_in, tmp_path):
+def test_the_driver_talks_to_the_simulated_device(stand_in):
     nodes, _ = started("closed_loop", transport="serial")
     link = RunOptions().link
     assert list(nodes) == ["simulator", "device", *NAMES[1:]]
@@ -201,11 +199,6 @@ def test_the_driver_waits_for_the_simulated_device(stand_in, tmp_path):
     assert nodes["simulator"].parameters[-1] == {"driven_by": "device"}
     beside, _ = started("closed_loop", transport="serial", namespace="/lab/right")
     assert beside["device"].parameters[-1] == {"link": f"{link}_lab_right"}
-    start, driver = sys.modules["plate_bringup.actions"]._await, nodes["driver"]
-    (later,) = start(tmp_path / "link", driver, None)
-    assert later.kind == "TimerAction"
-    (tmp_path / "link").touch()
-    assert later.actions[0].function(None) == [driver]
 
 
 RUN = """
