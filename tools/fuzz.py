@@ -19,6 +19,7 @@ import os
 import sys
 import time
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -161,9 +162,16 @@ def spoil_list(msg: Any, name: str, value: Any, rng: np.random.Generator) -> Non
     setattr(msg, name, np.array(items) if fixed else items)
 
 
+def alone(callback: Any) -> Any:
+    """Return what takes a message without what the middleware says of it."""
+    if len(signature(callback).parameters) == 1:
+        return callback
+    return lambda msg: callback(msg, {"publication_sequence_number": None})
+
+
 def topics_of(node: Any) -> list[tuple[str, type, Any]]:
     """Topics, and services that take numbers, of a node: name, type, and what takes a message."""
-    topics = [(s.topic_name, s.msg_type, s.callback) for s in node.subscriptions]
+    topics = [(s.topic_name, s.msg_type, alone(s.callback)) for s in node.subscriptions]
     for subscription, take in getattr(node, "heard", ()):  # the driver's, which takes bytes
 
         def take_bytes(msg: Any, take: Any = take) -> None:

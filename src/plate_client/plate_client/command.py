@@ -36,8 +36,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, _interrupted)  # while modules are imported
     import rclpy
 
-    from plate_core import PlateError, ScenarioError
-    from plate_core.ending import ends
+    from plate_core import PlateError, ScenarioError, ends
 
     from .messages import defer_signals
     from .services import Services, start_ros

@@ -4,6 +4,7 @@ Here are the names that everybody needs; the chapters `rig`, `motion`, `tasks`, 
 `serial_protocol`, `colours`, `driver_status`, `status` and `yaml_fields` have the rest.
 """
 
+from .ending import ends
 from .errors import CycleError, FrameError, PlateError, RigError, ScenarioError, did_you_mean
 from .motion import PlateCycle
 from .network import choose_network, ros_domain
@@ -27,6 +28,7 @@ __all__ = [
     "choose_network",
     "config_path",
     "did_you_mean",
+    "ends",
     "load_rig",
     "part_class",
     "ros_domain",

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from plate_core.ending import ends
+from plate_core import ends
 
 NODE = """
 import ctypes
@@ -45,7 +45,7 @@ def test_a_node_that_cannot_be_destroyed_ends_as_it_would_have():
 def test_a_context_that_lasts_ends_the_process(code):
     program = f"""
 import ctypes
-from plate_core.ending import ends
+from plate_core import ends
 with ends({code}, within_s=0.05):
     ctypes.PyDLL(None).sleep(1000)
 """
@@ -55,7 +55,7 @@ with ends({code}, within_s=0.05):
 def test_one_that_does_not_last_ends_nothing():
     program = """
 import time
-from plate_core.ending import ends
+from plate_core import ends
 for _ in range(100):
     with ends(3, within_s=0.05):
         pass

@@ -307,24 +307,25 @@ run_node(SlowNode)
 
 
 @pytest.mark.parametrize("words", [(), ("--ros-args", "-p", "autostart:=false")])
-def test_a_signal_ends_a_configure_that_takes_long(words):
+def test_a_signal_ends_a_configure_that_takes_long(hears, words):
     """At the start, and ordered by somebody else."""
     command = [sys.executable, "-c", PROGRAM, *words]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout.readline() == "configuring\n"
+        assert hears(process, "configuring")
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=30)  # less than it would take
     assert process.returncode == 0
     assert "released" in output
 
 
-def test_by_itself_a_program_gets_active():
+def test_by_itself_a_program_gets_active(hears):
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM, "quick"], stdout=subprocess.PIPE, text=True
     ) as process:
-        assert [process.stdout.readline() for _ in range(2)] == ["configuring\n", "active\n"]
+        assert hears(process, "configuring")
+        assert hears(process, "active")
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=LONGEST_S)
     assert process.returncode == 0

@@ -49,9 +49,9 @@ def start(*words: str) -> subprocess.Popen:
     )
 
 
-def test_signals_end_it_in_peace():
+def test_signals_end_it_in_peace(hears):
     with start() as process:
-        assert process.stdout.readline() == "ready\n"
+        assert hears(process, "ready")
         process.send_signal(signal.SIGINT)
         time.sleep(0.25)  # the teardown is under way
         process.send_signal(signal.SIGINT)
