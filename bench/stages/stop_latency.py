@@ -122,13 +122,13 @@ class Bench:
         self.enable = self.node.create_client(SetBool, "enable")
         self.plate = PlateClient(self.node, self.until)
         self.kinds = Trigger, SetBool
-        cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        table = shaking(64, 5e-4)
+        if period_s is not None:  # else the solver alone publishes cycles
+            cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
+            table = shaking(64, 5e-4)
 
-        def send() -> None:
-            cycles.publish(cycle_to_msg(table.cycle, to_time(time.time_ns())))
+            def send() -> None:
+                cycles.publish(cycle_to_msg(table.cycle, to_time(time.time_ns())))
 
-        if period_s is not None:
             self.node.create_timer(period_s, send)
         self._thread = threading.Thread(target=self.executor.spin, daemon=True)
         self._thread.start()
