@@ -38,8 +38,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core.ros import LATCHED, nanoseconds
+from plate_core.status import age_limit
 from plate_core.tasks import load_scenario
-from plate_driver.freshness import age_limit
 from plate_interfaces.msg import TaskStatus
 
 START_S = 180.0

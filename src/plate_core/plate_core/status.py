@@ -21,6 +21,7 @@ __all__ = [
     "Finding",
     "Input",
     "Level",
+    "age_limit",
     "used",
     "worst",
 ]
@@ -28,6 +29,10 @@ __all__ = [
 INPUT_TIMEOUT_S = 1.5
 """Silence of an input after which it counts as gone [s]: three of the longest usual cycles, and
 short enough for a task to end within 2 s of the fault."""
+
+LATENCY_S, MOST_AGE_S = 0.2, 0.6
+"""What vision, planner and solver may take on a slow computer, and the greatest age of an image
+that a moving cycle answers, unless a period is longer [s]."""
 
 COMPILING = "compiling kernels"
 """What a node does that cannot answer yet, in words."""
@@ -53,6 +58,11 @@ class Finding:
 
     level: Level
     message: str
+
+
+def age_limit(period: float) -> float:
+    """Return how old the image may be that a moving cycle of this period [s] answers [s]."""
+    return min(2 * period + LATENCY_S, max(MOST_AGE_S, period + LATENCY_S))
 
 
 def worst(findings: Iterable[Finding | None], otherwise: str) -> Finding:

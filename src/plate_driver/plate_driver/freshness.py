@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from plate_core import CycleError
+from plate_core.status import age_limit
 
-__all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness", "age_limit"]
-
-LATENCY_S, MOST_AGE_S = 0.2, 0.6
-"""What vision, planner and solver may take on a slow computer, and the greatest age of a moving
-cycle, unless a period is longer [s]."""
+__all__ = ["AHEAD_S", "ALONE_S", "STANDSTILL_S", "Freshness"]
 
 SEND_S = 0.02
 """What sending may take on a busy computer [s]: a cycle that comes later than that before its limit
@@ -34,11 +31,6 @@ solver that was started again is not so quick."""
 RESTART_NS = 1_000_000_000
 """What happened so long after a stamp does not count [ns]: that stamp is too old anyway, or of a
 simulator that began anew."""
-
-
-def age_limit(period: float) -> float:
-    """Return how old the image may be that a moving cycle of this period [s] answers [s]."""
-    return min(2 * period + LATENCY_S, max(MOST_AGE_S, period + LATENCY_S))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from plate_core import CycleError
-from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness, age_limit
+from plate_core.status import age_limit
+from plate_driver.freshness import AHEAD_S, ALONE_S, STANDSTILL_S, Freshness
 from plate_driver.setpoints.motor_table import check_order
 
 PERIOD = 0.2

@@ -47,7 +47,7 @@ from plate_core.ros import (
     to_time,
     wanted_to_msg,
 )
-from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, worst
+from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, age_limit, worst
 from plate_core.tasks import FeedTask, MoveTask, PartTarget
 from plate_interfaces.msg import (
     DriverStatus,
@@ -378,7 +378,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Ask for what the task wants in the next cycle."""
         sorted_before = -1 if run.progress is None else run.progress.parts_sorted
         run.state, wanted, run.progress = plan(run)
-        if self._stood_still() or self._rivals():
+        age = seconds(stamp) - seconds(self._stamp)  # cycles may begin without new images
+        if self._stood_still() or self._rivals() or age > age_limit(self._estimator.period):
             wanted = NOTHING  # these parts are long gone, or of another plate
         start = to_time(round(1e9 * run.state.estimator.next_start))
         self._ask(wanted_to_msg(wanted, stamp, start))

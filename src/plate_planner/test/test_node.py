@@ -38,9 +38,9 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     graph.until(starts.get_subscription_count)
     began = []
 
-    def shown(k):
+    def shown(k, images=True):
         """Images in mid-cycle, and a cycle that begins, of which nothing is asked in between."""
-        for t in (100.03, 100.07):
+        for t in (100.03, 100.07) if images else ():
             stamp = to_time(round(1e9 * (t + 0.1 * k)))
             graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
         stamp = to_time(round(1e9 * (100.1 + 0.1 * k)))
@@ -62,6 +62,10 @@ def test_with_a_camera_that_runs_free_each_cycle_is_answered(graph):
     assert len(asked.forces) == 4
     assert asked.at_start
     assert nanoseconds(asked.start) == nanoseconds(began[-1]) + 100_000_000
+    # Where images cease to come nothing is asked for once the last one is older than 0.4 s.
+    for k in range(8, 14):
+        shown(k, images=False)
+    assert [len(msg.forces) for msg in graph.forces[-6:]] == [4, 4, 4, 0, 0, 0]
     # Starts that cannot be are no starts, and the same start again puts no answer off.
     wrong = [
         (PlateCycle.rest(0.1), 1100.0),
