@@ -57,16 +57,25 @@ def run_nodes(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | Non
     """Do the same for several nodes in one process and one executor, given by name: all are made,
     then configured, then activated, in this order. What one refuses begins with its name.
     """
-    with never_held():
-        code = _run(makes, args)
+    nodes: list[Any] = []
+    code = 1  # of a defect
+    try:
+        with never_held():
+            code = _run(makes, nodes, args)
+    finally:  # all that was logged is written out by now
+        with ends(code), contextlib.ExitStack() as stack:
+            stack.callback(rclpy.try_shutdown)
+            for node in nodes:
+                stack.callback(node.destroy_node)
     if code:
         sys.exit(code)
 
 
-def _run(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None) -> int:
-    """Do so, and return the exit code."""
+def _run(
+    makes: Mapping[str, Callable[[], Node]], nodes: list[Any], args: Sequence[str] | None
+) -> int:
+    """Do so, but leave the nodes to be destroyed, and return the exit code."""
     stopped, spinning = False, False
-    nodes: list[Any] = []
     code = 0
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -108,18 +117,10 @@ def _run(makes: Mapping[str, Callable[[], Node]], args: Sequence[str] | None) ->
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         with contextlib.ExitStack() as stack:
-            stack.callback(_destroy, nodes, code)
             for node in nodes:
                 if isinstance(node, SafeLifecycleNode):
                     stack.callback(node.close)
     return code
-
-
-def _destroy(nodes: Sequence[Node], code: int) -> None:
-    with ends(code), contextlib.ExitStack() as stack:
-        stack.callback(rclpy.try_shutdown)
-        for node in nodes:
-            stack.callback(node.destroy_node)
 
 
 def _init(args: Sequence[str] | None) -> None:
