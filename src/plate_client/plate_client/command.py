@@ -47,23 +47,26 @@ def main() -> None:
 
         commands = Graph
     defer_signals()
-    code, graph = 0, None
+    code, graph = 1, None
     try:
         start_ros(args.namespace)
         graph = commands(args.namespace)
         print(graph.run(args), flush=True)
+        code = 0
     except PlateError as error:
         print(f"plate: {error}", file=sys.stderr)
-        code = 2 if isinstance(error, ScenarioError) else 1
+        if isinstance(error, ScenarioError):
+            code = 2
     except KeyboardInterrupt as interrupt:
         code = 128 + int(interrupt.args[0])
     except BrokenPipeError:  # the reader has enough, as in `plate state | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
-    with ends(code):
-        if graph is not None:
-            graph.node.destroy_node()
-        rclpy.try_shutdown()
+    finally:
+        with ends(code):
+            if graph is not None:
+                graph.node.destroy_node()
+            rclpy.try_shutdown()
     sys.exit(code)
 
 

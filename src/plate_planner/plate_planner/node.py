@@ -83,7 +83,7 @@ fail."""
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
-SINGLE = ("parts", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
+SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
 
 STATES = {
@@ -226,6 +226,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         newest = NEWEST if options.camera_triggered else DATA
         self.managed_subscription(Parts, "parts", self._on_parts, newest)
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
+        # Its own: `rivals` sees by them that a second planner asks, too.
+        self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
         if not options.camera_triggered:
             self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
             self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())

@@ -81,7 +81,7 @@ class Graph:
         self.feedback = []
         # The latched state arrives on its own, which shows that the two have found each other.
         self.until(lambda: self.states and self.parts.get_subscription_count())
-        self.until(lambda: self.planner.count_subscribers("part_forces"))
+        self.until(lambda: self.planner.count_subscribers("part_forces") == 2)  # its own too
         self.until(lambda: not driver or self.planner._inputs.driver_status)
 
     def say(self):

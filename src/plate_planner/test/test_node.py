@@ -28,7 +28,7 @@ from plate_core.ros import (  # noqa: E402
     to_time,
 )
 from plate_core.tasks import load_scenario  # noqa: E402
-from plate_interfaces.msg import DriverStatus, FeedOrder, TaskStatus  # noqa: E402
+from plate_interfaces.msg import DriverStatus, FeedOrder, PartForces, TaskStatus  # noqa: E402
 from plate_planner.supervision.inputs import FEEDER_S  # noqa: E402
 
 
@@ -256,6 +256,25 @@ def test_a_second_driver_is_told_of_and_no_task_begins(graph):
         other.destroy_node()
     graph.until(lambda: not graph.planner._rivals())
     graph.begin(0.1)
+
+
+def test_a_second_planner_of_the_same_name_ends_the_task(graph):
+    graph = graph(input_timeout_s=30.0)
+    handle = graph.begin()
+    twin = rclpy.create_node("planner")
+    forces = twin.create_publisher(PartForces, "part_forces", DATA)
+    try:
+        graph.until(lambda: forces.get_subscription_count() == 2)
+        for k in range(3, 7):
+            forces.publish(PartForces())
+            stamp = to_time(100_000_000 * k)
+            graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
+            graph.until(lambda stamp=stamp: stamp in [msg.header.stamp for msg in graph.forces])
+        _, task = graph.result(handle)
+        assert task.reason == TaskStatus.RIVAL
+        assert "two nodes of one name publish part_forces (planner), allowed: one" in task.text
+    finally:
+        twin.destroy_node()
 
 
 def test_an_error_of_the_driver_may_pass_but_not_stay(graph):
