@@ -167,7 +167,7 @@ class DriverNode(SafeLifecycleNode[Options]):
             super().close()
         finally:
             self._safety.close()
-            self._close()  # what a stop has opened meanwhile
+            self._close_transport()  # what a stop has opened meanwhile
 
     def destroy_node(self) -> None:
         """Do so, and destroy the node and that of its stops."""
@@ -259,7 +259,7 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def release(self) -> None:
         """Let go of the transport."""
-        self._close()
+        self._close_transport()
         self._measured, self._experiment = None, None
         self._safety.publish_status()
 
@@ -277,7 +277,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         thread.start()
         return thread
 
-    def _close(self) -> None:
+    def _close_transport(self) -> None:
         """Stop and release what is open; a stop that comes meanwhile still reaches it."""
         transport = getattr(self, "_transport", None)
         if transport is not None:

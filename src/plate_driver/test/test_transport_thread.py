@@ -100,7 +100,7 @@ def driven() -> tuple[TransportThread, Motors, Latch]:
     return TransportThread(motors, latch, lambda error: pytest.fail(repr(error))), motors, latch
 
 
-def test_an_enable_opens_the_latch_when_the_motors_are_ready_whoever_waits():
+def test_an_enable_opens_the_latch_when_the_motors_are_ready_with_or_without_a_caller():
     thread, motors, latch = driven()
     latch.close(EMERGENCY)
     order = thread.enable(latch.number)
