@@ -194,7 +194,8 @@ class Processes:
         self.stop()
 
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
-        # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
+        # A process group of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
+        # A session of its own would share the processor between sessions: `nice` had no effect.
         with self.log(name).open(log_mode) as log, signals_wait():
             self._running[name] = subprocess.Popen(
                 words,
@@ -202,7 +203,7 @@ class Processes:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
-                start_new_session=True,
+                process_group=0,
                 preexec_fn=_prepare_child,
             )
 

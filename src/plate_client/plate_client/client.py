@@ -29,8 +29,8 @@ from .messages import spin_until
 FOUND_S = 5.0
 """Longest wait for the planner to be found [s]."""
 
-GONE_S = 2.0
-"""A planner that is not there for longer will not send a result [s]."""
+SILENT_S = 2.0
+"""A planner that says nothing of a running task for longer may be gone [s]."""
 
 CANCEL_S = 5.0
 """Longest wait until a task that was canceled has ended [s]."""
@@ -66,6 +66,7 @@ class Task:
     def __init__(self, name: str) -> None:
         self.name = name
         self.progress = TaskProgress()
+        self.heard = 0  # how often the planner has said how it gets on
         self.status: TaskStatus | None = None
         self._handle: Any = None
         self._cancel = False
@@ -97,6 +98,7 @@ class Task:
 
     def _on_feedback(self, msg: Any) -> None:
         self.progress = msg.feedback.progress
+        self.heard += 1
 
     def _on_answer(self, future: Any) -> None:
         self._handle = handle = future.result()
@@ -202,24 +204,31 @@ class PlateClient:
             raise PlateError("nobody hears targets: does the planner run, in this ROS domain?")
         self._targets.publish(targets_to_msg(targets, self.node.get_clock().now().to_msg()))
 
-    def wait(self, task: Task, timeout_s: float = float("inf")) -> TaskStatus:
-        """Return how a task ended.
+    def wait(
+        self,
+        task: Task,
+        timeout_s: float = float("inf"),
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> TaskStatus:
+        """Return how a task ended; `meanwhile` is called again and again until then.
 
         Raises
         ------
         PlateError
-            If it does not end in time, or the planner is gone.
+            If it does not end in time, or the planner says nothing of it any more.
         """
-        client, end = self._clients[task.name], time.monotonic() + timeout_s
-        seen = time.monotonic()
+        end, heard, silent_s = time.monotonic() + timeout_s, task.heard, 0.0
         while not self._until(lambda: task.ended, AGAIN_S):
-            now = time.monotonic()
-            if client.server_is_ready():
-                seen = now
-            if now - seen > GONE_S:
-                raise PlateError("the planner is gone: what became of the task is not known")
-            if now > end:
+            silent_s = silent_s + AGAIN_S if task.heard == heard else 0.0
+            heard = task.heard
+            if silent_s > SILENT_S:
+                raise PlateError(
+                    f"the planner has said nothing for {SILENT_S:g} s: it hangs or is gone, and "
+                    "what became of the task is not known"
+                )
+            if time.monotonic() > end:
                 raise PlateError(f"{task.name} has not ended within {timeout_s:g} s")
+            meanwhile()
         assert task.status is not None
         return task.status
 
@@ -244,6 +253,12 @@ class PlateClient:
                 self._until(task.has_begun, FOUND_S)
             except KeyboardInterrupt:  # nobody else knows of the task
                 raise TaskError(self.cancel(task)) from None
+            if not task.accepted and not task.ended:
+                task.cancel()  # should the goal still arrive
+                if time.monotonic() > end:
+                    raise PlateError("the planner does not answer the goal: does it hang?")
+                waiting("the planner does not answer the goal")
+                continue
             if task.status is None or task.status.reason not in REFUSED:
                 return task
             if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:

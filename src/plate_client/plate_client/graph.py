@@ -74,12 +74,18 @@ class Graph(Services):
         self._find_nodes()
         plate = PlateClient(self.node, self._until)
         task = self._start(plate, scenario)
+        next_s = time.monotonic() + PROGRESS_S
+
+        def show() -> None:
+            nonlocal next_s
+            if time.monotonic() < next_s:
+                return
+            next_s, at = time.monotonic() + PROGRESS_S, task.progress
+            line = f"{at.time_s:.0f} s: {at.parts_sorted} of {at.parts_total} parts"
+            print(f"  {line}, {1e3 * at.to_go_m:.0f} mm to go", flush=True)
+
         try:
-            while not self._until(lambda: task.ended, PROGRESS_S):
-                at = task.progress
-                line = f"{at.time_s:.0f} s: {at.parts_sorted} of {at.parts_total} parts"
-                print(f"  {line}, {1e3 * at.to_go_m:.0f} mm to go", flush=True)
-            status = plate.wait(task, 0.0)
+            status = plate.wait(task, meanwhile=show)
         except KeyboardInterrupt:
             status = plate.cancel(task)
         if status.state != TaskStatus.DONE:

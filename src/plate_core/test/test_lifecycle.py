@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import pytest
 
@@ -166,6 +167,32 @@ def test_it_works_while_it_is_active_and_only_then(peer):
         assert entities(peer.echo) == empty
     spells = ["begin", "rest"] * 2
     assert peer.echo.log == ["configure 3", *spells, "release"] * 2
+
+
+def test_a_signal_within_a_transition_leaves_nothing(peer, capfd):
+    empty = entities(peer.echo)
+
+    def begin():
+        raise KeyboardInterrupt
+
+    peer.echo.begin = begin
+    with pytest.raises(KeyboardInterrupt):
+        start_nodes(peer.echo)
+    peer.echo.close()
+    assert entities(peer.echo) == empty
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_who_has_no_name_yet_is_no_second_node(peer, monkeypatch):
+    def publishers(*names):
+        found = [SimpleNamespace(node_namespace="/lifecycle_test", node_name=n) for n in names]
+        monkeypatch.setattr(peer.echo, "count_publishers", lambda topic: len(found))
+        monkeypatch.setattr(peer.echo, "get_publishers_info_by_topic", lambda topic: found)
+        return peer.echo.rivals("word")
+
+    assert publishers("peer", "_NODE_NAME_UNKNOWN_") == publishers("peer", "peer") == ""
+    told = "2 nodes publish word (other, peer), allowed: one"
+    assert publishers("peer", "other") == told
 
 
 @pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])

@@ -441,6 +441,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _watch(self) -> None:
         now = self._wake()
         self._judge(now)
+        run = self._run
+        if run is not None and run.state.task.phase is Phase.RUNNING:
+            self._feed_back(run, self._status(run))  # also where no images come: it lives
         if self._early is not None and self._inputs.answer_overdue(now, self._estimator.period):
             self._open = False
             self._go_on()
@@ -663,12 +666,15 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
                 self.get_logger().info(line)
             self._diagnostics.publish()
         if task.phase is Phase.RUNNING:
-            feedback = ACTIONS[self._action(run.goal.request)].Feedback()
-            feedback.progress = status.progress
-            run.goal.publish_feedback(feedback)
+            self._feed_back(run, status)
         elif not run.finished:
             run.finished = True
             self._finish(run.goal, status)
+
+    def _feed_back(self, run: Run, status: TaskStatus) -> None:
+        feedback = ACTIONS[self._action(run.goal.request)].Feedback()
+        feedback.progress = status.progress
+        run.goal.publish_feedback(feedback)
 
     def _publish_status(self) -> TaskStatus:
         status = self._idle_status() if self._run is None else self._status(self._run)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +26,9 @@ from .top_view import TopView
 FRAME_S, SLOW_S = 0.05, 0.5
 """Least time between two messages of a kind to the browsers, and of what changes slowly [s]."""
 
-NICE = 10
-"""The page gives way to the nodes of the loop."""
+
+SWITCH_S = 0.0005
+"""Longest time for which a thread that works keeps one waiting that stops the plate [s]."""
 
 ALWAYS_THERE = ("black", "grey")
 """Types of parts that every rig has."""
@@ -238,5 +239,5 @@ class PageNode(SafeLifecycleNode[Options]):
 
 def main() -> None:
     """Run the node."""
-    os.nice(NICE)
+    sys.setswitchinterval(SWITCH_S)
     run_node(PageNode, Options)

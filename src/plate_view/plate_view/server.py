@@ -49,8 +49,11 @@ COMMANDS_PER_S, BURST = 100.0, 200.0
 MOST_OPEN, MOST_OF_ALL = 50, 200
 """Commands that have no answer yet, of one browser and of all: more are refused, but for stops."""
 
-PRICE = {"parameters": 10.0}
-"""Commands that count for several: a node has to answer."""
+PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
+"""What comes often while a person drags; all others count for `DEAR`."""
+
+DEAR = 10.0
+"""Commands for which another node has to work."""
 
 STILL_S, LATE_S = 2.0, 0.5
 """After the server has stood still for so long, what comes within the next so long [s] was asked
@@ -125,11 +128,13 @@ class Socket(tornado.websocket.WebSocketHandler):
         self.page.changed()
 
     async def on_message(self, text: str | bytes) -> None:
-        """Take a command; then it is another browser's turn, however many this one has sent."""
-        self._take(text)
-        await asyncio.sleep(0)
+        """Take a command; then it is another browser's turn, however many this one has sent. One
+        that sends too many is read slowly."""
+        within = self._take(text)
+        await asyncio.sleep(0 if within else 1 / COMMANDS_PER_S)
 
-    def _take(self, text: str | bytes) -> None:
+    def _take(self, text: str | bytes) -> bool:
+        """Return whether this browser keeps within its allowance."""
         now = asyncio.get_event_loop().time()
         self._allowance = min(BURST, self._allowance + COMMANDS_PER_S * (now - self._counted))
         self._counted = now
@@ -139,28 +144,31 @@ class Socket(tornado.websocket.WebSocketHandler):
                 raise CommandError(f"message has {len(text)} bytes, allowed: {LONGEST_MESSAGE}")
             command = read_command(text, self.role)
         except CommandError as error:
-            if self._spend():
+            within = self._spend()
+            if within:
                 self.answer(_number(text), False, str(error))
-            return
-        if command.name not in URGENT:
-            if not self._spend(PRICE.get(command.name, 1.0)):
-                why = f"more than {COMMANDS_PER_S:g} commands a second"
-                self.answer(command.number, False, why)
-                return
-            if self.page.is_late():
-                self.answer(command.number, False, "the page stood still meanwhile: ask again")
-                return
-            if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
-                why = f"{MOST_OPEN} commands, or {MOST_OF_ALL} of all browsers, wait for an answer"
-                self.answer(command.number, False, why)
-                return
-        if command.name == "watch":
+            return within
+        within = self._spend(PRICE.get(command.name, DEAR))
+        if why := "" if command.name in URGENT else self._refusal(within):
+            self.answer(command.number, False, why)
+        elif command.name == "watch":
             self.watches = dict(command.values)
             self.page.changed()
-            return
-        self.open_commands += 1
-        self.page.open_commands += 1
-        self.page.take(self, command)
+        else:
+            self.open_commands += 1
+            self.page.open_commands += 1
+            self.page.take(self, command)
+        return within
+
+    def _refusal(self, within: bool) -> str:
+        """Say why a command that does not stop is not taken now; "" if it is."""
+        if not within:
+            return f"more than {COMMANDS_PER_S:g} commands a second"
+        if self.page.is_late():
+            return "the page stood still meanwhile: ask again"
+        if self.open_commands >= MOST_OPEN or self.page.open_commands >= MOST_OF_ALL:
+            return f"{MOST_OPEN} commands, or {MOST_OF_ALL} of all browsers, wait for an answer"
+        return ""
 
     def _spend(self, price: float = 1.0) -> bool:
         if self._allowance < price:

@@ -69,6 +69,34 @@ def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, ta
     asyncio.run(talk())
 
 
+def test_a_browser_that_sends_too_much_is_read_slowly_and_holds_up_no_stop(
+    server, taken, monkeypatch
+):
+    monkeypatch.setattr(module, "DEAR", 1e6)
+    monkeypatch.setattr(module, "BURST", 2e6)
+    paused, sleep = [], asyncio.sleep
+
+    def recorded(seconds):
+        paused.append(seconds)
+        return sleep(seconds)
+
+    monkeypatch.setattr(asyncio, "sleep", recorded)
+
+    async def talk():
+        flood, other = await opened(server), await opened(server)
+        for number in range(5):
+            await flood.write_message(json.dumps({"do": "cancel", "number": number}))
+        assert "more than" in (await answer(flood, 4))["text"]
+        await other.write_message(json.dumps({"do": "stop", "number": 1}))
+        assert (await answer(other, 1))["ok"]
+        for connection in (flood, other):
+            connection.close()
+
+    asyncio.run(talk())
+    assert taken == ["cancel", "cancel", "stop"]
+    assert paused.count(1 / module.COMMANDS_PER_S) == 3
+
+
 def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch):
     monkeypatch.setattr(module, "MOST_REQUESTS", 5)
     silent = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(8)]

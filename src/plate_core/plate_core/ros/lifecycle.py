@@ -205,9 +205,14 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         if self.count_publishers(full) < 2:
             return ""
         found, own = self.get_publishers_info_by_topic(full), f"{self.get_namespace()}/"
-        # By name: of a node that was killed and started again there are two for a while.
-        names = {f"{each.node_namespace}/{each.node_name}".removeprefix(own) for each in found}
-        told = ", ".join(sorted("a nameless node" if UNKNOWN_NAME in n else n for n in names))
+        # By name: of a node that was killed and started again there are two for a while, and the
+        # new one has no name yet.
+        names = {
+            f"{each.node_namespace}/{each.node_name}".removeprefix(own)
+            for each in found
+            if each.node_name != UNKNOWN_NAME
+        }
+        told = ", ".join(sorted(names)) or "without a name"
         if len(names) > 1:
             return f"{len(names)} nodes publish {topic} ({told}), allowed: one"
         if topic in self._turns and self._turns[topic].several(time.monotonic()):
@@ -352,8 +357,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
             return
         self._closed = True
         try:
-            if self.active and self.context.ok():
-                self.trigger_deactivate()
+            if self.context.ok():
+                self._stop()  # not by a transition: the signal may have come within one
         finally:
             self.active = False
             self._release()
