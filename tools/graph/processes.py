@@ -195,7 +195,7 @@ class Processes:
 
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
         # A process group of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
-        # A session of its own would share the processor between sessions: `nice` had no effect.
+        # No session: Linux would share the processor out between sessions, whatever `nice` says.
         with self.log(name).open(log_mode) as log, signals_wait():
             self._running[name] = subprocess.Popen(
                 words,

@@ -39,6 +39,13 @@ async def opened(server, token=""):
     return await tornado.websocket_connect(request)
 
 
+async def hang_up(*connections):
+    for each in connections:
+        each.close()
+        while await asyncio.wait_for(each.read_message(), TIMEOUT_S) is not None:
+            pass
+
+
 async def answer(connection, number):
     while True:
         text = await asyncio.wait_for(connection.read_message(), TIMEOUT_S)
@@ -64,7 +71,7 @@ def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, ta
             or await answer(connection, 3)
         )["ok"]:
             await asyncio.sleep(0.05)
-        connection.close()
+        await hang_up(connection)
 
     asyncio.run(talk())
 
@@ -89,8 +96,7 @@ def test_a_browser_that_sends_too_much_is_read_slowly_and_holds_up_no_stop(
         assert "more than" in (await answer(flood, 4))["text"]
         await other.write_message(json.dumps({"do": "stop", "number": 1}))
         assert (await answer(other, 1))["ok"]
-        for connection in (flood, other):
-            connection.close()
+        await hang_up(flood, other)
 
     asyncio.run(talk())
     assert taken == ["cancel", "cancel", "stop"]
@@ -121,7 +127,7 @@ def test_connections_that_say_nothing_keep_nobody_out(server, taken, monkeypatch
                 await asyncio.sleep(0.05)
         await connection.write_message(json.dumps({"do": "stop", "number": 1}))
         assert (await answer(connection, 1))["ok"]
-        connection.close()
+        await hang_up(connection)
 
     asyncio.run(talk())
     assert taken == ["stop"]
@@ -140,8 +146,7 @@ def test_an_operator_finds_a_place_however_many_look_on(monkeypatch):
         there.append(await opened(server, access.operator_token))
         with pytest.raises(tornado.httpclient.HTTPError, match="503"):
             await opened(server, access.operator_token)
-        for each in there:
-            each.close()
+        await hang_up(*there)
 
     asyncio.run(talk())
     server.close()
