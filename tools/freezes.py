@@ -1,14 +1,15 @@
 """Freeze nodes of the graph at random, one or two at once, and judge every motor table by its age.
 
 python tools/freezes.py [--count 500] [--minutes 60] [--kills 0.1] [--busy 8] [--seed 0]
-                        [--scenario sort_10] [--json FILE]
+                        [--scenario sort_10] [--image_rate 30] [--json FILE]
 
 A node is frozen (SIGSTOP) for 0.1 to 5 s, while a task runs, while one is stopped, and after an
 emergency stop. A fraction `--kills` of the faults kills it (SIGKILL), and starts it again. Judged
 is what the driver publishes, when it publishes it, by nothing that the driver says: a table that
 moves the plate is wrong if the image that it answers is older than `age_limit`, or than the last
-emergency stop, or if its task had ended before. `--busy` starts so many loops beside it. Exit code
-1 if a table was wrong.
+emergency stop, or if its task had ended before; with `--image_rate`, a camera that runs free, it
+answers the start of a cycle, which may be as much later than the newest `parts`. `--busy` starts so
+many loops beside it. Exit code 1 if a table was wrong.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core.ros import LATCHED, nanoseconds
 from plate_core.status import age_limit
 from plate_core.tasks import load_scenario
-from plate_interfaces.msg import TaskStatus
+from plate_interfaces.msg import Parts, TaskStatus
 
 START_S = 180.0
 FREEZE_S, PAUSE_S = (0.1, 5.0), (0.2, 1.5)
@@ -67,7 +68,7 @@ class Judge:
         self.oldest_s = 0.0
         self.wrong: list[str] = []
         self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
-        self.stopped_ns = 0
+        self.stopped_ns = self._seen_ns = 0
         self._node = rclpy.create_node("judge")
         self._executor = SingleThreadedExecutor()  # the other one passes no times on
         self._executor.add_node(self._node)
@@ -75,6 +76,7 @@ class Judge:
         listen: Any = self._node.create_subscription
         listen(JointTrajectory, "motor_setpoints", self._on_table, ALL)
         listen(TaskStatus, "task_status", self._on_task, LATCHED)
+        listen(Parts, "parts", self._on_parts, ALL)
 
     def __enter__(self) -> Judge:
         self._thread.start()
@@ -89,6 +91,9 @@ class Judge:
         if msg.state not in (TaskStatus.RUNNING, TaskStatus.IDLE):
             self.ends.append((info["source_timestamp"], nanoseconds(msg.header.stamp)))
 
+    def _on_parts(self, msg: Parts) -> None:
+        self._seen_ns = nanoseconds(msg.header.stamp)
+
     def _on_table(self, msg: JointTrajectory, info: Any) -> None:
         self.tables += 1
         if not any(any(point.positions) for point in msg.points):
@@ -97,10 +102,12 @@ class Judge:
         stamp, sent = nanoseconds(msg.header.stamp), info["source_timestamp"]
         age = 1e-9 * (sent - stamp)
         limit = age_limit(1e-9 * nanoseconds(msg.points[-1].time_from_start))
+        blind = 1e-9 * (sent - self._seen_ns)
         self.oldest_s = max(self.oldest_s, age)
         ended = [said for said, last in self.ends if stamp <= last and said + 1e9 * TOLD_S < sent]
         for wrong, why in (
             (age > limit, f"{age:.3f} s old"),
+            (blind > 2 * limit, f"{blind:.3f} s after the newest image"),
             (stamp < self.stopped_ns < sent, "asked before an emergency stop"),
             (bool(ended), f"{1e-9 * (sent - max(ended, default=0)):.2f} s after its task's end"),
         ):
@@ -206,10 +213,15 @@ def main() -> int:
     parser.add_argument("--kills", type=float, default=0.0, help="share of faults that kill")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scenario", default="sort_10")
+    parser.add_argument("--image_rate", type=float, default=0.0, help="of a camera that runs free")
     parser.add_argument("--busy", type=int, default=0, help="busy loops beside it")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    options = RunOptions(scenario=args.scenario, rig_file=load_scenario(args.scenario).rig)
+    options = RunOptions(
+        scenario=args.scenario,
+        rig_file=load_scenario(args.scenario).rig,
+        image_rate=args.image_rate,
+    )
     with signals_raise(), tempfile.TemporaryDirectory() as logs, ExitStack() as stack:
         for _ in range(args.busy):
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", BUSY]))
