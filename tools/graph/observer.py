@@ -35,8 +35,9 @@ MOST_IMAGES = 240
 ALL = QoSProfile(depth=200)
 """We want to hear everything, also when we are slow."""
 
-CALL_S = 10.0
-"""Longest wait for a service [s]."""
+CALL_S, AGAIN_S = 10.0, 1.0
+"""Longest wait for a service, and time after which one that may be called twice is [s]: DDS may
+lose the first answer of a service that was just found."""
 
 POLL_S = 0.05
 
@@ -463,8 +464,8 @@ class Observer:
         self.until(lambda: task.ended or self.record.running, ACCEPTED_S)
         return task
 
-    def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Call a service and return its answer.
+    def call(self, kind: Any, service: str, request: Any, again_s: float = CALL_S) -> Any:
+        """Call a service and return its answer; again after so long without one [s].
 
         Raises
         ------
@@ -473,14 +474,14 @@ class Observer:
         """
         client = self.node.create_client(kind, service)
         try:
-            answer = None
-            if self.until(client.service_is_ready, CALL_S):
+            answers: list[Any] = []
+            tries = range(round(CALL_S / again_s))
+            for _ in tries if self.until(client.service_is_ready, CALL_S) else ():
                 future = client.call_async(request)
-                if self.until(future.done, CALL_S):
-                    answer = future.result()
-            if answer is None:
-                raise GraphError(f"service {service} did not answer within {CALL_S:g} s")
-            return answer
+                future.add_done_callback(lambda done: answers.append(done.result()))
+                if self.until(lambda: bool(answers), again_s):
+                    return answers[0]
+            raise GraphError(f"service {service} did not answer within {CALL_S:g} s")
         finally:
             self.node.destroy_client(client)
 
@@ -492,7 +493,7 @@ class Observer:
         GraphError
             If it refuses.
         """
-        answer = self.call(Trigger, service, Trigger.Request())
+        answer = self.call(Trigger, service, Trigger.Request(), AGAIN_S)
         if not answer.success:
             raise GraphError(f"{service} refused: {answer.message}")
         return str(answer.message)

@@ -34,6 +34,10 @@ that are being enabled [s]."""
 URGENT = ("emergency_stop", "cut_power", "disable")
 """These are tried for longer, also where nobody is seen."""
 
+ONCE, AGAIN_S = ("enable", "home", "calibrate"), 0.5
+"""Services of which each call counts; all others are called again after so long without an answer
+[s]: DDS may lose the first one of a service that was just found."""
+
 REPORT_S, LATE_S = 2.0, 2.0
 """What nodes say of themselves once a second is listened to for so long, until all are found, and
 for so much longer where some of them have said nothing yet [s]."""
@@ -144,12 +148,15 @@ class Services:
         if not (self._until(there, NOBODY_S) and self._until(client.service_is_ready, FOUND_S)):
             cut = ": cut the power by hand" if urgent else ""
             raise PlateError(self._missing(service) + cut)
-        future = client.call_async(request)
-        if not self._until(future.done, ANSWER_S):
-            cut = ": cut the power by hand" if urgent else ""
-            raise PlateError(f"{service} does not answer{cut}")
-        self.node.destroy_client(client)
-        return future.result()
+        again_s = ANSWER_S if service in ONCE and not urgent else AGAIN_S
+        answers: list[Any] = []
+        for _ in range(round(ANSWER_S / again_s)):
+            client.call_async(request).add_done_callback(lambda done: answers.append(done.result()))
+            if self._until(lambda: bool(answers), again_s):
+                self.node.destroy_client(client)
+                return answers[0]
+        cut = ": cut the power by hand" if urgent else ""
+        raise PlateError(f"{service} does not answer{cut}")
 
     def _missing(self, service: str) -> str:
         """Say why there is no such service."""

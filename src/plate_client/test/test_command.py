@@ -13,9 +13,12 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from rclpy.client import Client  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
+from plate_client import services  # noqa: E402
 from plate_client.client import TaskError  # noqa: E402
 from plate_client.command import main  # noqa: E402
 from plate_client.graph import Graph  # noqa: E402
@@ -226,6 +229,26 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch
         asked(alone, command)
     alone.node.destroy_node()
     assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
+
+
+@pytest.mark.parametrize(("command", "calls"), [("emergency_stop", 2), ("home", 1)])
+def test_a_lost_answer_is_asked_for_again_where_that_does_no_harm(
+    graph, monkeypatch, command, calls
+):
+    sent, call = [], Client.call_async
+
+    def lossy(self, request):
+        sent.append(request)
+        return call(self, request) if len(sent) == 2 else Future()
+
+    monkeypatch.setattr(Client, "call_async", lossy)
+    if calls == 1:
+        monkeypatch.setattr(services, "ANSWER_S", 0.1)
+        with pytest.raises(PlateError, match="home does not answer"):
+            asked(graph, command)
+    else:
+        assert asked(graph, command) == "so it is"
+    assert len(sent) == calls
 
 
 def test_nobody_is_there(graph):
