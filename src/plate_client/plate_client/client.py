@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+from uuid import uuid4
 
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from unique_identifier_msgs.msg import UUID
 
 from plate_core import PlateError, choose_network
 from plate_core.ros import ACTIONS, DATA, scenario_to_goal, targets_to_msg
@@ -35,8 +37,11 @@ SILENT_S = 2.0
 CANCEL_S = 5.0
 """Longest wait until a task that was canceled has ended [s]."""
 
-AGAIN_S = 0.2
-"""Between two tries of a goal for which the graph is not ready yet [s]."""
+AGAIN_S, ANSWER_S = 0.2, 1.0
+"""Between two tries of a goal for which the graph is not ready yet, and before one that is not
+answered is sent again [s]: DDS may lose the first answer of a planner that was just found."""
+
+Callback = Callable[[Any], None]
 
 Until = Callable[[Callable[[], bool], float], bool]
 """Handles messages until a condition holds, or for a time [s]; returns whether it holds."""
@@ -53,6 +58,13 @@ class TaskError(PlateError):
 class Task:
     """A goal that was sent, and what becomes of it.
 
+    Parameters
+    ----------
+    name : str
+    send : callable
+        Sends it, with the callbacks for its feedback and for its answer. However often it is sent,
+        it has one id, so that it is begun once.
+
     Attributes
     ----------
     name : str
@@ -63,8 +75,8 @@ class Task:
         How it ended; None while it runs.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, send: Callable[[Callback, Callback], None]) -> None:
+        self.name, self._send, self._sent = name, send, 0
         self.progress = TaskProgress()
         self.heard = 0  # how often the planner has said how it gets on
         self.status: TaskStatus | None = None
@@ -88,7 +100,18 @@ class Task:
 
     def has_begun(self) -> bool:
         """Whether the planner does it, or has done with it."""
-        return self.ended or self.progress.parts_total > 0
+        return self.ended or (self.accepted and self.progress.parts_total > 0)
+
+    def send(self) -> None:
+        """Send the goal, or send it once more."""
+        self._sent += 1
+        self._sent_at = time.monotonic()
+        self._send(self._on_feedback, self._on_answer)
+
+    def send_again(self) -> None:
+        """Send it once more if it is not answered in time."""
+        if not self.accepted and not self.ended and time.monotonic() - self._sent_at > ANSWER_S:
+            self.send()
 
     def cancel(self) -> None:
         """Ask for its end; `PlateClient.wait` tells when it is over."""
@@ -101,8 +124,10 @@ class Task:
         self.heard += 1
 
     def _on_answer(self, future: Any) -> None:
+        if self.accepted:
+            return
         self._handle = handle = future.result()
-        if not handle.accepted:  # rclpy refuses a goal whose id it knows already
+        if not handle.accepted and self._sent == 1:  # rclpy refuses an id that it knows already
             self.status = TaskStatus(state=TaskStatus.ABORTED, text="the planner refused the goal")
             return
         handle.get_result_async().add_done_callback(self._on_result)
@@ -185,10 +210,13 @@ class PlateClient:
             if time.monotonic() > end:
                 raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
             waiting(f"no action {name} yet: the planner offers it when it is configured")
-        sent = Task(name)
-        client.send_goal_async(goal, feedback_callback=sent._on_feedback).add_done_callback(
-            sent._on_answer
-        )
+        number = UUID(uuid=list(uuid4().bytes))
+
+        def send_goal(feedback: Callback, answer: Callback) -> None:
+            client.send_goal_async(goal, feedback, number).add_done_callback(answer)
+
+        sent = Task(name, send_goal)
+        sent.send()
         return sent
 
     def move_targets(self, targets: Sequence[PartTarget]) -> None:
@@ -228,6 +256,7 @@ class PlateClient:
                 )
             if time.monotonic() > end:
                 raise PlateError(f"{task.name} has not ended within {timeout_s:g} s")
+            task.send_again()
             meanwhile()
         assert task.status is not None
         return task.status
@@ -250,15 +279,15 @@ class PlateClient:
         while True:
             task = self.send(scenario, waiting)
             try:
-                self._until(task.has_begun, FOUND_S)
+                for _ in range(round(FOUND_S / AGAIN_S)):
+                    if self._until(task.has_begun, AGAIN_S):
+                        break
+                    task.send_again()
             except KeyboardInterrupt:  # nobody else knows of the task
                 raise TaskError(self.cancel(task)) from None
-            if not task.accepted and not task.ended:
+            if not task.accepted:
                 task.cancel()  # should the goal still arrive
-                if time.monotonic() > end:
-                    raise PlateError("the planner does not answer the goal: does it hang?")
-                waiting("the planner does not answer the goal")
-                continue
+                raise PlateError("the planner does not answer the goal: does it hang?")
             if task.status is None or task.status.reason not in REFUSED:
                 return task
             if task.status.reason != TaskStatus.NOT_READY or time.monotonic() > end:

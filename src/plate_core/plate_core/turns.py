@@ -19,16 +19,24 @@ class Turns:
     """
 
     def __init__(self) -> None:
-        self._last = -1
+        self._last = self._ours = -1
         self._back = deque[float](maxlen=SEVERAL)
 
-    def came(self, number: int | None, now: float) -> None:
-        """Take in a message's number, None where the middleware has none, and when it came [s]."""
+    def came(self, number: int | None, now: float) -> bool:
+        """Take in a message's number, None where the middleware has none, and when it came [s].
+
+        Returns whether it follows on another one of the publisher that was heard first, or of one
+        that has taken its place: a single message of a stranger does not.
+        """
         if number is None:
-            return
+            return True
         if number <= self._last:
             self._back.append(now)
+        follows = self._last < 0 or number - 1 in (self._ours, self._last)
         self._last = number
+        if follows:
+            self._ours = number
+        return follows
 
     def several(self, now: float) -> bool:
         """Whether two publishers have taken turns just now [s]."""

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -71,3 +72,17 @@ def test_a_crash_says_where_it_was(tmp_path):
     assert node.returncode == -signal.SIGABRT
     assert "Fatal Python error: Aborted" in said
     assert "in spin_once" in said
+
+
+def test_a_node_without_a_console_works(tmp_path):
+    """What it opens must not get the number of stderr either."""
+    words = [sys.executable, "-c", PROGRAM, "20", str(tmp_path / "said")]
+    with subprocess.Popen(["bash", "-c", 'exec "$@" <&- >&- 2>&-', "bash", *words]) as node:
+        try:
+            assert appears(tmp_path / "said")
+            opened = [Path(f"/proc/{node.pid}/fd/{number}").readlink() for number in (0, 1)]
+            assert opened == [Path("/dev/null")] * 2
+            node.send_signal(signal.SIGINT)
+            assert node.wait(60) == 0
+        finally:
+            node.kill()

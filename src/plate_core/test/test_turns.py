@@ -47,3 +47,15 @@ def test_it_is_over_once_one_has_ended():
     for k in range(40):
         turns.came(5 + k, 1.0 + 0.1 * k)
     assert not turns.several(5.0)
+
+
+def test_a_single_message_of_a_stranger_does_not_follow():
+    turns = Turns()
+    came = [(7, True), (8, True), (1, False), (9, True), (10, True), (500, False), (11, True)]
+    assert [(number, turns.came(number, 0.0)) for number, _ in came] == came
+
+
+def test_another_publisher_may_take_the_place_of_one_that_is_gone():
+    turns = Turns()
+    came = [(7, True), (8, True), (1, False), (2, True), (3, True), (5, False), (6, True)]
+    assert [(number, turns.came(number, 0.0)) for number, _ in came] == came

@@ -13,7 +13,7 @@ from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.ros import CALLS, start_nodes  # noqa: E402
 from plate_driver import node as driver_module  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.safety.node import ENABLING, SILENT  # noqa: E402
+from plate_driver.safety.node import ENABLING, LATE, SILENT  # noqa: E402
 from plate_driver.setpoints import MAX_KNOTS  # noqa: E402
 from plate_driver.status import UNANSWERED, UNCERTAIN  # noqa: E402
 from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
@@ -145,6 +145,25 @@ def test_an_enable_is_answered_before_the_motors_are_ready(desk):
         order.settle()
     motors.told = Report(Condition.READY)
     assert desk.until(lambda: driver.status.state is DriverState.READY)
+
+
+def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(desk):
+    motors, driver = desk.motors, desk.driver
+    start_nodes(driver)
+    [enable, disable] = desk.clients(SetBool, "enable", 2)
+    [home] = desk.clients(Trigger, "home", 1)
+    for client, request in (
+        (enable, SetBool.Request(data=True)), (home, Trigger.Request()),
+    ):  # fmt: skip
+        driver._safety._standstill._looked -= 5.0
+        answer = desk.call(client, request)
+        assert (answer.success, answer.message) == (False, LATE)
+    assert not motors.enables
+    driver._safety._standstill._looked -= 5.0
+    desk.call(disable, SetBool.Request(data=False))
+    assert motors.stops
+    assert desk.until(lambda: not driver._safety._standstill.is_late(time.monotonic()))
+    assert desk.call(enable, SetBool.Request(data=True)).success
 
 
 def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(desk):

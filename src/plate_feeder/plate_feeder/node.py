@@ -112,6 +112,7 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._server: RobotServer | None = None
         self._inbox: deque[Callable[[], None]] = deque()  # filled by the server's thread
         self._results: dict[bytes, tuple[Reply, Part | None]] = {}  # on their way, by goal
+        self._enabled_at: Any = None  # of the motors, as far as is known
         self._stopped = ""  # why it waited for a person when it was deactivated
         self.report(self._find, self._values)
 
@@ -274,6 +275,10 @@ class FeederNode(SafeLifecycleNode[Options]):
         self._driver = msg
         if msg.reason in BY_PERSON:
             self._wait_for_person(f"driver: {msg.text}")
+        if msg.state == DriverStatus.READY:
+            before, self._enabled_at = self._enabled_at, msg.enabled_at
+            if before not in (None, msg.enabled_at) and not self._feeder.stopped:
+                self._wait_for_person("the motors were enabled again: a stop was missed")
 
     def _on_end(self, status: TaskStatus) -> None:
         self.get_logger().info(f"no longer feeding: {status.text}")

@@ -10,6 +10,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 
 from action_msgs.msg import GoalStatus  # noqa: E402
+from builtin_interfaces.msg import Time  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
@@ -416,6 +417,19 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     assert planner.began == 1, "it only lets the next command begin"
     assert graph.say(robot, "get_part").startswith("200 ")
     assert planner.began == 2
+
+
+def test_a_stop_that_was_missed_is_known_by_the_enable_after_it(graph):
+    drive, robot = graph.planner.drive, graph.robot()
+    for second in (5, 5):
+        drive(DriverStatus(state=DriverStatus.READY, text="ready", enabled_at=Time(sec=second)))
+        graph.spin(0.2)
+        assert not graph.feeder._feeder.stopped
+    drive(DriverStatus(state=DriverStatus.READY, text="ready", enabled_at=Time(sec=9)))
+    graph.until(lambda: graph.feeder._feeder.stopped)
+    assert "a stop was missed" in graph.say(robot, "get_part")
+    assert graph.call(Trigger, "resume_feeding").success
+    assert graph.say(robot, "get_part").startswith("200 ")
 
 
 def test_a_stop_while_nothing_runs_counts_and_one_that_is_told_again_does_not(graph):

@@ -47,6 +47,7 @@ from plate_core.ros import (
     to_time,
     wanted_to_msg,
 )
+from plate_core.standstill import Standstill
 from plate_core.status import INPUT_TIMEOUT_S, Finding, Level, age_limit, worst
 from plate_core.tasks import FeedTask, MoveTask, PartTarget
 from plate_interfaces.msg import (
@@ -82,6 +83,9 @@ fail."""
 
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
+
+STILL_S = 1.0
+"""A planner that stood still for longer [s] begins no goal that was sent meanwhile."""
 
 SINGLE = ("parts", "part_forces", "plate_cycle", "driver_status", "cycle_started", "feed_orders")
 """Topics that only one node may publish."""
@@ -234,7 +238,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
         self.managed_subscription(Targets, "targets", self._on_targets, DATA)
-        self.managed_subscription(FeedOrder, "feed_orders", self._on_order, DATA)
+        self.managed_subscription(FeedOrder, "feed_orders", self._on_order, DATA, in_turn=True)
         self.managed_service(Trigger, "stop", self._on_stop)
         self.managed_timer(WATCH_PERIOD_S, self._watch)
         for name, action in ACTIONS.items():
@@ -247,6 +251,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def begin(self) -> None:
         """Know nothing of what was before."""
         options = self.options
+        self._standstill = Standstill(STILL_S, time.monotonic())
         core = options.planner()
         self._idle = Estimator.of(self._rig, core.default_period, core.image_age_s)
         self._run = None
@@ -455,6 +460,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _stood_still(self) -> bool:
         now = time.monotonic()
+        self._standstill.is_late(now)
         why = self._inputs.stood_still(now, self._estimator.period)
         self._inputs = self._inputs.woken(now) if why else replace(self._inputs, ran=now)
         if why:
@@ -537,6 +543,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Begin a task; returns the reason if it cannot be begun."""
         if not self.active:
             return Failure(Reason.NOT_READY, "the planner is not active")
+        if self._standstill.is_late(time.monotonic()):
+            return Failure(Reason.NOT_READY, "the planner itself stood still: send the goal again")
         try:
             scenario = goal_to_scenario(goal.request)
             planner = Planner(self._rig, scenario, self.options.planner())

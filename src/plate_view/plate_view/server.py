@@ -22,6 +22,7 @@ import tornado.web
 import tornado.websocket
 
 from plate_core import PlateError
+from plate_core.standstill import Standstill
 
 from .access import Access, Role
 from .commands import URGENT, Command, CommandError, number_of, read_command
@@ -55,9 +56,8 @@ PRICE = {"move": 1.0, "watch": 1.0, "replay": 1.0}
 DEAR = 10.0
 """Commands for which another node has to work."""
 
-STILL_S, LATE_S = 2.0, 0.5
-"""After the server has stood still for so long, what comes within the next so long [s] was asked
-before that: only stops are still taken."""
+STILL_S = 2.0
+"""After the server has stood still for so long [s], only stops are taken for a moment."""
 
 KEPT = ("log", "call")
 """Kinds of messages of which each one counts. So do answers, which come before all others."""
@@ -295,7 +295,7 @@ class PageServer:
         self.latest: dict[str, str | bytes] = {}
         self._sockets, self.port = _bound(access.address, port)
         self._loop = asyncio.new_event_loop()
-        self._beat, self._late_until = self._loop.time(), 0.0
+        self._standstill = Standstill(STILL_S, self._loop.time())
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
@@ -313,11 +313,7 @@ class PageServer:
 
     def is_late(self) -> bool:
         """Whether what comes now was sent while the server stood still (on its own thread)."""
-        now = self._loop.time()
-        if now - self._beat > STILL_S:
-            self._late_until = now + LATE_S
-        self._beat = now
-        return now < self._late_until
+        return self._standstill.is_late(self._loop.time())
 
     def _keep_time(self) -> None:
         self.is_late()

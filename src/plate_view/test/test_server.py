@@ -54,8 +54,8 @@ async def answer(connection, number):
             return message
 
 
-def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, taken, monkeypatch):
-    monkeypatch.setattr(module, "STILL_S", 0.2)
+def test_what_was_sent_while_it_stood_still_is_not_done_but_for_stops(server, taken):
+    server._standstill.longest_s = 0.2
 
     async def talk():
         connection = await opened(server)

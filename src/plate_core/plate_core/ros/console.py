@@ -22,6 +22,7 @@ STDERR = 2
 @contextlib.contextmanager
 def never_held() -> Iterator[None]:
     """Have a thread write out stderr, through a pipe; what finds that full is dropped."""
+    _open_closed()
     if os.isatty(STDERR):  # which ROS looks for, and will not find
         os.environ.setdefault(COLOUR, "1")
     kept = os.dup(STDERR)
@@ -43,6 +44,16 @@ def never_held() -> Iterator[None]:
             sys.stderr.flush()
         os.dup2(kept, STDERR)  # the pipe has an end now
         thread.join(LAST_S)
+
+
+def _open_closed() -> None:
+    """Open stdin, stdout and stderr where they are closed: what took such a number, a serial port
+    perhaps, would get the log."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        os.set_inheritable(number, True)
+    os.close(number)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(STDERR, "w", encoding="utf-8", closefd=False)
 
 
 def _write_out(read: int, kept: int) -> None:

@@ -158,14 +158,20 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         return publisher
 
     def managed_subscription(
-        self, kind: type, topic: str, heard: Callable[[Any], None], qos: QoSProfile
+        self,
+        kind: type,
+        topic: str,
+        heard: Callable[[Any], None],
+        qos: QoSProfile,
+        in_turn: bool = False,
     ) -> None:
-        """Have `heard` called with what comes while the node is active."""
+        """Have `heard` called with what comes while the node is active; `in_turn`: but for single
+        messages of strangers, as `Turns.came` tells them."""
         turns = self._turns[topic] = Turns()
 
         def callback(msg: Any, info: dict[str, Any]) -> None:
-            turns.came(info["publication_sequence_number"], time.monotonic())
-            if self.active:
+            follows = turns.came(info["publication_sequence_number"], time.monotonic())
+            if self.active and (follows or not in_turn):
                 heard(msg)
 
         subscription = self.create_subscription(kind, topic, callback, qos)  # type: ignore[arg-type]

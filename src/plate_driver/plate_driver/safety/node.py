@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from plate_core.driver_status import DriverReason, DriverState, DriverStatus
 from plate_core.ros import CALLS, LATCHED, driver_status_to_msg
+from plate_core.standstill import Standstill
 from plate_interfaces.msg import DriverStatus as DriverStatusMsg
 
 from ..status import UNANSWERED
@@ -38,6 +39,9 @@ END_S = 10.0
 interpreter crashes the process, and on a busy machine half a second may pass before it runs
 again."""
 
+STILL_S = 1.0
+"""A driver that stood still for longer [s] carries out no enable that was asked for meanwhile."""
+
 THREADS = 128
 """So many calls may wait for an answer before the next one is late; made when they are needed."""
 
@@ -45,6 +49,9 @@ THREADS = 128
 ENABLING = "enabling: driver_status tells when the motors are ready"
 SILENT = "the device has not answered yet"
 """What an enable and a home say that are not settled when their caller gets an answer."""
+
+LATE = "the driver itself stood still: call again"
+"""What they say that may have waited for its end."""
 
 
 class SafetyNode:
@@ -81,6 +88,7 @@ class SafetyNode:
             node.create_service(kind, full, call, qos_profile=CALLS, callback_group=group)
         topic = driver.resolve_topic_name("driver_status")
         self._statuses = node.create_publisher(DriverStatusMsg, topic, LATCHED)
+        self._standstill = Standstill(STILL_S, time.monotonic())
         self._status: DriverStatus | None = None
         self._status_at = float("-inf")
         self._publishing = threading.Lock()
@@ -120,6 +128,7 @@ class SafetyNode:
         """Publish driver_status if it has changed, or was not published for a while."""
         with self._publishing:
             status, now = self._driver.status, time.monotonic()
+            self._standstill.is_late(now)
             if status == self._status and now - self._status_at < LIFE_PERIOD_S:
                 return
             self._status, self._status_at = status, now
@@ -178,6 +187,9 @@ class SafetyNode:
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if not request.data:
             return self._stop(response, DriverReason.SWITCHED_OFF)
+        if self._standstill.is_late(time.monotonic()):
+            response.success, response.message = False, LATE
+            return response
         transport, number = self._driver.transport, self._latch.number
         if transport is None or not self._driver.active:
             response.success = False
@@ -200,14 +212,16 @@ class SafetyNode:
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         transport = self._driver.transport
         response.success = False
-        if transport is None or transport.report.condition is not Condition.OFF:
+        if self._standstill.is_late(time.monotonic()):
+            response.message = LATE
+        elif transport is None or transport.report.condition is not Condition.OFF:
             state = self._driver.status.text
             response.message = f"the driver is {state}, allowed: motors off; call enable, false"
-            return response
-        end = time.monotonic() + ANSWER_S
-        order = transport.home()
-        response.success = order.wait(end - time.monotonic())
-        response.message = "the next enable finds home"
-        if not response.success:
-            response.message = order.failure or SILENT
+        else:
+            end = time.monotonic() + ANSWER_S
+            order = transport.home()
+            response.success = order.wait(end - time.monotonic())
+            response.message = "the next enable finds home"
+            if not response.success:
+                response.message = order.failure or SILENT
         return response

@@ -1,0 +1,12 @@
+"""What waited while a process stood still is told from what is asked now."""
+
+from plate_core.standstill import AFTER_S, Standstill
+
+
+def test_what_comes_right_after_a_standstill_is_late():
+    standstill = Standstill(1.0, 100.0)
+    assert not standstill.is_late(100.0)
+    assert not any(standstill.is_late(100.0 + 0.9 * k) for k in range(1, 5))
+    assert standstill.is_late(105.0)
+    assert standstill.is_late(105.0 + 0.9 * AFTER_S)
+    assert not standstill.is_late(105.0 + 1.1 * AFTER_S)
