@@ -11,10 +11,11 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.core import caching, event
 
-__all__ = ["inner_kernel", "kernel", "when_compiling"]
+__all__ = ["constant", "inner_kernel", "kernel", "when_compiling"]
 
 
 def _kept() -> bool:
@@ -35,6 +36,12 @@ inner_kernel: Any = partial(kernel, nogil=True, error_model="numpy", _nrt=False)
 numba then counts no references to its arrays: an atomic operation of 5 ns for each array at every
 call, where a short kernel takes 20 ns in all.
 """
+
+
+def constant(value: int) -> Any:
+    """Return an integer that kernels give to kernels: for each plain one that it sees in a call
+    numba compiles the kernel once more."""
+    return np.int64(value)
 
 
 @contextmanager

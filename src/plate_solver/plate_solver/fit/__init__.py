@@ -3,7 +3,7 @@
 Both are made of functions: plain ones, or compiled ones for a compiled search.
 """
 
-from .basin_hopping import basin_hopping
+from .basin_hopping import FIRST, basin_hopping
 from .levenberg_marquardt import (
     Damping,
     Fit,
@@ -14,6 +14,7 @@ from .levenberg_marquardt import (
 )
 
 __all__ = [
+    "FIRST",
     "Damping",
     "Fit",
     "basin_hopping",

@@ -7,6 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from plate_core.kernels import constant
+
+FIRST = constant(0)
+"""Number of the first start."""
+
 BETTER = 0.99
 """Cost over that of the round's best, below which a hop has helped: hops are counted anew."""
 
@@ -45,8 +50,9 @@ def basin_hopping(
     def search(
         problem: Any, begin: Any, tries: int, hops: int, rounds: bool, failed: int
     ) -> tuple[Any, int, int]:
-        best, least, steps, enough = attempt(problem, begin, 0, np.inf)
-        near, near_cost, tried = best, least, 1
+        tried = FIRST
+        best, least, steps, enough = attempt(problem, begin, tried, np.inf)
+        near, near_cost, tried = best, least, tried + 1
         while not enough and tried < tries:
             fresh = failed >= hops
             start = propose(problem, tried, near, fresh)

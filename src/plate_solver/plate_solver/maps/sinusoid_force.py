@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import constant, kernel
 
 from .mean_force import TINY_SQUARE, mean_direction
 from .near_zero_slip import excess, find_dips
@@ -33,7 +33,7 @@ PIECES_PER_HARMONIC, DEGREE = 8, 10
 """Pieces of the period for the adaptive quadrature, per harmonic, and the degree of the polynomials
 there: the slip of the highest harmonic errs by (pi/8)^11 / 11! = 1e-12."""
 
-FEW, USUAL, ADAPTIVE, PANELS = 0, 1, -1, -2
+FEW, USUAL, ADAPTIVE, PANELS = map(constant, (0, 1, -1, -2))
 """Grids: few equal steps, the usual ones, those with dips corrected, and adaptive panels."""
 
 

@@ -96,7 +96,7 @@ def _slopes(problem: SequenceForces, theta: np.ndarray, line: Line) -> np.ndarra
     return problem.scale.reshape(-1, 1) * jacobian
 
 
-_search_down = njit(levenberg_marquardt(_evaluate, _slopes))
+_search_down = njit(inline="always")(levenberg_marquardt(_evaluate, _slopes))
 
 
 @kernel()

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from plate_core.kernels import kernel
+from plate_core.kernels import constant, kernel
 
-from ..fit import Damping, Fit, basin_hopping, condition_of, levenberg_marquardt
+from ..fit import FIRST, Damping, Fit, basin_hopping, condition_of, levenberg_marquardt
 from ..limits import CERTAIN, EQUAL_WEIGHT, HULL_WEIGHT, MARGIN, Limits, limit_use
 from ..maps.mean_force import spline_force
 from ..maps.sinusoid_force import (
@@ -51,7 +51,7 @@ SURE = 0.7
 LEGS = 3
 """Equal legs in which a fresh guess is led to a request that others have not reached."""
 
-LEG_STEPS, LEG_ERROR = 8, 0.03
+LEG_STEPS, LEG_ERROR = constant(8), 0.03
 """Steps for a leg, and the error that is left behind, over the size of the request."""
 
 SPAN, POSE, TWIST, ACCEL, KNOT_POSE, KNOT_TWIST, KNOT_ACCEL, SPLINE, HULL = range(9)
@@ -213,7 +213,7 @@ def invert(
     motions = Motions(Rules(*plain[0]), plain[1], plain[2], plain[3], Limits(*plain[4]))
     asked = _asked(motions, position, velocity, force, ADAPTIVE)
     task = Search(asked, pool, len(warm) > 0, tolerance, iterations)
-    begin = warm[0] if len(warm) else _fresh(task, 0)
+    begin = warm[0] if len(warm) else _fresh(task, FIRST)
     fit, done, tried = _search(task, begin, tries, HOPS, True, 0)
     found = _finished(asked, fit, done, tried)
     if found.worst > tolerance and np.max(np.abs(fit.error)) <= tolerance:
@@ -222,7 +222,7 @@ def invert(
         found = _finished(asked, fit, done, tried)
     if found.worst > tolerance and np.max(np.abs(fit.error)) <= tolerance:  # from other starts
         task = Search(asked, pool[::-1].copy(), False, tolerance, iterations)
-        fit, more, others = _search(task, _fresh(task, 0), tries, HOPS, True, 0)
+        fit, more, others = _search(task, _fresh(task, FIRST), tries, HOPS, True, 0)
         found = _finished(asked, fit, done + more, tried + others)
     return found
 
@@ -434,5 +434,5 @@ def _product(basis: np.ndarray, own: np.ndarray) -> np.ndarray:
     return samples
 
 
-_search_down = njit(error_model="numpy")(levenberg_marquardt(_evaluate, _slopes))
+_search_down = njit(error_model="numpy", inline="always")(levenberg_marquardt(_evaluate, _slopes))
 _search = njit(error_model="numpy")(basin_hopping(_propose, _attempt))

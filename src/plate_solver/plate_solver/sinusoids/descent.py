@@ -220,7 +220,7 @@ def _slopes(problem: Problem, theta: np.ndarray, notes: Notes) -> np.ndarray:
     return jacobian
 
 
-_search_down = njit(error_model="numpy")(levenberg_marquardt(_evaluate, _slopes))
+_search_down = njit(error_model="numpy", inline="always")(levenberg_marquardt(_evaluate, _slopes))
 
 
 @kernel(error_model="numpy")
