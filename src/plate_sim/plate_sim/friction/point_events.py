@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
-from plate_core.kernels import inner_kernel, kernel
+from plate_core.kernels import constant, inner_kernel, kernel
 
 from ..plate.ground import LEVEL, Ground
 from ..plate.motion import PlateMotion
@@ -41,6 +41,9 @@ TOLERANCE = 1e-7
 
 SAMPLES = 64
 """Default output samples per cycle: eight in the shortest wave of a usual motion."""
+
+FIRST_PIECE, FIRST_SAMPLE = constant(0), constant(1)
+"""Where a part begins: in the table of the plate's motion, and in what is given out."""
 
 STEP_SHARE = 0.05
 """Share of the tolerance that one step may err: errors of a cycle's steps add up and decay."""
@@ -263,7 +266,7 @@ def _run_part(table, scales, limit, static, tolerance, cycles, path, speed):
     accel, rate = _scales(scales, point.x, point.y)
     bounds = Bounds(limit, period, accel, rate)
     reach = period if rate * period < 0.5 else max(1 / rate, period / max(COARSE, len(table)))
-    stuck, done, steps, k, j = False, 0, 0, 0, 1
+    stuck, done, steps, k, j = False, 0, 0, FIRST_PIECE, FIRST_SAMPLE
     t, hint, qx, qy = 0.0, 0.25 * reach, 0.0, 0.0
     _, wx, wy, r = slip(table, t, k, point)
     ax, ay = surface_rate(table, t, k, point)
