@@ -102,4 +102,4 @@ def test_a_defect_is_a_traceback_and_code_1():
         output, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert "RuntimeError: a defect" in errors
-    assert output == "last words, ROS works: True\n"
+    assert output.endswith("last words, ROS works: True\n")  # Fast DDS may say something before
