@@ -67,6 +67,7 @@ class Judge:
         self.tables = self.moving = 0
         self.oldest_s = 0.0
         self.wrong: list[str] = []
+        self.away: list[str] = []  # who was frozen last, or still is
         self.ends: list[tuple[int, int]] = []  # when said, and stamp of the last answer
         self.stopped_ns = self._seen_ns = 0
         self._node = rclpy.create_node("judge")
@@ -112,8 +113,8 @@ class Judge:
             (bool(ended), f"{1e-9 * (sent - max(ended, default=0)):.2f} s after its task's end"),
         ):
             if wrong:
-                self.wrong.append(why)
-                print(f"WRONG: a moving table {why}", flush=True)
+                self.wrong.append(f"{why}; frozen last: {', '.join(self.away)}")
+                print(f"WRONG: a moving table {self.wrong[-1]}", flush=True)
 
 
 def freeze(processes: Processes, observer: Observer, longest: dict[str, float]) -> None:
@@ -187,6 +188,7 @@ def run(
             except GraphError as error:
                 trouble += 1
                 print(f"no stop: {error}", flush=True)
+            judge.away = some
             freeze(processes, observer, longest)
             frozen.update(some)
             if number % 10 == 0:
