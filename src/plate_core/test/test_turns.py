@@ -49,13 +49,24 @@ def test_it_is_over_once_one_has_ended():
     assert not turns.several(5.0)
 
 
-def test_a_single_message_of_a_stranger_does_not_follow():
+def follows(*came):
+    """Whether each of the messages follows, given by number and time."""
     turns = Turns()
-    came = [(7, True), (8, True), (1, False), (9, True), (10, True), (500, False), (11, True)]
-    assert [(number, turns.came(number, 0.0)) for number, _ in came] == came
+    return [turns.came(number, at) for number, at in came]
 
 
-def test_another_publisher_may_take_the_place_of_one_that_is_gone():
-    turns = Turns()
-    came = [(7, True), (8, True), (1, False), (2, True), (3, True), (5, False), (6, True)]
-    assert [(number, turns.came(number, 0.0)) for number, _ in came] == came
+def test_what_a_stranger_sends_in_between_does_not_follow():
+    ours = (7, 0.0), (8, 0.5), (10, 1.5), (11, 1.6)
+    assert follows(*ours) == [True] * 4
+    strangers = (1, 0.6), (2, 0.6), (3, 0.6), (500, 0.7), (501, 0.7)
+    assert follows(*ours[:2], *strangers, *ours[2:]) == [True] * 2 + [False] * 5 + [True] * 2
+
+
+def test_another_publisher_takes_the_place_of_one_that_is_silent():
+    assert follows((7, 0.0), (8, 0.5), (1, 1.4), (2, 1.9), (3, 2.4)) == [
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]
