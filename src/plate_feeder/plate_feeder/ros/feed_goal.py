@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from typing import Any
+from uuid import uuid4
 
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from unique_identifier_msgs.msg import UUID
 
 from plate_interfaces.action import FeedParts
 from plate_interfaces.msg import TaskStatus
@@ -17,7 +19,7 @@ END_S = 5.0
 
 ANSWER_S = 1.0
 """A goal that is not answered within this time is sent again [s]: its planner was killed meanwhile,
-or stood still."""
+or stood still, or the answer was lost. It keeps its id, so that it is begun once."""
 
 
 class FeedGoal:
@@ -43,6 +45,7 @@ class FeedGoal:
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
         self._number = 0  # of the goal that is wanted; answers to others are of no use
+        self._id, self._tries = UUID(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
         self._ending, self._until = 0, 0.0  # number of the one that was canceled
@@ -56,10 +59,13 @@ class FeedGoal:
             self._sent and (self.runs or now < self._answer_by)
         )
         if run and not waits and self._client.server_is_ready():
-            self._number, self._sent, self._ending = self._number + 1, True, 0
-            number, self._answer_by = self._number, now + ANSWER_S
-            future = self._client.send_goal_async(self._goal)
-            future.add_done_callback(lambda done: self._on_answer(number, done))
+            if not self._sent:
+                self._number, self._tries = self._number + 1, 0
+                self._id = UUID(uuid=list(uuid4().bytes))
+            self._sent, self._ending, self._tries = True, 0, self._tries + 1
+            number, again, self._answer_by = self._number, self._tries > 1, now + ANSWER_S
+            future = self._client.send_goal_async(self._goal, goal_uuid=self._id)
+            future.add_done_callback(lambda done: self._on_answer(number, again, done))
 
     def hear(self, status: TaskStatus) -> None:
         """Notice that a planner has begun anew, and knows nothing of the task any more."""
@@ -89,10 +95,12 @@ class FeedGoal:
         self._handle = None
         self._ended(status)
 
-    def _on_answer(self, number: int, future: Any) -> None:
+    def _on_answer(self, number: int, again: bool, future: Any) -> None:
         handle = future.result()
         wanted = self._sent and number == self._number
-        if handle is not None and handle.accepted:
+        if wanted and self.runs:
+            return
+        if handle is not None and (handle.accepted or again):  # an id that is known is refused
             handle.get_result_async().add_done_callback(lambda done: self._on_end(number, done))
             if wanted:
                 self._handle, self.runs = handle, True
