@@ -2,7 +2,6 @@
 
 import math
 import socket
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -16,11 +15,14 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E40
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from work_clock import WorkClock  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
 from plate_core.tasks import FeedMode  # noqa: E402
+from plate_feeder import node as node_module  # noqa: E402
 from plate_feeder.node import BY_PERSON, NEED_A_PERSON, STOPPED, FeederNode  # noqa: E402
+from plate_feeder.ros import feed_goal  # noqa: E402
 from plate_interfaces.action import FeedParts, GetPart, PurgePlate  # noqa: E402
 from plate_interfaces.msg import (  # noqa: E402
     DriverStatus,
@@ -100,7 +102,8 @@ class Planner:
 
 
 class Graph:
-    def __init__(self, **parameters):
+    def __init__(self, clock, **parameters):
+        self.clock = clock
         given = {"port": 0, **parameters}
         args = ["--ros-args", "-r", "__ns:=/feeder_test"]
         for name, value in given.items():
@@ -131,14 +134,14 @@ class Graph:
         self.until(self.feeder._hopper.service_is_ready)
 
     def until(self, true):
-        end = time.monotonic() + WAIT_S
+        end = self.clock.monotonic() + WAIT_S
         while not true():
-            assert time.monotonic() < end
+            assert self.clock.monotonic() < end
             self.executor.spin_once(timeout_sec=0.02)
 
     def spin(self, seconds):
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        end = self.clock.monotonic() + seconds
+        while self.clock.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.02)
 
     def send(self, name, goal):
@@ -193,11 +196,13 @@ class Graph:
 
 
 @pytest.fixture
-def make():
-    made = []
+def make(monkeypatch):
+    made, clock = [], WorkClock()
+    for module in (node_module, feed_goal):
+        monkeypatch.setattr(module, "time", clock)
 
     def make(**parameters):
-        made.append(Graph(**parameters))
+        made.append(Graph(clock, **parameters))
         return made[-1]
 
     yield make
@@ -545,4 +550,4 @@ def test_a_recipe_brings_its_rig(make):
 )
 def test_wrong_parameters_are_refused(name, value, named):
     with pytest.raises(PlateError, match=named):
-        Graph(**{name: value})
+        Graph(WorkClock(), **{name: value})
