@@ -6,6 +6,8 @@ has given up, or does something else by now.
 
 from __future__ import annotations
 
+__all__ = ["Standstill"]
+
 AFTER_S = 0.5
 """What comes so soon after a standstill was asked before its end [s]."""
 

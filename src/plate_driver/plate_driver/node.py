@@ -14,7 +14,6 @@ from pathlib import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -478,7 +477,7 @@ class DriverNode(SafeLifecycleNode[Options]):
 
     def _play(self, table: MotorTable) -> None:
         """Publish a table for the simulator, unless it has become too old meanwhile."""
-        msg = serialize_message(self._message(table))  # takes longest: what follows is at once
+        msg = self._message(table)
         table.check_age(time.monotonic())
         self._setpoints.publish(msg)
 

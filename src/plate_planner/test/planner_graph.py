@@ -143,13 +143,14 @@ class Graph:
 
     def begin(self, stamp_s=0.0, scenario=SORT_4):
         """Start, and show all parts until the task has begun; again where it was refused because
-        this process itself was silent for longer than the planner's `input_timeout_s`."""
+        this process itself stood still, or was silent for the planner's `input_timeout_s`."""
         for k in range(10):
             self.image(stamp_s + 0.01 * k, APART)
             handle = self.send(scenario)
             ended = handle.get_result_async()
             self.until(lambda ended=ended: self.states[-1] == "running" or ended.done())
-            if not ended.done() or ended.result().result.status.reason != TaskStatus.NO_DRIVER:
+            again = TaskStatus.NO_DRIVER, TaskStatus.NOT_READY
+            if not ended.done() or ended.result().result.status.reason not in again:
                 break
         for k in (1, 2):
             self.image(stamp_s + 0.1 * k, APART)
