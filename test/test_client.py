@@ -65,5 +65,5 @@ def check_a_planner_that_dies(graph):
     graph.processes.signal("planner", signal.SIGKILL)
     with pytest.raises(PlateError, match="the planner has said nothing for 2 s"):
         plate.wait(task, 30.0)
-    with pytest.raises(GraphError, match="no action sort_parts: does the planner run"):
+    with pytest.raises(GraphError, match=r"no action sort_parts|does not answer the goal"):
         observer.start(SORT_4, 0.0)

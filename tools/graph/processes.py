@@ -194,8 +194,7 @@ class Processes:
         self.stop()
 
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
-        # A process group of its own: Ctrl-C at the terminal reaches us alone, who tell the nodes.
-        # No session: Linux would share the processor out between sessions, whatever `nice` says.
+        # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
             self._running[name] = subprocess.Popen(
                 words,
@@ -203,7 +202,7 @@ class Processes:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 env=self._environment,
-                process_group=0,
+                start_new_session=True,
                 preexec_fn=_prepare_child,
             )
 

@@ -83,6 +83,8 @@ class Graph:
         self.until(lambda: self.states and self.parts.get_subscription_count())
         self.until(lambda: self.planner.count_subscribers("part_forces") == 2)  # its own too
         self.until(lambda: not driver or self.planner._inputs.driver_status)
+        # On a busy computer the planner may have stood still meanwhile, and would refuse goals.
+        self.until(lambda: not self.planner._standstill.is_late(time.monotonic()))
 
     def say(self):
         if self.driver:
