@@ -73,7 +73,6 @@ def may_use_ros(path: Path) -> bool:
         path.name == "node.py"
         or inside[2:3] == ("ros",)
         or (inside[0] == "plate_bringup" and path.name in ("actions.py", "one_process.py"))
-        or inside[0] == "plate_client"
     )
 
 
@@ -128,8 +127,7 @@ def test_only_nodes_import_ros():
         for name in sorted(filter(is_ros, imports(path)))
     ]
     assert not offenders, (
-        "ROS is for node.py, plate_core/ros, plate_client and what launch files start:\n"
-        + "\n".join(offenders)
+        "ROS is for node.py, folders ros/ and what launch files start:\n" + "\n".join(offenders)
     )
 
 

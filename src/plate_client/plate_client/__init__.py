@@ -6,7 +6,7 @@ It talks to the nodes through the same actions, topics and services as any other
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .client import PlateClient, Task, TaskError
+    from .ros.client import PlateClient, Task, TaskError
 
 __all__ = ["PlateClient", "Task", "TaskError"]
 
@@ -15,6 +15,6 @@ def __getattr__(name: str) -> Any:
     """Import the client when it is wanted: the program `plate` must not wait for it to stop."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import client
+    from .ros import client
 
     return getattr(client, name)

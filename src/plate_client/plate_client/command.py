@@ -34,16 +34,14 @@ OTHERS = {
 def main() -> None:
     """Run the command line; exit code 0 if it was done, 1 if not, 2: wrong arguments or files."""
     signal.signal(signal.SIGINT, _interrupted)  # while modules are imported
-    import rclpy
-
     from plate_core import PlateError, ScenarioError, ends
 
     from .messages import defer_signals
-    from .services import Services, start_ros
+    from .ros.services import Services, end_ros, start_ros
 
     args, commands = _arguments(), Services
     if args.command in OTHERS:
-        from .graph import Graph
+        from .ros.graph import Graph
 
         commands = Graph
     defer_signals()
@@ -64,9 +62,7 @@ def main() -> None:
         code = 128 + signal.SIGPIPE
     finally:
         with ends(code):
-            if graph is not None:
-                graph.node.destroy_node()
-            rclpy.try_shutdown()
+            end_ros(graph)
     sys.exit(code)
 
 

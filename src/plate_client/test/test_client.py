@@ -7,7 +7,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from plate_client import PlateClient, client
+from plate_client import PlateClient
+from plate_client.ros import client
 from plate_core import PlateError
 from plate_core.tasks import PartTarget
 from plate_interfaces.action import SortParts

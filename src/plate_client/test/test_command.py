@@ -18,11 +18,11 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
-from plate_client import services  # noqa: E402
-from plate_client.client import TaskError  # noqa: E402
 from plate_client.command import main  # noqa: E402
-from plate_client.graph import Graph  # noqa: E402
-from plate_client.services import domains_in_use, nobody  # noqa: E402
+from plate_client.ros import services  # noqa: E402
+from plate_client.ros.client import TaskError  # noqa: E402
+from plate_client.ros.graph import Graph  # noqa: E402
+from plate_client.ros.services import domains_in_use, nobody  # noqa: E402
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, declare, follow, parameter  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
@@ -174,7 +174,7 @@ def test_a_goal_waits_for_nodes_that_compile_and_says_so(graph, compiling, monke
             waiting(status.text)
             raise TaskError(status)
 
-    monkeypatch.setattr("plate_client.graph.AT_FIRST_S", 0.0)
+    monkeypatch.setattr("plate_client.ros.graph.AT_FIRST_S", 0.0)
     with pytest.raises(TaskError):
         graph._start(Plate(), None)
     assert refusals == []
@@ -267,7 +267,7 @@ def test_nobody_is_there(graph):
 def test_a_domain_is_recommended_only_where_it_can_be_no_other(monkeypatch, others, end):
     """The next command may be an enable."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    monkeypatch.setattr("plate_client.services.domains_in_use", lambda: others)
+    monkeypatch.setattr("plate_client.ros.services.domains_in_use", lambda: others)
     assert nobody().endswith(end)
 
 

@@ -1,4 +1,4 @@
-"""What waited while a process stood still is told from what is asked now."""
+"""What waited while a process stood still is kept apart from what is asked now."""
 
 from plate_core.standstill import AFTER_S, Standstill
 

@@ -23,7 +23,7 @@ The rules:
 - From the answer on the part is reserved, and the plate rests, until `part_taken`, `prepare_part`
   or the end of its time. Only one part is reserved, for one client. If the same client asks for the
   next one, or for a purge, it gives the part up; others get `BUSY`. Its client alone may report it,
-  and is told its id; once that has gone, any client that knows the id may.
+  and gets its id; once that has gone, any client that knows the id may.
 - After a `stop` nothing begins before `resume`, which a person calls.
 - A part that was reserved is not told again before an image that is `SEEN_ANEW_S` younger than the
   newest one then shows it ready. After `MOST_FAILURES` failed picks at one place it is left aside

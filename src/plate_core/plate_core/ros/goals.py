@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
+from uuid import uuid4
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from std_msgs.msg import Header
+from unique_identifier_msgs.msg import UUID
 
 from plate_interfaces.action import (
     AssembleParts,
@@ -52,6 +54,11 @@ ACTIONS: Mapping[str, Any] = {
 """The planner's actions, by name."""
 
 NOWHERE = float("nan")
+
+
+def new_goal_id() -> UUID:
+    """Return an id for a goal that may be sent again: by the same id it is begun once."""
+    return UUID(uuid=list(uuid4().bytes))
 
 
 def scenario_to_goal(scenario: Scenario) -> tuple[str, Any]:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from typing import Any
-from uuid import uuid4
 
 from rclpy.action import ActionClient
 from rclpy.node import Node
-from unique_identifier_msgs.msg import UUID
 
+from plate_core.ros import new_goal_id
 from plate_interfaces.action import FeedParts
 from plate_interfaces.msg import TaskStatus
 
@@ -45,7 +44,7 @@ class FeedGoal:
         self._client = ActionClient(node, FeedParts, "feed_parts")
         self._handle: Any = None
         self._number = 0  # of the goal that is wanted; answers to others are of no use
-        self._id, self._tries = UUID(), 0
+        self._id, self._tries = new_goal_id(), 0
         self._sent = self.runs = self._seen = False
         self._answer_by = 0.0
         self._ending, self._until = 0, 0.0  # number of the one that was canceled
@@ -61,7 +60,7 @@ class FeedGoal:
         if run and not waits and self._client.server_is_ready():
             if not self._sent:
                 self._number, self._tries = self._number + 1, 0
-                self._id = UUID(uuid=list(uuid4().bytes))
+                self._id = new_goal_id()
             self._sent, self._ending, self._tries = True, 0, self._tries + 1
             number, again, self._answer_by = self._number, self._tries > 1, now + ANSWER_S
             future = self._client.send_goal_async(self._goal, goal_uuid=self._id)

@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from plate_core import PlateError, choose_network, ros_domain
 
-from .messages import spin_until
+from ..messages import spin_until
 
 if TYPE_CHECKING:
     from plate_core.ros import Report
@@ -70,6 +70,13 @@ def start_ros(namespace: str) -> None:
             "between them"
         )
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+
+
+def end_ros(services: Services | None) -> None:
+    """End ROS, and the node that was made for it, if it was."""
+    if services is not None:
+        services.node.destroy_node()
+    rclpy.try_shutdown()
 
 
 class Services:

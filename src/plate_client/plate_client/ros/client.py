@@ -12,21 +12,19 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
-from uuid import uuid4
 
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from unique_identifier_msgs.msg import UUID
 
 from plate_core import PlateError, choose_network
-from plate_core.ros import ACTIONS, DATA, scenario_to_goal, targets_to_msg
+from plate_core.ros import ACTIONS, DATA, new_goal_id, scenario_to_goal, targets_to_msg
 from plate_core.tasks import PartTarget, Scenario
 from plate_interfaces.msg import Targets, TaskProgress, TaskStatus
 
-from .messages import spin_until
+from ..messages import spin_until
 
 FOUND_S = 5.0
 """Longest wait for the planner to be found [s]."""
@@ -210,7 +208,7 @@ class PlateClient:
             if time.monotonic() > end:
                 raise PlateError(f"no action {name}: does the planner run, in this ROS domain?")
             waiting(f"no action {name} yet: the planner offers it when it is configured")
-        number = UUID(uuid=list(uuid4().bytes))
+        number = new_goal_id()
 
         def send_goal(feedback: Callback, answer: Callback) -> None:
             client.send_goal_async(goal, feedback, number).add_done_callback(answer)
