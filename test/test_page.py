@@ -274,7 +274,7 @@ def kill_node(mark, name):
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended, or is not ours
             ours = mark.encode() in (folder / "environ").read_bytes()
-            if ours and f"__node:={name}".encode() in (folder / "cmdline").read_bytes():
+            if ours and (folder / "comm").read_text() == f"{name}\n":
                 os.kill(int(folder.name), signal.SIGKILL)
                 killed += 1
     assert killed == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -14,6 +13,8 @@ from pathlib import Path
 
 from plate_bringup import GraphError, GraphNode, RunOptions, Value
 from plate_core import config_path
+
+from .forks import Fork, can_fork, end_with_parent
 
 KILL_S = 3.0
 """Time for the system to end a node that must [s]."""
@@ -29,8 +30,6 @@ MOST_ENDS, WITHIN_S = 5, 60.0
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a program to end."""
-
-PR_SET_PDEATHSIG = 1
 
 ONE_PROCESS = "one_process"
 """The program that runs all nodes, and the name of its log."""
@@ -168,6 +167,7 @@ class Processes:
         remaps, prefix, nodes = remaps or {}, prefix or {}, list(nodes)
         self._views = {node.name for node in nodes if node.view}
         self._commands: dict[str, list[str]] = {}
+        self._modules = [node.component.rpartition(".")[0] for node in nodes]
         if options.one_process:
             self._commands[ONE_PROCESS] = command_of_all(nodes, options, logs)
         for node in () if options.one_process else nodes:
@@ -178,7 +178,7 @@ class Processes:
         self._logs = logs
         traced = {"PYTHONFAULTHANDLER": "1"}  # a crash shows where it was
         self._environment = os.environ | traced | ros_environment(domain) | dict(environment or {})
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, Fork | subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Processes:
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -196,6 +196,10 @@ class Processes:
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
         # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
+            if can_fork(words, self._environment):
+                path = self.log(name)
+                self._running[name] = Fork(words, self._environment, path, self._modules)
+                return
             self._running[name] = subprocess.Popen(
                 words,
                 stdin=subprocess.DEVNULL,
@@ -203,7 +207,7 @@ class Processes:
                 stderr=subprocess.STDOUT,
                 env=self._environment,
                 start_new_session=True,
-                preexec_fn=_prepare_child,
+                preexec_fn=end_with_parent,
             )
 
     def add(self, commands: Mapping[str, list[str]], environment: Mapping[str, str]) -> None:
@@ -312,11 +316,3 @@ def ended(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was ended by {signal.Signals(-code).name}"
-
-
-_libc = ctypes.CDLL(None)
-
-
-def _prepare_child() -> None:
-    """Between fork and exec: a node is to end also when we die without a word."""
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
