@@ -12,13 +12,22 @@ import pytest
 from graph.domains import own_domain
 
 BEGAN = time.time()
+SETUP = pytest.StashKey[float]()
+REAL_S = 2.0
+"""Tests that take longer [s] most likely had real nodes."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item):
+    item.stash[SETUP] = time.monotonic()
+    return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item):
-    """What a test of a real graph leaves open is reported by that test, not by a later one."""
+    """What a test of real nodes leaves open is reported by that test, not by a later one."""
     yield
-    if item.get_closest_marker("alone"):
+    if time.monotonic() - item.stash[SETUP] > REAL_S:
         gc.collect()
 
 

@@ -168,7 +168,6 @@ def record(folder):
     return heard
 
 
-@pytest.mark.alone  # on a busy machine the planner's inputs would count as lost
 @pytest.mark.parametrize("name", NODES)
 def test_a_bag_that_is_played_to_one_node_has_the_same_answers(bag, name, tmp_path):
     inputs, outputs = NODES[name]

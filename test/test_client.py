@@ -18,8 +18,6 @@ from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
 
-pytestmark = pytest.mark.alone
-
 SORT_4 = load_scenario("sort_4")
 
 

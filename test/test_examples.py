@@ -32,7 +32,7 @@ def test_a_script_runs_and_draws(tmp_path, name):
         assert "success True" in done.stdout
 
 
-@pytest.mark.parametrize("image_rate", [0.0, pytest.param(30.0, marks=pytest.mark.alone)])
+@pytest.mark.parametrize("image_rate", [0.0, 30.0])
 def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
     pytest.importorskip("rclpy")
     from graph.observer import Observer

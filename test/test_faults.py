@@ -1,7 +1,6 @@
 """Nodes of the real graph are killed and frozen in mid-task: what is said of it, and what moves."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -11,30 +10,13 @@ pytest.importorskip("rclpy")
 from faults import Faults, Times
 from graph.observer import Observer
 from graph.processes import Processes
+from short_task import MIDDLE
 
 from plate_bringup import RunOptions, load_graph
-
-pytestmark = pytest.mark.alone  # in real time
 
 START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
 """Long enough for every timeout; shorter than in the tool, which measures when."""
-
-MIDDLE: dict[str, Any] = {
-    "description": "Two parts change sides, far from the edges.",
-    "parts": [
-        {"class": "black", "positions_m": [[-0.1, 0.03]]},
-        {"class": "grey", "positions_m": [[0.1, -0.03]]},
-    ],
-    "task": {
-        "kind": "assemble",
-        "places_m": {"black": [[0.1, 0.03]], "grey": [[-0.1, -0.03]]},
-        "tolerance_m": 0.003,
-        "hold_s": 1.0,
-    },
-    "time_limit_s": 180,
-}
-"""No part leaves the plate while that comes to rest: its loss would be what ends the task."""
 
 EXPECTED = {
     ("kill", "detector"): ("no parts for", "the detector is silent, does it run?", "solver"),

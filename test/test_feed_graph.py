@@ -15,8 +15,6 @@ from plate_bringup import RunOptions
 from plate_core.ros import DATA
 from plate_interfaces.srv import PartQuantity
 
-pytestmark = pytest.mark.alone  # in real time
-
 PICKS = 6
 
 

@@ -180,7 +180,6 @@ WRONG_IMAGES = {
 }
 
 
-@pytest.mark.alone
 def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     nodes = [node for node in GRAPH.values() if node.on_hardware]
     with (
@@ -217,7 +216,6 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     assert processes.exit_codes == dict.fromkeys(NAMES[1:], 0)
 
 
-@pytest.mark.alone
 def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_activated(tmp_path):
     options = RunOptions(scenario="sort_4", autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
@@ -243,7 +241,6 @@ def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_act
     assert graph.processes.exit_codes == dict.fromkeys(NAMES, 0)
 
 
-@pytest.mark.alone
 def test_a_task_does_not_begin_after_a_stop_by_somebody_else(tmp_path):
     """Else an enable would clear an emergency stop that a person has made."""
     link = str(tmp_path / "device")

@@ -14,8 +14,6 @@ from plate_core.tasks import PartTarget, load_scenario
 from plate_interfaces.msg import Parts, Targets, TaskStatus
 from plate_interfaces.srv import PlacePart, RemovePart
 
-pytestmark = pytest.mark.alone
-
 
 def clear_of(parts):
     """The place that is furthest from all parts."""

@@ -23,8 +23,6 @@ from plate_view import COMMANDS  # noqa: E402
 
 TIMEOUT_S = 30.0
 
-pytestmark = pytest.mark.alone  # a graph in real time
-
 
 class Browser:
     """Speaks with the page, and keeps the newest message of each kind."""

@@ -38,8 +38,6 @@ from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
 from plate_driver.transports import BUSY  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
-pytestmark = pytest.mark.alone  # the device must be heard in time
-
 RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3

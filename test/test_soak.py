@@ -53,7 +53,6 @@ def test_stages_add_up_to_the_whole():
     assert stages["image to setpoints"] == pytest.approx(np.full(50, 33.0))
 
 
-@pytest.mark.alone  # sixteen parts in real time, beside another graph
 def test_two_tasks_beside_a_graph_that_forwards(tmp_path):
     options = RunOptions(scenario="sort_16", autostart=False)
     many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, beside=True, longest_s=5.0)

@@ -16,6 +16,7 @@ from device_orders import (
     upload,
     wave,
 )  # fmt: skip
+from short_task import MIDDLE
 
 from plate_core.serial_protocol import (  # fmt: skip
     VERSION,
@@ -89,7 +90,6 @@ def test_only_pulses_that_end_before_the_next_are_taken(device):
     assert done.line == []
 
 
-@pytest.mark.alone
 def test_the_line_closes_the_loop_over_a_serial_line(tmp_path):
     """Camera, all nodes and the device in real time: images at half of each cycle."""
     pytest.importorskip("rclpy")
@@ -112,8 +112,10 @@ def test_the_line_closes_the_loop_over_a_serial_line(tmp_path):
         if cycle.knot_pose.any():
             starts.append((seconds(msg.header.stamp), cycle.period))
 
+    scenario = tmp_path / "middle.yaml"
+    scenario.write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     options = RunOptions(
-        scenario="sort_4", transport="serial", rig_file=str(file), autostart=False,
+        scenario=str(scenario), transport="serial", rig_file=str(file), autostart=False,
         link=str(tmp_path / "port"),
     )  # fmt: skip
     with session(options, tmp_path, pictures=False) as graph:
