@@ -7,7 +7,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 import tty
@@ -20,6 +19,8 @@ from plate_core.serial_protocol import Commit, Enable, Hello, Reader, State, Sto
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from graph.forks import Fork  # noqa: E402
+from graph.processes import executable  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -35,7 +36,6 @@ from plate_core.ros import (  # noqa: E402
 )
 from plate_driver.safety.node import LIFE_PERIOD_S  # noqa: E402
 from plate_driver.status import LOOK, OFF, UNANSWERED  # noqa: E402
-from plate_driver.transports import BUSY  # noqa: E402
 from plate_interfaces.msg import DriverStatus  # noqa: E402
 
 RIG = load_rig()
@@ -45,7 +45,7 @@ MOST_TICKS = 100
 """On a machine that is too busy the board's clock stands still from there on."""
 
 NAMESPACE = f"/serial_node_{os.getpid()}"
-DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
+NODE = "plate_driver.node"
 LIFECYCLE = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4}
 
 
@@ -60,6 +60,11 @@ def shaking(amplitude: float) -> PlateCycle:
 
 
 EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
+
+
+def driver(log, namespace: str, *parameters: str) -> Fork:
+    words = [str(executable("plate_driver", "driver")), "--ros-args", "-r", f"__ns:={namespace}"]
+    return Fork([*words, *(w for p in parameters for w in ("-p", p))], os.environ, log, [NODE])
 
 
 class Board:
@@ -136,8 +141,8 @@ class Board:
 class Bench:
     """A driver process at a board, and a node that speaks to it."""
 
-    def __init__(self, board: Board) -> None:
-        self.board = board
+    def __init__(self, board: Board, log) -> None:
+        self.board, self.log = board, log
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
@@ -177,15 +182,10 @@ class Bench:
             DriverStatus.DISABLED, DriverStatus.STOPPED,
         )  # fmt: skip
 
-    def start(self, *parameters: str) -> subprocess.Popen:
+    def start(self, *parameters: str) -> None:
         words = ["transport:=serial", f"port:={self.board.port}", "state_rate:=50.0"]
-        arguments = [w for p in [*words, *parameters] for w in ("-p", p)]
-        self.process = subprocess.Popen(
-            [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments],
-            env=os.environ | {"PYTHONUNBUFFERED": "1"},
-            text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        return self.process
+        self.log.unlink(missing_ok=True)
+        self.process = driver(self.log, NAMESPACE, *words, *parameters)
 
     def until(self, condition, seconds: float = 30.0) -> bool:
         end = time.monotonic() + seconds
@@ -228,20 +228,15 @@ class Bench:
         self.cycles.publish(cycle_to_msg(shaking(0.001), to_time(self.stamp)))
 
     def moving(self) -> None:
-        """Enable, and send cycles until the plate plays them."""
-        answer = self.enable()
-        # We are quicker than people, and the computer may be slow: it is pressed again.
-        while "has not reported the last stop" in answer.message or answer.message == BUSY:
-            answer = self.enable()
-        assert answer.success, answer.message
-        self.tells("ready")
+        """Enable, and send cycles until the plate plays them. On a busy computer the device may
+        not have reported the last stop yet, or not have heard the driver: it is enabled again."""
         assert self.until(lambda: self.cycles.get_subscription_count() > 0)
-        self.play()
 
-    def play(self) -> None:
         def played() -> bool:
+            if self.status.state in (DriverStatus.DISABLED, DriverStatus.STOPPED):
+                self.enable()
             self.send()
-            self.until(lambda: False, 0.1)
+            self.wait(0.1)
             return self.board.state is State.PLAYING
 
         assert self.until(played), self.told
@@ -251,25 +246,25 @@ class Bench:
 
     def end(self, number: int = signal.SIGTERM) -> str:
         self.process.send_signal(number)
-        output, _ = self.process.communicate(timeout=30)
-        return output
+        self.process.wait(30)
+        return self.log.read_text(encoding="utf-8")
 
     def close(self) -> None:
         # Not killed at once: where one that is killed held a lock of shared memory, Fast DDS makes
         # that anew, and crashes who leaves meanwhile: the process of the tests.
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.end()
-        self.process.kill()
-        self.process.wait()
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(30)
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture(name="bench")
-def _bench(program):
+def _bench(program, tmp_path):
     board = Board(program)
-    bench = Bench(board)
+    bench = Bench(board, tmp_path / "driver.log")
     yield bench
     bench.close()
     board.close()
@@ -310,7 +305,7 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
             "round_trip_ms", "device_thermal_load"} <= set(values)  # fmt: skip
     assert bench.told[-1] == "ready"
     # And goes on with the next one, which needs no enable.
-    bench.play()
+    bench.moving()
     assert board.count(Enable) == 1
     assert "Traceback" not in bench.end()
     assert board.count(Stop) >= 1
@@ -480,17 +475,11 @@ def test_the_port_is_for_one_driver(bench):
     bench.tells(OFF)
     bench.moving()
     hellos = bench.board.count(Hello)
-    words = ["transport:=serial", f"port:={bench.board.port}"]
-    second = subprocess.Popen(
-        [*DRIVER, "--ros-args", "-r", "__ns:=/second", *(w for p in words for w in ("-p", p))],
-        text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    log = bench.log.with_name("second.log")
+    second = driver(log, "/second", "transport:=serial", f"port:={bench.board.port}")
     waits = f"serial port {bench.board.port} is used by another program: waiting for it"
-    timeout = threading.Timer(60.0, second.kill)
-    timeout.start()
-    assert any(waits in line for line in second.stderr)  # until it says so
+    assert bench.until(lambda: log.exists() and waits in log.read_text(encoding="utf-8"))
     second.send_signal(signal.SIGTERM)
-    second.communicate()
-    timeout.cancel()
+    second.wait(30)
     assert bench.board.count(Hello) == hellos
     bench.moving()  # again, where a busy machine has let the line fall silent meanwhile
