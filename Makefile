@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: help setup cli demo play test lint format bench charts docs clean workspace
+.PHONY: help setup cli demo play test test-tools lint format bench charts docs clean workspace
 
 # A mistyped name would be ignored without a word.
 NAMES := ARGS METHOD PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
@@ -14,7 +14,7 @@ ENTER := . ./env.sh &&
 TYPED := $(filter-out %.egg-info,$(wildcard src/*/plate_* bench/*.py bench/*/ tools/*.py tools/graph tools/record))
 
 help: ## List these commands
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
 
 setup: ## Install everything into .venv and build the packages
 	@tools/setup.sh
@@ -37,8 +37,13 @@ play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play]
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
+test-tools: workspace ## Install what some tests need beyond set-up: [SOURCES=https://github.com]
+	@$(ENTER) exec python tools/needs.py --install
+
 test: workspace ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
-	@$(ENTER) python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 || exit; many=0; alone=0; \
+	@$(if $(ARGS),,echo "About 25 minutes on two cores; some tests: make test ARGS='-k name'";) \
+	    $(ENTER) python tools/needs.py && python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 || exit; \
+	    many=0; alone=0; \
 	    python -m pytest -n $(WORKERS) --dist worksteal -m 'not alone' $(ARGS) || many=$$?; \
 	    python -m pytest -m alone $(ARGS) || alone=$$?; \
 	    case $$many$$alone in 00 | 05 | 50) ;; *) exit 1 ;; esac  # 5: ARGS select none of these

@@ -1,6 +1,7 @@
 """For all tests: each process that runs some has a ROS domain of its own.
 
-So neither the workers of one run nor two runs on a machine hear each other.
+So neither the workers of one run nor two runs on a machine hear each other. Tests that need a tool
+which is not here are left out; with NO_SKIP in the environment no other test may be.
 """
 
 import gc
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import pytest
 from graph.domains import own_domain
+from needs import missing
 
 BEGAN = time.time()
+LEFT_OUT = {need: f"{need} is missing: make test-tools" for need in missing()}
 SETUP = pytest.StashKey[float]()
 REAL_S = 2.0
 """Tests that take longer [s] most likely had real nodes."""
@@ -20,7 +23,29 @@ REAL_S = 2.0
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item):
     item.stash[SETUP] = time.monotonic()
+    for mark in item.iter_markers("needs"):
+        for need in filter(LEFT_OUT.get, mark.args):
+            pytest.skip(LEFT_OUT[need])
     return (yield)
+
+
+def without_skip(report):
+    """A report, failed if it is of a skip that NO_SKIP forbids."""
+    if report.skipped and "NO_SKIP" in os.environ and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2]
+        if reason.removeprefix("Skipped: ") not in LEFT_OUT.values():
+            report.outcome, report.longrepr = "failed", f"NO_SKIP is set. {reason}"
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report():
+    return without_skip((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    return without_skip((yield))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -75,7 +75,6 @@ with LocalCluster(
 @pytest.fixture(scope="module")
 def scheduler():
     """Address of a Dask cluster of two processes, that know the same code."""
-    pytest.importorskip("distributed")
     path = os.pathsep.join([str(BENCH), *filter(None, sys.path)])
     process = subprocess.Popen(
         [sys.executable, "-c", CLUSTER], env={**os.environ, "PYTHONPATH": path}, text=True,
@@ -119,12 +118,13 @@ def test_the_same_seed_gives_the_same_row_whatever_the_workers(runs):
     assert without_timings(runs[1]) == without_timings(runs[0])
 
 
+@pytest.mark.needs("distributed")
 def test_a_cluster_gives_the_same_rows(runs, tiny, scheduler):
     assert without_timings(tiny("--scheduler", scheduler)) == without_timings(runs[0])
 
 
+@pytest.mark.needs("distributed")
 def test_a_scheduler_that_does_not_answer_is_told_in_one_line():
-    pytest.importorskip("distributed")
     with socket.socket() as taken:  # bound, but it does not listen
         taken.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"

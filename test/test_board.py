@@ -14,12 +14,12 @@ import yaml
 from board_host import SPEED, STROKE_M, Host, attacked, committed, wave
 from emulated_board import (
     INSTRUCTION_NS,
+    NEEDS,
     EmulatedBoard,
     Record,
     SteppedBoard,
     assembled,
     built,
-    missing,
     symbols,
     unfollowed,
 )
@@ -39,9 +39,7 @@ MOST = 42_000
 SLACK = 1.002
 """A limit may be passed by this factor (docs/protocol.md)."""
 
-emulated = pytest.mark.skipif(
-    bool(missing()), reason=f"the emulated board needs tools that are not installed: {missing()}"
-)
+emulated = pytest.mark.needs(*NEEDS)
 
 
 @pytest.fixture(name="firmware", scope="module")

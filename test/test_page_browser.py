@@ -1,28 +1,28 @@
 """The live page in a browser, with the real graph behind it."""
 
-import shutil
 import signal
 
 import pytest
+from needs import program
 
 pytest.importorskip("rclpy")
-browsers = pytest.importorskip("playwright.sync_api")
-axe = pytest.importorskip("axe_playwright_python.sync_playwright")
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next(filter(None, map(shutil.which, NAMES)), "")
 TIMEOUT_MS = 30_000
 
 pytestmark = [
-    pytest.mark.skipif(not CHROMIUM, reason="needs Chromium"),
+    pytest.mark.needs("chromium", "playwright", "axe_playwright_python"),
     pytest.mark.alone,
 ]
 
 
 @pytest.fixture(scope="module")
 def browser():
-    with browsers.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(
+            executable_path=program("chromium"), args=["--no-sandbox"]
+        )
         yield found
         found.close()
 
@@ -167,11 +167,13 @@ def test_every_control_works_without_an_error(page):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_can_be_read_by_everybody(page, scheme):
+    from axe_playwright_python.sync_playwright import Axe
+
     page.emulate_media(color_scheme=scheme)
     for tab in page.get_by_role("tab").all():
         if tab.is_visible():
             tab.click()
-            found = axe.Axe().run(page).response["violations"]
+            found = Axe().run(page).response["violations"]
             serious = [each for each in found if each["impact"] in ("serious", "critical")]
             assert [each["id"] for each in serious] == [], serious[0]["nodes"][0]["html"]
 

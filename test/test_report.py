@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import program
 from PIL import Image
 
 from harness import is_done
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
+CHROMIUM = program("chromium")
 QUICK = "force_map"
-MISSING = "plotly is not installed (requirements-bench.txt)"
+
+pytestmark = pytest.mark.needs("plotly", "kaleido", "pandas", "tabulate")
+browses = pytest.mark.needs("chromium")
 
 BEFORE = """<script>
 window.errors = [];
@@ -65,8 +66,6 @@ const result = {
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """Folder of a quick measurement and its chart."""
-    for name in ("plotly", "kaleido", "pandas", "tabulate"):
-        pytest.importorskip(name, reason=MISSING)
     out = tmp_path_factory.mktemp("charts")
     for arguments in (
         ["run.py", QUICK, "--quick", "--out", out / "bench"],
@@ -83,7 +82,6 @@ def drawn(tmp_path_factory):
 @pytest.fixture(scope="module")
 def chart():
     """A chart with a panel of every kind: points and a front, bars, a field with a line on it."""
-    pytest.importorskip("plotly", reason=MISSING)
     from report.axis import Axis
     from report.chart import Chart, Sheet
     from report.panels import Panels
@@ -114,8 +112,6 @@ def every_kind(chart, tmp_path_factory):
 
 def look_at(page, width=1300, change=lambda text: text):
     """Open a page in headless Chromium without a network; return what is there and the console."""
-    if CHROMIUM is None:
-        pytest.skip("no chromium here (apt-get install chromium)")
     text = page.read_text(encoding="utf-8").replace("<style>", BEFORE + "<style>", 1)
     copy = page.with_name("probed.html")
     copy.write_text(change(text).replace("</html>", AFTER + "</html>"), encoding="utf-8")
@@ -157,11 +153,13 @@ def assert_drawn(result, console, panels):
     assert not result["wide"]
 
 
+@browses
 def test_the_report_draws_every_chart_without_a_network(drawn):
     result, console = look_at(drawn / "report/index.html")
     assert_drawn(result, console, {"Force map: error against time": 2})
 
 
+@browses
 @pytest.mark.parametrize("width", [500, 1300])
 def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
     result, console = look_at(every_kind, width)
@@ -171,6 +169,7 @@ def test_every_kind_of_panel_is_drawn_and_answers(every_kind, width):
     assert after == pytest.approx([before[0], sum(before) / 2])
 
 
+@browses
 def test_a_page_that_cannot_draw_is_noticed(every_kind):
     def without_library(text):
         start = text.index("<script>/**")
@@ -184,7 +183,6 @@ def test_a_page_that_cannot_draw_is_noticed(every_kind):
 
 @pytest.mark.filterwarnings("ignore:setDaemon", "ignore:unclosed file")  # kaleido's own
 def test_every_kind_of_panel_is_drawn_as_a_picture(chart, tmp_path):
-    pytest.importorskip("kaleido", reason=MISSING)
     chart.panels.draw().write_image(tmp_path / "one.png")
     with Image.open(tmp_path / "one.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
@@ -245,7 +243,6 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
 
 
 def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):
-    pytest.importorskip("plotly", reason=MISSING)
     from report.chart import Sheet
 
     rows = [{"a": 1, "b": 2.5e-9, "c": None}, {"c": True, "a": '(3), "x"', "d": "1 ms"}]
@@ -258,7 +255,6 @@ def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):
 @pytest.mark.parametrize("span", [0.02, 0.3, 0.9, 1.7, 3.2, 6.5, 14.0])
 @pytest.mark.parametrize("low", [-11.3, -0.05, 2.7])
 def test_every_log_axis_has_some_numbers_and_not_too_many(low, span):
-    pytest.importorskip("plotly", reason=MISSING)
     from report.axis import log_ticks, numbers
 
     ticks = log_ticks(low, low + span)
@@ -269,7 +265,6 @@ def test_every_log_axis_has_some_numbers_and_not_too_many(low, span):
 
 
 def test_words_are_put_where_nothing_else_is():
-    pytest.importorskip("plotly", reason=MISSING)
     from report.axis import Axis
     from report.panels import Panels
 
@@ -283,7 +278,6 @@ def test_words_are_put_where_nothing_else_is():
 
 
 def front_of(better, *places):
-    pytest.importorskip("plotly", reason=MISSING)
     from report.panels import pareto_front
 
     return pareto_front(places, better)
@@ -297,7 +291,6 @@ def test_the_front_is_a_staircase_along_what_nobody_beats():
 
 
 def test_no_front_goes_through_what_does_not_count():
-    pytest.importorskip("plotly", reason=MISSING)
     from report.axis import Axis
     from report.panels import Panels
 

@@ -125,9 +125,9 @@ def test_the_predicted_error_of_one_harmonic_is_its_transmissibility_less_one(ri
     )
 
 
+@pytest.mark.needs("plotly")
 @pytest.mark.parametrize("key", MAPS)
 def test_the_chart_of_a_map_has_its_border_and_the_theory_in_every_panel(key):
-    pytest.importorskip("plotly", reason="plotly is not installed (requirements-bench.txt)")
     from report.stability import chart_of, rows_of
 
     one = MAPS[key]

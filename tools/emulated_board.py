@@ -49,18 +49,8 @@ WRITTEN = re.compile(
 BSRR, ENABLE_HIGH, ENABLE_LOW = 0x18, 1 << 10, 1 << 26
 """GPIOB's register to set and reset pins, and PB10 in it."""
 
-TOOLS = {
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
-    "qemu-system-arm": "qemu-system-arm",
-    "make": "make",
-}
-"""What is needed, and the Debian packages that hold it."""
-
-
-def missing() -> str:
-    """Return which packages to install; nothing if all tools are there."""
-    packages = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
-    return " ".join(packages)
+NEEDS = ("arm-none-eabi-gcc", "qemu-system-arm")
+"""Of tools/needs.py."""
 
 
 def built(out: Path, **options: str | Path) -> Path:

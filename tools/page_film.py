@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from graph.session import session
+from needs import program
 from PIL import Image
 
 from plate_bringup import RunOptions
@@ -127,7 +127,7 @@ def main() -> int:
         from playwright.sync_api import sync_playwright
     except ImportError:
         parser.error("playwright is missing: pip install -r requirements-bench.txt")
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    chromium = program("chromium")
     if chromium is None:
         parser.error("chromium is missing: apt install chromium")
     options = RunOptions(scenario="play", seed=1, view=True)

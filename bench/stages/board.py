@@ -12,7 +12,8 @@ from harness import ROOT, Result, Table
 sys.path.append(str(ROOT / "tools"))
 
 from board_host import Host, Ticks, attacked, committed
-from emulated_board import SteppedBoard, built, missing, unfollowed
+from emulated_board import NEEDS, SteppedBoard, built, unfollowed
+from needs import packages, program
 
 from plate_core import PlateError
 from plate_core.serial_protocol import Status
@@ -28,8 +29,8 @@ MOST = 42_000
 
 def measure(quick: bool) -> Result:
     """Commit tables of all sizes while one plays, then send hostile packets; quick: fewer."""
-    if missing():
-        raise PlateError(f"the board's tools are not installed: apt install {missing()}")
+    if lacking := packages([need for need in NEEDS if program(need) is None]):
+        raise PlateError(f"the board's tools are not installed: apt install {lacking}")
     pieces, packets = ((1, 48, 500), 500) if quick else (PIECES, PACKETS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

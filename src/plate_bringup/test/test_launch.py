@@ -1,6 +1,5 @@
 """The launch files: what they start by stand-ins of `launch`, and by itself where that is there."""
 
-import importlib.util
 import subprocess
 import sys
 import types
@@ -14,7 +13,6 @@ from plate_bringup import GraphError, RunOptions, load_graph
 LAUNCH = Path(__file__).resolve().parents[1] / "launch"
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
 ACTIONS = ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction")
-HAVE_LAUNCH = importlib.util.find_spec("launch_ros") is not None
 
 
 class Recorded:
@@ -217,7 +215,7 @@ sys.exit(service.run())
 """
 
 
-@pytest.mark.skipif(not HAVE_LAUNCH, reason="launch and launch_ros are not installed")
+@pytest.mark.needs("launch_ros")
 @pytest.mark.parametrize(
     ("argument", "message"),
     [

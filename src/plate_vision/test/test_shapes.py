@@ -191,6 +191,7 @@ def test_huge_picture():
     assert parts["radius_px"][0] == pytest.approx(500, rel=0.02)
 
 
+@pytest.mark.needs("skimage")
 @pytest.mark.parametrize(
     ("name", "worst_px", "invented"),
     [
@@ -204,7 +205,8 @@ def test_huge_picture():
 )
 def test_photographs(name, worst_px, invented):
     """Centres near to those marked by hand, and hardly more parts than these, nothing set."""
-    data = pytest.importorskip("skimage.data", reason="scikit-image is not installed")
+    from skimage import data
+
     found = detect(getattr(data, name)())
     found = found[found["method"] != "group"]
     marks = np.array(PHOTOGRAPHS_PX[name], float).reshape(-1, 2)
