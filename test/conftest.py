@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 from device_orders import running, twin
 from graph.domains import own_domain
 from simulated_firmware import SimulatedFirmware
@@ -16,6 +17,16 @@ STRICT = [
     "-Wfloat-conversion", "-Werror",
 ]  # fmt: skip
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+FOUR = {
+    "description": "As `play`, but with few parts, far from the edges.",
+    "parts": [
+        {"class": "black", "positions_m": [[0.06, 0.05], [-0.08, 0.03]]},
+        {"class": "grey", "positions_m": [[-0.05, -0.06], [0.07, -0.04]]},
+    ],
+    "task": {"kind": "move", "tolerance_m": 0.002, "hold_s": 0.5, "until_canceled": True},
+}
+"""None leaves the plate where images or answers are late."""
 
 
 @pytest.fixture
@@ -32,7 +43,9 @@ def graph(tmp_path_factory):
 
     from plate_bringup import RunOptions
 
-    options, folder = RunOptions(scenario="play", view=True), tmp_path_factory.mktemp("logs")
+    folder = tmp_path_factory.mktemp("logs")
+    (folder / "four.yaml").write_text(yaml.safe_dump(FOUR), encoding="utf-8")
+    options = RunOptions(scenario=str(folder / "four.yaml"), view=True)
     # The page's `teach` writes its file where the detector runs.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")
