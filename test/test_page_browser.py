@@ -9,10 +9,7 @@ pytest.importorskip("rclpy")
 
 TIMEOUT_MS = 30_000
 
-pytestmark = [
-    pytest.mark.needs("chromium", "playwright", "axe_playwright_python"),
-    pytest.mark.alone,
-]
+pytestmark = pytest.mark.needs("chromium", "playwright", "axe_playwright_python")
 
 
 @pytest.fixture(scope="module")
