@@ -1,6 +1,6 @@
 #!/bin/bash
 # Install the commands `ros2 ...` and ROS's launch into .venv, where ROS comes as wheels: they have none,
-# so their sources are fetched. Nothing else needs them.
+# so their sources are fetched. Only tests of the launch files need them, too.
 #
 #   tools/cli.sh     SOURCES=https://github.com: the place of the repositories, owner/name below it
 set -euo pipefail
