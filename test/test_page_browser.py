@@ -88,9 +88,10 @@ def enable(page):
 
 
 def near(name, x, y, within=0.002):
+    """Of a part; not of one that the newest image does not show."""
     return (
         f"Math.hypot(...(({{x, y}}) => [x - {x}, y - {y}])(known.parts.parts"
-        f".find((part) => part.id === '{name}'))) < {within}"
+        f".find((part) => part.id === '{name}') ?? {{}})) < {within}"
     )
 
 
@@ -104,6 +105,7 @@ def test_a_target_that_is_dragged_brings_the_part(page):
     wait_for(page, near("black_2", released["x"], released["y"]))
 
 
+@pytest.mark.alone  # a part that comes late leaves its path by more than is allowed
 def test_a_path_that_is_drawn_is_followed(page):
     page.get_by_label("Draw a path").check()
     start = part(page, "grey_2")
