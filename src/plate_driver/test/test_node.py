@@ -1,4 +1,5 @@
-"""The driver as a process of its own, spoken to over ROS."""
+"""The driver's node. What it decides is shown with a node in this process, in the test's time; what
+needs a process, signals or messages on their way with one that is spoken to over ROS."""
 
 import contextlib
 import os
@@ -7,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from driven import Driven  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
@@ -42,161 +46,28 @@ from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
 NAMESPACE = f"/driver_test_{os.getpid()}"
+PLATE = """
+import sys
+from plate_client.command import main
+from plate_client.ros import graph, services
+graph.NOBODY_S = services.NOBODY_S = services.LATE_S = 60.0
+_, namespace, *commands = sys.argv
+for command in commands:
+    services.FOUND_S = 1.0 if command == "stop" else 60.0
+    sys.argv = ["plate", command, "--namespace", namespace]
+    try:
+        main()
+    except SystemExit as end:
+        print("code", end.code, flush=True)
+"""
+"""The program `plate`, which is given one command after the other, and time for what is there."""
+
 PERIOD = 0.1
 MS = 1_000_000
 SIMULATED = 90_000 * MS
 """A stamp of a simulated clock."""
 
-
-def shaking(amplitude: float) -> PlateCycle:
-    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4
-    phase = 4 * np.pi * t / PERIOD
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(PERIOD, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
-    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
-
-
 EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
-
-
-class Peer:
-    """A driver process and a node that listens to it."""
-
-    def __init__(self, *parameters: str) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.setpoints: list[JointTrajectory] = []
-        self.states: list[JointState] = []
-        self.reports: list[DiagnosticArray] = []
-        for kind, topic, received in (
-            (JointTrajectory, "motor_setpoints", self.setpoints),
-            (JointState, "motor_states", self.states),
-            (DiagnosticArray, "diagnostics", self.reports),
-        ):
-            self.node.create_subscription(kind, topic, received.append, DATA)
-        self.told: list[str] = []  # without what is said again
-        self.statuses: list[DriverStatus] = []
-        self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
-        self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
-        self.changes = self.node.create_client(ChangeState, "driver/change_state")
-        self.asks = self.node.create_client(GetState, "driver/get_state")
-        env = os.environ | {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "PYTHONUNBUFFERED": "1",
-        }
-        arguments = [word for p in parameters for word in ("-p", p)]
-        command = [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments]
-        self.process = subprocess.Popen(
-            command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-
-    def _on_status(self, msg: DriverStatus) -> None:
-        self.statuses.append(msg)
-        if not self.told or self.told[-1] != msg.text:
-            self.told.append(msg.text)
-
-    def until(self, condition, seconds: float = 60.0) -> bool:
-        """Spin until the condition holds; False when it takes too long.
-
-        A datagram that gets lost on a busy machine is sent again only with the writer's next
-        heartbeat, 3 s later, so some seconds are no failure.
-        """
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-            if condition():
-                return True
-        return False
-
-    def connect(self, ready: bool = True) -> None:
-        assert self.until(
-            lambda: (
-                self.cycles.get_subscription_count() > 0
-                and self.node.count_publishers("motor_setpoints") > 0
-                and (not ready or self.told[-1:] == ["ready"])
-            )
-        ), self.end()
-        # The driver may get to know us a little later than we it; until then its words are lost.
-        self.until(lambda: False, 0.5)
-
-    def send(self, cycle: PlateCycle, stamp_ns: int | None = None) -> int:
-        """Send a cycle that answers an image, if not said otherwise of now; returns its stamp."""
-        stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
-        self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
-        return stamp_ns
-
-    def answer(self, stamp_ns: int, count: int = 1) -> JointTrajectory:
-        """Wait for the setpoints with a stamp; `count` of them."""
-
-        def found() -> list[JointTrajectory]:
-            return [m for m in self.setpoints if nanoseconds(m.header.stamp) == stamp_ns]
-
-        if not self.until(lambda: len(found()) >= count):
-            pytest.fail(f"{len(found())} of {count} answers to stamp {stamp_ns}; {self.end()}")
-        return found()[-1]
-
-    def moved(self, cycle: PlateCycle | None = None) -> int:
-        """Have the plate move, by a cycle for each new image as a solver does; returns the stamp
-        that was answered. A driver that has only just become ready has to notice that first, and
-        one that has stood still on a busy machine refuses what was asked before."""
-        cycle = shaking(0.0005) if cycle is None else cycle
-        sent, count = [], len(self.setpoints)
-        for _ in range(50):
-            sent.append(self.send(cycle))
-            if self.until(lambda: len(self.setpoints) > count, 0.5):
-                last = self.setpoints[-1]
-                assert nanoseconds(last.header.stamp) in sent
-                assert not at_rest(last)
-                return nanoseconds(last.header.stamp)
-        pytest.fail(f"nothing moves; {self.end()}")
-
-    def call(self, client, request, tries: int = 1):
-        assert client.wait_for_service(timeout_sec=20.0)
-        for _ in range(tries):
-            future = client.call_async(request)
-            if self.until(future.done, 20.0 / tries):
-                return future.result()
-        pytest.fail(f"no answer of {client.service_name}; {self.end()}")
-
-    def change(self, transition: str) -> bool:
-        request = ChangeState.Request()
-        request.transition.label = transition
-        return self.call(self.changes, request).success
-
-    def state(self) -> str:
-        # A service may answer before it knows of the client's ear, and the answer is lost. To ask
-        # for the state once more does no harm; changes are asked for when both know each other.
-        return self.call(self.asks, GetState.Request(), tries=10).current_state.label
-
-    def level(self) -> bytes:
-        return self.reports[-1].status[0].level if self.reports else b""
-
-    def value(self, key: str) -> str:
-        return {v.key: v.value for v in self.reports[-1].status[0].values}[key]
-
-    def end(self, number: int = signal.SIGINT) -> tuple[int, str]:
-        """Signal the driver; return its exit code and all it printed."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        output, _ = self.process.communicate(timeout=10)
-        return self.process.returncode, output
-
-    def close(self) -> None:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.end()
-        self.process.kill()
-        self.process.wait()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture(name="rig", scope="module")
@@ -204,11 +75,19 @@ def _rig():
     return load_rig()
 
 
-@pytest.fixture(name="peer")
-def _peer(request):
-    peer = Peer(*getattr(request, "param", ()))
-    yield peer
-    peer.close()
+def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
+    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
+    t = np.arange(48) * period / 48
+    wave = np.sin(np.pi * t / period) ** 4
+    phase = 4 * np.pi * t / period
+    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
+    cycle = PlateCycle.from_samples(period, amplitude * pose)
+    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
+    twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
+    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
+
+
+GENTLE, CALM = shaking(0.0005), shaking(0.0005, 0.3)
 
 
 def at_rest(msg: JointTrajectory) -> bool:
@@ -217,175 +96,231 @@ def at_rest(msg: JointTrajectory) -> bool:
     )
 
 
-# Tests of the driver's life come in few, long pieces: to start one takes most of a second.
+# In this process
 
 
-def test_good_and_bad_cycles(peer, rig):
-    peer.connect()
+@pytest.fixture(name="make")
+def _make(monkeypatch):
+    with contextlib.ExitStack() as stack:
+
+        def make(*parameters: str, **options) -> Driven:
+            driven = Driven(monkeypatch, *parameters, **options)
+            stack.callback(driven.close)
+            return driven
+
+        yield make
+
+
+@pytest.fixture(name="driven")
+def _driven(make):
+    return make()
+
+
+def refused(driven: Driven, cycle: PlateCycle = GENTLE, *args, **kwargs) -> str:
+    why = driven.send(cycle, *args, **kwargs)
+    assert isinstance(why, str), "it was answered"
+    return why
+
+
+def test_good_and_bad_cycles(driven, rig):
     # A cycle within the limits is passed on as it is.
-    gentle = shaking(0.0005)
-    stamp = peer.moved(gentle)
-    motors = peer.answer(stamp)
-    q, qd, qdd = motor_state(rig, gentle.knot_pose, gentle.knot_twist, gentle.knot_accel)
+    stamp = driven.send(GENTLE)
+    [motors] = driven.setpoints
+    assert driven.stamps() == [stamp]
+    q, qd, qdd = motor_state(rig, GENTLE.knot_pose, GENTLE.knot_twist, GENTLE.knot_accel)
     assert motors.joint_names == ["motor_1", "motor_2", "motor_3", "motor_4"]
     np.testing.assert_allclose([p.positions for p in motors.points], q, atol=1e-12)
     np.testing.assert_allclose([p.velocities for p in motors.points], qd, atol=1e-12)
     np.testing.assert_allclose([p.accelerations for p in motors.points], qdd, atol=1e-12)
     # The same stamp again is answered again: the first answer may have been missed.
-    peer.send(gentle, stamp)
-    peer.answer(stamp, count=2)
+    assert driven.send(GENTLE, stamp) == stamp
+    assert driven.stamps() == [stamp, stamp]
+    assert not at_rest(driven.setpoints[-1])
 
     # A wild one comes back scaled down, the same motion.
+    driven.pass_time(PERIOD)
     wild = shaking(0.1)
-    stamp = peer.moved(wild)
-    applied = msg_to_motors(rig, peer.answer(stamp))
+    stamp = driven.send(wild)
+    applied = msg_to_motors(rig, driven.setpoints[-1])
     factor = applied.knot_pose[24, 2] / wild.knot_pose[24, 2]
     assert 0 < factor < 0.2
     np.testing.assert_allclose(applied.knot_pose, factor * wild.knot_pose, atol=1e-9)
+    assert driven.log.lines[-1].startswith("cycle scaled by 0.0")
 
     # Bad ones are not answered, and the driver goes on.
-    bad = [cycle_to_msg(gentle, to_time(0)) for _ in range(4)]
+    driven.pass_time(PERIOD)
+    now = to_time(driven.clock.time_ns())
+    bad = [cycle_to_msg(GENTLE, now) for _ in range(4)]
     bad[0].joint_names = ["x", "y", "z"]
     bad[1].points[3].velocities[1] = float("nan")
     bad[2].points[-1].positions[0] = 0.004
     bad[3].points[5].time_from_start.nanosec = 1
-    stale, empty = (cycle_to_msg(gentle, to_time(stamp - 50 * MS)), JointTrajectory())
-    before, good = len(peer.setpoints), []
-    for three in ((*bad[:3],), (bad[3], stale, empty)):
-        for each in three:  # the queue holds five
-            if each in bad:
-                each.header.stamp = to_time(time.time_ns())
-            peer.cycles.publish(each)
-        good.append(peer.moved(gentle))
-    assert [nanoseconds(m.header.stamp) for m in peer.setpoints[before:]] == good
+    bad += [cycle_to_msg(GENTLE, to_time(stamp - 50 * MS)), JointTrajectory()]
+    for msg, why in zip(
+        bad,
+        ("joints are ['x', 'y', 'z']", "not finite", "does not close", "times must be finite",
+         "is older than the last", "joints are []"),
+        strict=True,
+    ):  # fmt: skip
+        assert why in driven.send_bytes(serialize_message(msg))
+    good = driven.send(GENTLE)
+    driven.pass_time(PERIOD)
+    assert driven.stamps()[2:] == [stamp, good]
+    assert driven.send(GENTLE) == driven.stamps()[-1]
 
-    # What happened is in the diagnostics.
-    def totals():
-        return [{v.key: v.value for v in r.status[0].values} for r in peer.reports]
-
-    assert peer.until(lambda: any(r["refused"] == "6" and r["cycles"] == "5" for r in totals()))
-    assert totals()[-1]["scaled"] == "1"
-    assert any(float(r["worst_limit_fraction"]) > 5 for r in totals())
-    assert peer.until(lambda: len(peer.states) > 0)
-    assert peer.states[-1].name == motors.joint_names
-
-    # It rests before it ends.
-    stamp = peer.moved(gentle)
-    code, output = peer.end(signal.SIGINT)
-    assert code == 0, output
-    assert at_rest(peer.answer(stamp, count=2))
-    assert "Traceback" not in output
-    assert "cycle refused: " in output
-    assert "cycle scaled by" in output
+    # What happened is in the diagnostics, and what is commanded in motor_states.
+    driven.pass_time(1.0)
+    totals = driven.values()
+    assert [totals[-1][key] for key in ("cycles", "refused", "scaled")] == ["5", "6", "1"]
+    assert any(float(report["worst_limit_fraction"]) > 5 for report in totals)
+    assert driven.said["motor_states"][-1].name == motors.joint_names
 
 
-@pytest.mark.parametrize("peer", [["hold_cycles:=2"]], indirect=True)
-def test_foreign_cycle_and_silence(peer, rig):
-    peer.connect()
+def test_a_plate_rests_before_the_driver_ends(driven):
+    stamp = driven.send(GENTLE)
+    driven.close()
+    assert driven.stamps() == [stamp, stamp]
+    assert at_rest(driven.setpoints[-1])
+
+
+def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
+    driven = make("hold_cycles:=2")
     t = np.arange(24) * PERIOD / 24
     pose = 0.001 * np.column_stack([np.cos(2 * np.pi * t / PERIOD)] * 3)
-    stamp = peer.moved(PlateCycle.from_samples(PERIOD, pose))
-    applied = msg_to_motors(rig, peer.answer(stamp))
+    driven.send(PlateCycle.from_samples(PERIOD, pose))
+    applied = msg_to_motors(rig, driven.setpoints[-1])
     assert applied.starts_at_rest
     assert applied.period == pytest.approx(3 * PERIOD)
     # No more cycles: the plate rests by itself, and the driver says so; nothing is sent for it.
-    assert peer.until(lambda: peer.level() == DiagnosticStatus.STALE)
-    assert peer.reports[-1].status[0].message.startswith("no plate_cycle for ")
-    assert len(peer.setpoints) == 1
-    # What came while the driver stood still moves nothing, however young it is.
-    peer.process.send_signal(signal.SIGSTOP)
-    peer.until(lambda: False, STANDSTILL_S + 0.1)
-    peer.send(shaking(0.0005))
-    peer.process.send_signal(signal.SIGCONT)
-    refused = "cycle refused: plate_cycle answers an image from before the driver itself stood"
-    assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
-    # What is too old moves nothing, nor what a task asked for that has ended, nor what a second
-    # node sends; a plate at rest may be asked for at any time.
-    peer.send(shaking(0.0005), time.time_ns() - 700 * MS)
-    assert peer.until(lambda: peer.value("refused") == "2")
-    asked = time.time_ns()
-    peer.tasks.publish(TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED))
-    peer.until(lambda: False, 0.1)
-    peer.send(shaking(0.0005), asked)
-    assert peer.until(lambda: peer.value("refused") == "3")
-    rogue = rclpy.create_node("rogue", context=peer.context, namespace=NAMESPACE)
-    cycles = rogue.create_publisher(JointTrajectory, "plate_cycle", DATA)
-    assert peer.until(lambda: cycles.get_subscription_count() > 0)
-    cycles.publish(cycle_to_msg(shaking(0.0005), to_time(time.time_ns())))
-    assert peer.until(lambda: peer.value("refused") == "4")
-    peer.answer(peer.send(PlateCycle.rest(PERIOD)))
-    rogue.destroy_node()
-    assert peer.until(lambda: peer.node.count_publishers("plate_cycle") == 1)
-    assert all(map(at_rest, peer.setpoints[1:]))
-    # A signal while the plate moves: it rests before the driver ends.
-    stamp = peer.moved()
-    code, output = peer.end(signal.SIGTERM)
-    assert code == 0, output
-    assert "Traceback" not in output
-    assert "no plate_cycle for 0.6 s: the plate rests" in output
-    assert refused in output
-    assert at_rest(peer.answer(stamp, count=2))
+    silence = "no plate_cycle for 0.6 s: the plate rests"
+    driven.pass_time(0.59)
+    assert silence not in driven.log.lines
+    driven.pass_time(0.03)
+    assert driven.log.lines.count(silence) == 1
+    driven.pass_time(2.0)
+    assert driven.report.level == DiagnosticStatus.STALE
+    assert driven.report.message.startswith("no plate_cycle for ")
+    assert driven.values()[-1]["rests"] == "1"
+    assert len(driven.setpoints) == 1
 
 
-@pytest.mark.parametrize("peer", [["hold_cycles:=2", "use_sim_time:=true"]], indirect=True)
-def test_in_simulated_time_silence_is_simulated_too(peer):
-    peer.connect()
-    clock = peer.node.create_publisher(Clock, "/clock", DATA)
-    assert peer.until(lambda: clock.get_subscription_count() > 0)
-    peer.send(shaking(0.0005), SIMULATED)
-    peer.answer(SIMULATED)
-    count = len(peer.reports)
-    assert peer.until(lambda: len(peer.reports) > count + 1)
-    assert peer.value("rests") == "0"  # the plate waits: nothing has come for a second and more
-    clock.publish(Clock(clock=to_time(SIMULATED + 250 * MS)))
-    assert peer.until(lambda: peer.value("rests") == "1")
-    # The simulator starts again: its clock is put back, and the cycle sent before counts no more.
-    peer.send(shaking(0.0005), SIMULATED + 300 * MS)
-    peer.answer(SIMULATED + 300 * MS)
-    clock.publish(Clock(clock=to_time(300 * MS)))
-    assert peer.until(lambda: peer.value("rests") == "2")
+def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
+    driven.pass_time(0.1)
+    driven.clock.now += STANDSTILL_S
+    assert driven.send(GENTLE, driven.clock.time_ns() - 10 * MS) == driven.stamps()[-1]
+    driven.clock.now += STANDSTILL_S + 0.1  # stopped, or without a processor
+    why = refused(driven, GENTLE, driven.clock.time_ns() - 1)
+    assert why == "plate_cycle answers an image from before the driver itself stood still for 0.4 s"
+    driven.pass_time(0.3)
+    assert isinstance(driven.send(GENTLE), int)
 
 
-@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
-def test_lifecycle(peer):
-    assert peer.state() == "unconfigured"
-    assert peer.until(lambda: peer.told == ["unconfigured"])
-    assert peer.until(lambda: peer.level() == DiagnosticStatus.WARN)
-    assert peer.change("configure")
-    assert peer.state() == "inactive"
-    assert peer.until(lambda: peer.told[-1] == "inactive")
-    peer.connect(ready=False)
-    peer.send(shaking(0.0005))
-    assert not peer.until(lambda: peer.setpoints, seconds=0.3), "an inactive driver sends nothing"
-    assert peer.change("activate")
-    assert peer.until(lambda: peer.told[-1] == "ready")
-    stamp = peer.moved()
-    assert peer.change("deactivate")
-    assert at_rest(peer.answer(stamp, count=2))
-    assert peer.change("cleanup")
-    assert peer.state() == "unconfigured"
-    # A second life.
-    assert peer.change("configure")
-    assert peer.change("activate")
-    peer.connect()
-    stamp = peer.moved()
-    assert peer.change("shutdown")
-    assert at_rest(peer.answer(stamp, count=2))
-    code, output = peer.end()
-    assert code == 0, output
-    assert "Traceback" not in output
-
-
-def test_wrong_parameter_ends_the_process():
-    result = subprocess.run(
-        [*DRIVER, "--ros-args", "-p", "transport:=can"],
-        capture_output=True,
-        text=True,
-        timeout=15,
+def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
+    driven.pass_time(0.5)
+    old = driven.clock.time_ns() - 700 * MS
+    assert refused(driven, GENTLE, old).startswith(
+        "plate_cycle answers an image that is 0.70 s old"
     )
-    assert result.returncode == 2
-    assert result.stderr.endswith("error: transport is 'can', allowed: serial, sim\n")
-    assert "Traceback" not in result.stderr
+    # The end of the task is heard after the cycle that it had asked for, but was said before.
+    asked = driven.clock.time_ns()
+    data = serialize_message(
+        TaskStatus(header=Header(stamp=to_time(asked)), state=TaskStatus.ABORTED)
+    )
+    waiting = [(data, len(data), b"")]
+    [(_, take), cycles] = driven.node.heard
+    subscription = SimpleNamespace(take=lambda: waiting.pop() if waiting else None)
+    driven.node.heard = (subscription, take), cycles
+    assert refused(driven, GENTLE, asked) == "plate_cycle was asked for by a task that has ended"
+    # A plate at rest may be asked for at any time.
+    assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
+    assert at_rest(driven.setpoints[-1])
+    driven.pass_time(PERIOD)
+    assert isinstance(driven.send(GENTLE), int)
+
+
+def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
+    """Two publishers are two names, or else two that have sent something of late."""
+    others = [rclpy.create_node(name, namespace="/driven") for name in ("peer", "rogue")]
+    with contextlib.ExitStack() as stack:
+        for other in others:
+            stack.callback(other.destroy_node)
+        for other in others:
+            other.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        end = time.monotonic() + 60.0
+        while driven.node.count_publishers("/driven/plate_cycle") < 2:
+            assert time.monotonic() < end
+        assert refused(driven) == "2 nodes publish plate_cycle (peer, rogue), allowed: one"
+        assert isinstance(driven.send(PlateCycle.rest(PERIOD)), int)
+        assert at_rest(driven.setpoints[-1])
+    driven.pass_time(PERIOD)
+    assert isinstance(driven.send(GENTLE), int)
+    driven.pass_time(PERIOD)
+    assert refused(driven, source=b"another") == "2 nodes publish plate_cycle, allowed: one"
+    assert refused(driven) == "2 nodes publish plate_cycle, allowed: one"
+
+
+def test_in_simulated_time_silence_is_simulated_too(make):
+    driven = make("hold_cycles:=2", "use_sim_time:=true")
+    [heard] = [each.callback for each in driven.node.subscriptions if each.topic_name == "/clock"]
+
+    def rests() -> str:
+        driven.pass_time(1.0)
+        return driven.values()[-1]["rests"]
+
+    assert driven.send(GENTLE, SIMULATED) == SIMULATED
+    driven.pass_time(1.0)
+    assert rests() == "0"  # the plate waits: nothing has come for two seconds
+    heard(Clock(clock=to_time(SIMULATED + 190 * MS)))
+    assert rests() == "0"
+    heard(Clock(clock=to_time(SIMULATED + 250 * MS)))
+    assert rests() == "1"
+    # The simulator starts again: its clock is put back, and the cycle sent before counts no more.
+    assert driven.send(GENTLE, SIMULATED + 300 * MS) == SIMULATED + 300 * MS
+    heard(Clock(clock=to_time(300 * MS)))
+    assert rests() == "2"
+
+
+def change(driven: Driven, transition: str) -> bool:
+    request = ChangeState.Request()
+    request.transition.label = transition
+    return driven.call("change_state", request).success
+
+
+def test_lifecycle(make):
+    driven = make("autostart:=false", start=False)
+    driven.pass_time(1.0)
+    assert driven.told == ["unconfigured"]
+    assert driven.report.level == DiagnosticStatus.WARN
+    assert not driven.node.heard
+    data = serialize_message(cycle_to_msg(GENTLE, to_time(driven.clock.time_ns())))
+    for _ in range(2):  # and a second life
+        assert change(driven, "configure")
+        assert driven.told[-1] == "inactive"
+        driven.node.take_cycle(data, len(data))
+        assert not driven.setpoints, "an inactive driver sends nothing"
+        assert change(driven, "activate")
+        assert driven.told[-1] == "ready"
+        driven.pass_time(PERIOD)
+        stamp = driven.send(GENTLE)
+        assert change(driven, "deactivate")
+        assert driven.stamps() == [stamp, stamp]
+        assert at_rest(driven.setpoints.pop())
+        assert not at_rest(driven.setpoints.pop())
+        assert change(driven, "cleanup")
+        assert driven.told[-1] == "unconfigured"
+    assert change(driven, "configure")
+    assert change(driven, "activate")
+    stamp = driven.send(GENTLE)
+    assert change(driven, "shutdown")
+    assert driven.stamps() == [stamp, stamp]
+    assert at_rest(driven.setpoints[-1])
+
+
+def test_a_transition_that_does_not_fit_is_refused_and_ends_nothing(driven):
+    assert not change(driven, "activate")
+    assert not change(driven, "configure")
+    assert driven.call("get_state", GetState.Request()).current_state.label == "active"
+    assert driven.call("emergency_stop").success
 
 
 @pytest.mark.parametrize(
@@ -415,170 +350,352 @@ def test_wrong_parameters_are_refused_at_start(parameter, message):
         rclpy.shutdown()
 
 
-def test_services_stop_disable_and_enable(peer):
-    peer.connect()
-    stop, cut, home, calibrate = (
-        peer.node.create_client(Trigger, name)
-        for name in ("emergency_stop", "cut_power", "home", "calibrate")
-    )
-    enable = peer.node.create_client(SetBool, "enable")
-    assert peer.until(lambda: peer.told[-1:] == ["ready"])
-    off = SetBool.Request(data=False)
+def test_services_stop_disable_and_enable(driven):
+    assert driven.told[-1] == "ready"
     for call, state, reason in (
-        (lambda: peer.call(stop, Trigger.Request()), EMERGENCY, DriverStatus.EMERGENCY_STOP),
-        (lambda: peer.call(cut, Trigger.Request()), CUT, DriverStatus.POWER_CUT),
-        (lambda: peer.call(enable, off), OFF, DriverStatus.SWITCHED_OFF),
+        (lambda: driven.call("emergency_stop"), EMERGENCY, DriverStatus.EMERGENCY_STOP),
+        (lambda: driven.call("cut_power"), CUT, DriverStatus.POWER_CUT),
+        (lambda: driven.enable(False), OFF, DriverStatus.SWITCHED_OFF),
     ):
-        stamp = peer.moved()
+        stamp = driven.send(GENTLE)
         assert call().success
-        assert at_rest(peer.answer(stamp, count=2))
-        assert peer.until(lambda s=state: peer.told[-1] == s)
-        assert peer.statuses[-1].reason == reason
-        count = len(peer.setpoints)
-        peer.send(shaking(0.0005))
-        assert not peer.until(lambda n=count: len(peer.setpoints) > n, seconds=0.5)
+        assert driven.stamps()[-2:] == [stamp, stamp]
+        assert at_rest(driven.setpoints[-1])
+        assert driven.told[-1] == state
+        assert driven.said["driver_status"][-1].reason == reason
+        driven.pass_time(PERIOD)
+        assert refused(driven) == f"the driver is {state}"
         assert call().success  # once more does no harm
-        assert peer.told[-1] == state
-        assert peer.call(home, Trigger.Request()).success
-        assert peer.call(enable, SetBool.Request(data=True)).success
-        assert peer.until(lambda: peer.told[-1] == "ready")
-    answer = peer.call(calibrate, Trigger.Request())
+        assert driven.told[-1] == state
+        assert driven.call("home").success
+        assert driven.enable().success
+        assert driven.told[-1] == "ready"
+        driven.pass_time(PERIOD)
+    answer = driven.call("calibrate")
     assert (answer.success, answer.message[:19]) == (False, "calibration_file is")
-    peer.moved()
-    code, output = peer.end()
-    assert code == 0, output
-    assert "cycle refused: the driver is stopped: emergency stop; look at the rig" in output
+    assert isinstance(driven.send(GENTLE), int)
 
 
-@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
-def test_a_transition_that_does_not_fit_is_refused_and_ends_nothing(peer):
-    assert peer.change("configure")
-    assert peer.change("activate")
-    assert not peer.change("activate")
-    assert not peer.change("configure")
-    assert peer.state() == "active"
-    stop = peer.node.create_client(Trigger, "emergency_stop")
-    assert peer.call(stop, Trigger.Request()).success
-
-
-def test_the_command_line_stops_and_tells(peer):
-    peer.connect()
-
-    def plate(*words: str) -> tuple[int, str]:
-        code = "from plate_client.command import main; main()"
-        done = subprocess.run(
-            [sys.executable, "-c", code, *words, "--namespace", NAMESPACE],
-            capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
-        # On a busy machine Fast DDS may report on stderr that it tries the next port.
-        return done.returncode, done.stdout or done.stderr
-
-    assert plate("emergency_stop") == (0, EMERGENCY + "\n")
-    code, text = plate("state")
-    assert "\n  driver: " in text
-    assert (code, EMERGENCY in text) == (0, True)
-    assert plate("enable") == (0, "ready\n")
-    code, text = plate("stop")
-    assert (code, "no service stop: nodes here: driver, driver_safety" in text) == (1, True)
-
-
-def test_each_of_100_stops_at_once_is_answered(peer):
-    peer.connect()
-    stops = [
-        peer.node.create_client(Trigger, "emergency_stop", qos_profile=CALLS) for _ in range(100)
-    ]
-    assert all(peer.until(stop.service_is_ready) for stop in stops)
-    peer.until(lambda: False, 1.0)  # the driver gets to know them
-    answers = [stop.call_async(Trigger.Request()) for stop in stops]
-    assert peer.until(lambda: all(answer.done() for answer in answers))
-    assert {answer.result().message for answer in answers} == {EMERGENCY}
-
-
-def test_a_stop_latches_in_every_state(peer):
+def test_a_stop_latches_in_every_state(driven):
     """Without motors there is only the driver's own latch: nothing but enable opens it."""
-    peer.connect()
-    stop = peer.node.create_client(Trigger, "emergency_stop")
-    enable = peer.node.create_client(SetBool, "enable")
-    assert peer.call(stop, Trigger.Request()).success
-    assert peer.until(lambda: peer.told[-1] == EMERGENCY)
-    for change, word in (
+    assert driven.call("emergency_stop").success
+    assert driven.told[-1] == EMERGENCY
+    for transition, word in (
         ("deactivate", "inactive"), ("cleanup", "unconfigured"), ("configure", "inactive"),
     ):  # fmt: skip
-        assert peer.change(change)
-        told = f"{word}: emergency stop; look at the rig, then call enable"
-        assert peer.until(lambda told=told: peer.told[-1] == told)
-    assert peer.change("activate")
-    assert peer.until(lambda: peer.told[-1] == EMERGENCY)
-    assert "ready" not in peer.told[peer.told.index(EMERGENCY) :]
-    peer.send(shaking(0.0005))
-    assert not peer.until(lambda: peer.setpoints, seconds=0.5)
-    assert peer.level() == DiagnosticStatus.ERROR
+        assert change(driven, transition)
+        driven.pass_time(0.1)
+        assert driven.told[-1] == f"{word}: emergency stop; look at the rig, then call enable"
+    assert change(driven, "activate")
+    driven.pass_time(1.0)
+    assert driven.told[-1] == EMERGENCY
+    assert "ready" not in driven.told[driven.told.index(EMERGENCY) :]
+    assert refused(driven) == f"the driver is {EMERGENCY}"
+    assert driven.report.level == DiagnosticStatus.ERROR
     # A stop of an inactive and of an unconfigured driver, and what enable says there.
-    assert peer.call(enable, SetBool.Request(data=True)).success
-    for change, word in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
-        assert peer.change(change)
-        answer = peer.call(enable, SetBool.Request(data=True))
-        assert (answer.success, answer.message[: 14 + len(word)]) == (
-            False, f"the driver is {word}",
-        )  # fmt: skip
-        assert peer.call(stop, Trigger.Request()).success
-    assert peer.change("configure")
-    assert peer.change("activate")
-    assert peer.until(lambda: peer.told[-1] == EMERGENCY)
-    assert peer.call(enable, SetBool.Request(data=True)).success
-    assert peer.until(lambda: peer.told[-1] == "ready")
-    # A sign of life, twice a second.
-    count = len(peer.statuses)
-    assert peer.until(lambda: len(peer.statuses) >= count + 3)
+    assert driven.enable().success
+    for transition, word in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
+        assert change(driven, transition)
+        answer = driven.enable()
+        assert not answer.success
+        assert answer.message.startswith(f"the driver is {word}")
+        assert driven.call("emergency_stop").success
+    assert change(driven, "configure")
+    assert change(driven, "activate")
+    driven.pass_time(0.1)
+    assert driven.told[-1] == EMERGENCY
+    assert driven.enable().success
+    assert driven.told[-1] == "ready"
 
 
-def test_an_enable_without_a_stop_changes_nothing(peer):
+def test_a_sign_of_life_comes_twice_a_second(driven):
+    driven.pass_time(3.0)
+    times = [nanoseconds(msg.header.stamp) for msg in driven.said["driver_status"]]
+    assert driven.clock.time_ns() - 600 * MS < times[-1]
+    assert max(np.diff(times[1:])) < 600 * MS
+
+
+def test_an_enable_without_a_stop_changes_nothing(driven):
     """Another time of it would end a running task: it stands for a stop that was cleared."""
-    peer.connect()
-    assert peer.until(lambda: peer.told[-1:] == ["ready"])
-    first, before = len(peer.statuses) - 1, peer.statuses[-1].enabled_at
-    assert abs(nanoseconds(before) * 1e-9 - time.time()) < 600
-    enable = peer.node.create_client(SetBool, "enable")
-    answer = peer.call(enable, SetBool.Request(data=True))
+    driven.pass_time(1.0)
+    statuses = driven.said["driver_status"]
+    first, before = len(statuses) - 1, statuses[-1].enabled_at
+    assert abs(nanoseconds(before) - driven.clock.time_ns()) < 2000 * MS
+    answer = driven.enable()
     assert (answer.success, answer.message) == (True, "ready")
-    count = len(peer.statuses)
-    assert peer.until(lambda: len(peer.statuses) >= count + 2)
-    assert all(status.enabled_at == before for status in peer.statuses[first:])
-    stop = peer.node.create_client(Trigger, "emergency_stop")
-    assert peer.call(stop, Trigger.Request()).success
-    assert peer.call(enable, SetBool.Request(data=True)).success
-    ready = DriverStatus.READY
-    assert peer.until(
-        lambda: peer.statuses[-1].state == ready and peer.statuses[-1].enabled_at != before
-    )
-    stopped = next(s for s in peer.statuses if s.state == DriverStatus.STOPPED)
+    driven.pass_time(1.0)
+    assert len(statuses) >= first + 3
+    assert all(status.enabled_at == before for status in statuses[first:])
+    assert driven.call("emergency_stop").success
+    assert driven.enable().success
+    assert statuses[-1].state == DriverStatus.READY
+    assert nanoseconds(statuses[-1].enabled_at) > nanoseconds(before)
+    stopped = next(s for s in statuses if s.state == DriverStatus.STOPPED)
     assert (stopped.reason, stopped.text) == (DriverStatus.EMERGENCY_STOP, EMERGENCY)
     assert stopped.enabled_at == before
 
 
-def test_bytes_that_are_no_message_end_nothing(peer):
-    """As of a computer with other interfaces; one of the latched topic comes again and again."""
-    peer.connect()
-    status, cycle = TaskStatus(text="idle"), cycle_to_msg(shaking(0.0005), to_time(time.time_ns()))
-    for publisher, msg in ((peer.tasks, status), (peer.cycles, cycle)):
-        data = serialize_message(msg)
-        publisher.publish(data[: len(data) // 2])
-    assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
-    peer.moved()
-    stop = peer.node.create_client(Trigger, "emergency_stop")
-    assert peer.call(stop, Trigger.Request()).success
-    _, output = peer.end()
-    assert "cycle refused: JointTrajectory: " in output
-    assert "task_status: TaskStatus: " in output
+def test_bytes_that_are_no_message_end_nothing(driven):
+    """As of a computer with other interfaces."""
+    data = serialize_message(cycle_to_msg(GENTLE, to_time(driven.clock.time_ns())))
+    assert driven.send_bytes(data[: len(data) // 2]).startswith("JointTrajectory: ")
+    data = serialize_message(TaskStatus(text="idle"))
+    driven.node.take_task(data[: len(data) // 2], len(data) // 2, b"")
+    assert driven.log.lines[-1].startswith("task_status: TaskStatus: ")
+    assert isinstance(driven.send(GENTLE), int)
+    assert driven.call("emergency_stop").success
 
 
-def test_cycles_that_are_too_long_are_refused_unread(peer):
-    peer.connect()
-    msg = cycle_to_msg(shaking(0.0005), to_time(time.time_ns()))
+def test_cycles_that_are_too_long_are_refused_unread(driven):
+    msg = cycle_to_msg(GENTLE, to_time(driven.clock.time_ns()))
     msg.points = msg.points * 500
-    peer.cycles.publish(msg)
-    assert peer.until(lambda: peer.reports and peer.value("refused") == "1")
-    assert not peer.setpoints
+    why = driven.send_bytes(serialize_message(msg))
+    assert why == "plate_cycle: 24500 points, allowed: at most 2000"
+    assert isinstance(driven.send(GENTLE), int)
+
+
+# As a process of its own
+
+
+class Peer:
+    """A driver process and a node that listens to it."""
+
+    def __init__(self, file: Path, *parameters: str) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.setpoints: list[JointTrajectory] = []
+        self.states: list[JointState] = []
+        self.reports: list[DiagnosticArray] = []
+        for kind, topic, received in (
+            (JointTrajectory, "motor_setpoints", self.setpoints),
+            (JointState, "motor_states", self.states),
+            (DiagnosticArray, "diagnostics", self.reports),
+        ):
+            self.node.create_subscription(kind, topic, received.append, DATA)
+        self.told: list[str] = []  # without what is said again
+        self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
+        self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
+        self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
+        env = os.environ | {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONUNBUFFERED": "1",
+        }
+        arguments = [word for p in parameters for word in ("-p", p)]
+        command = [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments]
+        self._file = file
+        with file.open("w") as printed:
+            self.process = subprocess.Popen(command, env=env, stdout=printed, stderr=printed)
+
+    def _on_status(self, msg: DriverStatus) -> None:
+        if not self.told or self.told[-1] != msg.text:
+            self.told.append(msg.text)
+
+    @property
+    def output(self) -> str:
+        """All that the driver has printed."""
+        return self._file.read_text()
+
+    def seen(self, condition, seconds: float = 60.0) -> bool:
+        """Spin until the condition holds; False if it does not within so long."""
+        end = time.monotonic() + seconds
+        while not (holds := condition()) and time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+        return holds
+
+    def until(self, condition) -> None:
+        assert self.seen(condition), self.output
+
+    def send(self, cycle: PlateCycle = CALM) -> int:
+        """Send a cycle that answers an image of now; returns its stamp."""
+        stamp_ns = time.time_ns()
+        self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
+        return stamp_ns
+
+    def answers(self, stamp_ns: int) -> list[JointTrajectory]:
+        return [m for m in self.setpoints if nanoseconds(m.header.stamp) == stamp_ns]
+
+    def moved(self) -> int:
+        """Have the plate move, by a cycle for each new image as a solver does; returns the stamp
+        that was answered. What the driver hears late, or before it has noticed that it is ready, it
+        refuses, and before it knows this publisher it hears nothing."""
+        sent = []
+
+        def answered() -> bool:
+            sent.append(self.send())
+            return self.seen(lambda: any(map(self.answers, sent)), 1.0)
+
+        self.until(answered)
+        [stamp] = [each for each in sent if self.answers(each)][-1:]
+        assert not at_rest(self.answers(stamp)[-1])
+        return stamp
+
+    def rests(self, stamp_ns: int) -> None:
+        """Wait for the second answer to a stamp: rest."""
+        self.until(lambda: len(self.answers(stamp_ns)) > 1)
+        assert at_rest(self.answers(stamp_ns)[-1])
+
+    def client(self, kind, name: str, known):
+        """A client that the driver knows, since it has answered the request `known`, which does no
+        harm: an answer to one whose ear it does not know yet is lost."""
+        client = self.node.create_client(kind, name, qos_profile=CALLS)
+        self.until(client.service_is_ready)
+        self.until(lambda: self.seen(client.call_async(known).done, 1.0))
+        return client
+
+    def call(self, client, request):
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    @property
+    def level(self) -> bytes:
+        return self.reports[-1].status[0].level if self.reports else b""
+
+    def end(self, number: int) -> None:
+        """Signal the driver, which ends with code 0."""
+        self.process.send_signal(number)
+        assert self.process.wait(60) == 0, self.output
+        assert "Traceback" not in self.output
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(name="peer")
+def _peer(request, tmp_path):
+    peer = Peer(tmp_path / "output", *getattr(request, "param", ()))
+    yield peer
+    peer.close()
+
+
+# To start one takes a second, and ten on a busy computer: they come in few, long pieces.
+
+
+def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
+    # Bytes that are no message, as of a computer with other interfaces, end nothing: one of the
+    # latched topic comes again and again.
+    data = serialize_message(TaskStatus(text="idle"))
+    peer.tasks.publish(data[: len(data) // 2])
     peer.moved()
-    _, output = peer.end()
-    assert "cycle refused: plate_cycle: 24500 points, allowed: at most 2000" in output
+    data = serialize_message(cycle_to_msg(CALM, to_time(time.time_ns())))
+
+    def refused() -> bool:
+        peer.cycles.publish(data[: len(data) // 2])
+        return peer.seen(lambda: "cycle refused: JointTrajectory: " in peer.output, 1.0)
+
+    peer.until(refused)  # which is not told twice in two seconds
+    peer.until(lambda: "task_status: TaskStatus: " in peer.output)
+    peer.tasks.publish(TaskStatus(text="idle"))
+    peer.until(lambda: peer.states)
+    # Each of 100 stops at once is answered.
+    ask = Trigger.Request()
+    stops = [peer.client(Trigger, "emergency_stop", ask) for _ in range(100)]
+    answers = [stop.call_async(ask) for stop in stops]
+    peer.until(lambda: all(answer.done() for answer in answers))
+    assert {answer.result().message for answer in answers} == {EMERGENCY}
+    peer.until(lambda: peer.told[-1] == EMERGENCY)
+    enable = peer.client(SetBool, "enable", SetBool.Request(data=False))
+    assert peer.call(enable, SetBool.Request(data=True)).message == "ready"
+    peer.until(lambda: peer.told[-1] == "ready")
+    # So does the command line.
+    done = subprocess.run(
+        [sys.executable, "-c", PLATE, NAMESPACE, "emergency_stop", "state", "enable", "stop"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    stop, state, enabled, unknown = re.findall(r"(.*?)code (\d)\n", done.stdout, re.DOTALL)
+    assert stop == (f"{EMERGENCY}\n", "0")
+    assert (state[1], EMERGENCY in state[0], "\n  driver: " in state[0]) == ("0", True, True)
+    assert (enabled, unknown) == (("ready\n", "0"), ("", "1"))
+    [names] = re.findall(r"plate: no service stop: nodes here: (.*)", done.stderr)
+    assert set(names.split(", ")) <= {"driver", "driver_safety", "peer"}
+    peer.until(lambda: {"driver", "driver_safety"} <= set(peer.node.get_node_names()))
+    stamp = peer.moved()
+    peer.end(signal.SIGINT)
+    peer.rests(stamp)
+
+
+@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
+def test_a_process_is_managed_frozen_and_terminated(peer):
+    get = peer.client(GetState, "driver/get_state", GetState.Request())
+    wrong = ChangeState.Request()
+    wrong.transition.label = "deactivate"
+    changes = peer.client(ChangeState, "driver/change_state", wrong)
+
+    def change(transition: str) -> bool:
+        request = ChangeState.Request()
+        request.transition.label = transition
+        return peer.call(changes, request).success
+
+    def state() -> str:
+        return peer.call(get, GetState.Request()).current_state.label
+
+    assert state() == "unconfigured"
+    peer.until(lambda: peer.told == ["unconfigured"])
+    peer.until(lambda: peer.level == DiagnosticStatus.WARN)
+    assert change("configure")
+    assert state() == "inactive"
+    peer.until(lambda: peer.told[-1] == "inactive")
+    assert change("activate")
+    peer.until(lambda: peer.told[-1] == "ready")
+    assert not change("activate")
+    assert not change("configure")
+    assert state() == "active"
+    stamp = peer.moved()
+    # Nobody sends a cycle any more: it rests by itself, and says so.
+    peer.until(lambda: peer.level == DiagnosticStatus.STALE)
+    assert "no plate_cycle for 0.6 s: the plate rests" in peer.output
+    assert change("deactivate")
+    peer.rests(stamp)
+    assert change("cleanup")
+    assert state() == "unconfigured"
+    # A second life. What came while the driver stood still moves nothing, however young it is.
+    assert change("configure")
+    assert change("activate")
+    peer.moved()
+    stood = "cycle refused: plate_cycle answers an image from before the driver itself stood"
+
+    sent = []
+
+    def refused() -> bool:
+        peer.process.send_signal(signal.SIGSTOP)
+        time.sleep(STANDSTILL_S + 0.1)
+        sent.append(peer.send())
+        peer.process.send_signal(signal.SIGCONT)
+        return peer.seen(lambda: stood in peer.output, 1.0)
+
+    peer.until(refused)
+    stamp = peer.moved()
+    assert not any(map(peer.answers, sent))
+    peer.end(signal.SIGTERM)
+    peer.rests(stamp)
+
+
+def test_a_process_that_was_shut_down_rests_and_ends_well(peer):
+    stamp = peer.moved()
+    wrong = ChangeState.Request()
+    wrong.transition.label = "configure"
+    changes = peer.client(ChangeState, "driver/change_state", wrong)
+    request = ChangeState.Request()
+    request.transition.label = "shutdown"
+    assert peer.call(changes, request).success
+    peer.rests(stamp)
+    peer.end(signal.SIGINT)
+
+
+def test_wrong_parameter_ends_the_process():
+    result = subprocess.run(
+        [*DRIVER, "--ros-args", "-p", "transport:=can"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 2
+    assert result.stderr.endswith("error: transport is 'can', allowed: serial, sim\n")
+    assert "Traceback" not in result.stderr

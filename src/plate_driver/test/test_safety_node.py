@@ -6,12 +6,12 @@ import time
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
+from driven import TICK_S, Driven  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
 from plate_core.driver_status import DriverReason, DriverState  # noqa: E402
 from plate_core.ros import CALLS, start_nodes  # noqa: E402
-from plate_driver import node as driver_module  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.safety.node import ENABLING, LATE, SILENT  # noqa: E402
 from plate_driver.setpoints import MAX_KNOTS  # noqa: E402
@@ -21,13 +21,25 @@ from plate_driver.transports import Condition, Measured, Order, Report  # noqa: 
 FOREVER_S = 3600.0
 """Orders of this transport are waited for so long, if nobody bounds that."""
 
+IN_TIME_S = 0.5
+"""Each call is answered within so long."""
+
 
 class Withheld:
-    """Motors whose controller answers nothing until the test has it settle an order."""
+    """Motors whose controller answers nothing until the test has it settle an order.
+
+    Parameters
+    ----------
+    clock : callable
+        [s].
+    order : callable
+        Makes an order of the longest time to wait for it [s].
+    """
 
     motors, calibrates, max_knots, hold_s = True, False, MAX_KNOTS, 2.0
 
-    def __init__(self) -> None:
+    def __init__(self, clock=time.monotonic, order=Order) -> None:
+        self._clock, self._order = clock, order
         self.told, self.telemetry = Report(Condition.OFF), True
         self.stops, self.enables, self.closed = [], [], 0
 
@@ -35,7 +47,7 @@ class Withheld:
         self.stops = []
 
     def poll(self) -> list[Measured]:
-        now = time.monotonic()
+        now = self._clock()
         return [Measured(now, now, 0, (0.0,) * 4, (0.0,) * 4)] if self.telemetry else []
 
     def report(self) -> Report:
@@ -45,15 +57,15 @@ class Withheld:
         raise AssertionError("nobody sends anything here")
 
     def stop(self, cut=False) -> Order:
-        self.stops.append(Order(FOREVER_S))
+        self.stops.append(self._order(FOREVER_S))
         return self.stops[-1]
 
     def enable(self) -> Order:
-        self.enables.append(Order(FOREVER_S))
+        self.enables.append(self._order(FOREVER_S))
         return self.enables[-1]
 
     def home(self) -> Order:
-        return Order(FOREVER_S)
+        return self._order(FOREVER_S)
 
     def troubles(self) -> list[str]:
         return []
@@ -65,45 +77,32 @@ class Withheld:
         self.closed += 1
 
 
-class Desk:
-    """A driver with such motors in this process, and a node that calls its services."""
+class Desk(Driven):
+    """A driver with such motors, in the test's time: while it waits for an order, time passes."""
 
     def __init__(self, monkeypatch) -> None:
-        self.motors = Withheld()
-        monkeypatch.setattr(driver_module, "make_transport", lambda name, context: self.motors)
-        namespace = f"/safety_test_{os.getpid()}"
-        rclpy.init(args=["--ros-args", "-r", f"__ns:={namespace}"])
-        self.driver = DriverNode()
-        self.node = rclpy.create_node("caller")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
+        class TimedOrder(Order):
+            def wait(order, longest_s=None):
+                self.pass_time(max(TICK_S, order.longest_s if longest_s is None else longest_s))
+                return order.done
 
-    def clients(self, kind, name: str, count: int):
-        """Clients that the driver knows: each of them has been answered once."""
-        made = [self.node.create_client(kind, name, qos_profile=CALLS) for _ in range(count)]
-        assert all(client.wait_for_service(20) for client in made)
-        return made
+        self.motors = Withheld(lambda: self.clock.now, TimedOrder)
+        monkeypatch.setattr("plate_driver.node.make_transport", lambda name, context: self.motors)
+        monkeypatch.setattr("plate_driver.transports.thread.Order", TimedOrder)
+        super().__init__(monkeypatch, start=False)
 
-    def until(self, condition, seconds: float = 60.0) -> bool:
-        end = time.monotonic() + seconds
-        while not condition() and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-        return condition()
+    def call(self, name, request=None):
+        began = self.clock.now
+        answer = super().call(name, request)
+        assert self.clock.now - began < IN_TIME_S
+        return answer
 
-    def call(self, client, request):
-        """Call, again where the answer was lost since the driver did not know this client yet."""
-        for _ in range(5):
-            future = client.call_async(request)
-            if self.until(future.done, 10.0):
-                return future.result()
-        pytest.fail(f"no answer of {client.service_name}")
+    def go_silent(self) -> None:
+        self.motors.told, self.motors.telemetry = Report(Condition.GONE, text="no word"), False
 
     def close(self) -> None:
         self.motors.told = Report(Condition.OFF)
-        self.driver.destroy_node()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown()
+        super().close()
 
 
 @pytest.fixture(name="desk")
@@ -114,93 +113,120 @@ def _desk(monkeypatch):
 
 
 def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(desk):
-    motors, driver = desk.motors, desk.driver
-    start_nodes(driver)
-    motors.told, motors.telemetry = Report(Condition.GONE, text="no word"), False
-    [stop] = desk.clients(Trigger, "emergency_stop", 1)
-    answer = desk.call(stop, Trigger.Request())
+    start_nodes(desk.node)
+    desk.go_silent()
+    answer = desk.call("emergency_stop")
     assert (answer.success, answer.message) == (False, UNANSWERED)
-    assert (driver.status.text, driver.status.reason) == (UNCERTAIN, DriverReason.STOP_UNANSWERED)
-    motors.stops[-1].settle()  # what becomes of it is told
-    assert driver.status.text == "error: no word"
+    status = desk.node.status
+    assert (status.text, status.reason) == (UNCERTAIN, DriverReason.STOP_UNANSWERED)
+    desk.motors.stops[-1].settle()  # what becomes of it is told
+    assert desk.node.status.text == "error: no word"
     # Telemetry shows it: an acknowledgement is not needed.
-    motors.told, motors.telemetry = Report(Condition.OFF), True
-    answer = desk.call(stop, Trigger.Request())
+    desk.motors.told, desk.motors.telemetry = Report(Condition.OFF), True
+    answer = desk.call("emergency_stop")
     assert answer.success, answer.message
     assert answer.message.startswith("stopped: emergency stop")
-    assert not motors.stops[-1].settled
+    assert not desk.motors.stops[-1].settled
 
 
 def test_an_enable_is_answered_before_the_motors_are_ready(desk):
-    motors, driver = desk.motors, desk.driver
-    start_nodes(driver)
-    [enable], [home] = desk.clients(SetBool, "enable", 1), desk.clients(Trigger, "home", 1)
-    answer = desk.call(home, Trigger.Request())
+    start_nodes(desk.node)
+    answer = desk.call("home")
     assert (answer.success, answer.message) == (False, SILENT)
-    answer = desk.call(enable, SetBool.Request(data=True))
+    answer = desk.enable()
     assert (answer.success, answer.message) == (True, ENABLING)
-    motors.told = Report(Condition.ENABLING)
-    assert desk.until(lambda: driver.status.state is DriverState.ENABLING)
-    for order in motors.enables:
+    desk.motors.told = Report(Condition.ENABLING)
+    desk.pass_time(0.1)
+    assert desk.node.status.state is DriverState.ENABLING
+    for order in desk.motors.enables:
         order.settle()
-    motors.told = Report(Condition.READY)
-    assert desk.until(lambda: driver.status.state is DriverState.READY)
+    desk.motors.told = Report(Condition.READY)
+    desk.pass_time(0.1)
+    assert desk.node.status.state is DriverState.READY
 
 
 def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(desk):
-    motors, driver = desk.motors, desk.driver
-    start_nodes(driver)
-    [enable, disable] = desk.clients(SetBool, "enable", 2)
-    [home] = desk.clients(Trigger, "home", 1)
-    for client, request in (
-        (enable, SetBool.Request(data=True)), (home, Trigger.Request()),
-    ):  # fmt: skip
-        driver._safety._standstill._looked -= 5.0
-        answer = desk.call(client, request)
+    start_nodes(desk.node)
+    for ask in (desk.enable, lambda: desk.call("home")):
+        desk.clock.now += 5.0
+        answer = ask()
         assert (answer.success, answer.message) == (False, LATE)
-    assert not motors.enables
-    driver._safety._standstill._looked -= 5.0
-    desk.call(disable, SetBool.Request(data=False))
-    assert motors.stops
-    assert desk.until(lambda: not driver._safety._standstill.is_late(time.monotonic()))
-    assert desk.call(enable, SetBool.Request(data=True)).success
-
-
-def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(desk):
-    motors, driver = desk.motors, desk.driver
-    start_nodes(driver)
-    motors.told, motors.telemetry = Report(Condition.GONE, text="no word"), False
-    enables = desk.clients(SetBool, "enable", 50)
-    stops = desk.clients(Trigger, "emergency_stop", 50)
-    for client, request in (
-        (enables[0], SetBool.Request(data=True)),
-        (stops[0], Trigger.Request()),
-    ):
-        desk.call(client, request)
-    desk.until(lambda: False, 1.0)  # the driver gets to know the others
-    asked = [client.call_async(SetBool.Request(data=True)) for client in enables]
-    asked += [client.call_async(Trigger.Request()) for client in stops]
-    assert desk.until(lambda: all(future.done() for future in asked))
-    assert {future.result().message for future in asked[50:]} == {UNANSWERED}
-    assert len(motors.stops) >= 51
+    assert not desk.motors.enables
+    desk.clock.now += 5.0
+    desk.enable(False)
+    assert desk.motors.stops
+    desk.pass_time(1.0)
+    assert desk.enable().success
 
 
 def test_a_stop_of_an_unconfigured_driver_is_tried_until_it_is_acknowledged(desk):
-    motors, driver = desk.motors, desk.driver
-    motors.told, motors.telemetry = Report(Condition.GONE, text="no word"), False
-    [stop] = desk.clients(Trigger, "emergency_stop", 1)
+    desk.go_silent()
     for _ in range(2):  # by the same transport
-        answer = desk.call(stop, Trigger.Request())
+        answer = desk.call("emergency_stop")
         assert (answer.success, answer.message) == (False, UNANSWERED)
+    motors = desk.motors
     assert (len(motors.stops), motors.closed) == (2, 0)
-    assert driver.status.reason is DriverReason.STOP_UNANSWERED
+    assert desk.node.status.reason is DriverReason.STOP_UNANSWERED
     for order in motors.stops:
         order.settle()
-    assert desk.until(lambda: motors.closed == 1)
-    assert driver.status.reason is DriverReason.EMERGENCY_STOP
-    # One that is still tried when the driver is configured makes room for it.
-    desk.call(stop, Trigger.Request())
+    end = time.monotonic() + 60.0
+    while not motors.closed and time.monotonic() < end:
+        time.sleep(0.01)
     assert motors.closed == 1
-    start_nodes(driver)
+    assert desk.node.status.reason is DriverReason.EMERGENCY_STOP
+    # One that is still tried when the driver is configured makes room for it.
+    desk.call("emergency_stop")
+    assert motors.closed == 1
+    start_nodes(desk.node)
     assert motors.closed == 2
-    assert driver.status.state is not DriverState.READY
+    assert desk.node.status.state is not DriverState.READY
+
+
+# In true time, with the threads of the node
+
+
+def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(monkeypatch):
+    motors = Withheld()
+    monkeypatch.setattr("plate_driver.node.make_transport", lambda name, context: motors)
+    rclpy.init(args=["--ros-args", "-r", f"__ns:=/safety_test_{os.getpid()}"])
+    driver, node, executor = DriverNode(), rclpy.create_node("caller"), SingleThreadedExecutor()
+    executor.add_node(node)
+    start_nodes(driver)
+    motors.told, motors.telemetry = Report(Condition.GONE, text="no word"), False
+    calls = [
+        (node.create_client(kind, name, qos_profile=CALLS), request)
+        for kind, name, request in (
+            (SetBool, "enable", SetBool.Request(data=True)),
+            (Trigger, "emergency_stop", Trigger.Request()),
+        )
+        for _ in range(50)
+    ]
+
+    def answered(asked, seconds=60.0):
+        end = time.monotonic() + seconds
+        while not (done := all(future.done() for future in asked)) and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.02)
+        return done
+
+    def ask(calls):
+        return [client.call_async(request) for client, request in calls]
+
+    try:
+        assert all(client.wait_for_service(60) for client, _ in calls)
+        unknown = calls  # by the driver, that is, not answered yet: such an answer may be lost
+        for _ in range(20):
+            asked = ask(unknown)
+            answered(asked, 3.0)
+            unknown = [call for call, done in zip(unknown, asked, strict=True) if not done.done()]
+            if not unknown:
+                break
+        before, asked = len(motors.stops), ask(calls)
+        assert answered(asked)
+        assert {future.result().message for future in asked[50:]} == {UNANSWERED}
+        assert len(motors.stops) >= before + 50
+    finally:
+        motors.told = Report(Condition.OFF)
+        driver.destroy_node()
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown()

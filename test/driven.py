@@ -1,0 +1,161 @@
+"""The driver's node in the process of a test that is its clock and its executor: nothing waits."""
+
+import threading
+import time
+from collections import defaultdict
+from types import SimpleNamespace
+
+import rclpy
+from rclpy.clock import ClockType
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
+from rclpy.time import Time
+from std_srvs.srv import SetBool, Trigger
+
+from plate_core.ros import cycle_to_msg, nanoseconds, start_nodes, to_time
+from plate_driver.node import DriverNode
+from plate_driver.transports import TransportThread
+
+TICK_S = 0.01
+"""All periods of the driver's timers are multiples of it."""
+
+EPOCH_NS = 1_700_000_000_000_000_000
+
+
+class Clock:
+    """Time of the test: the steady one in place of the module `time` [s], and that of images."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def monotonic(self):
+        return self.now
+
+    def time_ns(self):
+        return EPOCH_NS + round(1e9 * self.now)
+
+    def sleep(self, seconds):
+        if threading.current_thread() is threading.main_thread():
+            self.now += seconds
+        else:
+            time.sleep(seconds)
+
+
+class Log:
+    """Each line that a node logs, also those that are too many for the console."""
+
+    def __init__(self):
+        self.lines = []
+        self.error = self.warning = self.info = self.debug = self._line
+
+    def _line(self, text, **_):
+        self.lines.append(text)
+
+
+class Driven:
+    """A driver, what it has said, and what others ask of it.
+
+    Parameters
+    ----------
+    monkeypatch
+    parameters : str
+        Of the node, each `name:=value`; with `use_sim_time:=true` the clock of images is ROS's.
+    start : bool
+        Whether it is configured and activated.
+    """
+
+    def __init__(self, monkeypatch, *parameters, start=True):
+        self.clock, self.log, self.said, self._ticks = Clock(), Log(), defaultdict(list), 0
+        for module in (
+            "plate_core.ros.diagnostics", "plate_driver.node", "plate_driver.safety.node",
+            "plate_driver.transports.thread",
+        ):  # fmt: skip
+            monkeypatch.setattr(f"{module}.time", self.clock)
+        monkeypatch.setattr(TransportThread, "start", lambda _: None)  # `pass_time` polls
+        publish = Publisher.publish
+
+        def heard(publisher, msg):
+            self.said[publisher.topic_name.rsplit("/", 1)[1]].append(msg)
+            publish(publisher, msg)
+
+        monkeypatch.setattr(Publisher, "publish", heard)
+        words = ["--ros-args", "-r", "__ns:=/driven"]
+        rclpy.init(args=words + [word for each in parameters for word in ("-p", each)])
+        self.node = DriverNode()
+        self.node.get_logger = lambda: self.log
+        if "use_sim_time:=true" not in parameters:
+            self.node.get_clock = lambda: SimpleNamespace(now=self._now)
+        if start:
+            start_nodes(self.node)
+
+    def _now(self):
+        return Time(nanoseconds=self.clock.time_ns(), clock_type=ClockType.ROS_TIME)
+
+    def pass_time(self, seconds):
+        """Let so much time pass, and the node do what it does by the clock."""
+        for _ in range(round(seconds / TICK_S)):
+            self.clock.now += TICK_S
+            self._ticks += 1
+            for transport in filter(None, (self.node.transport, self.node._lent)):
+                transport.poll()
+            for timer in [*self.node.timers, *self.node._safety.node.timers]:
+                if self._ticks % round(timer.timer_period_ns * 1e-9 / TICK_S) == 0:
+                    timer.callback()
+
+    # What it is sent and asked
+
+    def send(self, cycle, stamp_ns=None, source=b"solver"):
+        """Hand it a cycle that answers an image, of now if not said otherwise; returns its stamp,
+        or why it was refused."""
+        stamp_ns = self.clock.time_ns() if stamp_ns is None else stamp_ns
+        why = self.send_bytes(serialize_message(cycle_to_msg(cycle, to_time(stamp_ns))), source)
+        return why or stamp_ns
+
+    def send_bytes(self, data, source=b"solver"):
+        """Hand it bytes as a cycle; returns why they were refused."""
+        lines, answers = len(self.log.lines), len(self.setpoints)
+        self.node.take_cycle(data, len(data), source)
+        why = [line for line in self.log.lines[lines:] if line.startswith("cycle refused: ")]
+        assert len(why) == 1 - len(self.setpoints[answers:])  # one or the other
+        return why[0].removeprefix("cycle refused: ") if why else ""
+
+    def call(self, name, request=None):
+        """Call a service of it; returns the answer."""
+        services = [*self.node.services, *self.node._safety.node.services]
+        [service] = [each for each in services if each.srv_name.split("/")[-1] == name]
+        answer = service.callback(request or Trigger.Request(), service.srv_type.Response())
+        self.node._safety.publish_status()
+        return answer
+
+    def enable(self, on=True):
+        return self.call("enable", SetBool.Request(data=on))
+
+    # What it says
+
+    @property
+    def setpoints(self):
+        return self.said["motor_setpoints"]
+
+    def stamps(self):
+        return [nanoseconds(msg.header.stamp) for msg in self.setpoints]
+
+    @property
+    def told(self):
+        """Texts of driver_status, each but once in a row."""
+        told = []
+        for text in [msg.text for msg in self.said["driver_status"]]:
+            told += [text] if told[-1:] != [text] else []
+        return told
+
+    @property
+    def report(self):
+        """The last diagnostics."""
+        return self.said["diagnostics"][-1].status[0]
+
+    def values(self):
+        """What each of the diagnostics tells, name to value."""
+        return [{v.key: v.value for v in msg.status[0].values} for msg in self.said["diagnostics"]]
+
+    def close(self):
+        self.node.destroy_node()
+        rclpy.try_shutdown()
