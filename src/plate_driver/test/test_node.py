@@ -20,6 +20,7 @@ from plate_core.motion import motor_state
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from driven import Driven  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
@@ -280,10 +281,12 @@ def test_in_simulated_time_silence_is_simulated_too(make):
     assert rests() == "2"
 
 
-def change(driven: Driven, transition: str) -> bool:
-    request = ChangeState.Request()
-    request.transition.label = transition
-    return driven.call("change_state", request).success
+def transition(label: str) -> ChangeState.Request:
+    return ChangeState.Request(transition=Transition(label=label))
+
+
+def change(driven: Driven, label: str) -> bool:
+    return driven.call("change_state", transition(label)).success
 
 
 def test_lifecycle(make):
@@ -380,10 +383,10 @@ def test_a_stop_latches_in_every_state(driven):
     """Without motors there is only the driver's own latch: nothing but enable opens it."""
     assert driven.call("emergency_stop").success
     assert driven.told[-1] == EMERGENCY
-    for transition, word in (
+    for label, word in (
         ("deactivate", "inactive"), ("cleanup", "unconfigured"), ("configure", "inactive"),
     ):  # fmt: skip
-        assert change(driven, transition)
+        assert change(driven, label)
         driven.pass_time(0.1)
         assert driven.told[-1] == f"{word}: emergency stop; look at the rig, then call enable"
     assert change(driven, "activate")
@@ -394,8 +397,8 @@ def test_a_stop_latches_in_every_state(driven):
     assert driven.report.level == DiagnosticStatus.ERROR
     # A stop of an inactive and of an unconfigured driver, and what enable says there.
     assert driven.enable().success
-    for transition, word in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
-        assert change(driven, transition)
+    for label, word in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
+        assert change(driven, label)
         answer = driven.enable()
         assert not answer.success
         assert answer.message.startswith(f"the driver is {word}")
@@ -508,42 +511,54 @@ class Peer:
     def until(self, condition) -> None:
         assert self.seen(condition), self.output
 
-    def send(self, cycle: PlateCycle = CALM) -> int:
+    def send(self) -> int:
         """Send a cycle that answers an image of now; returns its stamp."""
         stamp_ns = time.time_ns()
-        self.cycles.publish(cycle_to_msg(cycle, to_time(stamp_ns)))
+        self.cycles.publish(cycle_to_msg(CALM, to_time(stamp_ns)))
         return stamp_ns
 
-    def answers(self, stamp_ns: int) -> list[JointTrajectory]:
-        return [m for m in self.setpoints if nanoseconds(m.header.stamp) == stamp_ns]
-
-    def moved(self) -> int:
-        """Have the plate move, by a cycle for each new image as a solver does; returns the stamp
-        that was answered. What the driver hears late, or before it has noticed that it is ready, it
-        refuses, and before it knows this publisher it hears nothing."""
-        sent = []
+    def moved(self) -> None:
+        """Have the plate move, by a cycle for each new image as a solver does. What the driver
+        hears late, or before it has noticed that it is ready, it refuses, and before it knows this
+        publisher it hears nothing."""
+        sent, before = [], len(self.setpoints)
 
         def answered() -> bool:
             sent.append(self.send())
-            return self.seen(lambda: any(map(self.answers, sent)), 1.0)
+            return self.seen(lambda: len(self.setpoints) > before, 1.0)
 
         self.until(answered)
-        [stamp] = [each for each in sent if self.answers(each)][-1:]
-        assert not at_rest(self.answers(stamp)[-1])
-        return stamp
+        assert nanoseconds(self.setpoints[-1].header.stamp) in sent
+        assert not at_rest(self.setpoints[-1])
 
-    def rests(self, stamp_ns: int) -> None:
-        """Wait for the second answer to a stamp: rest."""
-        self.until(lambda: len(self.answers(stamp_ns)) > 1)
-        assert at_rest(self.answers(stamp_ns)[-1])
+    def rests(self) -> None:
+        """Wait until the plate does, which has moved: the cycle of this stamp is over."""
+        self.until(lambda: at_rest(self.setpoints[-1]))
+        moved, rests = self.setpoints[-2:]
+        assert not at_rest(moved)
+        assert moved.header.stamp == rests.header.stamp
 
-    def client(self, kind, name: str, known):
-        """A client that the driver knows, since it has answered the request `known`, which does no
-        harm: an answer to one whose ear it does not know yet is lost."""
-        client = self.node.create_client(kind, name, qos_profile=CALLS)
-        self.until(client.service_is_ready)
-        self.until(lambda: self.seen(client.call_async(known).done, 1.0))
-        return client
+    def clients(self, kind, name: str, known, count: int = 1):
+        """Clients that the driver knows, since it has answered each the request `known`, which does
+        no harm: answers to one that it does not know yet are lost."""
+        made = [self.node.create_client(kind, name, qos_profile=CALLS) for _ in range(count)]
+        self.until(lambda: all(client.service_is_ready() for client in made))
+        unknown = made
+
+        def all_known() -> bool:
+            nonlocal unknown
+            asked = {client: client.call_async(known) for client in unknown}
+            self.seen(lambda: all(future.done() for future in asked.values()), 1.0)
+            unknown = [client for client, future in asked.items() if not future.done()]
+            return not unknown
+
+        self.until(all_known)
+        return made
+
+    def changes(self, unfit: str):
+        """Return what has the driver do a transition; `unfit` is none that it has now."""
+        [client] = self.clients(ChangeState, "driver/change_state", transition(unfit))
+        return lambda label: self.call(client, transition(label)).success
 
     def call(self, client, request):
         future = client.call_async(request)
@@ -596,12 +611,12 @@ def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
     peer.until(lambda: peer.states)
     # Each of 100 stops at once is answered.
     ask = Trigger.Request()
-    stops = [peer.client(Trigger, "emergency_stop", ask) for _ in range(100)]
+    stops = peer.clients(Trigger, "emergency_stop", ask, 100)
     answers = [stop.call_async(ask) for stop in stops]
     peer.until(lambda: all(answer.done() for answer in answers))
     assert {answer.result().message for answer in answers} == {EMERGENCY}
     peer.until(lambda: peer.told[-1] == EMERGENCY)
-    enable = peer.client(SetBool, "enable", SetBool.Request(data=False))
+    [enable] = peer.clients(SetBool, "enable", SetBool.Request(data=False))
     assert peer.call(enable, SetBool.Request(data=True)).message == "ready"
     peer.until(lambda: peer.told[-1] == "ready")
     # So does the command line.
@@ -616,22 +631,15 @@ def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
     [names] = re.findall(r"plate: no service stop: nodes here: (.*)", done.stderr)
     assert set(names.split(", ")) <= {"driver", "driver_safety", "peer"}
     peer.until(lambda: {"driver", "driver_safety"} <= set(peer.node.get_node_names()))
-    stamp = peer.moved()
+    peer.moved()
     peer.end(signal.SIGINT)
-    peer.rests(stamp)
+    peer.rests()
 
 
 @pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
 def test_a_process_is_managed_frozen_and_terminated(peer):
-    get = peer.client(GetState, "driver/get_state", GetState.Request())
-    wrong = ChangeState.Request()
-    wrong.transition.label = "deactivate"
-    changes = peer.client(ChangeState, "driver/change_state", wrong)
-
-    def change(transition: str) -> bool:
-        request = ChangeState.Request()
-        request.transition.label = transition
-        return peer.call(changes, request).success
+    [get] = peer.clients(GetState, "driver/get_state", GetState.Request())
+    change = peer.changes("deactivate")
 
     def state() -> str:
         return peer.call(get, GetState.Request()).current_state.label
@@ -647,12 +655,12 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert not change("activate")
     assert not change("configure")
     assert state() == "active"
-    stamp = peer.moved()
+    peer.moved()
     # Nobody sends a cycle any more: it rests by itself, and says so.
     peer.until(lambda: peer.level == DiagnosticStatus.STALE)
     assert "no plate_cycle for 0.6 s: the plate rests" in peer.output
     assert change("deactivate")
-    peer.rests(stamp)
+    peer.rests()
     assert change("cleanup")
     assert state() == "unconfigured"
     # A second life. What came while the driver stood still moves nothing, however young it is.
@@ -660,7 +668,6 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
     assert change("activate")
     peer.moved()
     stood = "cycle refused: plate_cycle answers an image from before the driver itself stood"
-
     sent = []
 
     def refused() -> bool:
@@ -671,21 +678,16 @@ def test_a_process_is_managed_frozen_and_terminated(peer):
         return peer.seen(lambda: stood in peer.output, 1.0)
 
     peer.until(refused)
-    stamp = peer.moved()
-    assert not any(map(peer.answers, sent))
+    peer.moved()
+    assert not {nanoseconds(msg.header.stamp) for msg in peer.setpoints} & set(sent)
     peer.end(signal.SIGTERM)
-    peer.rests(stamp)
+    peer.rests()
 
 
 def test_a_process_that_was_shut_down_rests_and_ends_well(peer):
-    stamp = peer.moved()
-    wrong = ChangeState.Request()
-    wrong.transition.label = "configure"
-    changes = peer.client(ChangeState, "driver/change_state", wrong)
-    request = ChangeState.Request()
-    request.transition.label = "shutdown"
-    assert peer.call(changes, request).success
-    peer.rests(stamp)
+    peer.moved()
+    assert peer.changes("configure")("shutdown")
+    peer.rests()
     peer.end(signal.SIGINT)
 
 
