@@ -159,3 +159,28 @@ class Driven:
     def close(self):
         self.node.destroy_node()
         rclpy.try_shutdown()
+
+
+def answered_once(calls, wait):
+    """Call each client, and again those without an answer: answers to a client that the server does
+    not know yet are lost, and no other.
+
+    Parameters
+    ----------
+    calls : list
+        Clients and their requests.
+    wait : callable
+        Waits until a condition holds, at most so long [s]; returns whether it does.
+    """
+    asked = [[] for _ in calls]
+
+    def silent(futures):
+        return not any(future.done() for future in futures)
+
+    for _ in range(20):
+        for (client, request), futures in zip(calls, asked, strict=True):
+            if silent(futures):
+                futures.append(client.call_async(request))
+        if wait(lambda: not any(map(silent, asked)), 3.0):
+            return True
+    return False

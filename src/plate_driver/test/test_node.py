@@ -19,7 +19,7 @@ from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from driven import Driven  # noqa: E402
+from driven import Driven, answered_once  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
@@ -539,20 +539,10 @@ class Peer:
         assert moved.header.stamp == rests.header.stamp
 
     def clients(self, kind, name: str, known, count: int = 1):
-        """Clients that the driver knows, since it has answered each the request `known`, which does
-        no harm: answers to one that it does not know yet are lost."""
+        """Clients that the driver has answered the request `known`, which does no harm."""
         made = [self.node.create_client(kind, name, qos_profile=CALLS) for _ in range(count)]
         self.until(lambda: all(client.service_is_ready() for client in made))
-        unknown = made
-
-        def all_known() -> bool:
-            nonlocal unknown
-            asked = {client: client.call_async(known) for client in unknown}
-            self.seen(lambda: all(future.done() for future in asked.values()), 1.0)
-            unknown = [client for client, future in asked.items() if not future.done()]
-            return not unknown
-
-        self.until(all_known)
+        assert answered_once([(client, known) for client in made], self.seen), self.output
         return made
 
     def changes(self, unfit: str):

@@ -6,7 +6,7 @@ import time
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
-from driven import TICK_S, Driven  # noqa: E402
+from driven import TICK_S, Driven, answered_once  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 
@@ -202,26 +202,18 @@ def test_a_stop_is_answered_behind_50_enables_and_each_of_50_stops_too(monkeypat
         for _ in range(50)
     ]
 
-    def answered(asked, seconds=60.0):
+    def seen(condition, seconds=60.0):
         end = time.monotonic() + seconds
-        while not (done := all(future.done() for future in asked)) and time.monotonic() < end:
+        while not (holds := condition()) and time.monotonic() < end:
             executor.spin_once(timeout_sec=0.02)
-        return done
-
-    def ask(calls):
-        return [client.call_async(request) for client, request in calls]
+        return holds
 
     try:
         assert all(client.wait_for_service(60) for client, _ in calls)
-        unknown = calls  # by the driver, that is, not answered yet: such an answer may be lost
-        for _ in range(20):
-            asked = ask(unknown)
-            answered(asked, 3.0)
-            unknown = [call for call, done in zip(unknown, asked, strict=True) if not done.done()]
-            if not unknown:
-                break
-        before, asked = len(motors.stops), ask(calls)
-        assert answered(asked)
+        assert answered_once(calls, seen)
+        before = len(motors.stops)
+        asked = [client.call_async(request) for client, request in calls]
+        assert seen(lambda: all(future.done() for future in asked))
         assert {future.result().message for future in asked[50:]} == {UNANSWERED}
         assert len(motors.stops) >= before + 50
     finally:
