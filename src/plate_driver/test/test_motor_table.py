@@ -1,11 +1,14 @@
 """prepare(): the whole way of a cycle through the driver; and the order of stamps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.motion import motor_state, plate_state
+from plate_driver.setpoints import motor_table
 from plate_driver.setpoints.motor_table import (
     MAX_KNOTS,
     RESTART_NS,
@@ -55,6 +58,23 @@ def test_motors_that_spline_by_themselves_keep_the_limits_too(size):
         assert np.max(np.abs(spline.derivative()(t))) <= RIG.limits.speed * (1 + 1e-3)
         ours = motor_state(RIG, table.cycle.pose(t), table.cycle.twist(t), table.cycle.accel(t))[0]
         np.testing.assert_allclose(spline(t), ours, atol=2e-5)
+
+
+def test_the_last_look_does_not_trust_the_scaling(monkeypatch):
+    def wrong(rig, cycle, load):
+        return replace(fit(rig, cycle, load), cycle=cycle)
+
+    fit = motor_table.fit
+    monkeypatch.setattr(motor_table, "fit", wrong)
+    with pytest.raises(CycleError, match=r"motor_1: travel is .* m, allowed: 0\.01 m"):
+        prepare(RIG, foreign(0.1), 1)
+
+
+def test_a_table_may_be_sent_until_it_is_too_old():
+    table = replace(MotorTable.rest(RIG, 0.05, 7), until=5.0)
+    table.check_age(5.0)
+    with pytest.raises(CycleError, match=r"was 0\.01 s too late to be sent"):
+        table.check_age(5.01)
 
 
 def test_scaled_from_rest_is_still_from_rest():

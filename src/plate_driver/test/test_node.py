@@ -117,8 +117,8 @@ def _driven(make):
     return make()
 
 
-def refused(driven: Driven, cycle: PlateCycle = GENTLE, *args, **kwargs) -> str:
-    why = driven.send(cycle, *args, **kwargs)
+def refused(driven: Driven, stamp_ns: int | None = None, source: bytes = b"solver") -> str:
+    why = driven.send(GENTLE, stamp_ns, source)
     assert isinstance(why, str), "it was answered"
     return why
 
@@ -210,18 +210,34 @@ def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
     driven.clock.now += STANDSTILL_S
     assert driven.send(GENTLE, driven.clock.time_ns() - 10 * MS) == driven.stamps()[-1]
     driven.clock.now += STANDSTILL_S + 0.1  # stopped, or without a processor
-    why = refused(driven, GENTLE, driven.clock.time_ns() - 1)
+    why = refused(driven, driven.clock.time_ns() - 1)
     assert why == "plate_cycle answers an image from before the driver itself stood still for 0.4 s"
     driven.pass_time(0.3)
     assert isinstance(driven.send(GENTLE), int)
 
 
+def test_a_table_that_has_become_too_old_on_its_way_is_not_sent(driven):
+    """Where the process is held up: for the transport, and within it."""
+    driven.pass_time(0.5)
+    thread = driven.node.transport
+    for held_up in (thread, thread._transport):
+        send = held_up.send
+
+        def late(*args, send=send):
+            driven.clock.now += 0.5
+            send(*args)
+
+        held_up.send = late
+        assert refused(driven) == "its motor table was 0.12 s too late to be sent"
+        held_up.send = send
+        driven.pass_time(0.5)
+        assert isinstance(driven.send(GENTLE), int)
+
+
 def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     driven.pass_time(0.5)
     old = driven.clock.time_ns() - 700 * MS
-    assert refused(driven, GENTLE, old).startswith(
-        "plate_cycle answers an image that is 0.70 s old"
-    )
+    assert refused(driven, old).startswith("plate_cycle answers an image that is 0.70 s old")
     # The end of the task is heard after the cycle that it had asked for, but was said before.
     asked = driven.clock.time_ns()
     data = serialize_message(
@@ -231,7 +247,7 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
     [(_, take), cycles] = driven.node.heard
     subscription = SimpleNamespace(take=lambda: waiting.pop() if waiting else None)
     driven.node.heard = (subscription, take), cycles
-    assert refused(driven, GENTLE, asked) == "plate_cycle was asked for by a task that has ended"
+    assert refused(driven, asked) == "plate_cycle was asked for by a task that has ended"
     # A plate at rest may be asked for at any time.
     assert driven.send(PlateCycle.rest(PERIOD), asked) == asked
     assert at_rest(driven.setpoints[-1])

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -44,6 +45,13 @@ def test_a_table_made_before_a_stop_is_not_sent_after_it():
         thread.send(TABLE, 1, number)  # of before
     thread.send(TABLE, 1, latch.number)
     assert len(sent) == 2
+
+
+def test_a_table_that_is_too_old_is_not_sent():
+    thread, latch, sent = kept()
+    with pytest.raises(CycleError, match="too late to be sent"):
+        thread.send(replace(TABLE, until=time.monotonic() - 0.01), 1, latch.number)
+    assert not sent
 
 
 def test_an_enable_opens_only_the_stop_it_was_given_for():
