@@ -41,7 +41,7 @@ class Withheld:
     def __init__(self, clock=time.monotonic, order=Order) -> None:
         self._clock, self._order = clock, order
         self.told, self.telemetry = Report(Condition.OFF), True
-        self.stops, self.enables, self.closed = [], [], 0
+        self.stops, self.cuts, self.enables, self.closed = [], [], [], 0
 
     def open(self) -> None:
         self.stops = []
@@ -57,6 +57,7 @@ class Withheld:
         raise AssertionError("nobody sends anything here")
 
     def stop(self, cut=False) -> Order:
+        self.cuts.append(cut)
         self.stops.append(self._order(FOREVER_S))
         return self.stops[-1]
 
@@ -143,6 +144,8 @@ def test_an_enable_is_answered_before_the_motors_are_ready(desk):
     desk.motors.told = Report(Condition.READY)
     desk.pass_time(0.1)
     assert desk.node.status.state is DriverState.READY
+    answer = desk.call("home")  # with current
+    assert (answer.success, answer.message[:28]) == (False, "the driver is ready, allowed")
 
 
 def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(desk):
@@ -157,6 +160,37 @@ def test_what_was_asked_while_the_driver_stood_still_is_refused_but_for_stops(de
     assert desk.motors.stops
     desk.pass_time(1.0)
     assert desk.enable().success
+
+
+def test_each_stop_reaches_the_motors_and_the_gravest_reason_is_told(desk):
+    start_nodes(desk.node)
+    stop, cut, off = DriverReason.EMERGENCY_STOP, DriverReason.POWER_CUT, DriverReason.SWITCHED_OFF
+    for ask, cuts, reason in (
+        (lambda: desk.enable(False), False, off),
+        (lambda: desk.call("emergency_stop"), False, stop),
+        (lambda: desk.enable(False), False, stop),
+        (lambda: desk.call("cut_power"), True, cut),
+        (lambda: desk.call("emergency_stop"), False, cut),
+    ):
+        before = len(desk.motors.cuts)
+        assert ask().success
+        assert desk.motors.cuts[before:] == [cuts]
+        assert desk.node.latch.reason is reason
+
+
+def test_what_a_stop_opens_while_the_driver_ends_is_closed(desk):
+    safety = desk.node._safety
+    close = safety.close
+
+    def stop_and_close():
+        safety.close = close
+        desk.call("emergency_stop")
+        close()
+
+    safety.close = stop_and_close
+    desk.go_silent()
+    desk.node.close()
+    assert (len(desk.motors.stops), desk.motors.closed) == (2, 1)  # to close is to stop too
 
 
 def test_a_stop_of_an_unconfigured_driver_is_tried_until_it_is_acknowledged(desk):
