@@ -389,7 +389,8 @@ def test_services_stop_disable_and_enable(driven):
         assert driven.call("home").success
         assert driven.enable().success
         assert driven.told[-1] == "ready"
-        driven.pass_time(PERIOD)
+        driven.pass_time(1.1)
+        assert driven.values()[-1]["rests"] == "0"  # it was a stop, not silence
     answer = driven.call("calibrate")
     assert (answer.success, answer.message[:19]) == (False, "calibration_file is")
     assert isinstance(driven.send(GENTLE), int)
