@@ -257,18 +257,24 @@ def test_what_is_too_old_or_of_a_task_that_has_ended_moves_nothing(driven):
 
 def test_where_two_nodes_send_cycles_neither_moves_the_plate(driven):
     """Two publishers are two names, or else two that have sent something of late."""
-    others = [rclpy.create_node(name, namespace="/driven") for name in ("peer", "rogue")]
-    with contextlib.ExitStack() as stack:
-        for other in others:
-            stack.callback(other.destroy_node)
-        for other in others:
-            other.create_publisher(JointTrajectory, "plate_cycle", DATA)
+
+    def wait_for(rivals: str) -> None:
         end = time.monotonic() + 60.0
-        while driven.node.count_publishers("/driven/plate_cycle") < 2:
+        while driven.node.rivals("plate_cycle") != rivals:
             assert time.monotonic() < end
-        assert refused(driven) == "2 nodes publish plate_cycle (peer, rogue), allowed: one"
-        assert isinstance(driven.send(PlateCycle.rest(PERIOD)), int)
-        assert at_rest(driven.setpoints[-1])
+            time.sleep(0.01)
+
+    others = [rclpy.create_node(name, namespace="/driven") for name in ("peer", "rogue")]
+    for other in others:
+        other.create_publisher(JointTrajectory, "plate_cycle", DATA)
+    two = "2 nodes publish plate_cycle (peer, rogue), allowed: one"
+    wait_for(two)
+    assert refused(driven) == two
+    assert isinstance(driven.send(PlateCycle.rest(PERIOD)), int)
+    assert at_rest(driven.setpoints[-1])
+    for other in others:
+        other.destroy_node()
+    wait_for("")
     driven.pass_time(PERIOD)
     assert isinstance(driven.send(GENTLE), int)
     driven.pass_time(PERIOD)
