@@ -27,8 +27,11 @@ def frame(packet: bytes) -> bytes:
     if not 0 < len(packet) <= MAX_PACKET - CRC_BYTES:
         raise FrameError(f"packet has {len(packet)} bytes, allowed: 1 to {MAX_PACKET - CRC_BYTES}")
     whole = packet + zlib.crc32(packet).to_bytes(CRC_BYTES, "little")
-    blocks = (bytes([len(block) + 1]) + block for block in whole.split(b"\0"))
-    return b"".join(blocks) + b"\0"
+    coded, at = bytearray(b"\0" + whole + b"\0"), 0
+    while (after := coded.find(END, at + 1)) > 0:
+        coded[at] = after - at
+        at = after
+    return bytes(coded)
 
 
 def unframe(encoded: bytes) -> bytes:
@@ -43,16 +46,16 @@ def unframe(encoded: bytes) -> bytes:
         raise FrameError(
             f"frame has {len(encoded)} bytes, allowed: {CRC_BYTES + 2} to {MAX_PACKET + 1}"
         )
-    blocks, at = [], 0
+    if END in encoded:
+        raise FrameError(f"frame has its end within, at byte {encoded.index(END)}")
+    decoded, at = bytearray(encoded), 0
     while at < len(encoded):
-        after = at + encoded[at]
-        block = encoded[at + 1 : after]
-        if after > len(encoded) or encoded[at] == END or END in block:
-            raise FrameError(f"frame is no COBS at byte {at}")
-        blocks.append(block)
-        at = after
-    whole = b"\0".join(blocks)
-    packet, crc = whole[:-CRC_BYTES], int.from_bytes(whole[-CRC_BYTES:], "little")
+        decoded[at] = 0
+        at += encoded[at]
+    if at > len(encoded):
+        raise FrameError(f"frame's last block ends {at - len(encoded)} bytes after it")
+    packet = bytes(decoded[1:-CRC_BYTES])
+    crc = int.from_bytes(decoded[-CRC_BYTES:], "little")
     if zlib.crc32(packet) != crc:
         raise FrameError(f"frame's CRC is {crc:#010x}, its bytes give {zlib.crc32(packet):#010x}")
     return packet

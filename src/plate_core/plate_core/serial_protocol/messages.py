@@ -295,34 +295,32 @@ def parse(packet: bytes) -> Packet:
     return Packet(sequence, Knots(table, first, knots))
 
 
-def _layout(kind: Any) -> struct.Struct:
-    coded = [f.metadata for f in fields(kind) if f.metadata]
-    return struct.Struct("<" + "".join(m["code"] * m["count"] for m in coded))
-
-
-LAYOUTS: dict[type, struct.Struct] = {kind: _layout(kind) for kind in (*CODES, Knot)}
+FIELDS = {kind: [f for f in fields(kind) if f.metadata] for kind in (*CODES, Knot)}
+LAYOUTS = {
+    kind: struct.Struct("<" + "".join(f.metadata["code"] * f.metadata["count"] for f in coded))
+    for kind, coded in FIELDS.items()
+}
 
 
 def _values(item: Any) -> bytes:
     values: list[Any] = []
-    for f in fields(item):
-        if f.metadata:
-            value = getattr(item, f.name)
-            values += value if f.metadata["count"] > 1 else [value]
+    for f in FIELDS[type(item)]:
+        value = getattr(item, f.name)
+        values += value if f.metadata["count"] > 1 else [value]
     return LAYOUTS[type(item)].pack(*values)
 
 
 def _read(kind: Any, body: bytes) -> Any:
     if len(body) != LAYOUTS[kind].size:
         raise FrameError(f"{kind.__name__} has {len(body)} bytes, allowed: {LAYOUTS[kind].size}")
-    raw = list(LAYOUTS[kind].unpack(body))
-    if not all(isfinite(value) for value in raw):
+    raw = LAYOUTS[kind].unpack(body)
+    if not all(map(isfinite, raw)):
         raise FrameError(f"{kind.__name__} has a value that is not finite")
     values: list[Any] = []
-    for f in fields(kind):
+    for f in FIELDS[kind]:
         count = f.metadata["count"]
         taken, raw = raw[:count], raw[count:]
-        values.append(tuple(taken) if count > 1 else _allowed(kind, f, taken[0]))
+        values.append(taken if count > 1 else _allowed(kind, f, taken[0]))
     return kind(*values)
 
 
