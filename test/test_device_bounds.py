@@ -120,12 +120,12 @@ def short_table(rng: np.random.Generator, number: int) -> bytes:
 def test_ten_thousand_hostile_packets(device):
     rng = np.random.default_rng(23)
     orders: list[bytes | float | str] = []
-    for trial in range(50):
+    for trial in range(25):
         stop = BOOT + trial
         orders += ["reset"] if trial else []
         orders += [HELLO, say(101, Enable(stop)), *HOMEWARD, upload(1, wave(0.009), 110), UPLOAD_S]
         number = 200
-        for _ in range(20):
+        for _ in range(40):
             packets = []
             for _ in range(10):
                 number += int(rng.integers(0, 3))

@@ -82,7 +82,6 @@ class Host:
     Parameters
     ----------
     board : EmulatedBoard
-        In real time, or stepped from tick to tick.
     pace : int
         Bytes that the line brings in a tick: 92 are 921,600 baud.
     """
@@ -96,7 +95,6 @@ class Host:
         self._ticks = self._beat_at = 0
         self.telemetry: list[Telemetry] = []
         self.answers: dict[int, Status] = {}
-        self.sent = 0
         self.tick()
 
     @property
@@ -109,7 +107,6 @@ class Host:
         size = min(self._pace, self.board.room()) if self.waiting else 0
         now, self.waiting = self.waiting[:size], self.waiting[size:]
         self._ticks += 1
-        self.sent += len(now)
         self._reader, packets = self._reader.fed(self.board.tick(now))
         for message in (parse(packet).message for packet in packets):
             if isinstance(message, Telemetry):

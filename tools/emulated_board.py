@@ -22,10 +22,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
-import serial
 import yaml
 
 BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405"
@@ -144,45 +143,63 @@ class Record:
 
 
 class EmulatedBoard:
-    """The board in QEMU, in real time as far as the machine can. Use it as a context; `port` is its
-    line: a pseudo-terminal's path."""
+    """The board in QEMU, tick by tick: nothing depends on how busy the machine is.
 
-    _options: ClassVar[tuple[str, ...]] = ("-icount", f"shift={ICOUNT_SHIFT}")
+    A debugger stops it when it has nothing to do until the next tick: QEMU then lets time jump to
+    that. Bytes are put into the ring of those that came, as if the line had brought them since the
+    tick before: QEMU's own line has no pace. Use it as a context.
 
-    def __init__(self, elf: Path, folder: Path, logs: bool = False) -> None:
+    Parameters
+    ----------
+    elf, folder : Path
+        What it runs, and where its files are meanwhile.
+    logs : bool
+        Whether it keeps what is written to units that QEMU does not model.
+    idle : str
+        Name of the place where a tick ends.
+    """
+
+    def __init__(self, elf: Path, folder: Path, logs: bool = False, idle: str = "idle") -> None:
         self.names = symbols(elf)
-        self._logs = logs
-        self._line: serial.Serial | None = None
+        self._logs, self._idle = logs, self.names[idle]
         self._elf = elf
         self._folder = Path(tempfile.mkdtemp(dir=folder))
-        self._control = self._folder / "qmp"
-        self.port = ""
 
     def __enter__(self) -> Self:
+        control, line, gdb = (self._folder / name for name in ("qmp", "line", "gdb"))
         command = [
             "qemu-system-arm", "-M", "netduinoplus2", "-nodefaults", "-display", "none",
-            "-kernel", str(self._elf), *self._options,
-            "-chardev", self._chardev(), "-serial", "chardev:line",
-            "-qmp", f"unix:{self._control},server=on,wait=off",
+            "-kernel", str(self._elf), "-icount", f"shift={ICOUNT_SHIFT},sleep=off", "-S",
+            "-chardev", f"socket,id=line,path={line},server=on,wait=off", "-serial", "chardev:line",
+            "-qmp", f"unix:{control},server=on,wait=off",
         ]  # fmt: skip
         if self._logs:
             command += ["-d", "unimp", "-D", str(self._folder / "log")]
         self._machine = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        self._qmp = _connected(self._control, self._machine)
-        self._heard = b""
+        self._qmp = _connected(control, self._machine)
+        self._heard = self._said = b""
+        self._events: set[str | None] = set()
         self._answer()
         self.order("qmp_capabilities")
-        [line] = [c for c in self.order("query-chardev") if c["label"] == "line"]
-        self.port = line["filename"].removeprefix("pty:")
+        self._line = _connected(line, self._machine)
+        self._line.setblocking(False)
+        while "disconnected" in str(self.order("query-chardev")):
+            time.sleep(1e-3)
+        self.order("human-monitor-command", **{
+            "command-line": f"gdbserver unix:{gdb},server=on,wait=off"
+        })  # fmt: skip
+        self._debugger = Debugger(
+            _connected(gdb, self._machine), [self._line, self._qmp], self._listen
+        )
+        self._debugger.stop_at(self._idle)
+        self._debugger.go()
         return self
 
-    def _chardev(self) -> str:
-        return "pty,id=line"
-
     def __exit__(self, *_: object) -> None:
-        self.unplug()
+        self._line.close()
+        self._debugger.close()
         self._qmp.close()
         self._machine.terminate()
         self._machine.wait(10)
@@ -207,7 +224,9 @@ class EmulatedBoard:
                 raise RuntimeError("QEMU has closed the line for orders")
             self._heard += data
         line, _, self._heard = self._heard.partition(b"\n")
-        return dict(json.loads(line))
+        answer = dict(json.loads(line))
+        self._events.add(answer.get("event"))
+        return answer
 
     def memory(self, name: str, size: int) -> bytes:
         """Return the bytes of a variable of the firmware."""
@@ -220,31 +239,65 @@ class EmulatedBoard:
         return Record.of_bytes(self.memory("record", RECORD.size))
 
     def reset(self) -> None:
-        """Reset the chip; its memory keeps what it held."""
+        """Reset the chip, and let it start; its memory keeps what it held."""
+        self._events.clear()
         self.order("system_reset")
+        while "RESET" not in self._events:
+            self._answer()
+        self._debugger.go()
 
     def tick(self, data: bytes = b"") -> bytes:
-        """Write to the line, let a millisecond pass, and return what has been said."""
-        if self._line is None:
-            self._line = serial.Serial(self.port, 921_600, timeout=0, exclusive=True)
-        said = b""
-        while data:
-            with contextlib.suppress(BlockingIOError):
-                data = data[os.write(self._line.fileno(), data) :]
-            time.sleep(1e-3)
-            said += self._line.read(65_536)
-        time.sleep(1e-3)
-        return said + self._line.read(65_536)
+        """Let one tick pass, which finds these bytes come, `room` at most; returns answers."""
+        if data:
+            self._come(data)
+        self._debugger.step()  # it would not leave the address where it has stopped
+        self._debugger.go()
+        self._listen()
+        said, self._said = self._said, b""
+        return said
+
+    def _listen(self) -> None:
+        """Read what the board says, and QEMU of each stop: it waits if nobody reads."""
+        while select.select([self._qmp], [], [], 0)[0] and self._qmp.recv(65_536):
+            pass
+        with contextlib.suppress(BlockingIOError):
+            while data := self._line.recv(65_536):
+                self._said += data
+
+    def jump(self, address: int) -> None:
+        """Have the processor go on from an address, sound or not."""
+        self._debugger.jump(address)
+        self.walk(1000)
+
+    def walk(self, instructions: int) -> None:
+        """Let so many instructions pass, and no interrupt."""
+        for _ in range(instructions):
+            self._debugger.step()
+        self._listen()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes on QEMU's line, which has no pace: they come when the board takes them."""
+        self._line.setblocking(True)
+        self._line.sendall(data)
+        self._line.setblocking(False)
 
     def room(self) -> int:
-        """How many bytes the line takes: QEMU keeps what the board has no room for."""
-        return RING_BYTES
+        """How many bytes the board can be brought before it has read."""
+        came, read = struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
+        return RING_BYTES - (came - read) % 2**32
 
-    def unplug(self) -> None:
-        """Take the cable out; the next tick puts it in again."""
-        if self._line is not None:
-            self._line.close()
-            self._line = None
+    def _come(self, data: bytes) -> None:
+        ring, came = self.names["received"], self._count("received")
+        place = came % RING_BYTES
+        first = data[: RING_BYTES - place]
+        self._debugger.write(ring + 8 + place, first)
+        if first != data:
+            self._debugger.write(ring + 8, data[len(first) :])
+        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
+
+    def _count(self, name: str) -> int:
+        """Return a variable's first word."""
+        return int.from_bytes(self._debugger.read(self.names[name], 4), "little")
 
     def written(self) -> list[tuple[str, int, int]]:
         """Return what was written to units that QEMU does not model, if it keeps a log: the
@@ -257,81 +310,6 @@ class EmulatedBoard:
         sets = [v for unit, at, v in self.written() if (unit, at) == ("GPIOB", BSRR)]
         sets = [v for v in sets if v & (ENABLE_HIGH | ENABLE_LOW)]
         return bool(sets) and sets[-1] == ENABLE_HIGH
-
-
-class SteppedBoard(EmulatedBoard):
-    """The board in QEMU, tick by tick: nothing depends on how busy the machine is.
-
-    A debugger stops it when it has nothing to do until the next tick: QEMU then lets time jump to
-    that. Bytes are put into the ring of those that came, as if the line had brought them since the
-    tick before: QEMU's own line has no pace.
-    """
-
-    _options = ("-icount", f"shift={ICOUNT_SHIFT},sleep=off", "-S")
-
-    def _chardev(self) -> str:
-        return f"socket,id=line,path={self._folder / 'line'},server=on,wait=off"
-
-    def __enter__(self) -> Self:
-        super().__enter__()
-        self._out = _connected(self._folder / "line", self._machine)
-        self._out.setblocking(False)
-        while "disconnected" in str(self.order("query-chardev")):
-            time.sleep(1e-3)
-        gdb = self._folder / "gdb"
-        self.order("human-monitor-command", **{
-            "command-line": f"gdbserver unix:{gdb},server=on,wait=off"
-        })  # fmt: skip
-        self._said = b""
-        self._debugger = Debugger(
-            _connected(gdb, self._machine), [self._out, self._qmp], self._listen
-        )
-        self._debugger.stop_at(self.names["idle"])
-        self._debugger.go()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._out.close()
-        self._debugger.close()
-        super().__exit__()
-
-    def tick(self, data: bytes = b"") -> bytes:
-        """Let one tick pass, which finds these bytes come, `room` at most; returns answers."""
-        if data:
-            self._come(data)
-        self._debugger.go()
-        self._listen()
-        said, self._said = self._said, b""
-        return said
-
-    def _listen(self) -> None:
-        """Read what the board says, and QEMU of each stop: it waits if nobody reads."""
-        while select.select([self._qmp], [], [], 0)[0] and self._qmp.recv(65_536):
-            pass
-        with contextlib.suppress(BlockingIOError):
-            while data := self._out.recv(65_536):
-                self._said += data
-
-    def jump(self, address: int) -> None:
-        """Have the processor go on from an address, sound or not, for 10 ms."""
-        self._debugger.jump(address)
-        self.order("cont")
-        time.sleep(0.01)
-
-    def room(self) -> int:
-        """How many bytes the board can be brought before it has read."""
-        came, read = struct.unpack("<2I", self._debugger.read(self.names["received"], 8))
-        return RING_BYTES - (came - read) % 2**32
-
-    def _come(self, data: bytes) -> None:
-        ring = self.names["received"]
-        came = int.from_bytes(self._debugger.read(ring, 4), "little")
-        place = came % RING_BYTES
-        first = data[: RING_BYTES - place]
-        self._debugger.write(ring + 8 + place, first)
-        if first != data:
-            self._debugger.write(ring + 8, data[len(first) :])
-        self._debugger.write(ring, struct.pack("<I", (came + len(data)) % 2**32))
 
 
 class Debugger:
@@ -364,11 +342,17 @@ class Debugger:
 
     def go(self) -> None:
         """Let the machine run until it stops again."""
-        for order in (b"s", b"c"):  # it would not leave the address where it has stopped
-            self._send(order)
-            answer = self._answer()
-            if answer[:3] not in (b"T05", b"S05"):
-                raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
+        self._run(b"c")
+
+    def step(self) -> None:
+        """Let one instruction pass."""
+        self._run(b"s")
+
+    def _run(self, order: bytes) -> None:
+        self._send(order)
+        answer = self._answer()
+        if answer[:3] not in (b"T05", b"S05"):
+            raise RuntimeError(f"debugger: the machine has stopped: {answer!r}")
 
     def jump(self, address: int) -> None:
         """Set the program counter."""

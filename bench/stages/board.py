@@ -12,7 +12,7 @@ from harness import ROOT, Result, Table
 sys.path.append(str(ROOT / "tools"))
 
 from board_host import Host, Ticks, attacked, committed
-from emulated_board import NEEDS, SteppedBoard, built, unfollowed
+from emulated_board import NEEDS, EmulatedBoard, built, unfollowed
 from needs import packages, program
 
 from plate_core import PlateError
@@ -73,7 +73,7 @@ COLUMNS = {
 def commit_rows(elf: Path, folder: Path, pieces: tuple[int, ...]) -> list[dict[str, Any]]:
     """One board, and a table of each size."""
     rows = []
-    with SteppedBoard(elf, folder) as board:
+    with EmulatedBoard(elf, folder) as board:
         host = Host(board)
         host.begin()
         host.enable()
@@ -85,7 +85,7 @@ def commit_rows(elf: Path, folder: Path, pieces: tuple[int, ...]) -> list[dict[s
 
 def attack_row(elf: Path, folder: Path, pace: int, packets: int) -> dict[str, Any]:
     """A board under attack, by a line of some speed."""
-    with SteppedBoard(elf, folder) as board:
+    with EmulatedBoard(elf, folder) as board:
         host = Host(board, pace)
         host.begin()
         host.enable()
