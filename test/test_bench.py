@@ -46,10 +46,10 @@ def tiny(tmp_path_factory):
     scenario.write_text(yaml.safe_dump(TINY), encoding="utf-8")
 
     def rows(*place):
-        done = bench(
-            "closed_loop.py", "--scenario", scenario, "--seeds", "3:5", *place, "--json", file
-        )
-        assert done.returncode == 0, done.stderr
+        words = [*map(str, ("--scenario", scenario, "--seeds", "3:5", *place, "--json", file))]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "argv", ["closed_loop", *words])
+            assert closed_loop.main() == 0
         return json.loads(file.read_text(encoding="utf-8"))
 
     return rows

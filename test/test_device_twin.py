@@ -190,7 +190,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     statuses: set[Status] = set()
     faults = Fault.NONE
     count = pulses = 0
-    for trial in range(60):
+    for trial in range(30):
         orders = ordered(*drawn_orders(rng))
         heat = ["0.05", "20"] if trial % 5 == 0 else []
         printed = firmware(orders, *heat)
@@ -207,7 +207,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     assert faults == ~Fault.LIMIT  # no setpoint was ever outside
     assert statuses >= set(Status) - {Status.TOO_LONG}
     assert count > 10_000  # setpoints, all bits alike
-    assert pulses > 500  # of the camera's line, all at the same ticks
+    assert pulses > 250  # of the camera's line, all at the same ticks
 
 
 def test_checks_take_as_long_on_both(program):

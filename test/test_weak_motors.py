@@ -27,9 +27,8 @@ def forces(rig: Rig, cycle) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", ["sinusoids", "rotations"])
-@pytest.mark.parametrize(("peak", "continuous"), [(20.0, 10.0), (10.0, 5.0)])
-def test_parts_are_sorted_within_force_and_heat(method, peak, continuous):
-    rig = load_rig()
+def test_parts_are_sorted_within_force_and_heat(method):
+    rig, peak, continuous = load_rig(), 10.0, 5.0
     limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
     rig, warm, most, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
     for moment in run(Setup("sort_4", 3, method), rig):

@@ -199,9 +199,9 @@ moved: list[float] = []
 """Ages of all tables that moved the plate, to see that the rule lets work through."""
 
 
-def test_nothing_old_moves_in_hundreds_of_stalled_loops():
+def test_nothing_old_moves_in_150_stalled_loops():
     moved.clear()
-    wrong = list(itertools.chain(*(run(seed) for seed in range(400))))
+    wrong = list(itertools.chain(*(run(seed) for seed in range(150))))
     assert not wrong, wrong[:5]
-    assert len(moved) > 8_000
+    assert len(moved) > 5_000
     assert max(moved) > 0.5
