@@ -97,6 +97,8 @@ class SimulatedFirmware:
         self.start()
 
     def spoilt(self, data: bytes) -> bytes:
+        if not (self.damage or self.loss):
+            return data
         noise = self.rng.random((2, len(data)))
         changed = (b ^ int(self.rng.integers(1, 256)) if n < self.damage else b
                    for b, n in zip(data, noise[0], strict=True))  # fmt: skip
@@ -107,18 +109,27 @@ class SimulatedFirmware:
         """When what is sent now arrives: a line keeps the order, also if its delay changes."""
         return max([self.now + self.delay, *(at for at, _ in way[-1:])])
 
-    def tick(self) -> None:
-        """Let one tick of the device pass."""
-        self.now += TICK_S
-        arrived = b"".join(d for at, d in self.to_device if at <= self.now)
-        self.to_device = [item for item in self.to_device if item[0] > self.now]
-        before, self.own = self.own, self.own + 1 + self.fast
-        ticks = int(self.own) - int(before)
-        order = (f"rx {arrived.hex()}\n" if arrived else "") + f"run {1000 * ticks}\n"
+    def tick(self, count: int = 1) -> None:
+        """Let ticks of the device pass; the host does nothing meanwhile."""
         assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self.process.stdin.write(order)
+        times = []
+        for _ in range(count):
+            self.now += TICK_S
+            times.append(self.now)
+            arrived = b"".join(d for at, d in self.to_device if at <= self.now)
+            self.to_device = [item for item in self.to_device if item[0] > self.now]
+            before, self.own = self.own, self.own + 1 + self.fast
+            ticks = int(self.own) - int(before)
+            order = (f"rx {arrived.hex()}\n" if arrived else "") + f"run {1000 * ticks}\n"
+            self.process.stdin.write(order)
         self.process.stdin.flush()
+        for now in times:
+            self.now = now
+            self.hear()
+
+    def hear(self) -> None:
+        """Take what the device says in a tick."""
+        assert self.process.stdout is not None
         for line in iter(self.process.stdout.readline, ""):
             kind, *words = line.split()
             if kind == "tx" and not self.cut:
@@ -204,10 +215,12 @@ def pass_time(
 ) -> list[Measured]:
     """Let time pass; the host looks every 5 ms."""
     measured = []
-    for tick in range(round(seconds / TICK_S)):
-        firmware.tick()
-        if tick % 5 == 0:
-            measured += transport.poll()
+    ticks, done = round(seconds / TICK_S), 0
+    for look in range(0, ticks, 5):
+        firmware.tick(look + 1 - done)
+        done = look + 1
+        measured += transport.poll()
+    firmware.tick(ticks - done)
     return measured
 
 
