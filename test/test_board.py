@@ -323,11 +323,11 @@ def test_a_plate_that_does_not_follow_is_let_go(tmp_path):
     """Nothing moves in an emulator: as a jammed plate, held 2 mm from its setpoint."""
     with EmulatedBoard(built(tmp_path / "b"), tmp_path, logs=True) as board:
         host = ready(board)
-        assert host.upload(1, wave(48, 0.2)) is Status.DONE
+        assert host.upload(1, wave(48, 0.2, 0.6)) is Status.DONE
         host.until(lambda: host.now().state is State.PLAYING)
         host.until(lambda: host.now().state is State.READY)
         assert board.enabled()
-        assert host.upload(2, wave(48, 0.5)) is Status.DONE
+        assert host.upload(2, wave(48, 0.5, 0.6)) is Status.DONE
         host.until(lambda: host.now().state is State.OFF)
         assert host.telemetry[-1].faults is Fault.FOLLOWING
         assert max(m.following_m for m in host.telemetry) > 0.003
