@@ -105,7 +105,6 @@ def test_a_target_that_is_dragged_brings_the_part(page):
     wait_for(page, near("black_2", released["x"], released["y"]))
 
 
-@pytest.mark.alone  # a part that comes late leaves its path by more than is allowed
 def test_a_path_that_is_drawn_is_followed(page):
     page.get_by_label("Draw a path").check()
     start = part(page, "grey_2")
