@@ -2,6 +2,7 @@
 
 import math
 import socket
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -12,17 +13,14 @@ from action_msgs.msg import GoalStatus  # noqa: E402
 from builtin_interfaces.msg import Time  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
-from work_clock import WorkClock  # noqa: E402
+from stepped_clock import LONGEST_S, SteppedClock, SteppedExecutor  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
 from plate_core.tasks import FeedMode  # noqa: E402
-from plate_feeder import node as node_module  # noqa: E402
 from plate_feeder.node import BY_PERSON, NEED_A_PERSON, STOPPED, FeederNode  # noqa: E402
-from plate_feeder.ros import feed_goal  # noqa: E402
 from plate_interfaces.action import FeedParts, GetPart, PurgePlate  # noqa: E402
 from plate_interfaces.msg import (  # noqa: E402
     DriverStatus,
@@ -35,14 +33,13 @@ from plate_interfaces.msg import (  # noqa: E402
 )
 from plate_interfaces.srv import OpenHopper, PartQuantity, PartTaken, PreparePart  # noqa: E402
 
-WAIT_S = 20.0
 COVARIANCE = [1e-8, 0.0, 0.0, 0.0, 4e-8, 0.0, 0.0, 0.0, 1e-4]
 
 
 class Planner:
     """Says of each image that the plate rests if it was told so, and what is ready."""
 
-    def __init__(self):
+    def __init__(self, clock):
         self.node = rclpy.create_node("planner")
         self.goal, self.results, self.orders, self.opened = None, {}, [], []
         self.mode, self.ready, self.seen, self.began = FeedMode.FEED, {}, 15, 0
@@ -52,8 +49,8 @@ class Planner:
         self.drive = self.node.create_publisher(DriverStatus, "driver_status", LATCHED).publish
         self.node.create_subscription(FeedOrder, "feed_orders", self.on_order, DATA)
         self.node.create_service(OpenHopper, "hopper/open", self.on_open)
-        self.node.create_timer(0.03, self.look)
-        ActionServer(
+        self.node.create_timer(0.03, self.look, clock=clock.clock)
+        self.server = ActionServer(
             self.node, FeedParts, "feed_parts", self.result, handle_accepted_callback=self.begin,
             cancel_callback=self.cancel,
         )  # fmt: skip
@@ -109,16 +106,17 @@ class Graph:
         for name, value in given.items():
             args += ["-p", f"{name}:={value}"]
         rclpy.init(args=args)
-        self.robots = []
+        self.numbers = {}  # of robots, as the server counts them
+        self.feeder = FeederNode()
+        self.executor = SteppedExecutor(clock)
+        self.executor.add_node(self.feeder)
         try:
-            self.feeder = FeederNode()
-            self.executor = SingleThreadedExecutor()
-            self.executor.add_node(self.feeder)
             start_nodes(self.feeder)
         except BaseException:
+            self.feeder.destroy_node()
             rclpy.try_shutdown()
             raise
-        self.planner = Planner()
+        self.planner = Planner(clock)
         self.node = self.planner.node
         self.executor.add_node(self.node)
         self.actions = {
@@ -127,22 +125,19 @@ class Graph:
         }
         self.reports = []
         self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
-        self.until(lambda: all(each.server_is_ready() for each in self.actions.values()))
-        self.until(lambda: self.feeder.count_publishers("feed_status"))
-        self.until(lambda: self.node.count_subscribers("feed_status"))
-        self.until(lambda: self.node.count_publishers("feed_orders"))
-        self.until(self.feeder._hopper.service_is_ready)
+        self.until, self.spin = self.executor.until, self.executor.spin_for
 
-    def until(self, true):
-        end = self.clock.monotonic() + WAIT_S
+    def until_really(self, true, robot=None):
+        """Wait for the server's thread; time goes on only while the feeder has a robot wait."""
+        end = time.monotonic() + LONGEST_S
+        self.executor.settle()
         while not true():
-            assert self.clock.monotonic() < end
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def spin(self, seconds):
-        end = self.clock.monotonic() + seconds
-        while self.clock.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
+            assert time.monotonic() < end, "it did not come"
+            if self.waits(robot):
+                self.clock.step()
+            else:
+                time.sleep(0.001)
+            self.executor.settle()
 
     def send(self, name, goal):
         future = self.actions[name].send_goal_async(goal)
@@ -162,9 +157,20 @@ class Graph:
         return future.result()
 
     def robot(self):
-        port = self.feeder._server.port
-        self.robots.append(socket.create_connection(("127.0.0.1", port), timeout=WAIT_S))
-        return self.robots[-1]
+        server = self.feeder._server
+        before = server._count
+        robot = socket.create_connection(("127.0.0.1", server.port), timeout=LONGEST_S)
+        self.until_really(lambda: server._count > before)
+        self.numbers[robot] = server._count
+        return robot
+
+    def ask(self, robot, text):
+        """Have a robot send a command that waits."""
+        robot.sendall(text.encode() + b"\n")
+        self.until_really(lambda: self.waits(robot))
+
+    def waits(self, robot):
+        return self.numbers.get(robot) in self.feeder._waiting
 
     def say(self, robot, text):
         robot.sendall(text.encode() + b"\n")
@@ -182,13 +188,15 @@ class Graph:
             data.extend(got)
             return not got or data.endswith(b"\n")
 
-        self.until(came)
+        self.until_really(came, robot)
         return data.decode()
 
     def close(self):
-        for robot in self.robots:
+        for robot in self.numbers:
             robot.close()
         self.executor.remove_node(self.feeder)
+        for each in (self.planner.server, *self.actions.values()):
+            each.destroy()
         self.feeder.destroy_node()
         self.node.destroy_node()
         self.executor.shutdown()
@@ -197,9 +205,8 @@ class Graph:
 
 @pytest.fixture
 def make(monkeypatch):
-    made, clock = [], WorkClock()
-    for module in (node_module, feed_goal):
-        monkeypatch.setattr(module, "time", clock)
+    made, clock = [], SteppedClock()
+    clock.rule(monkeypatch)
 
     def make(**parameters):
         made.append(Graph(clock, **parameters))
@@ -242,7 +249,7 @@ def test_nothing_moves_until_somebody_asks_and_a_part_is_told(graph):
 
 def test_over_tcp(graph):
     robot, other = graph.robot(), graph.robot()
-    answer = graph.say(robot, f"get_part black {WAIT_S:g}")
+    answer = graph.say(robot, "get_part black 20")
     assert answer.startswith("200 x=100.00 y=20.00 angle=5.73 id=black_3 class=black valid_s=")
     assert graph.say(other, "get_part").startswith("409 ")
     assert "state=reserved" in graph.say(other, "state")
@@ -271,7 +278,7 @@ def test_a_goal_that_nobody_answers_is_sent_again_and_begun_once(graph, monkeypa
         return send(goal, goal_uuid=goal_uuid)
 
     monkeypatch.setattr(client, "send_goal_async", lose_the_first)
-    assert graph.say(graph.robot(), f"get_part black {WAIT_S:g}").startswith("200 ")
+    assert graph.say(graph.robot(), "get_part black 20").startswith("200 ")
     assert graph.planner.began == 1
     unanswered[0].set_result(SimpleNamespace(accepted=True))  # it comes after all: no matter
     graph.spin(0.1)
@@ -307,7 +314,7 @@ def test_a_hopper_that_does_not_open_is_told_of(graph, jam, told):
         graph.feeder._hopper.call_async = lambda request: Future()
     graph.planner.jam, graph.planner.ready, graph.planner.seen = jam, {}, 0
     robot = graph.robot()
-    robot.sendall(b"get_part\n")
+    graph.ask(robot, "get_part")
     graph.until(lambda: graph.reports and told in graph.reports[-1].status[0].message)
     answer = graph.hear(robot)
     assert answer.startswith("507 no part is on the plate")
@@ -317,11 +324,10 @@ def test_a_hopper_that_does_not_open_is_told_of(graph, jam, told):
 def test_a_robot_that_leaves_does_not_leave_its_command(graph):
     graph.planner.ready = {}
     robot, other = graph.robot(), graph.robot()
-    robot.sendall(b"get_part\n")
-    graph.until(lambda: graph.feeder._waiting)
+    graph.ask(robot, "get_part")
     assert graph.say(other, "get_part").startswith("409 ")
     robot.close()
-    graph.until(lambda: not graph.feeder._waiting)
+    graph.until_really(lambda: not graph.feeder._waiting)
     graph.planner.ready = {"black_4": (0.1, 0.0)}
     assert graph.say(other, "get_part").startswith("200 ")
 
@@ -330,7 +336,7 @@ def test_a_robot_that_comes_back_reports_its_part_with_its_id(graph):
     robot, other = graph.robot(), graph.robot()
     assert graph.say(robot, "get_part").startswith("200 ")
     robot.close()
-    graph.until(lambda: graph.feeder._feeder.reserved.client is None)
+    graph.until_really(lambda: graph.feeder._feeder.reserved.client is None)
     back = graph.robot()
     state = graph.say(back, "state")
     assert "state=reserved" in state
@@ -355,7 +361,7 @@ def test_a_goal_is_canceled(graph):
 def test_a_task_that_ends_is_told_and_begun_again(graph):
     graph.planner.ready = {}
     robot = graph.robot()
-    robot.sendall(b"get_part\n")
+    graph.ask(robot, "get_part")
     graph.until(lambda: graph.planner.orders)
     graph.planner.end("aborted: no parts for 1.5 s")
     assert graph.hear(robot) == "503 aborted: no parts for 1.5 s\r\n"
@@ -394,7 +400,7 @@ def test_after_a_person_has_ended_the_task_a_person_has_to_let_it_go_on(graph, e
     planner = graph.planner
     planner.ready = {}
     robot = graph.robot()
-    robot.sendall(b"get_part\n")
+    graph.ask(robot, "get_part")
     graph.until(lambda: graph.feeder._task._seen)
     if not end.startswith("result"):
         planner.silent = True
@@ -504,7 +510,7 @@ def test_purge_ends_the_task(graph):
 def test_what_waits_is_answered_when_it_is_deactivated(graph):
     graph.planner.ready = {}
     robot = graph.robot()
-    robot.sendall(b"get_part\n")
+    graph.ask(robot, "get_part")
     graph.until(lambda: graph.planner.orders)
     graph.feeder.trigger_deactivate()
     assert graph.hear(robot) == f"503 {STOPPED}\r\n"
@@ -550,4 +556,4 @@ def test_a_recipe_brings_its_rig(make):
 )
 def test_wrong_parameters_are_refused(name, value, named):
     with pytest.raises(PlateError, match=named):
-        Graph(WorkClock(), **{name: value})
+        Graph(SteppedClock(), **{name: value})

@@ -355,6 +355,8 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
         try:
             self.close()
         finally:  # whatever that has raised
+            # rclpy leaves it to the garbage collector, and until then the node is there.
+            self._state_machine.destroy_when_not_in_use()
             super().destroy_node()
 
     def close(self) -> None:
