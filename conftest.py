@@ -48,6 +48,14 @@ def pytest_runtest_makereport():
     return without_skip((yield))
 
 
+@pytest.fixture
+def clock(monkeypatch):
+    """Time of the nodes in this process, which the test moves on."""
+    from stepped_clock import SteppedClock  # only where there is ROS
+
+    return SteppedClock(monkeypatch)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item):
     """What a test of real nodes leaves open is reported by that test, not by a later one."""

@@ -1,4 +1,4 @@
-"""Time that a test moves on, for nodes in its process: what they say to each other comes at once."""
+"""Time that a test moves on, for nodes in its process, which hear each other at once."""
 
 import sys
 import time
@@ -15,13 +15,22 @@ LONGEST_S = 60.0
 
 
 class SteppedClock:
-    """Stands until it is moved on. For nodes it is the module `time`, and the clock of timers."""
+    """Stands until it is moved on. All our code that is imported has it as the module `time` and as
+    the steady clock of its timers."""
 
-    def __init__(self):
-        self._ns = 10**12
+    def __init__(self, monkeypatch):
+        self._ns, self._led = 10**12, []
         self.clock = Clock(clock_type=ClockType.ROS_TIME)
-        self.clock._set_ros_time_is_active(True)  # rclpy has no public name for it
-        self.step(0.0)
+        self.lead(self.clock)
+
+        def make(clock_type):
+            return self.clock if clock_type is ClockType.STEADY_TIME else Clock(clock_type=clock_type)
+
+        for module in [each for name, each in sys.modules.items() if name.startswith("plate_")]:
+            if getattr(module, "time", None) is time:
+                monkeypatch.setattr(module, "time", self)
+            if getattr(module, "Clock", None) is Clock:
+                monkeypatch.setattr(module, "Clock", make)
 
     def __getattr__(self, name):
         return getattr(time, name)
@@ -32,23 +41,17 @@ class SteppedClock:
     def monotonic(self):
         return 1e-9 * self._ns
 
+    def lead(self, clock):
+        """Have a node's clock go by this one too."""
+        clock._set_ros_time_is_active(True)  # rclpy has no public name for it
+        self._led.append(clock)
+        self.step(0.0)
+
     def step(self, seconds=STEP_S):
         self._ns += round(1e9 * seconds)
-        self.clock.set_ros_time_override(Time(nanoseconds=self._ns, clock_type=ClockType.ROS_TIME))
-
-    def rule(self, monkeypatch):
-        """Have all code of ours that is imported go by it."""
-
-        def make_clock(clock_type):
-            return (
-                self.clock if clock_type is ClockType.STEADY_TIME else Clock(clock_type=clock_type)
-            )
-
-        for module in [each for name, each in sys.modules.items() if name.startswith("plate_")]:
-            if getattr(module, "time", None) is time:
-                monkeypatch.setattr(module, "time", self)
-            if getattr(module, "Clock", None) is Clock:
-                monkeypatch.setattr(module, "Clock", make_clock)
+        now = Time(nanoseconds=self._ns, clock_type=ClockType.ROS_TIME)
+        for clock in self._led:
+            clock.set_ros_time_override(now)
 
 
 class SteppedExecutor(SingleThreadedExecutor):

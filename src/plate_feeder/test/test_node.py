@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from rclpy.action import ActionClient, ActionServer, CancelResponse  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
-from stepped_clock import LONGEST_S, SteppedClock, SteppedExecutor  # noqa: E402
+from stepped_clock import LONGEST_S, SteppedExecutor  # noqa: E402
 
 from plate_core import PlateError  # noqa: E402
 from plate_core.ros import DATA, LATCHED, msg_to_order, start_nodes  # noqa: E402
@@ -204,9 +204,8 @@ class Graph:
 
 
 @pytest.fixture
-def make(monkeypatch):
-    made, clock = [], SteppedClock()
-    clock.rule(monkeypatch)
+def make(clock):
+    made = []
 
     def make(**parameters):
         made.append(Graph(clock, **parameters))
@@ -554,6 +553,6 @@ def test_a_recipe_brings_its_rig(make):
     ("name", "value", "named"),
     [("recipe", "sort_10", "sort_10"), ("hand_eye", "none.yaml", "none.yaml")],
 )
-def test_wrong_parameters_are_refused(name, value, named):
+def test_wrong_parameters_are_refused(clock, name, value, named):
     with pytest.raises(PlateError, match=named):
-        Graph(SteppedClock(), **{name: value})
+        Graph(clock, **{name: value})

@@ -4,7 +4,7 @@ import pytest
 
 
 @pytest.fixture
-def graph():
+def graph(clock):
     from planner_graph import Graph
 
     made = []
@@ -12,7 +12,7 @@ def graph():
     def make(**parameters):
         while made:
             made.pop().close()
-        made.append(Graph(**parameters))
+        made.append(Graph(clock, **parameters))
         return made[-1]
 
     yield make

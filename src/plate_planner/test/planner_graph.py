@@ -1,14 +1,12 @@
 """The planner node and a probe that speaks to it, in one process."""
 
-import time
-
 import numpy as np
 import rclpy
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
+from stepped_clock import STEP_S, SteppedExecutor
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_core import Parts, PlateCycle
@@ -47,19 +45,25 @@ class Graph:
     """The planner and a probe that speaks to it: also as the driver, whose status is said again and
     again while there is one, and as the solver, while `answering`; and as a client."""
 
-    def __init__(self, driver=READY, **parameters):
+    def __init__(self, clock, driver=READY, **parameters):
+        self.clock = clock
         args = ["--ros-args", "-r", "__ns:=/planner_test"]
         for name, value in parameters.items():
             args += ["-p", f"{name}:={value}"]
         rclpy.init(args=args)
+        self.planner = None
         try:
             self.planner = PlannerNode()
+            clock.lead(self.planner.get_clock())
             start_nodes(self.planner)
         except BaseException:
+            if self.planner is not None:
+                self.planner.destroy_node()
             rclpy.try_shutdown()
             raise
         self.probe = rclpy.create_node("probe")
-        self.executor = SingleThreadedExecutor()
+        self.executor = SteppedExecutor(clock)
+        self.until = self.executor.until
         self.executor.add_node(self.planner)
         self.executor.add_node(self.probe)
         self.forces, self.states, self.diagnostics = [], [], []
@@ -69,7 +73,7 @@ class Graph:
         self.drivers = self.probe.create_publisher(DriverStatus, "driver_status", LATCHED)
         self.cycles = self.probe.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.others = self.probe.create_publisher(DiagnosticArray, "diagnostics", DATA)
-        self.probe.create_timer(0.2, self.say)
+        self.probe.create_timer(0.2, self.say, clock=clock.clock)
         listen(PartForces, "part_forces", self.on_forces, DATA)
         self.statuses = []
         listen(TaskStatus, "task_status", self.on_status, LATCHED)
@@ -79,12 +83,7 @@ class Graph:
             name: ActionClient(self.probe, kind, name) for name, kind in ACTIONS.items()
         }
         self.feedback = []
-        # The latched state arrives on its own, which shows that the two have found each other.
-        self.until(lambda: self.states and self.parts.get_subscription_count())
-        self.until(lambda: self.planner.count_subscribers("part_forces") == 2)  # its own too
-        self.until(lambda: not driver or self.planner._inputs.driver_status)
-        # On a busy computer the planner may have stood still meanwhile, and would refuse goals.
-        self.until(lambda: not self.planner._standstill.is_late(time.monotonic()))
+        self.until(lambda: self.states and (not driver or self.planner._inputs.driver_status))
 
     def say(self):
         if self.driver:
@@ -144,26 +143,13 @@ class Graph:
         return status.level, status.message
 
     def begin(self, stamp_s=0.0, scenario=SORT_4):
-        """Start, and show all parts until the task has begun; again where it was refused because
-        this process itself stood still, or was silent for the planner's `input_timeout_s`."""
-        for k in range(10):
-            self.image(stamp_s + 0.01 * k, APART)
-            handle = self.send(scenario)
-            ended = handle.get_result_async()
-            self.until(lambda ended=ended: self.states[-1] == "running" or ended.done())
-            again = TaskStatus.NO_DRIVER, TaskStatus.NOT_READY
-            if not ended.done() or ended.result().result.status.reason not in again:
-                break
+        """Start, and show all parts until the task has begun."""
+        self.image(stamp_s, APART)
+        handle = self.send(scenario)
+        self.until(lambda: self.states[-1] == "running")
         for k in (1, 2):
             self.image(stamp_s + 0.1 * k, APART)
         return handle
-
-    def until(self, true):
-        for _ in range(2000):
-            if true():
-                return
-            self.executor.spin_once(timeout_sec=0.01)
-        raise AssertionError("it did not come")
 
     def until_ended(self, handle, step):
         """Go on until a goal has its result, step 3 first; returns its last status."""
@@ -177,17 +163,13 @@ class Graph:
     def image_and_pause(self, k):
         """Show the parts of image k, and wait a little."""
         self.image(0.1 * k, APART)
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
+        self.executor.spin_for(STEP_S)
 
     def image_alone(self, k):
         """Show the parts of an image that is not answered, and wait a little."""
         stamp = to_time(round(1e9 * (101.0 + 0.1 * k)))
         self.parts.publish(parts_to_msg(Parts.make(IDS, APART), stamp))
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.01)
+        self.executor.spin_for(STEP_S)
 
     def stop(self):
         self.until(self.stopper.service_is_ready)
@@ -207,8 +189,9 @@ class Graph:
     def close(self):
         if self.planner.active:
             self.planner.trigger_deactivate()
-        for _ in range(10):  # the result of a goal that ends with it
-            self.executor.spin_once(timeout_sec=0.01)
+        self.executor.settle()  # the result of a goal that ends with it
+        for each in self.actions.values():
+            each.destroy()
         self.executor.shutdown()
         self.probe.destroy_node()
         self.planner.destroy_node()

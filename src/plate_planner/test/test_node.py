@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import time
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from action_msgs.msg import GoalStatus  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from planner_graph import APART, ERROR, IDS, NOT_READY, READY, SORT_4, SORTED, Graph, stale  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from stepped_clock import STEP_S  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
@@ -323,8 +323,8 @@ class Silenced(Graph):
 
 
 @pytest.fixture
-def silenced():
-    graph = Silenced(input_timeout_s=0.5)
+def silenced(clock):
+    graph = Silenced(clock, input_timeout_s=0.5)
     graph.begin()
     yield graph
     graph.close()
@@ -342,12 +342,9 @@ def test_without_parts_the_task_ends_without_any_image(silenced):
 
 
 def test_the_same_image_again_and_again_is_no_news(silenced):
-    def again():
+    for _ in range(20):
         silenced.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(200_000_000)))
-        silenced.executor.spin_once(timeout_sec=0.01)
-        return silenced.states[-1] != "running"
-
-    silenced.until(again)
+        silenced.executor.spin_for(STEP_S)
     assert ": no parts for " in silenced.states[-1]
 
 
@@ -380,8 +377,8 @@ def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(g
     orders = graph.probe.create_publisher(FeedOrder, "feed_orders", DATA)
     graph.until(orders.get_subscription_count)
     handle = graph.begin(scenario=load_scenario("feed"))
-    end = time.monotonic() + FEEDER_S + 0.5
-    while time.monotonic() < end:
+    end = graph.clock.monotonic() + FEEDER_S + 0.5
+    while graph.clock.monotonic() < end:
         graph.image_and_pause(next(images))
     assert graph.states[-1].startswith("running")
     orders.publish(FeedOrder(mode=FeedOrder.REST, hidden=True))
@@ -398,7 +395,7 @@ def test_a_feed_goes_on_without_orders_but_not_without_a_feeder_that_gave_some(g
 
 
 def test_a_planner_that_stood_still_does_not_go_on(silenced):
-    time.sleep(1.0)
+    silenced.clock.step(1.0)
     why = "aborted after 0.1 s: the planner itself stood still for"
     silenced.until(lambda: silenced.states[-1].startswith(why))
 
@@ -411,7 +408,7 @@ def test_a_goal_that_was_sent_while_the_planner_stood_still_is_not_begun(graph):
     assert (reason, text) == (
         TaskStatus.NOT_READY, "the planner itself stood still: send the goal again"
     )  # fmt: skip
-    graph.until(lambda: not graph.planner._standstill.is_late(time.monotonic()))
+    graph.until(lambda: not graph.planner._standstill.is_late(graph.clock.monotonic()))
     graph.begin(0.1)
 
 
@@ -567,6 +564,6 @@ def test_gains_change_while_it_runs_and_wrong_ones_are_refused(graph):
         ({"rig_file": "nowhere.yaml"}, r"nowhere.yaml: no such file"),
     ],
 )
-def test_wrong_parameters_are_refused_at_start(parameters, message):
+def test_wrong_parameters_are_refused_at_start(clock, parameters, message):
     with pytest.raises(PlateError, match=message):
-        Graph(**parameters)
+        Graph(clock, **parameters)

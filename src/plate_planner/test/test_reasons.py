@@ -1,6 +1,5 @@
 """Each reason why a task ends, provoked through the node."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -160,7 +159,7 @@ def provoke_cut_off(make):
 def provoke_stood_still(make):
     graph = make(input_timeout_s=0.5)
     handle = graph.begin()
-    time.sleep(1.0)
+    graph.clock.step(1.0)
     return graph.result(handle)[1]
 
 
