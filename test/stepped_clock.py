@@ -10,6 +10,10 @@ from rclpy.time import Time
 STEP_S = 0.05
 """Time goes on by so much when nothing is left to do [s]."""
 
+OTHERS_S = 0.001
+"""Meanwhile threads of the middleware have so long [s]: they tell who is there, and what was
+latched before."""
+
 LONGEST_S = 60.0
 """A bound on what takes a moment [s]."""
 
@@ -24,7 +28,9 @@ class SteppedClock:
         self.lead(self.clock)
 
         def make(clock_type):
-            return self.clock if clock_type is ClockType.STEADY_TIME else Clock(clock_type=clock_type)
+            return (
+                self.clock if clock_type is ClockType.STEADY_TIME else Clock(clock_type=clock_type)
+            )
 
         for module in [each for name, each in sys.modules.items() if name.startswith("plate_")]:
             if getattr(module, "time", None) is time:
@@ -61,9 +67,16 @@ class SteppedExecutor(SingleThreadedExecutor):
         super().__init__()
         self.clock = clock
 
+    def spin_once(self, timeout_sec=STEP_S):
+        """Do one thing; if there is none, time goes on."""
+        if not self._turn():
+            time.sleep(OTHERS_S)
+            self.clock.step(timeout_sec)
+
     def settle(self):
         """Do all that there is to do by now."""
-        self._do(lambda: False)
+        while self._turn():
+            pass
 
     def spin_for(self, seconds):
         self.settle()
@@ -73,21 +86,18 @@ class SteppedExecutor(SingleThreadedExecutor):
 
     def until(self, true):
         end = self.clock.monotonic() + LONGEST_S
-        while not self._do(true):
+        while not true():
             assert self.clock.monotonic() < end, "it did not come"
-            self.clock.step()
+            self.spin_once()
 
-    def _do(self, enough):
-        """Do what there is to do until it is enough; returns whether it is."""
-        idle = 0
-        while not (done := enough()) and idle < 2:  # the first may be the end of a round
+    def _turn(self):
+        for _ in range(2):  # the first may find the end of a round
             try:
                 handler, *_ = self.wait_for_ready_callbacks(timeout_sec=0)
             except TimeoutException:
-                idle += 1
                 continue
-            idle = 0
             handler()
             if handler.exception() is not None:
                 raise handler.exception()
-        return done
+            return True
+        return False

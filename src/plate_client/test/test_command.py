@@ -5,7 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
+import time
 from dataclasses import dataclass
 
 import pytest
@@ -14,9 +14,9 @@ rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rclpy.client import Client  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from stepped_clock import SteppedExecutor  # noqa: E402
 
 from plate_client.command import main  # noqa: E402
 from plate_client.ros import services  # noqa: E402
@@ -38,12 +38,45 @@ class Options:
     seed: int = parameter(3, "Of the noise", 0, 9)
 
 
-@pytest.fixture(scope="module")
-def graph():
-    """A node `talker` in a thread, and the command's view of it."""
-    context, orders = rclpy.Context(), []
-    rclpy.init(context=context)
-    node = rclpy.create_node("talker", context=context, namespace=NAMESPACE)
+@pytest.fixture
+def make(clock, monkeypatch):
+    """Function that makes a node of ours by its class and arguments; all have one executor."""
+    rclpy.init()
+    executor, nodes = SteppedExecutor(clock), []
+    monkeypatch.setattr(rclpy, "spin_once", lambda _, timeout_sec: executor.spin_once(timeout_sec))
+
+    def make(name, namespace=NAMESPACE):
+        nodes.append(rclpy.create_node(name, namespace=namespace))
+        executor.add_node(nodes[-1])
+        return nodes[-1]
+
+    make.executor = executor
+    yield make
+    executor.shutdown()
+    for node in nodes:
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.fixture
+def view(make):
+    """Function from a namespace to the command's view of its nodes."""
+    made = []
+
+    def make_view(namespace):
+        made.append(Graph(namespace))
+        make.executor.add_node(made[-1].node)
+        return made[-1]
+
+    yield make_view
+    for each in made:
+        each.node.destroy_node()
+
+
+@pytest.fixture
+def graph(make, view):
+    """The command's view of a node `talker`."""
+    node, orders = make("talker"), []
     follow(node, declare(node, Options), lambda _: None)
 
     def answer(request, response):
@@ -55,20 +88,24 @@ def graph():
         node.create_service(Trigger, name, answer)
     node.create_service(SetBool, "enable", answer)
     node.create_publisher(TaskStatus, "task_status", LATCHED).publish(TaskStatus(text="idle"))
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    rclpy.init()
-    command = Graph(NAMESPACE)
-    assert command._until(lambda: bool(command._seen()), 20)
-    yield command
-    command.node.destroy_node()
-    rclpy.shutdown()
-    executor.shutdown()
-    thread.join(10)
-    node.destroy_node()
-    rclpy.shutdown(context=context)
+    return view(NAMESPACE)
+
+
+@pytest.fixture
+def program(make, graph):
+    """Function that runs the program with these arguments, while the talker answers."""
+
+    def run(*arguments, **options):
+        with subprocess.Popen(
+            [sys.executable, "-c", *arguments, "--namespace", NAMESPACE],
+            stderr=subprocess.PIPE, text=True, **options,
+        ) as process:  # fmt: skip
+            while process.poll() is None:
+                make.executor.settle()
+                time.sleep(0.01)
+            return process.returncode, *process.communicate()
+
+    return run
 
 
 def asked(graph, command, *words):
@@ -90,11 +127,9 @@ def test_services_and_state(graph):
 
 
 @pytest.mark.parametrize("ends", ["ready", "stopped: supply"])
-def test_enable_waits_until_the_motors_are_ready(graph, ends):
+def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
     """They may be so later than the answer, or not at all: then the reason is told."""
-    context, namespace = rclpy.Context(), f"{NAMESPACE}_{ends[:5]}"
-    rclpy.init(context=context)
-    node = rclpy.create_node("driver", context=context, namespace=namespace)
+    node = make("driver")
     statuses = node.create_publisher(DriverStatus, "driver_status", LATCHED)
     statuses.publish(DriverStatus(state=DriverStatus.STOPPED, text="stopped: before"))
     state = DriverStatus.READY if ends == "ready" else DriverStatus.STOPPED
@@ -109,53 +144,27 @@ def test_enable_waits_until_the_motors_are_ready(graph, ends):
 
     node.create_service(SetBool, "enable", answer)
     # As the driver does: what it says comes beside the answer.
-    node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    command = Graph(namespace)
-    try:
-        assert command._until(lambda: bool(command._seen()), 20)
-        if ends == "ready":
-            assert asked(command, "enable") == "ready"
-        else:
-            with pytest.raises(PlateError, match="not enabled, driver_status: stopped: supply"):
-                asked(command, "enable")
-    finally:
-        command.node.destroy_node()
-        executor.shutdown()
-        thread.join(10)
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+    node.create_timer(0.2, lambda: statuses.publish(due.pop(0)) if due else None, clock=clock.clock)
+    if ends == "ready":
+        assert asked(view(NAMESPACE), "enable") == "ready"
+    else:
+        with pytest.raises(PlateError, match="not enabled, driver_status: stopped: supply"):
+            asked(view(NAMESPACE), "enable")
 
 
 @pytest.fixture
-def compiling():
+def compiling(make, clock):
     """A node `solver` that says that it compiles, and a node `mute` that says nothing yet."""
-    context, over = rclpy.Context(), threading.Event()
-    rclpy.init(context=context)
-    nodes = [rclpy.create_node(n, context=context, namespace=NAMESPACE) for n in ("solver", "mute")]
-    publisher, _ = (node.create_publisher(DiagnosticArray, "diagnostics", DATA) for node in nodes)
+    solver, mute = make("solver"), make("mute")
+    publisher = solver.create_publisher(DiagnosticArray, "diagnostics", DATA)
+    mute.create_publisher(DiagnosticArray, "diagnostics", DATA)
     status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="solver", message="compiling")
     status.values = [KeyValue(key="compiling_s", value="4")]
-
-    def tell():
-        while not over.wait(0.1):
-            publisher.publish(DiagnosticArray(status=[status]))
-
-    thread = threading.Thread(target=tell)
-    thread.start()
-    yield
-    over.set()
-    thread.join(10)
-    for node in nodes:
-        node.destroy_node()
-    rclpy.shutdown(context=context)
+    msg = DiagnosticArray(status=[status])
+    solver.create_timer(0.1, lambda: publisher.publish(msg), clock=clock.clock)
 
 
 def test_state_while_nodes_start(graph, compiling):
-    graph._until(lambda: {"mute", "solver"} <= set(graph._seen()), 20)
     assert asked(graph, "state").splitlines()[2:] == [
         "not all nodes are ready yet: what others miss may be because of that",
         "  mute: nothing heard: it starts, or hangs",
@@ -217,8 +226,8 @@ def test_what_is_refused(graph, words, message):
 
 
 @pytest.mark.parametrize("command", ["disable", "emergency_stop"])
-def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch, command):
-    alone, seen = Graph("/nowhere"), []
+def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(view, monkeypatch, command):
+    alone, seen = view("/nowhere"), []
 
     def until(true, timeout_s):
         seen.append(true())
@@ -227,7 +236,6 @@ def test_what_is_urgent_waits_for_a_node_that_is_not_seen_yet(graph, monkeypatch
     monkeypatch.setattr(alone, "_until", until)
     with pytest.raises(PlateError, match=r"no graph runs.*: cut the power by hand$"):
         asked(alone, command)
-    alone.node.destroy_node()
     assert seen == [True, False]  # not ended by nobody being seen, but by the longer wait
 
 
@@ -251,15 +259,12 @@ def test_a_lost_answer_is_asked_for_again_where_that_does_no_harm(
     assert len(sent) == calls
 
 
-def test_nobody_is_there(graph):
-    alone = Graph("/nowhere")
-    try:
-        for command in ("home", "state", "params", "cancel", "set"):
-            with pytest.raises(PlateError, match="no graph runs in ROS domain") as refused:
-                asked(alone, command)
-            assert "cut the power" not in str(refused.value)  # nothing was to be stopped
-    finally:
-        alone.node.destroy_node()
+def test_nobody_is_there(graph, view):
+    alone = view("/nowhere")
+    for command in ("home", "state", "params", "cancel", "set"):
+        with pytest.raises(PlateError, match="no graph runs in ROS domain") as refused:
+            asked(alone, command)
+        assert "cut the power" not in str(refused.value)  # nothing was to be stopped
     assert int(os.environ.get("ROS_DOMAIN_ID", "0")) in domains_in_use()
 
 
@@ -297,8 +302,8 @@ def test_what_is_wrong_on_the_command_line_is_refused_in_a_line(domain, words, m
 
 
 @pytest.mark.parametrize(("command", "code"), [("emergency_stop", 0), ("disable", 1)])
-def test_a_stop_waits_for_no_import_that_it_does_not_need(graph, command, code):
-    program = """
+def test_a_stop_waits_for_no_import_that_it_does_not_need(program, command, code):
+    text = """
 import sys
 from plate_client.command import main
 try:
@@ -306,25 +311,19 @@ try:
 finally:
     print({"scipy", "numba", "plate_core.ros", "plate_core.tasks", "rclpy.action"} & {*sys.modules})
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program, command, "--namespace", NAMESPACE],
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == code
-    assert "so it is" in done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1] == "set()"
+    returned, output, errors = program(text, command, stdout=subprocess.PIPE)
+    assert returned == code
+    assert "so it is" in output + errors
+    assert output.splitlines()[-1] == "set()"
 
 
-def test_a_reader_that_has_enough_is_no_error(graph):
-    program = "from plate_client.command import main; main()"
+def test_a_reader_that_has_enough_is_no_error(program):
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(
-        [sys.executable, "-c", program, "emergency_stop", "--namespace", NAMESPACE],
-        stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60,
-    )  # fmt: skip
+    text = "from plate_client.command import main; main()"
+    returned, _, errors = program(text, "emergency_stop", stdout=writer)
     os.close(writer)
-    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, "")
+    assert (returned, errors) == (128 + signal.SIGPIPE, "")
 
 
 def test_interrupted_while_it_imports_it_says_so_in_a_line():

@@ -51,20 +51,9 @@ class Graph:
         for name, value in parameters.items():
             args += ["-p", f"{name}:={value}"]
         rclpy.init(args=args)
-        self.planner = None
-        try:
-            self.planner = PlannerNode()
-            clock.lead(self.planner.get_clock())
-            start_nodes(self.planner)
-        except BaseException:
-            if self.planner is not None:
-                self.planner.destroy_node()
-            rclpy.try_shutdown()
-            raise
         self.probe = rclpy.create_node("probe")
         self.executor = SteppedExecutor(clock)
         self.until = self.executor.until
-        self.executor.add_node(self.planner)
         self.executor.add_node(self.probe)
         self.forces, self.states, self.diagnostics = [], [], []
         self.driver, self.answering, self.cycle = driver, True, PlateCycle.rest(0.1)
@@ -79,10 +68,16 @@ class Graph:
         listen(TaskStatus, "task_status", self.on_status, LATCHED)
         listen(DiagnosticArray, "diagnostics", self.on_diagnostics, DATA)
         self.stopper = self.probe.create_client(Trigger, "stop")
-        self.actions = {
-            name: ActionClient(self.probe, kind, name) for name, kind in ACTIONS.items()
-        }
-        self.feedback = []
+        self.actions = {}
+        self.feedback, self.planner = [], None
+        try:
+            self.planner = PlannerNode()
+            clock.lead(self.planner.get_clock())
+            self.executor.add_node(self.planner)
+            start_nodes(self.planner)
+        except BaseException:
+            self.close()
+            raise
         self.until(lambda: self.states and (not driver or self.planner._inputs.driver_status))
 
     def say(self):
@@ -102,7 +97,8 @@ class Graph:
     def send(self, scenario=SORT_4, action=None):
         """Send a goal; returns its handle once it is accepted."""
         name, goal = scenario_to_goal(scenario) if action is None else action
-        self.until(self.actions[name].server_is_ready)
+        if name not in self.actions:
+            self.actions[name] = ActionClient(self.probe, ACTIONS[name], name)
         future = self.actions[name].send_goal_async(
             goal, feedback_callback=lambda msg: self.feedback.append(msg.feedback.progress)
         )
@@ -187,14 +183,14 @@ class Graph:
         return msg_to_wanted(self.forces[-1])
 
     def close(self):
-        if self.planner.active:
+        if self.planner is not None and self.planner.active:
             self.planner.trigger_deactivate()
         self.executor.settle()  # the result of a goal that ends with it
         for each in self.actions.values():
             each.destroy()
+        for node in self.executor.get_nodes():
+            node.destroy_node()
         self.executor.shutdown()
-        self.probe.destroy_node()
-        self.planner.destroy_node()
         rclpy.try_shutdown()
 
 
