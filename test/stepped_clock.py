@@ -8,7 +8,7 @@ from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.time import Time
 
 STEP_S = 0.05
-"""Time goes on by so much when nothing is left to do [s]."""
+"""When nothing is left to do time goes on by so much, or to the next timer [s]."""
 
 OTHERS_S = 0.001
 """Meanwhile threads of the middleware have so long [s]: they tell who is there, and what was
@@ -19,18 +19,16 @@ LONGEST_S = 60.0
 
 
 class SteppedClock:
-    """Stands until it is moved on. All our code that is imported has it as the module `time` and as
-    the steady clock of its timers."""
+    """Stands until it is moved on. All our code that is imported has it as the module `time`, and as
+    system's and steady clock."""
 
     def __init__(self, monkeypatch):
-        self._ns, self._led = 10**12, []
+        self.ns, self._led = 10**12, []
         self.clock = Clock(clock_type=ClockType.ROS_TIME)
         self.lead(self.clock)
 
         def make(clock_type):
-            return (
-                self.clock if clock_type is ClockType.STEADY_TIME else Clock(clock_type=clock_type)
-            )
+            return Clock(clock_type=clock_type) if clock_type is ClockType.ROS_TIME else self.clock
 
         for module in [each for name, each in sys.modules.items() if name.startswith("plate_")]:
             if getattr(module, "time", None) is time:
@@ -42,10 +40,10 @@ class SteppedClock:
         return getattr(time, name)
 
     def monotonic_ns(self):
-        return self._ns
+        return self.ns
 
     def monotonic(self):
-        return 1e-9 * self._ns
+        return 1e-9 * self.ns
 
     def lead(self, clock):
         """Have a node's clock go by this one too."""
@@ -54,10 +52,12 @@ class SteppedClock:
         self.step(0.0)
 
     def step(self, seconds=STEP_S):
-        self._ns += round(1e9 * seconds)
-        now = Time(nanoseconds=self._ns, clock_type=ClockType.ROS_TIME)
+        self.go_to(self.ns + round(1e9 * seconds))
+
+    def go_to(self, ns):
+        self.ns = ns
         for clock in self._led:
-            clock.set_ros_time_override(now)
+            clock.set_ros_time_override(Time(nanoseconds=ns, clock_type=ClockType.ROS_TIME))
 
 
 class SteppedExecutor(SingleThreadedExecutor):
@@ -69,9 +69,7 @@ class SteppedExecutor(SingleThreadedExecutor):
 
     def spin_once(self, timeout_sec=STEP_S):
         """Do one thing; if there is none, time goes on."""
-        if not self._turn():
-            time.sleep(OTHERS_S)
-            self.clock.step(timeout_sec)
+        self._spin_once(self.clock.ns + round(1e9 * timeout_sec))
 
     def settle(self):
         """Do all that there is to do by now."""
@@ -79,16 +77,23 @@ class SteppedExecutor(SingleThreadedExecutor):
             pass
 
     def spin_for(self, seconds):
+        end = self.clock.ns + round(1e9 * seconds)
+        while self.clock.ns < end:
+            self._spin_once(end)
         self.settle()
-        for _ in range(round(seconds / STEP_S)):
-            self.clock.step()
-            self.settle()
 
     def until(self, true):
         end = self.clock.monotonic() + LONGEST_S
         while not true():
             assert self.clock.monotonic() < end, "it did not come"
             self.spin_once()
+
+    def _spin_once(self, latest):
+        if not self._turn():
+            time.sleep(OTHERS_S)
+            timers = [timer for node in self.get_nodes() for timer in node.timers]
+            dues = [self.clock.ns + max(1, timer.time_until_next_call()) for timer in timers]
+            self.clock.go_to(min(latest, *dues))
 
     def _turn(self):
         for _ in range(2):  # the first may find the end of a round

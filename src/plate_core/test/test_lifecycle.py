@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -14,10 +13,10 @@ from plate_core import PlateError
 rclpy = pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from stepped_clock import SteppedExecutor  # noqa: E402
 
 from plate_core.ros import DATA, NodeOptions, SafeLifecycleNode, parameter, start_nodes  # noqa: E402
 from plate_core.status import Finding, Level  # noqa: E402
@@ -74,10 +73,10 @@ class EchoNode(SafeLifecycleNode[Options]):
 class Peer:
     """The node, and one that talks to it."""
 
-    def __init__(self):
+    def __init__(self, clock):
         rclpy.init(args=["--ros-args", "-r", "__ns:=/lifecycle_test"])
         self.echo, self.node = EchoNode(), rclpy.create_node("peer")
-        self.executor, self.heard, self.reports = SingleThreadedExecutor(), [], []
+        self.executor, self.heard, self.reports = SteppedExecutor(clock), [], []
         for node in (self.echo, self.node):
             self.executor.add_node(node)
         self.node.create_subscription(String, "echo", lambda m: self.heard.append(m.data), DATA)
@@ -92,12 +91,11 @@ class Peer:
         self.reports.append((int.from_bytes(status.level), status.message, len(status.values)))
 
     def until(self, true, longest_s=LONGEST_S):
-        end = time.monotonic() + longest_s  # a spin may be over at once
-        while time.monotonic() < end:
-            if true():
-                return True
-            self.executor.spin_once(timeout_sec=0.01)
-        return bool(true())
+        clock = self.executor.clock
+        end = clock.monotonic() + longest_s
+        while not (done := true()) and clock.monotonic() < end:
+            self.executor.spin_once()
+        return bool(done)
 
     def call(self, client, request):
         assert self.until(client.service_is_ready)
@@ -128,8 +126,8 @@ class Peer:
 
 
 @pytest.fixture(name="peer")
-def _peer():
-    peer = Peer()
+def _peer(clock):
+    peer = Peer(clock)
     yield peer
     peer.executor.shutdown()
     peer.echo.destroy_node()

@@ -1,7 +1,6 @@
 """The node over real topics, in one process."""
 
 import re
-import time
 
 import cv2
 import numpy as np
@@ -12,11 +11,11 @@ rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import PoseStamped  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
+from stepped_clock import STEP_S, SteppedExecutor  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
@@ -45,6 +44,9 @@ MARKER_CENTRES = ((-0.27, -0.12), (0.27, -0.12), (0.27, 0.12), (-0.27, 0.12))
 class Graph:
     """The detector and a probe that plays the camera."""
 
+    clock = None
+    """Of the test."""
+
     def __init__(self, **parameters):
         args = ["--ros-args", "-r", "__ns:=/detector_test"]
         for name, value in parameters.items():
@@ -66,7 +68,8 @@ class Graph:
             rclpy.try_shutdown()
             raise
         self.probe = rclpy.create_node("probe")
-        self.executor = SingleThreadedExecutor()
+        self.executor = SteppedExecutor(self.clock)
+        self.until = self.executor.until
         self.executor.add_node(self.detector)
         self.executor.add_node(self.probe)
         self.parts = []
@@ -76,17 +79,6 @@ class Graph:
         self.resets = self.probe.create_client(Trigger, "detector/reset")
         self.infos = self.probe.create_publisher(CameraInfo, "camera_info", IMAGE)
         self.probe.create_subscription(PartsMsg, "parts", self.parts.append, DATA)
-        if parameters.get("source") != "file":
-            self.until(lambda: self.images.get_subscription_count())
-            self.until(lambda: self.infos.get_subscription_count())
-        self.until(lambda: self.detector.count_subscribers("parts"))
-
-    def until(self, true):
-        for _ in range(2000):
-            if true():
-                return
-            self.executor.spin_once(timeout_sec=0.01)
-        raise AssertionError("it did not come")
 
     def answer(self, msg):
         """Publish an image and return the answer; None if it was refused."""
@@ -100,6 +92,11 @@ class Graph:
         self.detector.destroy_node()
         self.probe.destroy_node()
         rclpy.try_shutdown()
+
+
+@pytest.fixture(autouse=True)
+def _time(clock, monkeypatch):
+    monkeypatch.setattr(Graph, "clock", clock)
 
 
 @pytest.fixture
@@ -215,9 +212,7 @@ def test_diagnostics_tell_silence_refusals_and_bad_light(draw, rng):
             for _ in range(200):
                 if play is not None:
                     graph.images.publish(play)
-                pause = time.monotonic() + 0.05
-                while time.monotonic() < pause:
-                    graph.executor.spin_once(timeout_sec=0.01)
+                graph.executor.spin_for(STEP_S)
                 status = reports[-1].status[0] if reports else DiagnosticStatus()
                 if status.level == level and all(w in status.message for w in words):
                     return {item.key: item.value for item in status.values}
