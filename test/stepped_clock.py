@@ -19,8 +19,8 @@ LONGEST_S = 60.0
 
 
 class SteppedClock:
-    """Stands until it is moved on. All our code that is imported has it as the module `time`, and as
-    system's and steady clock."""
+    """Stands until it is moved on. All our code that is imported has it as the module `time`, and
+    as the system's clock and the steady one."""
 
     def __init__(self, monkeypatch):
         self.ns, self._led = 10**12, []

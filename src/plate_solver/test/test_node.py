@@ -1,12 +1,6 @@
-"""The solver as a process of its own, spoken to over ROS."""
+"""The solver, spoken to over ROS."""
 
-import contextlib
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -20,15 +14,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMsg  # noqa: E402
 from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from stepped_clock import SteppedExecutor  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import DATA, msg_to_cycle, nanoseconds, start_nodes, to_time, wanted_to_msg  # noqa: E402
 from plate_interfaces.msg import PartForces  # noqa: E402
 from plate_solver.node import SolverNode  # noqa: E402
 
-SOLVER = [sys.executable, "-c", "from plate_solver.node import main; main()"]
-NAMESPACE = f"/solver_test_{os.getpid()}"
 MS = 1_000_000
 MASS, MU = 0.02, 0.25  # of the default rig
 PLACES = np.array([[0.12, 0.05], [-0.15, -0.04]])
@@ -36,54 +28,30 @@ WANTED = np.array([[0.006, 0.002], [-0.004, 0.005]])  # drift, m/s
 
 
 class Peer:
-    """A solver process and a node that listens to it."""
+    """A solver and a node that listens to it."""
 
-    def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
-        self.executor = SingleThreadedExecutor(context=self.context)
+    def __init__(self, clock) -> None:
+        words = ["-r", "__ns:=/solver_test", "-p", "deadline:=0.0"]
+        rclpy.init(args=["--ros-args", *words])
+        self.node, self.solver = rclpy.create_node("peer"), SolverNode()
+        self.executor = SteppedExecutor(clock)
         self.executor.add_node(self.node)
+        self.executor.add_node(self.solver)
         self.cycles: list[JointTrajectory] = []
         self.reports: list[DiagnosticArray] = []
         self.node.create_subscription(JointTrajectory, "plate_cycle", self.cycles.append, DATA)
         self.node.create_subscription(DiagnosticArray, "diagnostics", self.reports.append, DATA)
         self.forces = self.node.create_publisher(PartForces, "part_forces", DATA)
         self.parameters = self.node.create_client(SetParameters, "solver/set_parameters")
-        env = os.environ | {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "PYTHONUNBUFFERED": "1",
-        }
-        self.process = subprocess.Popen(
-            [*SOLVER, "--ros-args", "-r", f"__ns:={NAMESPACE}"],
-            env=env,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
+        start_nodes(self.solver)
 
     def until(self, condition, seconds: float = 5.0) -> bool:
         """Spin until the condition holds; False when it takes too long."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-            if condition():
-                return True
-        return False
-
-    def connect(self) -> None:
-        # The solver compiles before it speaks: half a minute at worst.
-        assert self.until(
-            lambda: (
-                self.process.poll() is not None
-                or (
-                    self.forces.get_subscription_count() > 0
-                    and self.node.count_publishers("plate_cycle") > 0
-                )
-            ),
-            seconds=60,
-        ), self.end()
-        assert self.process.poll() is None, self.process.communicate()[0]
+        clock = self.executor.clock
+        end = clock.monotonic() + seconds
+        while not (done := condition()) and clock.monotonic() < end:
+            self.executor.spin_once()
+        return bool(done)
 
     def send(self, wanted: Wanted, stamp_ns: int) -> None:
         self.forces.publish(wanted_to_msg(wanted, to_time(stamp_ns)))
@@ -103,7 +71,6 @@ class Peer:
 
     def set_method(self, value: str):
         text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        assert self.parameters.wait_for_service(timeout_sec=5.0)
         future = self.parameters.call_async(
             SetParameters.Request(parameters=[ParameterMsg(name="method", value=text)])
         )
@@ -134,26 +101,19 @@ class Peer:
 
         assert self.until(heard), self.reports[-1:]
 
-    def end(self) -> tuple[int, str]:
-        """Interrupt the solver; return its exit code and all it printed."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        output, _ = self.process.communicate(timeout=10)
-        return self.process.returncode, output
+    def rivals(self) -> str:
+        return self.solver.rivals("part_forces")
 
     def close(self) -> None:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self.end()
-        self.process.kill()
-        self.process.wait()
         self.executor.shutdown()
+        self.solver.destroy_node()
         self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+        rclpy.shutdown()
 
 
 @pytest.fixture(name="peer")
-def _peer():
-    peer = Peer()
+def _peer(clock):
+    peer = Peer(clock)
     yield peer
     peer.close()
 
@@ -182,12 +142,7 @@ class Plate:
         return answer
 
 
-# One long piece: a solver takes seconds to start.
-
-
-@pytest.mark.alone  # it is frozen for a time that is measured
-def test_life_of_a_solver(peer, rig):
-    peer.connect()
+def test_life_of_a_solver(peer, rig, capfd):
     plate = Plate(peer, stamp_ns=1_000 * MS)
 
     # Every image is answered with a cycle that the rig can run, and the parts obey.
@@ -243,7 +198,7 @@ def test_life_of_a_solver(peer, rig):
         Wanted.make(parts, np.full((2, 2), np.nan)),
         Wanted.make(Parts.make(("a_1", "a_1"), PLACES)),
     ]
-    peer.until(lambda: False, 1.1)  # so that diagnostics tell of these alone
+    peer.executor.spin_for(1.1)  # so that diagnostics tell of these alone
     for number, bad in enumerate(refused, 1):
         stamp_ns += 100 * MS
         peer.send(bad, stamp_ns)
@@ -275,28 +230,24 @@ def test_life_of_a_solver(peer, rig):
 
     # Where a second node asks too, the plate rests.
     force = Wanted.make(Parts.make(("a_1", "a_2"), PLACES), 1e-4 * np.ones((2, 2)))
-    rogue = rclpy.create_node("rogue", context=peer.context, namespace=peer.node.get_namespace())
+    rogue = rclpy.create_node("rogue")
     rogue.create_publisher(PartForces, "part_forces", DATA)
-    peer.until(lambda: False, 0.5)
+    assert peer.until(lambda: "rogue" in peer.rivals())
     assert not np.any(peer.ask(force, fresh.stamp_ns + 100 * MS).knot_pose)
     rogue.destroy_node()
-    peer.until(lambda: peer.node.count_publishers("part_forces") == 1)
-    peer.until(lambda: False, 0.5)
+    assert peer.until(lambda: not peer.rivals())
     assert np.any(peer.ask(force, fresh.stamp_ns + 200 * MS).knot_pose)
 
     # Also where it has the name of the first.
-    twin = rclpy.create_node(
-        peer.node.get_name(), context=peer.context, namespace=peer.node.get_namespace()
-    )
+    twin = rclpy.create_node(peer.node.get_name())
     publisher = twin.create_publisher(PartForces, "part_forces", DATA)
-    peer.until(lambda: publisher.get_subscription_count() > 0)
     for k in range(300, 340, 10):
         publisher.publish(wanted_to_msg(force, to_time(fresh.stamp_ns + k * MS)))
-        peer.until(lambda: False, 0.1)
+        peer.executor.spin_for(0.1)
         answer = peer.ask(force, fresh.stamp_ns + (k + 5) * MS)
     assert not np.any(answer.knot_pose)
     twin.destroy_node()
-    peer.until(lambda: peer.node.count_publishers("part_forces") == 1)
+    assert peer.until(lambda: not peer.rivals())
     assert np.any(peer.ask(force, fresh.stamp_ns + 400 * MS).knot_pose)
 
     # Nobody asks: the values are old.
@@ -305,8 +256,7 @@ def test_life_of_a_solver(peer, rig):
     report = peer.report(lambda r: int(r["answers"]) >= 20)
     assert 0 <= float(report["missed_fraction"]) <= 1
     assert float(report["condition"]) >= 1
-    code, output = peer.end()
-    assert code == 0, output
+    output = capfd.readouterr().err
     assert "Traceback" not in output
     assert "part_forces refused" in output
     assert "no solution, plate rests: 2 nodes publish part_forces (peer, rogue)" in output

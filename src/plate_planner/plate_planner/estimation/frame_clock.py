@@ -6,7 +6,10 @@ intervals later says that images were dropped.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from statistics import median
 
 import numpy as np
 
@@ -112,9 +115,9 @@ class FrameClock:
         stamps = (*self.stamps, stamp)[-ACQUIRE:]
         if len(stamps) < ACQUIRE:
             return replace(FrameClock.at(stamp), stamps=stamps)
-        interval = float(np.median(np.diff(stamps)))
-        if np.isfinite(self.interval):
-            if abs(interval - self.interval) > OTHER * self.interval + 2 * self.scatter:
+        interval = median(after - before for before, after in pairwise(stamps))
+        if math.isfinite(known := self.interval):
+            if abs(interval - known) > OTHER * known + 2 * self.scatter:
                 return FrameClock.at(stamp)
             clock = self._next(stamp)
         else:
@@ -134,7 +137,7 @@ class FrameClock:
         late stamp does not tell, but the next ones do: hypotheses about the frame's number each
         have a filter of their own. Of two that agree on the number the likelier remains (Viterbi).
         """
-        if not np.isfinite(self.interval):
+        if not math.isfinite(self.interval):
             return FrameClock.at(stamp)
         most = int(np.ceil(np.max((stamp - self.time[:, 0]) / self.time[:, 1]))) + 1
         count = np.arange(1, max(most, 1) + 1)
