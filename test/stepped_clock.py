@@ -93,7 +93,7 @@ class SteppedExecutor(SingleThreadedExecutor):
             time.sleep(OTHERS_S)
             timers = [timer for node in self.get_nodes() for timer in node.timers]
             dues = [self.clock.ns + max(1, timer.time_until_next_call()) for timer in timers]
-            self.clock.go_to(min(latest, *dues))
+            self.clock.go_to(min([latest, *dues]))
 
     def _turn(self):
         for _ in range(2):  # the first may find the end of a round
