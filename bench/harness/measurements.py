@@ -48,6 +48,7 @@ ABOUT = {
         "bound": "How fast 1 to 10 parts can be moved: bounds, global search, closed loop",
         "rigs": "Small and weak rigs: success, time, error, and what `feasible` said",
         "sizing": "Number of parts: time, parts dropped",
+        "sameness": "One seed, one answer: what changes a run, to the last bit",
         "free_running": "Cameras that run free: error against rate, exposure, latency and scatter",
         "control": "The closed loop with more and less time for the solver",
         "serial": "The serial path: tasks, accidents, noise, uploads, lateness",
@@ -66,7 +67,7 @@ MEASUREMENTS = {
 }
 """Name -> module and what it is about."""
 
-LONG = {"feeding_hour", "tasks"}
+LONG = {"feeding_hour", "sameness", "tasks"}
 """Hours: measured only by name."""
 
 EXPECTED_S = {

@@ -15,7 +15,15 @@ import numpy as np
 from numba import njit
 from numba.core import caching, event
 
-__all__ = ["constant", "inner_kernel", "kernel", "when_compiling"]
+__all__ = ["SAME_ROUNDING", "constant", "inner_kernel", "kernel", "when_compiling"]
+
+SAME_ROUNDING = {"nnan", "ninf", "nsz"}
+"""Freedom of the compiler (`fastmath`) that changes no sum: a kernel rounds alike everywhere.
+
+With all freedom it rounds by the width of the processor's vectors, and in each kernel that it is
+put into in another way. Of such copies, which have one name, a process runs the one that it had
+first: one that compiles them gives other numbers than one that loads them.
+"""
 
 
 def _kept() -> bool:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateCycle, Rig
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 from plate_core.motion import PIECES
 from plate_core.rig import motor_levers, motor_reach
 
@@ -89,7 +89,7 @@ class Limits(NamedTuple):
         )
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def motion_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, limits: Limits, linear: bool
 ) -> float:
@@ -122,7 +122,7 @@ def motion_use(
     return max(stroke / limits.stroke_m, speed / limits.speed, sqrt(peak) / limits.accel)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def force_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits
 ) -> float:
@@ -143,7 +143,7 @@ def force_use(
     return max(most, limits.heat * sqrt(hottest))
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def limit_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,

@@ -142,7 +142,7 @@ def slip_after(fx, fy, fc, dv, gyration2, mesh, first, end):
     return fx - wx, fy - wy, fc - wc / gyration2
 
 
-@inner_kernel(fastmath={"contract", "reassoc", "arcp", "nsz"})
+@inner_kernel(fastmath={"nsz"})
 def friction(dx, dy, dc, gyration2, mesh, first, end):
     """Friction that a slip (u, v, c) in the part's axes gives the points `first` to `end` - 1.
 

@@ -66,10 +66,6 @@ GENTLE = 0.5
 DISC_STIFF = 3.0
 """A disc's friction changes at most about so much [mu g] when its slip changes by its own size."""
 
-FAST = {"contract", "reassoc", "arcp", "nsz"}
-"""Freedom of the compiler in `glide`; none that forgives NaN or infinity, which mark lanes that do
-not glide."""
-
 
 class Motion(NamedTuple):
     """State of one part: place [m], angle [rad], and their rates, plate_home."""
@@ -90,7 +86,7 @@ class Slip(NamedTuple):
     turn: float
 
 
-@inner_kernel(fastmath=FAST)
+@inner_kernel(fastmath={"nsz"})  # NaN and infinity mark lanes that do not glide
 def glide(plate, step, ground, state, discs, done):
     """Move the discs that slide steadily through a step, as `advance` would; tell which.
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 
 class Damping(NamedTuple):
@@ -146,7 +146,7 @@ def fit(
     return levenberg_marquardt(there, slopes)(None, start, DAMPING, tolerance, iterations)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> np.ndarray:
     """Return the damped step: J' (J J' + damping mean(diag) 1)^-1 error, or the same in the space
     of the parameters where that is the smaller one."""
@@ -165,7 +165,7 @@ def least_norm_step(jacobian: np.ndarray, error: np.ndarray, damping: float) -> 
     return step
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _solve_damped(rows: np.ndarray, damping: float, right: np.ndarray) -> None:
     """Solve (rows rows' + damping mean(diag) 1) x = right in place, by Cholesky's method."""
     count, square = len(rows), _products(rows)
@@ -186,7 +186,7 @@ def _solve_damped(rows: np.ndarray, damping: float, right: np.ndarray) -> None:
         right[i] /= square[i, i]
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def _squared(error: np.ndarray) -> float:
     total = 0.0
     for value in error:
@@ -194,7 +194,7 @@ def _squared(error: np.ndarray) -> float:
     return total
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _products(rows: np.ndarray) -> np.ndarray:
     """Return the scalar products of any two rows."""
     count = len(rows)

@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 LANES = 16
 """Parts in a block."""
@@ -40,7 +40,7 @@ def blocks_of(
     return np.ascontiguousarray(state.reshape(-1, LANES, 5).transpose(0, 2, 1)).reshape(-1, STATE)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def trace(
     state: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float, steps: np.ndarray
 ) -> None:
@@ -69,7 +69,7 @@ def trace(
                 own[Y + i] += dt * own[VY + i]
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def adjoint(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
     by_twist: np.ndarray, by_pose: np.ndarray,

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from plate_core import PlateCycle, PlateError
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 TINY_SQUARE = 1e-24
 """Squared slip [m2/s2] below which the direction of friction is taken as none."""
@@ -176,7 +176,7 @@ def spline_force(
         force[i, 1] = fy / times[-1]
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def step_forces(
     position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
@@ -207,7 +207,7 @@ def step_forces(
     return mean
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def step_force_gradient(
     position: np.ndarray, velocity: np.ndarray, twist: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:

@@ -16,7 +16,7 @@ from math import sqrt
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 PREDICTION_STEP = 0.1e-3
 """Step for predicting what a finished cycle does [s]: it is done once, so it may be fine."""
@@ -43,7 +43,7 @@ def finely_sampled(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return cycle.pose(t), cycle.twist(t), np.full(steps, cycle.period / steps)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_state(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray,
@@ -79,7 +79,7 @@ def end_state(
     return np.column_stack((px, py)), np.column_stack((vx, vy))
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,

@@ -19,7 +19,7 @@ from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from .blocks import LANES
 
@@ -56,7 +56,7 @@ def room_spread(spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
     )
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_turning(
     position: np.ndarray, velocity: np.ndarray, spin: np.ndarray, spread: np.ndarray,
     pose: np.ndarray, twist: np.ndarray, dt: np.ndarray, friction_accel: np.ndarray,
@@ -104,7 +104,7 @@ def end_turning(
     return p, v, turn, c
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_turning_gradient(
     position: np.ndarray, velocity: np.ndarray, spin: np.ndarray, spread: np.ndarray,
     pose: np.ndarray, twist: np.ndarray, dt: np.ndarray, friction_accel: np.ndarray,
@@ -206,7 +206,7 @@ def turning_blocks_of(
     return np.ascontiguousarray(blocks).reshape(-1, TURNING_STATE)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def trace_turning(
     state: np.ndarray, pose: np.ndarray, twist: np.ndarray, dt: float, steps: np.ndarray
 ) -> None:
@@ -250,7 +250,7 @@ def trace_turning(
                 own[TURN + i] += dt * own[SPIN + i]
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def adjoint_turning(
     steps: np.ndarray, twist: np.ndarray, dt: float, coast: float,
     by_twist: np.ndarray, by_pose: np.ndarray,

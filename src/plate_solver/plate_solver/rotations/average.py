@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..fit import Fit, levenberg_marquardt
 from ..fit.levenberg_marquardt import DAMPING
@@ -104,7 +104,7 @@ def _descend(problem: SequenceForces, theta: np.ndarray, tolerance: float, itera
     return _search_down(problem, theta, PATIENT, tolerance, iterations)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def force_slopes(
     theta: np.ndarray,
     family: Sequences,
@@ -162,7 +162,7 @@ def force_slopes(
     return jacobian
 
 
-@kernel(fastmath=True, error_model="numpy", inline="always")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy", inline="always")
 def _directions(
     u: float, v: float, spin: float, position: np.ndarray, velocity: np.ndarray, fraction: float,
     turning: bool, value: np.ndarray, way: np.ndarray,
@@ -191,7 +191,7 @@ def _directions(
             way[2, i] += curl
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _to_knots(
     k: int, parts: int, period: float, gap: np.ndarray, total: np.ndarray, way: np.ndarray,
     turning: bool, by_time: np.ndarray, by_knot: np.ndarray, by_corner: np.ndarray,

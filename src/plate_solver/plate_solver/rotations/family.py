@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..limits import Limits, limit_use
 from .sequence import gap_back, knot_poses, motion, pull_back, ramps, timeline, timeline_back
@@ -65,7 +65,7 @@ Line = tuple[np.ndarray, np.ndarray]
 Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def split(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, np.ndarray]:
     """Return holds (J + 1,) and twists (J, 3) of parameters."""
     count, own = family.basis.shape[:2]
@@ -78,7 +78,7 @@ def split(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, np.ndarray]
     return theta[: count + 1] * family.hold_scale, twists
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
     """Return knot times and twists there, as `timeline`."""
     holds, twists = split(theta, family)
@@ -86,7 +86,7 @@ def line_of(theta: np.ndarray, family: Sequences) -> Line:
     return timeline(holds, twists, ramp, family.period)
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
     """Keep lengths positive, and the motion within the limits; return its knots and samples."""
     theta = theta.copy()

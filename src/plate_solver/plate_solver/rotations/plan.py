@@ -12,7 +12,7 @@ from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..requests.request import CURL_LENGTH_M
 from .library import Library
@@ -187,7 +187,7 @@ def best_order(
     return best
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def _changes(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
     """Return the change (J, J) [m/s] of the fastest corner between any two twists."""
     count = len(twists)

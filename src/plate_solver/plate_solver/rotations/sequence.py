@@ -15,13 +15,13 @@ from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 RAMP_PEAK = 1.5
 """Peak of a cubic ramp's acceleration over its mean."""
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def ramps(
     twists: np.ndarray, half: np.ndarray, loads: np.ndarray, accel: float, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +83,7 @@ def ramps(
     return length, slope
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def timeline(
     holds: np.ndarray, twists: np.ndarray, ramp: np.ndarray, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +109,7 @@ def timeline(
     return times, knots
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def knot_poses(times: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """Return the pose (K, 3) at every knot before the motion is closed."""
     pose = np.zeros_like(knots)
@@ -120,7 +120,7 @@ def knot_poses(times: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return pose
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def motion(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -157,7 +157,7 @@ def motion(
     return pose, twist, accel, dt, gap
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def pull_back(
     times: np.ndarray, knots: np.ndarray, counts: tuple[int, int],
     by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray,
@@ -208,7 +208,7 @@ def pull_back(
     return by_time, by_knot
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def corners_back(
     times: np.ndarray, knots: np.ndarray, by_corner: np.ndarray, by_time: np.ndarray,
     by_knot: np.ndarray,
@@ -226,7 +226,7 @@ def corners_back(
                 by_time[r, k - 1] -= mean * total
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def gap_back(times: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives (3, K), (3, K, 3) of the gap by the knots."""
     by_time, by_knot = np.zeros((3, len(times))), np.zeros((3, len(times), 3))
@@ -237,7 +237,7 @@ def gap_back(times: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return by_time, by_knot
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def timeline_back(
     holds: np.ndarray, ramp: np.ndarray, slope: np.ndarray, period: float,
     by_time: np.ndarray, by_knot: np.ndarray,

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 PERTURBATION = 1e-9
 """Shift of the right-hand side, relative to its greatest entry, that breaks ties between rows."""
@@ -167,7 +167,7 @@ def _restart(
     return inverse, amount, fits
 
 
-@kernel(fastmath=True)
+@kernel(fastmath=SAME_ROUNDING)
 def _best_column(
     matrix: np.ndarray, dual: np.ndarray, price: np.ndarray, value: np.ndarray
 ) -> tuple[int, float, float]:

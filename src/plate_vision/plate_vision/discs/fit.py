@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..plate.light import LitPlate, bare, solve
 from .measure import CORE, DISC, MIN_DARKNESS, RIM_PX
@@ -46,7 +46,7 @@ def fit_discs(plate: LitPlate, seeds: np.ndarray, radius_px: float) -> np.ndarra
     return discs
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _fit_all(plate: LitPlate, state: np.ndarray, radius: float) -> np.ndarray:
     """Fit `state` (n, SIZE), a first guess but for the darkness; return misfits (n,)."""
     count = len(state)
@@ -88,7 +88,7 @@ def _fit_all(plate: LitPlate, state: np.ndarray, radius: float) -> np.ndarray:
     return misfit
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _gather(plate: LitPlate, seed: np.ndarray, radius: float, pixels: np.ndarray) -> int:
     """List the usable pixels around a seed: x, y [px], darkness; return how many."""
     grey, light, usable = plate
@@ -106,7 +106,7 @@ def _gather(plate: LitPlate, seed: np.ndarray, radius: float, pixels: np.ndarray
     return count
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: float) -> float:
     total, count = 0.0, 0
     for i in range(size):
@@ -117,7 +117,7 @@ def _first_darkness(pixels: np.ndarray, size: int, seed: np.ndarray, radius: flo
     return max(total / max(count, 1), MIN_DARKNESS)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _without_others(
     pixels: np.ndarray, size: int, state: np.ndarray, neighbours: np.ndarray, work: np.ndarray
 ) -> None:
@@ -138,7 +138,7 @@ def _without_others(
             work[1, i] *= one - cover
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _improve(disc: np.ndarray, normal: np.ndarray, right: np.ndarray, first_radius: float) -> float:
     """Make one step of a disc (SIZE,) by its normal equations; return the change [px]."""
     for i in range(SIZE):
@@ -155,7 +155,7 @@ def _improve(disc: np.ndarray, normal: np.ndarray, right: np.ndarray, first_radi
     return largest
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _sum_up(
     pixels: np.ndarray,
     size: int,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..plate.light import LitPlate, bare
 
@@ -74,7 +74,7 @@ def measure_alone(
     return discs, dirt <= RIM_DIRT_PX2 * discs["darkness"]
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _moments(
     plate: LitPlate,
     seeds: np.ndarray,

@@ -11,7 +11,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..plate.light import LitPlate, bare
 
@@ -89,7 +89,7 @@ def _disc(radius: int) -> np.ndarray:
     return (np.hypot(reach[:, None], reach[None, :]) <= radius + 0.3).astype(np.uint8)
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _dark(
     plate: LitPlate, threshold: float, grid: tuple[int, int, int], outside: np.ndarray
 ) -> np.ndarray:
@@ -171,7 +171,7 @@ def _split(
     return found
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _vote(plate: LitPlate, corner: tuple[int, int], radius: float, votes: np.ndarray) -> None:
     """Let every piece of edge vote; `votes` (h, w) begins at the pixel `corner`.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from .region import Region, Samples
 
@@ -58,7 +58,7 @@ class LitPlate(NamedTuple):
     usable: np.ndarray
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def bare(light: np.ndarray, x_px: float, y_px: float) -> float:
     """Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`."""
     u = (np.float32(x_px) - light[6]) * light[8]
@@ -103,7 +103,7 @@ def light_problem(image: np.ndarray, min_grey: float) -> str | None:
     return None
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
     """Return the coefficients (6,) of the surface through those of the samples that show the bare
     plate; empty if there is no bright plate."""
@@ -134,7 +134,7 @@ def _fit(grey: np.ndarray, samples: Samples, min_grey: float) -> np.ndarray:
     return right.astype(np.float32) if fitted.min() >= 0.5 * min_grey else nothing
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _normal_equations(
     value: np.ndarray, fitted: np.ndarray, design: np.ndarray, low: float, high: float
 ) -> tuple[np.ndarray, np.ndarray, int]:
@@ -156,7 +156,7 @@ def _normal_equations(
     return normal, right, kept
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _dot(a: np.ndarray, b: np.ndarray) -> float:
     """Return the scalar product of vectors (K,) of float32."""
     total = np.float32(0)

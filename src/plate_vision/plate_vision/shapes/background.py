@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from plate_core.kernels import kernel
+from plate_core.kernels import SAME_ROUNDING, kernel
 
 from ..errors import ImageError
 from ..plate.region import quadratic
@@ -289,7 +289,7 @@ def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
     return out
 
 
-@kernel(fastmath=True, error_model="numpy")
+@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def _deviation(lab: np.ndarray, bare: np.ndarray, weight: float, out: np.ndarray) -> None:
     channels = lab.shape[1]
     for i in range(len(out)):

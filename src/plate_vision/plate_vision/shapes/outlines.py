@@ -13,7 +13,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from plate_core.kernels import inner_kernel, kernel
+from plate_core.kernels import SAME_ROUNDING, inner_kernel, kernel
 
 HARMONICS = 17
 """Of an outline's spectrum that are compared, from 0: a hexagon differs from a disc in the 6th and
@@ -367,7 +367,7 @@ def edge_distance(edges: np.ndarray, x: float, y: float) -> tuple[float, float, 
     return side * length, side * right / length, side * down / length
 
 
-@inner_kernel(fastmath=True)
+@inner_kernel(fastmath=SAME_ROUNDING)
 def rim_distance(edges: np.ndarray, x: float, y: float) -> float:
     """Return the distance of a point from edges (e, 5)."""
     least = 1e30

@@ -1,0 +1,177 @@
+"""One seed, one answer: what changes a run of the closed loop, to the last bit, and in which piece.
+
+Every variation runs in fresh processes and is compared with quiet ones that find their kernels
+compiled. Another processor is stood in for by the code that libraries would choose for it; one that
+lacks what is named there cannot run it. Some 1500 runs and nine times all kernels: two hours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from harness import Cache, Result, Table, processes, resumed
+from plate_bringup.loop import Moment, Setup, run
+
+SCENARIOS = ("sort_10", "follow_2", "assemble_8", "align_6")
+SEEDS = range(9000, 9020)
+
+PIECES = ("simulator", "camera", "vision", "planner", "solver")
+"""In the order in which a cycle goes through them."""
+
+COLUMNS = {
+    "variation": "variation", "settings": "environment", "scenario": "scenario", "runs": "runs",
+    "same": "the same", "piece": "differs first in", "cycle": "in cycle",
+}  # fmt: skip
+
+BUSY = 4
+"""Loops beside a loaded run."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What is unlike the quiet run.
+
+    Attributes
+    ----------
+    settings : mapping
+        Variables of the environment.
+    workers, busy : int
+        Processes that share the runs, and loops that only take time.
+    fresh : bool
+        Whether no kernel is compiled yet.
+    """
+
+    settings: Mapping[str, str] = field(default_factory=dict)
+    workers: int = 1
+    busy: int = 0
+    fresh: bool = False
+
+
+def kernels_for(cpu: str) -> Variation:
+    """Return kernels that are compiled for another processor."""
+    return Variation({"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": ""}, fresh=True)
+
+
+VARIATIONS = {
+    "once more": Variation(),
+    "loaded": Variation(busy=BUSY),
+    "four workers": Variation(workers=4),
+    "no kernel compiled yet": Variation(fresh=True),
+    "four threads": Variation(
+        {"OPENBLAS_NUM_THREADS": "4", "OMP_NUM_THREADS": "4", "NUMBA_NUM_THREADS": "2"}
+    ),
+    "kernels for any x86-64": kernels_for("x86-64"),
+    "kernels for Haswell": kernels_for("haswell"),
+    "kernels for Skylake with AVX-512": kernels_for("skylake-avx512"),
+    "kernels for Zen 3": kernels_for("znver3"),
+    "BLAS for SSE3": Variation({"OPENBLAS_CORETYPE": "Prescott"}),
+    "BLAS for Haswell": Variation({"OPENBLAS_CORETYPE": "Haswell"}),
+    "BLAS for Skylake with AVX-512": Variation({"OPENBLAS_CORETYPE": "SkylakeX"}),
+    "numpy without AVX-512": Variation({"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL"}),
+    "numpy without AVX2": Variation({"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL"}),
+    "C library without AVX2, FMA": Variation(
+        {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL"}
+    ),
+    "OpenCV without AVX": Variation({"OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,FP16,AVX"}),
+    "OpenCV without IPP": Variation({"OPENCV_IPP": "disabled"}),
+}
+
+
+def measure(quick: bool) -> Result:
+    """Run all variations; quick: two seeds of them that need no kernel compiled."""
+    cache, seeds = Cache.of(__name__), SEEDS[:2] if quick else SEEDS
+    reference = traces("quiet", Variation(), seeds, cache)
+    rows: list[dict[str, Any]] = []
+    for name, variation in VARIATIONS.items():
+        if quick and variation.fresh:
+            continue
+        found = traces(name, variation, seeds, cache)
+        settings = " ".join(f"{key}='{value}'" for key, value in variation.settings.items())
+        for scenario in SCENARIOS:
+            pairs = [(reference[scenario, seed], found[scenario, seed]) for seed in seeds]
+            row = {"variation": name, "settings": settings, "scenario": scenario}
+            rows.append(row | compared(pairs))
+    note = (
+        "Compared are all places of parts, images, sightings, requests and plate cycles. Quiet: "
+        "one process alone, kernels compiled before, libraries' own choice for this processor."
+    )
+    title = f"Runs that are the same to the last bit as the quiet one, {len(seeds)} seeds each"
+    return Result([Table("sameness", title, COLUMNS, rows, note)], sentences(rows))
+
+
+def traces(
+    name: str, variation: Variation, seeds: range, cache: Cache
+) -> dict[tuple[str, int], list[str]]:
+    """Return the trace of every run of a variation, from the cache or by running it."""
+    runs = [(scenario, seed) for scenario in SCENARIOS for seed in seeds]
+    work = {f"{name} {scenario} {seed}": (scenario, seed) for scenario, seed in runs}
+    with surroundings(variation), processes(variation.workers) as pool:
+        return dict(zip(runs, resumed(pool, trace, work, cache), strict=True))
+
+
+def trace(scenario: str, seed: int) -> list[str]:
+    """Run the loop; returns the digests of what each piece made, one string per cycle."""
+    return [" ".join(map(digest, made(moment))) for moment in run(Setup(scenario, seed))]
+
+
+def made(moment: Moment) -> Iterator[list[np.ndarray]]:
+    """Yield what each of `PIECES` made."""
+    world, parts, wanted, cycle = moment.world, moment.parts, moment.wanted, moment.answer.cycle
+    yield [world.position, world.angle]
+    yield [moment.image]
+    yield [parts.position, parts.angle]
+    yield [wanted.force, wanted.tolerance, *([] if wanted.start is None else [wanted.start])]
+    yield [cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel]
+
+
+def digest(arrays: list[np.ndarray]) -> str:
+    """Return a short digest of arrays."""
+    return hashlib.blake2b(b"".join(a.tobytes() for a in arrays), digest_size=4).hexdigest()
+
+
+def compared(pairs: list[tuple[list[str], list[str]]]) -> dict[str, Any]:
+    """Return how many pairs of traces are the same, and where the first other ones part."""
+    others = [pair for pair in pairs if pair[0] != pair[1]]
+    row = {"runs": len(pairs), "same": len(pairs) - len(others), "piece": None, "cycle": None}
+    for cycle, (a, b) in enumerate(zip(*others[0], strict=False)) if others else ():
+        if a != b:
+            unlike = [x != y for x, y in zip(a.split(), b.split(), strict=True)]
+            return row | {"piece": PIECES[unlike.index(True)], "cycle": cycle}
+    return row
+
+
+@contextmanager
+def surroundings(variation: Variation) -> Iterator[None]:
+    """Let processes that are started meanwhile find what a variation says."""
+    before = dict(os.environ)
+    with ExitStack() as stack:
+        stack.callback(os.environ.update, before)
+        stack.callback(os.environ.clear)
+        os.environ.update(variation.settings)
+        if variation.fresh:
+            os.environ["NUMBA_CACHE_DIR"] = stack.enter_context(TemporaryDirectory())
+        for _ in range(variation.busy):
+            loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(loop.kill)
+        yield
+
+
+def sentences(rows: list[dict[str, Any]]) -> list[str]:
+    """Sum up every variation."""
+    told = []
+    for name in dict.fromkeys(row["variation"] for row in rows):
+        mine = [row for row in rows if row["variation"] == name]
+        same, runs = sum(row["same"] for row in mine), sum(row["runs"] for row in mine)
+        first = ", ".join(dict.fromkeys(row["piece"] for row in mine if row["piece"]))
+        told.append(f"{name}: {same} of {runs} the same" + (f"; first: {first}" if first else ""))
+    return told
