@@ -3,8 +3,10 @@
 python bench/charts.py [--quick] [--draw]
 
 Measurements go to out/bench/*.json. One that is there is not made again, unless the code that it
-rests on has changed, or it was a quick one and --quick is not given. --draw draws what is there: a
-chart that has not been measured here is drawn from its CSV file in docs/results.
+rests on has changed, or it was a quick one and --quick is not given. What docs/results.md is to
+show is measured on a committed tree, and while other programs rest: it waits for that. --draw
+draws what is there: a chart that has not been measured here is drawn from its CSV file in
+docs/results.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from harness import ROOT, folder_made, is_done, optional, read, run_all
+from harness import ROOT, commit, folder_made, is_done, optional, read, run_all
 
 
 def main() -> int:
@@ -29,11 +31,16 @@ def main() -> int:
     from report import CHARTS, made, read_facts, write_report, write_results
 
     folder = args.out / "bench"
-    if not args.draw:
-        needed = dict.fromkeys(name for one in CHARTS for name in one.sources)
-        run_all([n for n in needed if not is_done(folder, n, args.quick)], args.quick, folder)
     # The project's own text shows thorough measurements only.
     own = args.out == ROOT / "out" and not args.quick
+    if not args.draw:
+        needed = dict.fromkeys(name for one in CHARTS for name in one.sources)
+        lacking = [name for name in needed if not is_done(folder, name, args.quick)]
+        if own and lacking and commit().endswith("-dirty"):
+            told = f"error: the tree is {commit()}, allowed: all changes committed (or --quick)"
+            print(told, file=sys.stderr)
+            return 1
+        run_all(lacking, args.quick, folder, quiet=own)
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
     facts, columns = read_facts(results, data)

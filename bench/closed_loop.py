@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from harness import cluster, parallel, processes
+from harness import cluster, of_median, parallel, processes, share
 from plate_bringup.loop import Setup, load_planner, summary, with_settings
 from plate_core import PlateError, Rig, load_rig
 from plate_core.tasks import load_scenario
@@ -99,10 +99,14 @@ def _line(row: dict) -> str:
 
 def _conclusion(rows: list[dict]) -> str:
     good = [row for row in rows if row["success"]]
-    text = f"{len(good)} of {len(rows)} ended well, {sum(r['dropped'] for r in rows)} parts dropped"
+    dropped = sum(row["dropped"] for row in rows)
+    text = f"{share(len(good), len(rows))} ended well, {dropped} parts dropped"
     if good:
         times = [row["time_s"] for row in good]
-        text += f"; time median {np.median(times):.1f} s, most {max(times):.1f} s"
+        text += "; time median {:.1f} s ({:.1f} to {:.1f})".format(
+            np.median(times), *of_median(times)
+        )
+        text += f", most {max(times):.1f} s"
     errors = [row["rms_error_m"] for row in rows if row["rms_error_m"] is not None]
     if errors:
         text += f"; RMS median {1e3 * np.median(errors):.3f} mm, most {1e3 * max(errors):.3f} mm"

@@ -9,13 +9,15 @@ import sys
 from pathlib import Path
 
 import closed_loop
+import numpy as np
 import pytest
 import run
 import yaml
 from numba import njit
 from short_task import short_task
 
-from harness import MEASUREMENTS
+from harness import MEASUREMENTS, of_median, of_share, share
+from harness.measurements import MOST_CORES, busy_cores
 from plate_bringup import loop
 from plate_core import PlateError, load_rig
 
@@ -224,3 +226,27 @@ def test_feasible_is_held_against_what_happened():
     said = [("likely", "3 of 5"), ("not likely", "2 of 5"), ("likely", "2 of 5")]
     rows = [{"feasible": words, "succeeded": told} for words, told in said]
     assert [agrees(row) for row in rows] == [True, True, False]
+
+
+def test_intervals_are_as_wide_as_they_say():
+    # Wilson's interval by hand: (p + z²/2n ± z sqrt(p(1-p)/n + z²/4n²)) / (1 + z²/n)
+    p, n, z = 0.7, 20, 1.959964
+    middle, half = p + z * z / 2 / n, z * math.sqrt(p * (1 - p) / n + (z / 2 / n) ** 2)
+    assert of_share(14, n) == pytest.approx(
+        [(middle + s * half) / (1 + z * z / n) for s in (-1, 1)]
+    )
+    assert share(100, 100) == "100 of 100 (96 to 100 %)"
+    rng, held = np.random.default_rng(1), 0
+    for _ in range(200):
+        low, high = of_median(rng.exponential(size=40))
+        held += low <= math.log(2) <= high
+    assert 0.9 < held / 200 < 0.99
+
+
+def test_other_programs_are_noticed():
+    """Of a computer that is busy anyway too."""
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+        try:
+            assert busy_cores() > MOST_CORES
+        finally:
+            busy.kill()

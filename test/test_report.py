@@ -242,6 +242,16 @@ def test_charts_are_drawn_from_their_csv_files_where_nothing_is_measured(
     assert f"drawn from {tmp_path / 'docs/results'}: {QUICK}\n" in told
 
 
+def test_what_is_not_committed_is_not_published(monkeypatch, capsys):
+    import charts
+
+    monkeypatch.setattr(sys, "argv", ["charts.py"])
+    monkeypatch.setattr(charts, "commit", lambda: "abc-dirty")
+    monkeypatch.setattr(charts, "is_done", lambda *_: False)
+    assert charts.main() == 1
+    assert "the tree is abc-dirty, allowed: all changes committed" in capsys.readouterr().err
+
+
 def test_rows_come_back_from_a_csv_file_as_they_were(tmp_path):
     from report.chart import Sheet
 

@@ -5,6 +5,7 @@ line.
 """
 
 from harness.cache import Cache
+from harness.intervals import of_median, of_share, share
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all
 from harness.pool import cluster, parallel, processes, resumed
 from harness.race import LEAST_ROUNDS, Race, cpu_time, race
@@ -12,6 +13,7 @@ from harness.result import (
     ROOT,
     Result,
     Table,
+    commit,
     folder_made,
     missing_peer,
     optional,
@@ -31,10 +33,13 @@ __all__ = [
     "Result",
     "Table",
     "cluster",
+    "commit",
     "cpu_time",
     "folder_made",
     "is_done",
     "missing_peer",
+    "of_median",
+    "of_share",
     "optional",
     "parallel",
     "processes",
@@ -43,6 +48,7 @@ __all__ = [
     "resumed",
     "rounded",
     "run_all",
+    "share",
     "shown",
     "text_table",
     "write",

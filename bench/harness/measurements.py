@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -81,8 +82,13 @@ EXPECTED_S = {
 """How long those of the charts take where they have never been run: two cores of today [s]."""
 
 
-def run_all(names: Iterable[str], quick: bool, out: Path) -> None:
-    """Run measurements one after the other; tells of each how far the work is, and writes it."""
+MOST_CORES = 0.3
+"""That other programs may take while timings are measured."""
+
+
+def run_all(names: Iterable[str], quick: bool, out: Path, quiet: bool = False) -> None:
+    """Run measurements one after the other; tells of each how far the work is, and writes it. If
+    `quiet` each waits until other programs rest."""
     names = list(names)
     expected = {name: seconds for name in names if (seconds := last_seconds(out, name, quick))}
     began = time.perf_counter()
@@ -95,12 +101,38 @@ def run_all(names: Iterable[str], quick: bool, out: Path) -> None:
             + f"] {name:12s} {about} ... ",
             end="", flush=True,
         )  # fmt: skip
+        if quiet:
+            await_quiet()
         start = time.perf_counter()
         code = code_of(module)
         result = importlib.import_module(module).measure(quick)
         seconds = time.perf_counter() - start
         write(out / f"{name}.json", name, about, quick, seconds, code, result)
         print(f"{seconds:.1f} s", flush=True)
+
+
+def await_quiet() -> None:
+    """Wait until other programs take less than `MOST_CORES`; says that it does."""
+    told = False
+    while (cores := busy_cores()) > MOST_CORES:
+        if not told:
+            print(
+                f"waits for other programs, which take {cores:.1f} cores ... ", end="", flush=True
+            )
+        told = True
+
+
+def busy_cores() -> float:
+    """Return how many cores other programs take, for a second in which we rest."""
+    before, start = idle_s(), time.monotonic()
+    time.sleep(1.0)
+    return (os.cpu_count() or 1) - (idle_s() - before) / (time.monotonic() - start)
+
+
+def idle_s() -> float:
+    """Return for how long the cores have had nothing to do, all together [s]."""
+    cpu = Path("/proc/stat").read_text(encoding="ascii").split(maxsplit=6)
+    return (int(cpu[4]) + int(cpu[5])) / os.sysconf("SC_CLK_TCK")
 
 
 def last_seconds(out: Path, name: str, quick: bool) -> float | None:
