@@ -64,7 +64,10 @@ EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "pow
 
 def driver(log, namespace: str, *parameters: str) -> Fork:
     words = [str(executable("plate_driver", "driver")), "--ros-args", "-r", f"__ns:={namespace}"]
-    return Fork([*words, *(w for p in parameters for w in ("-p", p))], os.environ, log, [NODE])
+    words += [word for each in parameters for word in ("-p", each)]
+    fork = Fork.start(words, os.environ, log, [NODE])
+    assert fork is not None
+    return fork
 
 
 class Board:

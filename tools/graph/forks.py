@@ -1,30 +1,45 @@
 """Nodes as forks of one process that has loaded their code: they start in a fraction of the time
-and share its memory. What runs is the file that `ros2 run` would start."""
+and share its memory. What runs is the file that `ros2 run` would start.
+
+python tools/graph/forks.py MODULE ...    is that process: orders come at stdin, one JSON a line
+"""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import faulthandler
-import fcntl
 import gc
-import multiprocessing
+import json
 import os
 import runpy
 import select
 import signal
 import subprocess
 import sys
+import threading
+import time
+import traceback
 from collections.abc import Iterable, Mapping
-from multiprocessing.context import ForkServerProcess
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-OF_A_RUN = ("ROS_", "RCUTILS_", "FASTRTPS_", "SKIP_DEFAULT_XML_FILE", "PYTHON")
-"""Beginnings of variables that are read when a node starts; others may be when code is loaded."""
+AT_LOADING = (
+    "AMENT_", "GLIBC_", "LD_", "NPY_", "NUMBA_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
+    "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
+)  # fmt: skip
+"""Beginnings of variables that may be read when code is loaded: a server is for one set of them."""
+
+END_S = 5.0
+"""Longest wait for the server to end [s]."""
+
+LOOK_S = 0.05
+"""Between two looks at a node whose server has ended [s]."""
 
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 
-_server = multiprocessing.get_context("forkserver")
 _libc = ctypes.CDLL(None)
 
 
@@ -33,35 +48,129 @@ def end_with_parent() -> None:
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-class Fork:
-    """A node, as `subprocess.Popen` has programs.
+class Server:
+    """The process that becomes nodes, for those who want some. It hears no signal of a terminal."""
 
-    Parameters
-    ----------
-    words : list of str
-        Its command line.
-    environment : mapping of str to str
-    log : path
-        File to which it adds what it says.
-    modules : iterable of str
-        What it needs: loaded with the first node, and for all others too.
-    """
+    newest: Server | None = None
 
-    def __init__(
-        self, words: list[str], environment: Mapping[str, str], log: Path, modules: Iterable[str]
-    ) -> None:
-        _server.set_forkserver_preload([*modules])
-        self._process: ForkServerProcess = _server.Process(
-            target=_become, args=(words, dict(environment), str(log))
+    def __init__(self, modules: Iterable[str], environment: Mapping[str, str]) -> None:
+        self._loaded = _of_loading(environment)
+        self._codes: dict[int, int] = {}
+        self._said, self._lock = b"", threading.Lock()
+        self._process = subprocess.Popen(
+            [sys.executable, __file__, *modules],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            start_new_session=True,
+            preexec_fn=end_with_parent,
         )
-        self._process.start()
-        assert self._process.pid is not None
-        self.pid = self._process.pid
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._orders, self._answers = self._process.stdin, self._process.stdout.fileno()
+        atexit.register(self._end)
+
+    @classmethod
+    def of(cls, modules: Iterable[str], environment: Mapping[str, str]) -> Server | None:
+        """Return the one that runs, or a new one; None if other variables were in force when its
+        code was loaded."""
+        if cls.newest is None or cls.newest._process.poll() is not None:
+            cls.newest = cls(modules, environment)
+        return cls.newest if cls.newest._loaded == _of_loading(environment) else None
+
+    def start(self, words: list[str], environment: Mapping[str, str], log: Path) -> int:
+        """Start a node; returns its process id.
+
+        Raises
+        ------
+        OSError
+            If there can be no more processes, or the server has ended.
+        """
+        order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
+        with self._lock:
+            self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
+            self._orders.flush()
+            answer = self._heard(None)
+            if answer is None:
+                raise OSError("the process that starts nodes has ended")
+            if "problem" in answer:
+                raise OSError(answer["problem"])
+            return int(answer["started"])
+
+    def code(self, pid: int, timeout_s: float) -> int | None:
+        """Return the exit code of a node that ends within a time [s]; None: it runs on."""
+        with self._lock:
+            end = time.monotonic() + timeout_s
+            while pid not in self._codes:
+                left_s = max(0.0, end - time.monotonic())
+                if self._heard(left_s) is not None:
+                    continue
+                alone = self._process.poll() is not None
+                if alone and not _runs(pid):
+                    self._codes[pid] = -signal.SIGTERM  # as happens to nodes without a server
+                elif not left_s:
+                    break
+                elif alone:
+                    time.sleep(min(left_s, LOOK_S))
+            return self._codes.get(pid)
+
+    def _heard(self, timeout_s: float | None) -> dict[str, Any] | None:
+        """Take in what the server says, ends of nodes or an answer; None: nothing, or it has
+        ended."""
+        while b"\n" not in self._said:
+            if not select.select([self._answers], [], [], timeout_s)[0]:
+                return None
+            data = os.read(self._answers, 4096)
+            if not data:
+                return None
+            self._said += data
+        line, _, self._said = self._said.partition(b"\n")
+        answer: dict[str, Any] = json.loads(line)
+        if "ended" not in answer:
+            return answer
+        self._codes[answer["ended"]] = answer["code"]
+        return self._heard(timeout_s) if timeout_s is None else answer
+
+    def _end(self) -> None:
+        with contextlib.suppress(OSError):
+            self._orders.close()
+        try:
+            self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class Fork:
+    """A node that a server has started, as `subprocess.Popen` has programs."""
+
+    def __init__(self, server: Server, pid: int) -> None:
+        self._server, self.pid = server, pid
+
+    @classmethod
+    def start(
+        cls, words: list[str], environment: Mapping[str, str], log: Path, modules: Iterable[str]
+    ) -> Fork | None:
+        """Start a command that is a Python script; None if it is none, or needs a process anew.
+
+        Parameters
+        ----------
+        words : list of str
+        environment : mapping of str to str
+        log : path
+            File to which it adds what it says.
+        modules : iterable of str
+            What it needs: loaded with the first node, and for all others too.
+        """
+        with contextlib.suppress(OSError), open(words[0], "rb") as script:
+            if b"python" in script.readline(100) and (server := Server.of(modules, environment)):
+                return cls(server, server.start(words, environment, log))
+        return None
 
     @property
     def returncode(self) -> int | None:
         """Exit code; negative: ended by that signal; None: it runs."""
-        return self._process.exitcode
+        return self._server.code(self.pid, 0.0)
 
     def poll(self) -> int | None:
         """Return the same."""
@@ -75,48 +184,103 @@ class Fork:
         subprocess.TimeoutExpired
             It still runs after that time [s].
         """
-        self._process.join(timeout)
-        if self.returncode is None:
-            raise subprocess.TimeoutExpired(self._process.name, timeout)
-        return self.returncode
+        code = self._server.code(self.pid, timeout)
+        if code is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout)
+        return code
 
     def send_signal(self, number: int) -> None:
         """Send a signal, if it still runs."""
         if self.returncode is None:
-            os.kill(self.pid, number)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, number)
 
 
-def can_fork(words: list[str], environment: Mapping[str, str]) -> bool:
-    """Whether a command is a Python script, and code that was loaded with our own variables is as
-    if it was loaded with these."""
-    mine, its = (
-        {name: value for name, value in each.items() if not name.startswith(OF_A_RUN)}
-        for each in (os.environ, environment)
-    )
-    with contextlib.suppress(OSError), open(words[0], "rb") as script:
-        return mine == its and b"python" in script.readline(100)
-    return False
+def _runs(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
 
 
-def _become(words: list[str], environment: dict[str, str], log: str) -> None:
-    """Be the node: a session, an environment and a log of its own, as a new process has."""
-    gc.freeze()  # or the first collection copies all pages of the server
-    os.setsid()
-    end_with_parent()  # the server; and with whom it serves:
-    asked_by = multiprocessing.parent_process().sentinel  # type: ignore[union-attr]
-    fcntl.fcntl(asked_by, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(asked_by, fcntl.F_SETSIG, signal.SIGTERM)
-    fcntl.fcntl(asked_by, fcntl.F_SETFL, os.O_ASYNC)
-    if select.select([asked_by], [], [], 0)[0]:
-        sys.exit()
-    _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
-    said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    for number in (1, 2):
-        os.dup2(said, number)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    sys.stdout, sys.stderr = (open(number, "w", buffering=1) for number in (1, 2))  # noqa: SIM115
-    faulthandler.enable()  # a crash shows where it was
-    os.environ.clear()
-    os.environ.update(environment)
-    sys.argv = words
-    runpy.run_path(words[0], run_name="__main__")
+def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
+    return {name: value for name, value in environment.items() if name.startswith(AT_LOADING)}
+
+
+def serve(modules: Iterable[str]) -> None:
+    """Be the server, until there are no more orders."""
+    for module in modules:
+        with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
+            import_module(module)
+    gc.collect()
+    gc.freeze()  # or a node's first collection copies all pages
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(wake)
+    while True:
+        ready, _, _ = select.select([0, woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+            with contextlib.suppress(ChildProcessError):
+                while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+                    _say(ended=ended[0], code=os.waitstatus_to_exitcode(ended[1]))
+        elif line := sys.stdin.readline():
+            try:
+                pid = os.fork()
+            except OSError as problem:
+                _say(problem=f"no more processes: {problem.strerror}")
+                continue
+            if not pid:
+                os.close(woken)
+                os.close(wake)
+                _become(**json.loads(line))
+            _say(started=pid)
+        else:
+            return
+
+
+def _say(**answer: Any) -> None:
+    print(json.dumps(answer), flush=True)
+
+
+def _become(words: list[str], environment: dict[str, str], log: str, folder: str) -> None:
+    """Be a node: a session, an environment and a log of its own, as a new process has."""
+    code: Any = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        said = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        for number in (1, 2):
+            os.dup2(said, number)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        os.setsid()
+        end_with_parent()
+        _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
+        faulthandler.enable()  # a crash shows where it was
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+        sys.path[0] = os.path.dirname(words[0])
+        os.environ.clear()
+        os.environ.update(environment)
+        os.chdir(folder)
+        sys.argv = words
+        runpy.run_path(words[0], run_name="__main__")
+        code = 0
+    except SystemExit as end:
+        code = end.code or 0
+        if not isinstance(code, int):
+            print(code, file=sys.stderr)
+            code = 1
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+
+
+if __name__ == "__main__":
+    serve(sys.argv[1:])

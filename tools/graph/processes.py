@@ -14,7 +14,7 @@ from pathlib import Path
 from plate_bringup import GraphError, GraphNode, RunOptions, Value
 from plate_core import config_path
 
-from .forks import Fork, can_fork, end_with_parent
+from .forks import Fork, end_with_parent
 
 KILL_S = 3.0
 """Time for the system to end a node that must [s]."""
@@ -196,9 +196,8 @@ class Processes:
     def _start(self, name: str, words: list[str], log_mode: str = "wb") -> None:
         # A session of its own: Ctrl-C at the terminal reaches us alone, and we tell the nodes.
         with self.log(name).open(log_mode) as log, signals_wait():
-            if can_fork(words, self._environment):
-                path = self.log(name)
-                self._running[name] = Fork(words, self._environment, path, self._modules)
+            if fork := Fork.start(words, self._environment, self.log(name), self._modules):
+                self._running[name] = fork
                 return
             self._running[name] = subprocess.Popen(
                 words,
