@@ -210,6 +210,12 @@ def _of_loading(environment: Mapping[str, str]) -> dict[str, str]:
 
 def serve(modules: Iterable[str]) -> None:
     """Be the server, until there are no more orders."""
+    answers = os.dup(1)
+    os.dup2(2, 1)  # what code says while it is loaded
+
+    def say(**answer: Any) -> None:
+        os.write(answers, json.dumps(answer).encode() + b"\n")
+
     for module in modules:
         with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
             import_module(module)
@@ -225,24 +231,20 @@ def serve(modules: Iterable[str]) -> None:
             os.read(woken, 4096)
             with contextlib.suppress(ChildProcessError):
                 while (ended := os.waitpid(-1, os.WNOHANG))[0]:
-                    _say(ended=ended[0], code=os.waitstatus_to_exitcode(ended[1]))
+                    say(ended=ended[0], code=os.waitstatus_to_exitcode(ended[1]))
         elif line := sys.stdin.readline():
             try:
                 pid = os.fork()
             except OSError as problem:
-                _say(problem=f"no more processes: {problem.strerror}")
+                say(problem=f"no more processes: {problem.strerror}")
                 continue
             if not pid:
-                os.close(woken)
-                os.close(wake)
+                for pipe in (answers, woken, wake):
+                    os.close(pipe)
                 _become(**json.loads(line))
-            _say(started=pid)
+            say(started=pid)
         else:
             return
-
-
-def _say(**answer: Any) -> None:
-    print(json.dumps(answer), flush=True)
 
 
 def _become(words: list[str], environment: dict[str, str], log: str, folder: str) -> None:

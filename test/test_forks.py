@@ -1,0 +1,84 @@
+"""Nodes as forks: as processes of their own for all who look, with true exit codes."""
+
+import json
+import os
+import signal
+import subprocess
+
+import pytest
+from graph.forks import Fork, Server
+
+SHOWS = """#!/usr/bin/env python3
+import json, os, sys
+with open("/proc/self/comm") as name:
+    print(json.dumps([sys.argv, os.getcwd(), os.environ["MARK"], sys.path[0], name.read().strip(),
+                      os.getsid(0) == os.getpid(), sys.stdin.read()]))
+sys.exit(int(sys.argv[1]))
+"""
+WAITS = "#!/usr/bin/env python3\nimport time\nprint('here')\ntime.sleep(60)\n"
+
+
+@pytest.fixture(name="server")
+def _server():
+    server = Server(["no_such_module", "this"], os.environ)  # neither may end it
+    yield server
+    server._end()
+
+
+@pytest.fixture(name="start")
+def _start(server, tmp_path):
+    def start(text, *words):
+        program, log = tmp_path / "shows", tmp_path / "log"
+        program.write_text(text)
+        pid = server.start([str(program), *words], os.environ | {"MARK": "m"}, log)
+        return Fork(server, pid), log
+
+    return start
+
+
+def test_a_fork_is_a_program_of_its_own(start, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    fork, log = start(SHOWS, "3")
+    assert fork.wait(30) == fork.poll() == 3
+    program = str(tmp_path / "shows")
+    assert json.loads(log.read_text()) == [
+        [program, "3"], str(tmp_path / "here"), "m", str(tmp_path), "shows", True, "",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ("#!python\n", 0, ""),
+        ("#!python\nraise SystemExit('a reason')\n", 1, "a reason\n"),
+        ("#!python\nimport nothing_of_that_name\n", 1, "No module named 'nothing_of_that_name'"),
+        ("#!python\nimport os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n", -9, ""),
+    ],
+)
+def test_its_exit_code_and_last_words_are_told(start, text, code, said):
+    fork, log = start(text)
+    assert fork.wait(30) == code
+    assert said in log.read_text()
+
+
+def test_a_node_ends_with_its_server_and_its_end_is_known(start, server):
+    fork, log = start(WAITS)
+    while not (log.exists() and log.read_text()):
+        with pytest.raises(subprocess.TimeoutExpired):
+            fork.wait(0.01)
+    os.kill(server._process.pid, signal.SIGKILL)
+    assert fork.wait(30) == -signal.SIGTERM
+    with pytest.raises(OSError, match=r"ended|Broken pipe"):
+        start(WAITS)
+
+
+def test_what_is_no_python_script_or_wants_other_code_is_not_forked(tmp_path):
+    shell, python = tmp_path / "shell", tmp_path / "python"
+    shell.write_text("#!/bin/sh\n")
+    python.write_text("#!/usr/bin/env python3\n")
+    assert Fork.start([str(shell)], os.environ, tmp_path / "log", []) is None
+    assert Fork.start(["nowhere"], os.environ, tmp_path / "log", []) is None
+    assert Fork.start([str(python)], os.environ, tmp_path / "log", []).wait(30) == 0
+    other = os.environ | {"NUMBA_CPU_NAME": "generic"}
+    assert Fork.start([str(python)], other, tmp_path / "log", []) is None
