@@ -28,11 +28,6 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
     export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-$_plate_root/.numba_cache}"
     export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
     export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
-    # The same code on each processor that has AVX2 and FMA, so that a seed gives the same run (docs/faq.md)
-    if grep -qsw avx2 /proc/cpuinfo && grep -qsw fma /proc/cpuinfo; then
-        export OPENBLAS_CORETYPE="${OPENBLAS_CORETYPE-Haswell}"
-        export NPY_DISABLE_CPU_FEATURES="${NPY_DISABLE_CPU_FEATURES-X86_V4 AVX512_ICL AVX512_SPR}"
-    fi
     unset _plate_root _plate_shell
 else
     echo "The workspace is not set up yet. Run: make -C '$_plate_root' setup" >&2
