@@ -6,6 +6,7 @@ import signal
 import subprocess
 
 import pytest
+from graph import forks
 from graph.forks import Fork, Server
 
 SHOWS = """#!/usr/bin/env python3
@@ -71,6 +72,15 @@ def test_a_node_ends_with_its_server_and_its_end_is_known(start, server):
     assert fork.wait(30) == -signal.SIGTERM
     with pytest.raises(OSError, match=r"ended|Broken pipe"):
         start(WAITS)
+
+
+def test_a_server_that_does_not_answer_is_ended(start, server, monkeypatch):
+    fork, _ = start(WAITS)
+    os.kill(server._process.pid, signal.SIGSTOP)
+    monkeypatch.setattr(forks, "START_S", 0.2)
+    with pytest.raises(OSError, match="does not answer"):
+        start(WAITS)
+    assert fork.wait(30) == -signal.SIGTERM
 
 
 def test_what_is_no_python_script_or_wants_other_code_is_not_forked(tmp_path):

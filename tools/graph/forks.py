@@ -23,6 +23,7 @@ import time
 import traceback
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,9 @@ AT_LOADING = (
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
 """Beginnings of variables that may be read when code is loaded: a server is for one set of them."""
+
+START_S = 120.0
+"""Longest wait for the server to load its code and start a node [s]: a busy computer needs long."""
 
 END_S = 5.0
 """Longest wait for the server to end [s]."""
@@ -84,15 +88,19 @@ class Server:
         Raises
         ------
         OSError
-            If there can be no more processes, or the server has ended.
+            If there can be no more processes, or the server has ended. One that does not answer
+            is ended, and its nodes with it.
         """
         order = {"words": words, "environment": dict(environment), "log": str(log.absolute())}
         with self._lock:
             self._orders.write(json.dumps(order | {"folder": os.getcwd()}).encode() + b"\n")
             self._orders.flush()
-            answer = self._heard(None)
+            end = time.monotonic() + START_S
+            while (answer := self._heard(max(0.0, end - time.monotonic()))) and "ended" in answer:
+                pass
             if answer is None:
-                raise OSError("the process that starts nodes has ended")
+                self._process.kill()
+                raise OSError("the process that starts nodes has ended, or does not answer")
             if "problem" in answer:
                 raise OSError(answer["problem"])
             return int(answer["started"])
@@ -114,9 +122,9 @@ class Server:
                     time.sleep(min(left_s, LOOK_S))
             return self._codes.get(pid)
 
-    def _heard(self, timeout_s: float | None) -> dict[str, Any] | None:
-        """Take in what the server says, ends of nodes or an answer; None: nothing, or it has
-        ended."""
+    def _heard(self, timeout_s: float) -> dict[str, Any] | None:
+        """Take in what the server says next, the end of a node or an answer; None: nothing, or the
+        server has ended."""
         while b"\n" not in self._said:
             if not select.select([self._answers], [], [], timeout_s)[0]:
                 return None
@@ -126,10 +134,9 @@ class Server:
             self._said += data
         line, _, self._said = self._said.partition(b"\n")
         answer: dict[str, Any] = json.loads(line)
-        if "ended" not in answer:
-            return answer
-        self._codes[answer["ended"]] = answer["code"]
-        return self._heard(timeout_s) if timeout_s is None else answer
+        if "ended" in answer:
+            self._codes[answer["ended"]] = answer["code"]
+        return answer
 
     def _end(self) -> None:
         with contextlib.suppress(OSError):
@@ -262,7 +269,8 @@ def _become(words: list[str], environment: dict[str, str], log: str, folder: str
         _libc.prctl(PR_SET_NAME, os.path.basename(words[0]).encode())
         faulthandler.enable()  # a crash shows where it was
         for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+            assert isinstance(stream, TextIOWrapper)
+            stream.reconfigure(line_buffering=True)
         sys.path[0] = os.path.dirname(words[0])
         os.environ.clear()
         os.environ.update(environment)
@@ -275,7 +283,7 @@ def _become(words: list[str], environment: dict[str, str], log: str, folder: str
         if not isinstance(code, int):
             print(code, file=sys.stderr)
             code = 1
-    except BaseException:
+    except BaseException:  # whatever it is, as Python shows it when a program ends
         traceback.print_exc()
     finally:
         for stream in (sys.stdout, sys.stderr):

@@ -120,7 +120,7 @@ def test_a_stop_that_is_not_acknowledged_is_answered_and_goes_on_being_tried(des
     assert (answer.success, answer.message) == (False, UNANSWERED)
     status = desk.node.status
     assert (status.text, status.reason) == (UNCERTAIN, DriverReason.STOP_UNANSWERED)
-    desk.motors.stops[-1].settle()  # what becomes of it is told
+    desk.motors.stops[-1].settle()  # the status then says how it ended
     assert desk.node.status.text == "error: no word"
     # Telemetry shows it: an acknowledgement is not needed.
     desk.motors.told, desk.motors.telemetry = Report(Condition.OFF), True

@@ -41,7 +41,7 @@ from plate_sim.node import START_NS, SimulatorNode
 from plate_sim.world import RANGES
 
 RIG = load_rig()
-PATIENCE_S = 20.0
+LONGEST_S = 20.0
 """A test that hears nothing for so long has failed [s]."""
 
 
@@ -90,8 +90,8 @@ class Loop:
         if self.answer is not None:
             self.tables.publish(self.answer(len(self.images) - 1, msg.header.stamp))
 
-    def spin(self, done, patience=PATIENCE_S):
-        end = self.clock.monotonic() + patience
+    def spin(self, done, longest_s=LONGEST_S):
+        end = self.clock.monotonic() + longest_s
         while not done() and self.clock.monotonic() < end:
             self.executor.spin_once()
         return done()
