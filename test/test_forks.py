@@ -21,7 +21,9 @@ WAITS = "#!/usr/bin/env python3\nimport time\nprint('here')\ntime.sleep(60)\n"
 
 @pytest.fixture(name="server")
 def _server():
-    server = Server(["no_such_module", "this"], os.environ)  # neither may end it
+    # A module that cannot be loaded, and one that prints, into a buffer: neither may matter.
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    server = Server(["no_such_module", "this"], buffered)
     yield server
     server._end()
 

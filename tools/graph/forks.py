@@ -226,6 +226,7 @@ def serve(modules: Iterable[str]) -> None:
     for module in modules:
         with contextlib.suppress(Exception, SystemExit):  # the node that needs it will tell
             import_module(module)
+    sys.stdout.flush()  # or each node would say it again
     gc.collect()
     gc.freeze()  # or a node's first collection copies all pages
     woken, wake = os.pipe()
