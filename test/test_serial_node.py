@@ -307,9 +307,10 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     assert {"device_state", "faults", "stop", "following_error_mm", "device_load",
             "round_trip_ms", "device_thermal_load"} <= set(values)  # fmt: skip
     assert bench.told[-1] == "ready"
-    # And goes on with the next one, which needs no enable.
+    # And goes on with the next one, which needs no enable, unless the motors were off meanwhile.
+    enables, told = board.count(Enable), len(bench.told)
     bench.moving()
-    assert board.count(Enable) == 1
+    assert board.count(Enable) == enables or set(bench.told[told:]) - {"ready"}
     assert "Traceback" not in bench.end()
     assert board.count(Stop) >= 1
     assert bench.until(lambda: board.state is State.OFF)

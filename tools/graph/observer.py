@@ -50,6 +50,9 @@ ANSWERED_S = 15.0
 FRESH_S = 2.5
 """What a node has said counts for so long [s]: it says something each second."""
 
+CALL_AGAIN = ": call again"
+"""What the driver ends with that has just stood still, as on a busy computer."""
+
 READY_S = 15.0
 """Longest wait until the driver is ready [s]: the device may have to find home first, for 5 s."""
 
@@ -417,7 +420,14 @@ class Observer:
         """
         record, braking = self.record, DriverStatus.BRAKING
         self.until(lambda: record.driver is None or record.driver.state != braking, READY_S)
-        answer = self.call(SetBool, "enable", SetBool.Request(data=True))
+        answer = SetBool.Response()
+
+        def enabled() -> bool:
+            nonlocal answer
+            answer = self.call(SetBool, "enable", SetBool.Request(data=True))
+            return answer.success or not answer.message.endswith(CALL_AGAIN)
+
+        self.until(enabled, READY_S)
         if not answer.success:
             raise GraphError(f"enable refused: {answer.message}")
         self.await_ready()

@@ -410,11 +410,12 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         except PlateError as error:
             self._warn(str(error))
         else:
-            arrival = self._arrival(seconds(msg.header.stamp))
-            if self._run is None:
-                self._idle = self._idle.hear(cycle, arrival)
+            asked, run = seconds(msg.header.stamp), self._run
+            arrival = self._arrival(asked)
+            if run is None:
+                self._idle = self._idle.hear(cycle, arrival, asked)
             else:
-                self._run.state = self._run.planner.hear(self._run.state, cycle, arrival)
+                run.state = run.planner.hear(run.state, cycle, arrival, asked)
         if nanoseconds(msg.header.stamp) == self._asked_ns:
             self._open = False
             self._go_on()
@@ -721,6 +722,9 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if problem:
             way = "; set camera_triggered false" if self.options.camera_triggered else ""
             findings.append(Finding(Level.WARN, problem + way))
+        if late := self._estimator.log.delay:
+            text = f"answers begin {late} cycles late: computer or line is too slow"
+            findings.append(Finding(Level.WARN, text))
         found = worst(findings, "")
         if self._run is None:
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))

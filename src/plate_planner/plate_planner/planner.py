@@ -239,12 +239,15 @@ class Planner:
             raise PlateError("feed_orders: purge, allowed: with a chute in the recipe")
         return replace(self, scenario=replace(self.scenario, task=replace(task, order=order)))
 
-    def hear(self, state: PlannerState, cycle: PlateCycle, arrival: float) -> PlannerState:
+    def hear(
+        self, state: PlannerState, cycle: PlateCycle, arrival: float, asked: float | None = None
+    ) -> PlannerState:
         """Take in a cycle that the solver sent, and when [s, the time of the stamps].
 
-        Without it the planner takes parts to do as was asked of them.
+        `asked` is when the cycle began that it answers [s]; None: it is the one that runs. Without
+        any the planner takes parts to do as was asked of them.
         """
-        return replace(state, estimator=state.estimator.hear(cycle, arrival))
+        return replace(state, estimator=state.estimator.hear(cycle, arrival, asked))
 
     def started(self, state: PlannerState, cycle: PlateCycle, begin: float) -> PlannerState:
         """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
@@ -387,7 +390,7 @@ class Planner:
             motion_known=estimator.log.known,
             latency_known=estimator.latency_known or not estimator.log.reported,
             predicted=place + period * estimator.bias.along(axes),
-            shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / period,
+            shortfall=np.hypot(*(estimator.as_asked(parts) - place).T) / (start - estimator.stamp),
             active=active,
             seen=self._on_plate(estimator.seen),
             taken=estimator.taken,

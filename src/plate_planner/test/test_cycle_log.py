@@ -1,5 +1,7 @@
 """Which cycle ran when and how long one is: lost images, gaps, stamps that go back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,7 +45,7 @@ def test_stamps_that_jitter_are_where_cycles_begin():
 def test_time_that_begins_anew():
     log = CycleLog().hear(SHORT, 5.0).advance(5.1).hear(LONG, 5.1).advance(0.0)
     assert not log.known
-    assert log.sent is None
+    assert log.sent == ()
 
 
 def test_an_image_of_a_trigger_line_belongs_to_the_last_pulse_before_its_stamp():
@@ -132,3 +134,50 @@ def test_a_reported_cycle_that_none_could_play_is_ignored():
     log = CycleLog().started(SHORT, 1.8e9)
     assert log.started(PlateCycle.rest(1e-9), 1.8e9 + 1) is log
     assert log.advance(1.8e9 + 1.02).end > 1.8e9 + 1
+
+
+def swinging(k):
+    """A cycle that differs from others."""
+    return replace(SHORT, knot_pose=SHORT.knot_pose + 1e-4 * k)
+
+
+def played(count, late, log=None):
+    """A log of `count` cycles of 0.1 s, each of them `late` cycles later than it was asked for."""
+    log = (log or CycleLog()).started(swinging(0), 0.0)
+    for k in range(1, count):
+        log = log.hear(swinging(k), 0.1 * k - 0.02, 0.1 * (k - 1))
+        log = log.started(swinging(max(k - late, 0)), 0.1 * k)
+    return log
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_how_late_answers_begin_is_learnt(late):
+    log = played(12, late)
+    assert log.delay == late
+    ahead = log.until_answer
+    assert ahead.end == pytest.approx(log.end + 0.1 * late)
+    # Those that were sent begin in their turn.
+    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-1 - late :]]
+    assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
+
+
+def test_one_late_answer_is_not_expected_of_the_next():
+    log = played(8, 0)
+    log = log.hear(swinging(50), 0.75, 0.7).started(swinging(7), 0.8).started(swinging(50), 0.9)
+    assert log.delay == 0
+    assert log.until_answer == log
+
+
+def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
+    log = played(12, 1)  # 1.1 to 1.2 s runs what was sent tenth
+    for one in (log, log.hear(swinging(12), 1.19, 1.1)):
+        assert one.advance(1.21).runs[-1][1].knot_pose[0, 0] == pytest.approx(11e-4)
+
+
+def test_rest_and_cycles_that_nobody_sent_tell_nothing():
+    log = played(12, 1)
+    for k in range(12, 20):
+        log = log.hear(PlateCycle.rest(0.1), 0.1 * k - 0.02, 0.1 * (k - 1))
+        log = log.started(PlateCycle.rest(0.1), 0.1 * k)
+    assert log.delay == 1
+    assert log.started(swinging(99), 2.0).delay == 1

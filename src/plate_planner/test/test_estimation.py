@@ -259,9 +259,9 @@ def test_nothing_is_learnt_from_what_was_not_predicted_or_not_seen():
 def test_parts_that_were_not_asked_go_on_drifting():
     parts = Parts.make(("a_1", "a_2"), np.zeros((2, 2)), np.full((2, 2), 0.01))
     asked = LastRequest(("a_2",), np.full((1, 2), 0.03), 1.0)
-    assert asked.predict(parts, 1.0 + T, T) == pytest.approx(np.array([[0.001] * 2, [0.003] * 2]))
+    assert asked.drift_of(parts, 1.0 + T, T) == pytest.approx(np.array([[0.01] * 2, [0.03] * 2]))
     for other in (1.0 + 2 * T, 0.0):  # too old, and of a time that has begun anew
-        assert asked.predict(parts, other, T) == pytest.approx(np.full((2, 2), 0.001))
+        assert asked.drift_of(parts, other, T) == pytest.approx(np.full((2, 2), 0.01))
 
 
 # A camera that runs free

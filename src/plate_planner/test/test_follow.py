@@ -104,7 +104,7 @@ def closed_loop(reference, start, cycles, kp, drift_gain=1.0, noise=0.0, limit=1
         seen = x + noise * rng.normal(size=x.shape)
         v = (seen - seen_before) / T
         wanted = pd_drift(
-            asked.predict(Parts.make(("black_1",), seen, v), t, T),
+            seen + T * asked.drift_of(Parts.make(("black_1",), seen, v), t, T),
             reference(t + T),
             reference(t + 2 * T),
             T,

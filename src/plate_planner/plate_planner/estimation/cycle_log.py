@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from statistics import median_low
 
+import numpy as np
+
 from plate_core import PlateCycle
 
 HANDOVER_S = 4e-3
@@ -31,6 +33,30 @@ PERIOD_RANGE_S = (0.005, 1.0)
 INTERVALS_KEPT = 3
 """Intervals remembered: the median of three is not deceived by one lost image."""
 
+DELAYS_KEPT = 7
+"""Delays remembered: a single late answer does not count."""
+
+LATEST = 3
+"""No answer is expected to begin more cycles late than this."""
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A cycle that was sent.
+
+    Attributes
+    ----------
+    arrival : float
+        When [s, the time of the stamps].
+    cycle : PlateCycle
+    asked : float
+        When the cycle began that it answers [s].
+    """
+
+    arrival: float
+    cycle: PlateCycle
+    asked: float
+
 
 @dataclass(frozen=True)
 class CycleLog:
@@ -40,15 +66,20 @@ class CycleLog:
     ----------
     runs : tuple of (begin [s], PlateCycle)
         Each ends where the next begins; before the first the plate rests.
-    sent : tuple of (arrival [s], PlateCycle), or None
-        The newest cycle sent that has not begun.
+    sent : tuple of Sent
+        Cycles sent that have not begun, oldest first: the newest one alone, unless starts are
+        reported.
     reported : bool
         Whether starts of cycles are reported; else images are taken at them.
+    delays : tuple of int
+        By how many cycles the last answers began later than at the end of the cycle that they
+        answer.
     """
 
     runs: tuple[tuple[float, PlateCycle], ...] = ()
-    sent: tuple[float, PlateCycle] | None = None
+    sent: tuple[Sent, ...] = ()
     reported: bool = False
+    delays: tuple[int, ...] = ()
 
     @property
     def known(self) -> bool:
@@ -81,27 +112,57 @@ class CycleLog:
             since = begin
         return since
 
-    def hear(self, cycle: PlateCycle, arrival: float) -> CycleLog:
-        """Take in a cycle that was sent, and when [s, the time of the stamps]."""
+    @property
+    def delay(self) -> int:
+        """By how many cycles answers begin late: on a computer or a line that is too slow."""
+        return median_low(self.delays) if self.delays else 0
+
+    @property
+    def until_answer(self) -> CycleLog:
+        """The log as it will be at its end, when the answer to the running cycle begins: those
+        sent before begin first."""
+        log, before = self, self.sent[len(self.sent) - self.delay :] if self.delay else ()
+        for k in range(self.delay - 1, -1, -1):
+            cycle = before[-1 - k].cycle if k < len(before) else log.runs[-1][1]
+            log = replace(log, runs=(*log.runs, (log.end, cycle)))
+        return log
+
+    def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
+        """Take in a cycle that was sent, and when [s, the time of the stamps].
+
+        `asked` is when the cycle began that it answers [s]; None: it is the one that runs.
+        """
         if cycle.period < SHORTEST_S:
             return self
-        return replace(self, sent=(arrival, cycle))
+        if asked is None:
+            asked = self.begin if self.runs else arrival
+        before = self.sent[-LATEST:] if self.reported else ()
+        return replace(self, sent=(*before, Sent(arrival, cycle, asked)))
 
     def started(self, cycle: PlateCycle, begin: float) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]."""
         if cycle.period < SHORTEST_S:
             return self
         if self.runs and begin < self.begin - MEMORY_S:
-            return CycleLog(((begin, cycle),), None, True)  # time began anew
+            return CycleLog(((begin, cycle),), (), True)  # time began anew
         before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
-        waits = self.sent is not None and self.sent[0] > begin
-        return CycleLog((*kept, (begin, cycle)), self.sent if waits else None, True)
+        sent, delays = self.sent, self.delays
+        moves = cycle.knot_pose.any()  # rest does not tell one cycle from another
+        for k, one in enumerate(self.sent):
+            if np.array_equal(one.cycle.knot_pose, cycle.knot_pose):
+                sent = self.sent[k + 1 :]
+                if moves:
+                    late = round((begin - one.asked) / cycle.period) - 1
+                    delays = (*delays, min(max(late, 0), LATEST))[-DELAYS_KEPT:]
+                break
+        return CycleLog((*kept, (begin, cycle)), sent, True, delays)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
 
-        At a cycle's end the newest one follows, if it was there in time, else the same again.
+        At a cycle's end the newest one follows, if it was there in time, else the same again; but
+        for answers that begin late the one whose turn it is.
         """
         if self.reported:
             log = self
@@ -137,8 +198,13 @@ class CycleLog:
         return t
 
     def _begin(self, t: float, same: PlateCycle | None) -> CycleLog:
-        if self.sent is not None and self.sent[0] + HANDOVER_S <= t:
-            return replace(self, runs=(*self.runs, (t, self.sent[1])), sent=None)
+        came = [one for one in self.sent if one.arrival + HANDOVER_S <= t]
+        if self.delay:
+            turn = self.delay + 1 - SNAP
+            came = [one for one in came if one.asked + turn * one.cycle.period <= t]
+        if came:  # the report of its start finds it still there
+            sent = self.sent if self.reported else ()
+            return replace(self, runs=(*self.runs, (t, came[-1].cycle)), sent=sent)
         return self if same is None else replace(self, runs=(*self.runs, (t, same)))
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:

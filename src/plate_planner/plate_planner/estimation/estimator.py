@@ -60,8 +60,8 @@ class LastRequest:
     stamp: float = -np.inf
     force: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def predict(self, parts: Parts, t: float, period: float) -> np.ndarray:
-        """Where parts (M, 2) [m] seen at t [s] are a cycle later, if they do as they were asked.
+    def drift_of(self, parts: Parts, t: float, period: float) -> np.ndarray:
+        """Drift (M, 2) [m/s] of parts seen at t [s], if they do as they were asked.
 
         Parts that were not asked go on drifting.
         """
@@ -69,7 +69,7 @@ class LastRequest:
         if 0 <= t - self.stamp <= FRESH * period:
             row = rows_of(parts.ids, self.ids)
             drift[row >= 0] = self.drift[row[row >= 0]]
-        return parts.position + period * drift
+        return drift
 
 
 @dataclass(frozen=True)
@@ -267,9 +267,9 @@ class Estimator:
         """mu g of the rig [m/s2]."""
         return self.rig.friction.accel
 
-    def hear(self, cycle: PlateCycle, arrival: float) -> Estimator:
-        """Take in a cycle that was sent to the plate, and when [s, the time of the stamps]."""
-        return replace(self, log=self.log.hear(cycle, arrival))
+    def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> Estimator:
+        """Take in a cycle that was sent to the plate; as in `CycleLog.hear`."""
+        return replace(self, log=self.log.hear(cycle, arrival, asked))
 
     def started(self, cycle: PlateCycle, begin: float) -> Estimator:
         """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
@@ -364,7 +364,7 @@ class Estimator:
     @property
     def next_start(self) -> float:
         """Stamp at which the answer to the last image begins to act [s]."""
-        return self.log.end if self.log.known else self.stamp + self.clock.period
+        return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -426,11 +426,13 @@ class Estimator:
             return None
         row = rows_of(parts.ids, self.ids)
         time = self.latency.estimate.time[self.latency.best][row]
-        return propagate(self.log, self.mean[row], time, self.log.end, self.friction_accel)[:, :4]
+        log = self.log.until_answer
+        return propagate(log, self.mean[row], time, log.end, self.friction_accel)[:, :4]
 
     def as_asked(self, parts: Parts) -> np.ndarray:
         """Where parts would be (M, 2) [m] then, if they did as they were asked."""
-        return self.request.predict(parts, self.stamp, self.period)
+        drift = self.request.drift_of(parts, self.stamp, self.period)
+        return parts.position + (self.next_start - self.stamp) * drift
 
     def observe(
         self,
