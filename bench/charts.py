@@ -1,4 +1,5 @@
-"""Measure what the charts need and draw them: docs/results.md and out/report/index.html.
+"""Measure what the charts need and draw them: docs/results.md and out/report/index.html; and the
+tables of README, docs/graph.md and docs/hardware.md.
 
 python bench/charts.py [--quick] [--draw]
 
@@ -28,13 +29,14 @@ def main() -> int:
             told = f"error: {name} is not installed: pip install -r requirements-bench.txt"
             print(told, file=sys.stderr)
             return 1
-    from report import CHARTS, made, read_facts, write_report, write_results
+    import report
 
     folder = args.out / "bench"
     # The project's own text shows thorough measurements only.
     own = args.out == ROOT / "out" and not args.quick
     if not args.draw:
-        needed = dict.fromkeys(name for one in CHARTS for name in one.sources)
+        needed = dict.fromkeys(name for one in report.CHARTS for name in one.sources)
+        needed |= dict.fromkeys(report.names())
         lacking = [name for name in needed if not is_done(folder, name, args.quick)]
         if own and lacking and commit().endswith("-dirty"):
             told = f"error: the tree is {commit()}, allowed: all changes committed (or --quick)"
@@ -43,13 +45,15 @@ def main() -> int:
         run_all(lacking, args.quick, folder, quiet=own)
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
-    facts, columns = read_facts(results, data)
-    charts = made(data, results, columns)
+    facts, columns = report.read_facts(results, data)
+    charts = report.made(data, results, columns)
     if not charts:
         print(f"error: nothing in {folder} or {results}: leave out --draw", file=sys.stderr)
         return 1
-    write_results(text, facts, charts)
-    write_report(args.out / "report/index.html", data, facts, charts)
+    report.write_results(text, facts, charts)
+    report.write_report(args.out / "report/index.html", data, facts, charts)
+    if own:
+        report.fill_documents(data, facts)
     print(f"{text}\n{args.out / 'report/index.html'}")
     return 0
 

@@ -308,3 +308,31 @@ def test_no_front_goes_through_what_does_not_count():
     panel.points("", [1, 2, 3], [1, 3, 2], hollow=[True, False, False])
     [front] = panel.front()
     assert list(zip(front.x, front.y, strict=True)) == [(2, 3), (3, 3), (3, 2)]
+
+
+def test_tables_of_documents_are_of_their_measurements(tmp_path):
+    from harness import LONG, MEASUREMENTS
+    from report.documents import DOCUMENTS, fill_documents, names
+
+    assert not [name for name in names() if name not in MEASUREMENTS or name in LONG]
+    for name in DOCUMENTS:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("nothing here\n", encoding="utf-8")
+    guide = "before\n<!-- measured: rigs by_rig -->\nold\n<!-- end -->\n"
+    guide += "- <!-- measured: rigs summary -->\n<!-- end --><!-- measured: sim a -->x<!-- end -->"
+    (tmp_path / DOCUMENTS[0]).write_text(guide, encoding="utf-8")
+    one = {"key": "by_rig", "columns": {"rig": "rig", "n": "runs"}, "note": "Three seeds."}
+    data = {
+        "rigs": {"tables": [one | {"rows": [{"rig": "desk", "n": 3}]}], "summary": ["all well"]}
+    }
+    facts = {"rigs": {"seconds": 7, "commit": "abc", "machine": {"load": 0.5}}}
+    fill_documents(data, facts | {"sim": {"commit": "def"}}, tmp_path)
+    text = (tmp_path / DOCUMENTS[0]).read_text(encoding="utf-8")
+    assert re.search(r"before\n<!-- measured: rigs by_rig -->\n\| rig *\| runs *\|\n", text)
+    assert re.search(r"\| desk *\| 3 *\|", text)
+    assert "old" not in text
+    assert "*Three seeds. `make bench ARGS=rigs` (7 s, commit abc, load 0.5).*" in text
+    assert "- all well\n" in text
+    assert text.endswith("<!-- measured: sim a -->x<!-- end -->")
+    fill_documents(data, facts, tmp_path)  # where all are of one commit it is told elsewhere
+    assert "(7 s, load 0.5)" in (tmp_path / DOCUMENTS[0]).read_text(encoding="utf-8")

@@ -392,28 +392,32 @@ def run_some(
         return rows, check_limits(observer.record, load_rig(options.rig_file))
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the rows as a table for a reader."""
+HEADS = ("fault", "node", "task_status", "driver_status", "diagnostics", "plate rests", "to go on")
+
+
+def cells(result: dict[str, Any]) -> list[dict[str, str]]:
+    """Return the rows as texts for a reader: what was said after each fault, and when."""
 
     def after(text: str, seconds: float | None) -> str:
         text = text.split(" (")[0].split(", allowed: ")[0].replace(result["port"], "PORT")
         return f"{seconds:.1f} s: {text}" if seconds is not None else text
 
-    lines = [
-        "| fault | node | task_status | driver_status | diagnostics | plate rests | to go on |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for row in result["rows"]:
         told = "; ".join(
             f"{name} {level} {seconds:.1f} s" for name, level, seconds, _ in row["diagnostics"]
         )
         rest = "no" if row["rest_s"] is None else f"{row['rest_s']:.1f} s"
-        driver = after(row["driver"], row["driver_s"])
-        lines.append(
-            f"| {row['fault']} | {row['node']} | {after(row['task'], row['task_s'])} | {driver} | "
-            f"{told} | {rest} | {', '.join(row['to_go_on'])} |"
-        )
-    return "\n".join(lines) + "\n"
+        task, driver = after(row["task"], row["task_s"]), after(row["driver"], row["driver_s"])
+        some = row["fault"], row["node"], task, driver, told, rest, ", ".join(row["to_go_on"])
+        rows.append(dict(zip(HEADS, some, strict=True)))
+    return rows
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """Return the rows as a table for a reader."""
+    lines = [HEADS, ("---",) * len(HEADS), *(row.values() for row in cells(result))]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def main() -> int:

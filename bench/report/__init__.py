@@ -15,6 +15,7 @@ from typing import NamedTuple
 from maps.stability import MAPS
 from plate_core import PlateError
 from report.chart import Chart, Data, Row, Sheet, table
+from report.documents import fill_documents, names
 from report.feeding import feeding
 from report.forces import (
     force_map,
@@ -32,7 +33,9 @@ from report.solver import options, solver, solver_rows, steering
 from report.stability import chart_of, rows_of
 from report.world import cost, cost_rows, sim, sim_rows, vision
 
-__all__ = ["CHARTS", "made", "read_facts", "write_report", "write_results"]
+__all__ = [
+    "CHARTS", "fill_documents", "made", "names", "read_facts", "write_report", "write_results",
+]  # fmt: skip
 
 
 class Entry(NamedTuple):

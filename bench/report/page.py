@@ -116,12 +116,20 @@ def repeat(sources: Iterable[str], facts: Data) -> str:
     return "To measure again: " + ", ".join(told) + "." if told else ""
 
 
-def measured(facts: Mapping[str, Any] | None) -> str:
-    """Tell how long a measurement took, and its commit and load, if that is known."""
+def measured(facts: Mapping[str, Any] | None, common: str = "") -> str:
+    """Tell how long a measurement took, its load, and its commit if that is not the `common` one
+    of all, as far as that is known."""
     if facts is None:
         return ""
     commit, load = facts.get("commit") or "unknown", facts["machine"]["load"]
-    return f" ({facts['seconds']:.0f} s, commit {commit}, load {load:g})"
+    told = "" if commit == common else f"commit {commit}, "
+    return f" ({facts['seconds']:.0f} s, {told}load {load:g})"
+
+
+def common_commit(facts: Data) -> str:
+    """Return the commit of all measurements; empty if they are of several."""
+    commits = {item.get("commit") or "" for item in facts.values()}
+    return commits.pop() if len(commits) == 1 else ""
 
 
 def measurement(name: str, item: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from report.chart import Chart, Data
-from report.page import cells, machines, measured
+from report.page import cells, common_commit, machines, measured
 
 FOLDER = "results"
 """Beside the text: pictures and CSV files."""
@@ -26,10 +26,6 @@ zoom: `out/report/index.html`. Forces are in mu mg, the sliding friction of one 
 what is not beaten in both time and error is drawn as a black line, our default has a ring. Times
 are of the cores: other programs count little, but on a busy machine (its load is given) times are
 up to twice as long.
-
-Each section names the commit that it was measured on. Cameras that run free, costs and
-demos that are older than 5379f40 are of fixed drifts: sorting and assembling take half as long
-since.
 """
 
 
@@ -66,13 +62,16 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     quick = ", ".join(name for name, item in used.items() if item["quick"])
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
     minutes = sum(item["seconds"] for item in used.values()) / 60
+    commit = common_commit(used)
+    figures = "All figures here and in the tables of README, graph.md, hardware.md and feeder.md"
+    lines += [f"{figures}: commit {commit}." if commit else "Each section names its commit."]
     parts = [
         ABOUT,
         "\n".join([*lines, f"All measurements behind the charts: {minutes:.0f} minutes."]) + "\n",
         "## Summary\n",
         *(f"- [{one.full_title}](#{anchor(one.full_title)}): {one.finding}" for one in charts),
         "",
-        *(section(one, facts) for one in charts),
+        *(section(one, facts, commit) for one in charts),
         demos(folder),
     ]
     path.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
@@ -84,7 +83,7 @@ def anchor(title: str) -> str:
     return kept.replace(" ", "-")
 
 
-def section(chart: Chart, facts: Data) -> str:
+def section(chart: Chart, facts: Data, commit: str) -> str:
     """Return one chart in words and figures."""
     lines = [
         f"## {chart.full_title}\n",
@@ -96,7 +95,9 @@ def section(chart: Chart, facts: Data) -> str:
         lines.append(f"Our default: {chart.default}\n")
     if len(chart.sheet.rows) <= MOST_ROWS:
         lines.append(cells(chart.frame).to_markdown(index=False, disable_numparse=True) + "\n")
-    told = [f"`make bench ARGS={name}`{measured(facts.get(name))}" for name in chart.sources]
+    told = [
+        f"`make bench ARGS={name}`{measured(facts.get(name), commit)}" for name in chart.sources
+    ]
     rows = f"[All {len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)."
     lines.append(f"{rows} To repeat: {', '.join(told)}.\n")
     return "\n".join(lines)

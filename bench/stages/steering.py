@@ -20,7 +20,7 @@ PARTS = (1, 2, 4, 6, 8, 10, 16, 24)
 DRIFT = 0.005
 """Greatest wanted drift of a part along each axis [m/s]."""
 
-SCENES = 100
+SCENES = 50
 
 CYCLES = 6
 """Cycles of a scene; the first is solved from a cold start."""

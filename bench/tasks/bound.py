@@ -30,7 +30,7 @@ COUNTS = (1, 2, 4, 10)
 PERIODS = {0.05: 3, 0.1: 4, 0.15: 6, 0.2: 8, 0.3: 12}
 """Length of a cycle [s] -> harmonics: those of the solver, and a shorter and a longer one."""
 
-SCENES, STARTS, DISTURBED = 2, 60, 240
+SCENES, STARTS, DISTURBED = 2, 60, 120
 """Scattered scenes; motions drawn at random for each, and disturbances of the best so far."""
 
 SPREADS = (0.15, 0.5)

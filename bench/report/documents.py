@@ -1,0 +1,55 @@
+"""Tables of measurements in texts that are written by hand: between `<!-- measured: NAME TABLE -->`
+and `<!-- end -->`. `summary` in place of a table's key stands for the measurement's sentences."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from harness import ROOT
+from report.chart import Data
+from report.page import cells, common_commit, measured
+
+DOCUMENTS = ("README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/feeder.md")
+
+BLOCK = re.compile(r"(<!-- measured: (\w+) (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def names() -> Iterable[str]:
+    """Yield the measurements of which tables are in the documents."""
+    for name in DOCUMENTS:
+        for block in BLOCK.finditer((ROOT / name).read_text(encoding="utf-8")):
+            yield block[2]
+
+
+def fill_documents(data: Data, facts: Data, root: Path = ROOT) -> None:
+    """Put the tables of the measurements that are there into the documents below a folder."""
+    commit = common_commit(facts)
+
+    def filled(block: re.Match[str]) -> str:
+        before, name, key, after = block.groups()
+        if name not in data:
+            return block[0]
+        return before + text(name, data[name], key, facts, commit) + after
+
+    for name in DOCUMENTS:
+        path = root / name
+        old = path.read_text(encoding="utf-8")
+        new = BLOCK.sub(filled, old)
+        if new != old:
+            path.write_text(new, encoding="utf-8")
+
+
+def text(name: str, item: Mapping[str, Any], key: str, facts: Data, commit: str) -> str:
+    """Return what stands in the place of a table, or of the sentences."""
+    if key == "summary":
+        return "".join(f"- {line}\n" for line in item["summary"])
+    one = next(each for each in item["tables"] if each["key"] == key)
+    frame = pd.DataFrame(one["rows"], columns=list(one["columns"])).rename(columns=one["columns"])
+    lines = cells(frame).to_markdown(index=False, disable_numparse=True)
+    told = f"{one['note']} `make bench ARGS={name}`{measured(facts.get(name), commit)}."
+    return f"{lines}\n\n*{told.strip()}*\n"

@@ -1,0 +1,104 @@
+"""The real graph put to the test by programs of tools/: faults of nodes, malformed messages, goals
+at random, and minutes of sorting."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from harness import ROOT, Result, Table
+
+sys.path.append(str(ROOT / "tools"))
+
+TRANSPORTS = {"sim": "In simulation", "serial": "Over a serial line"}
+
+MESSAGES, QUICK_MESSAGES = 10_000, 500
+"""Malformed, to each node."""
+
+GOALS, QUICK_GOALS = 200, 10
+
+MINUTES, QUICK_MINUTES = 8.0, 0.5
+"""Of sorting."""
+
+
+def measure(quick: bool) -> Result:
+    """Run the programs one after the other."""
+    from faults import HEADS, cells
+
+    nodes = ("planner", "driver") if quick else ()
+    tables, summary = [], []
+    for transport, where in TRANSPORTS.items():
+        found = told("faults", *nodes, "--transport", transport)
+        columns = dict(zip(HEADS, HEADS, strict=True))
+        tables.append(Table(f"faults_{transport}", where, columns, cells(found)))
+        well = sum(row["well"] for row in found["rows"])
+        summary.append(
+            f"{where}: {well} of {len(found['rows'])} faults ended as they should; "
+            f"{found['tables']} motor tables, {len(found['faults'])} broke a limit"
+        )
+    verdicts = told("fuzz", "--messages", QUICK_MESSAGES if quick else MESSAGES)
+    tables.append(fuzz(verdicts))
+    summary.append(f"malformed messages: {sum(v['crashes'] for v in verdicts)} crashes")
+    goals = told("goals", "--goals", QUICK_GOALS if quick else GOALS)
+    reasons = ", ".join(f"{count} {name.lower()}" for name, count in goals.pop("reasons").items())
+    summary.append(
+        f"goals at random: {goals['goals']}, of which {goals['wrong']} wrong, {goals['cancels']} "
+        f"cancels, {goals['stops']} stops: {goals['unanswered']} without an answer, "
+        f"{goals['wrong ones that began']} wrong ones began ({reasons}); at the end the plate "
+        + ("rests" if goals["plate rests"] else "does not rest")
+    )
+    hours = told("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
+    tables.append(memory(hours))
+    summary.append(
+        f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks done; "
+        f"{hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
+        f"{hours['faults']} of {hours['tables']} motor tables broke a limit; image to setpoints "
+        f"{hours['latency_ms']:.0f} ms, 99 % {hours['latency_p99_ms']:.0f} ms"
+    )
+    return Result(tables, summary)
+
+
+def told(tool: str, *words: object) -> Any:
+    """Run a program of tools/, and return what it writes as JSON."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "told.json"
+        command = [sys.executable, str(ROOT / f"tools/{tool}.py"), *map(str, words)]
+        # Its exit code says whether all is well: so do the rows.
+        done = subprocess.run(
+            [*command, "--json", str(path)], capture_output=True, text=True, check=False
+        )
+        if not path.exists():
+            raise RuntimeError(f"{tool}: {done.stderr or done.stdout}")
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def fuzz(verdicts: list[dict[str, Any]]) -> Table:
+    """Return what malformed messages did to each node."""
+    columns = {
+        "node": "node", "messages": "messages", "crashes": "crashes",
+        "growth_mb": "memory grew by [MB]", "slowest_ms": "slowest [ms]", "tables": "motions",
+        "moving": "of which moving", "worst_share": "greatest share of a limit",
+    }  # fmt: skip
+    rows = [{key: verdict[key] for key in columns} for verdict in verdicts]
+    return Table("fuzz", "Malformed messages", columns, rows)
+
+
+def memory(hours: dict[str, Any]) -> Table:
+    """Return each node's memory over the minutes of sorting, and its share of a core."""
+    rows = [
+        {
+            "node": row["node"], "first": row["first_mb"], "last": row["last_mb"],
+            "slope": f"{row['mb_per_hour']:.1f} ± {row['interval']:.1f}",
+            "cpu": 100 * row["cpu_share"],
+        }
+        for row in hours["memory"]
+    ]  # fmt: skip
+    columns = {
+        "node": "node", "first": "memory after a third [MB]", "last": "at the end [MB]",
+        "slope": "slope [MB/h]", "cpu": "CPU [%]",
+    }  # fmt: skip
+    return Table("hours", "Memory", columns, rows)
