@@ -54,8 +54,8 @@ def measure(quick: bool) -> Result:
     hours = told("soak", "--minutes", QUICK_MINUTES if quick else MINUTES)
     tables.append(memory(hours))
     summary.append(
-        f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks done; "
-        f"{hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
+        f"{60 * hours['hours']:.1f} minutes of sorting: {hours['done']} of {hours['tasks']} tasks "
+        f"done; {hours['held']} of {hours['cycles']} cycles held, {hours['late']} late; "
         f"{hours['faults']} of {hours['tables']} motor tables broke a limit; image to setpoints "
         f"{hours['latency_ms']:.0f} ms, 99 % {hours['latency_p99_ms']:.0f} ms"
     )
