@@ -45,6 +45,9 @@ def main() -> int:
         run_all(lacking, args.quick, folder, quiet=own)
     text = (ROOT if own else args.out) / "docs/results.md"
     data, results = read(folder), text.with_suffix("")
+    for name in data:  # of every commit with that code
+        if is_done(folder, name, args.quick):
+            data[name]["commit"] = commit()
     facts, columns = report.read_facts(results, data)
     charts = report.made(data, results, columns)
     if not charts:

@@ -7,6 +7,7 @@ from typing import Any
 from harness import Cache, Result, Table, of_median, processes, share
 from plate_bringup.loop import Setup
 from plate_core import load_rig
+from plate_core.tasks import load_scenario
 from tasks.runs import UNEVEN, median, runs_of
 
 SEEDS = {
@@ -27,19 +28,18 @@ COLUMNS = {
 
 def measure(quick: bool) -> Result:
     """Run scenarios with several seeds."""
-    rig, cache = load_rig(), Cache.of(__name__)
-    counts = {"sort_10": 1, "follow_2": 1} if quick else SEEDS
-    cases = {
-        f"{scenario} {seed}": (Setup(scenario, seed), UNEVEN)
-        for scenario, count in counts.items()
-        for seed in range(FIRST_SEED, FIRST_SEED + count)
-    }
+    cache, rows, samples = Cache.of(__name__), [], []
+    counts = {"sort_10": 1, "sort_shapes": 1, "follow_2": 1} if quick else SEEDS
     with processes() as pool:
-        runs = runs_of(pool, cache, rig, cases)
-    rows = []
-    for scenario in counts:
-        mine = [run for key, run in zip(cases, runs, strict=True) if key.split()[0] == scenario]
-        rows.append(row(scenario, mine))
+        for scenario, count in counts.items():
+            cases = {
+                f"{scenario} {seed}": (Setup(scenario, seed), UNEVEN)
+                for seed in range(FIRST_SEED, FIRST_SEED + count)
+            }
+            rig = load_rig(load_scenario(scenario).rig)
+            runs = runs_of(pool, cache, rig, cases)
+            rows.append(row(scenario, runs))
+            samples += runs
     note = (
         f"Gamma = {rig.gamma:.1f}; seeds from {FIRST_SEED} on; friction uneven by 10 % between "
         "parts and over the plate. Time is simulated; times and errors are of the runs that ended "
@@ -48,7 +48,7 @@ def measure(quick: bool) -> Result:
     return Result(
         [Table("tasks", "Tasks", COLUMNS, rows, note)],
         [f"{r['task']}: {r['well']} ended well; {r['time']}" for r in rows],
-        runs,
+        samples,
     )
 
 
