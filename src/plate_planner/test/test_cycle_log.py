@@ -150,7 +150,7 @@ def played(count, late, log=None):
     return log
 
 
-@pytest.mark.parametrize("late", [0, 1, 2])
+@pytest.mark.parametrize("late", [0, 1, 2, 3])
 def test_how_late_answers_begin_is_learnt(late):
     log = played(12, late)
     assert log.delay == late
@@ -159,6 +159,14 @@ def test_how_late_answers_begin_is_learnt(late):
     # Those that were sent begin in their turn.
     last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-1 - late :]]
     assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
+
+
+def test_until_those_that_are_sent_come_the_plate_repeats_what_runs():
+    log = replace(played(14, 3), sent=played(14, 3).sent[1:])
+    ahead = log.until_answer
+    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-4:]]
+    assert last == pytest.approx([10e-4, 10e-4, 12e-4, 13e-4])
+    assert ahead.end == pytest.approx(log.end + 0.3)
 
 
 def test_one_late_answer_is_not_expected_of_the_next():

@@ -115,15 +115,15 @@ class CycleLog:
     @property
     def delay(self) -> int:
         """By how many cycles answers begin late: on a computer or a line that is too slow."""
-        return median_low(self.delays) if self.delays else 0
+        return min(median_low(self.delays), LATEST) if self.delays else 0
 
     @property
     def until_answer(self) -> CycleLog:
         """The log as it will be at its end, when the answer to the running cycle begins: those
         sent before begin first."""
-        log, before = self, self.sent[len(self.sent) - self.delay :] if self.delay else ()
-        for k in range(self.delay - 1, -1, -1):
-            cycle = before[-1 - k].cycle if k < len(before) else log.runs[-1][1]
+        log, before = self, [one.cycle for one in self.sent][::-1]
+        for k in reversed(range(self.delay)):  # the newest one last
+            cycle = before[k] if k < len(before) else log.runs[-1][1]
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
 
@@ -154,7 +154,7 @@ class CycleLog:
                 sent = self.sent[k + 1 :]
                 if moves:
                     late = round((begin - one.asked) / cycle.period) - 1
-                    delays = (*delays, min(max(late, 0), LATEST))[-DELAYS_KEPT:]
+                    delays = (*delays, max(late, 0))[-DELAYS_KEPT:]
                 break
         return CycleLog((*kept, (begin, cycle)), sent, True, delays)
 
