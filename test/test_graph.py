@@ -99,11 +99,13 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
         graph.begin()
         assert observer.until(lambda: record.last("planner", "parts_sorted", "0") >= "1", 60)
         assert record.last("solver", "method") == "sinusoids"
+        graph.processes.signal("simulator", signal.SIGSTOP)  # without images the task waits
         assert observer.set_parameter("solver", "method", "A") == (True, "")
         refused, reason = observer.set_parameter("solver", "method", "C")
         assert not refused
         assert reason.startswith("parameter method is 'C', allowed: one of ")
         assert not record.ended
+        graph.processes.signal("simulator", signal.SIGCONT)
         assert observer.until(lambda: record.ended, 60)
         assert observer.until(lambda: record.last("solver", "method") == "rotations", 5)
         assert observer.until(lambda: record.last("planner", "task_state").startswith("done"), 5)
