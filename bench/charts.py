@@ -1,5 +1,6 @@
-"""Measure what the charts need and draw them: docs/results.md and out/report/index.html; and the
-tables of README, docs/graph.md and docs/hardware.md.
+"""Measure and draw docs/results.md, out/report/index.html and tables of other pages.
+
+The tables are in README, docs/graph.md, docs/hardware.md and docs/guide/feeder.md.
 
 python bench/charts.py [--quick] [--draw]
 
@@ -7,7 +8,7 @@ Measurements go to out/bench/*.json. One that is there is not made again, unless
 rests on has changed, or it was a quick one and --quick is not given. What docs/results.md is to
 show is measured on a committed tree, and while other programs rest: it waits for that. --draw
 draws what is there: a chart that has not been measured here is drawn from its CSV file in
-docs/results.
+docs/results (of OUT, with --out OUT).
 """
 
 from __future__ import annotations
@@ -66,7 +67,12 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="measure little where it is missing")
     parser.add_argument("--draw", action="store_true", help="only draw what is there")
-    parser.add_argument("--out", type=Path, default=ROOT / "out", help="(out)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "out",
+        help="holds bench/ (measurements), report/ and, if it is not out, docs/results (out)",
+    )
     return parser.parse_args()
 
 

@@ -63,7 +63,8 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     lines += [f"**Quick measurements with few cases: {quick}.**"] if quick else []
     minutes = sum(item["seconds"] for item in used.values()) / 60
     commit = common_commit(used)
-    figures = "All figures here and in the tables of README, graph.md, hardware.md and feeder.md"
+    figures = "All measurements here (demos apart) and those in the tables of README, graph.md, "
+    figures += "hardware.md and feeder.md"
     lines += [f"{figures}: commit {commit}." if commit else "Each section names its commit."]
     parts = [
         ABOUT,

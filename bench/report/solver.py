@@ -108,9 +108,8 @@ def options(rows: list[Row]) -> Chart:
         f"With {counts} parts Method B misses {told('B', '3 restarts')}, Method A "
         f"{told('A', '1 restarts')}, scipy by its own differences "
         f"{told('scipy, own differences', '3 restarts')}.",
-        "Method B with 3 restarts: near the front at every number of parts, and a fifth of a cycle "
-        "at ten; in the loop it starts from the last answer, and what more effort buys there is "
-        "shown in (e).",
+        "Method B: 3 restarts are near the front at every number of parts; in the loop, where it "
+        "starts from the last answer, it has 7, and what more effort buys there is shown in (e).",
         panels,
     )  # fmt: skip
 
