@@ -334,5 +334,5 @@ def test_tables_of_documents_are_of_their_measurements(tmp_path):
     assert "*Three seeds. `make bench ARGS=rigs` (7 s, commit abc, load 0.5).*" in text
     assert "- all well\n" in text
     assert text.endswith("<!-- measured: sim a -->x<!-- end -->")
-    fill_documents(data, facts, tmp_path)  # where all are of one commit it is told elsewhere
+    fill_documents(data, facts, tmp_path)  # where all are of one commit docs/results.md names it
     assert "(7 s, load 0.5)" in (tmp_path / DOCUMENTS[0]).read_text(encoding="utf-8")

@@ -722,9 +722,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if problem:
             way = "; set camera_triggered false" if self.options.camera_triggered else ""
             findings.append(Finding(Level.WARN, problem + way))
-        if late := self._estimator.log.delay:
-            text = f"answers begin {late} cycles late: computer or line is too slow"
-            findings.append(Finding(Level.WARN, text))
+        if late := self._estimator.answer_problem:
+            findings.append(Finding(Level.WARN, late))
         found = worst(findings, "")
         if self._run is None:
             return Finding(found.level, "; ".join(filter(None, ("idle", found.message))))

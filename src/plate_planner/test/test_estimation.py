@@ -386,6 +386,18 @@ def test_it_says_when_images_do_not_come_as_they_should():
     assert not estimator.image_problem
 
 
+def test_it_says_when_answers_begin_late():
+    estimator = Estimator.of(RIG, T, 0.0)
+    for late, problem in (
+        (0, ""),
+        (1, "answers begin a cycle late"),
+        (2, "answers begin 2 cycles"),
+    ):
+        told = replace(estimator, log=replace(estimator.log, delays=(late,) * 7)).answer_problem
+        assert told.startswith(problem)
+        assert bool(told) == bool(problem)
+
+
 def test_a_type_is_as_slippery_as_its_file_says_until_it_is_seen_to_be_otherwise():
     steel = PartType("nut", radius_m=0.008, symmetry=0, mass_kg=0.01, mu=0.1)
     rig = replace(load_rig(), types={"nut": steel})

@@ -329,6 +329,13 @@ class Estimator:
             )
         return ""
 
+    @property
+    def answer_problem(self) -> str:
+        """What is wrong with when answers begin; empty if nothing is."""
+        late = self.log.delay
+        cycles = "a cycle" if late == 1 else f"{late} cycles"
+        return f"answers begin {cycles} late: the computer or the line is too slow" if late else ""
+
     def ask(self, ids: tuple[str, ...], drift: np.ndarray, force: np.ndarray) -> Estimator:
         """Take in what is asked of the parts: drift (M, 2) [m/s] and force (M, 2) [N]."""
         return replace(self, request=LastRequest(ids, drift, self.stamp, force))
