@@ -37,15 +37,16 @@ def domain():
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory):
-    """A graph that runs, with the live page."""
+def graph(tmp_path_factory, request):
+    """A graph that runs, with the live page; in lockstep if the module says `LOCKSTEP = True`."""
     from graph.session import session  # only where there is ROS
 
     from plate_bringup import RunOptions
 
     folder = tmp_path_factory.mktemp("logs")
     (folder / "four.yaml").write_text(yaml.safe_dump(FOUR), encoding="utf-8")
-    options = RunOptions(scenario=str(folder / "four.yaml"), view=True)
+    lockstep = getattr(request.module, "LOCKSTEP", False)
+    options = RunOptions(scenario=str(folder / "four.yaml"), view=True, lockstep=lockstep)
     # The page's `teach` writes its file where the detector runs.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")

@@ -8,6 +8,8 @@ from needs import program
 pytest.importorskip("rclpy")
 
 TIMEOUT_MS = 30_000
+LOCKSTEP = True
+"""So parts lie where they shall, however late answers are beside busy programs."""
 
 pytestmark = pytest.mark.needs("chromium", "playwright", "axe_playwright_python")
 
@@ -51,7 +53,10 @@ def known(page, what):
 
 def wait_for(page, condition):
     page.evaluate("async () => { window.known = (await import('./bus.js')).known; }")
-    page.wait_for_function(f"() => {condition}")
+    try:
+        page.wait_for_function(f"() => {condition}")
+    except Exception as error:  # of playwright, which is not imported where it is missing
+        pytest.fail(f"{error}\n{condition}\nThe page shows:\n{page.inner_text('body')}")
 
 
 def pixel(page, x, y):
@@ -110,8 +115,10 @@ def test_a_path_that_is_drawn_is_followed(page):
     start = part(page, "grey_2")
     end = (0.6 * start["x"], 0.4 * start["y"])
     drag(page, (start["x"], start["y"]), end, steps=40)
+    follow = page.get_by_role("button", name="Follow")
+    assert follow.is_enabled(), page.inner_text("body")
     page.get_by_label("Speed").first.fill("40")
-    page.get_by_role("button", name="Follow").click()
+    follow.click()
     wait_for(page, "known.task.task === 'follow' && known.task.state === 'done'")
     wait_for(page, near("grey_2", *end, 0.004))  # a path has a point each 4 mm
 
