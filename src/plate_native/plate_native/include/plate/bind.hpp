@@ -1,0 +1,51 @@
+// From arrays of Python to views of C++: type, axes and order are checked, nothing is copied.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <utility>
+#include <vector>
+
+#include "view.hpp"
+
+namespace plate {
+
+namespace nb = nanobind;
+
+template <class T, nb::ssize_t N>
+using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+
+// What becomes a view with the number of axes that is wanted.
+template <class Source>
+struct Viewed {
+    const Source& array;
+
+    template <class T, int N>
+    operator View<T, N>() const {
+        View<T, N> result{array.data(), {}};
+        for (int axis = 0; axis < N; axis++) result.shape[axis] = static_cast<int>(array.shape(axis));
+        return result;
+    }
+};
+
+template <class Source>
+Viewed<Source> view(const Source& array) {
+    return {array};
+}
+
+// Samples (n, 3).
+inline Samples samples(const Array<const double, 2>& array) {
+    return {array.data(), static_cast<int>(array.shape(0)), 3, 1};
+}
+
+// An array of numpy that owns what a vector held.
+template <int N, class T = double, class Memory = std::allocator<T>>
+nb::ndarray<nb::numpy, T, nb::ndim<N>> to_numpy(std::vector<T, Memory>&& numbers,
+                                                std::array<size_t, N> shape) {
+    using Kept = std::vector<T, Memory>;
+    auto* kept = new Kept(std::move(numbers));
+    nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<Kept*>(p); });
+    return {kept->data(), N, shape.data(), owner};
+}
+
+}  // namespace plate

@@ -1,0 +1,75 @@
+// Arrays that somebody else owns, and one that owns its numbers: rows one after the other in memory.
+#pragma once
+#include <array>
+#include <cstddef>
+#include <new>
+#include <vector>
+
+namespace plate {
+
+// A view of an array of N axes, the last one innermost.
+template <class T, int N>
+struct View {
+    T* data;
+    std::array<int, N> shape;
+
+    int size(int axis) const { return shape[axis]; }
+
+    template <class... Index>
+    T& operator()(Index... index) const {
+        static_assert(sizeof...(Index) == N);
+        const int at[] = {static_cast<int>(index)...};
+        int offset = at[0];
+        for (int axis = 1; axis < N; axis++) offset = offset * shape[axis] + at[axis];
+        return data[offset];
+    }
+
+    // Where the entries of the first axis' index begin.
+    T* operator[](int index) const {
+        int each = 1;
+        for (int axis = 1; axis < N; axis++) each *= shape[axis];
+        return data + index * each;
+    }
+};
+
+// Memory that begins where a line of the cache does: no vector lies across two of them.
+template <class T>
+struct Aligned {
+    using value_type = T;
+    static constexpr std::align_val_t LINE{64};
+
+    Aligned() = default;
+    template <class Other>
+    Aligned(const Aligned<Other>&) {}
+    T* allocate(size_t count) { return static_cast<T*>(::operator new(count * sizeof(T), LINE)); }
+    void deallocate(T* memory, size_t) { ::operator delete(memory, LINE); }
+    bool operator==(const Aligned&) const { return true; }
+};
+
+using AlignedNumbers = std::vector<double, Aligned<double>>;
+
+// A matrix that owns its numbers and keeps its memory when it becomes smaller.
+struct Matrix {
+    int rows = 0, columns = 0;
+    AlignedNumbers numbers;
+
+    Matrix() = default;
+    Matrix(int r, int c) { resize(r, c); }
+
+    void resize(int r, int c) {
+        rows = r, columns = c;
+        if (numbers.size() < static_cast<size_t>(r) * c) numbers.resize(static_cast<size_t>(r) * c);
+    }
+    double* operator[](int row) { return numbers.data() + row * columns; }
+    const double* operator[](int row) const { return numbers.data() + row * columns; }
+};
+
+// Three numbers for each instant of a motion, in either order: x, y and theta of pose or twist.
+struct Samples {
+    const double* data;
+    int count, by_sample, by_axis;
+
+    double operator()(int sample, int axis) const { return data[sample * by_sample + axis * by_axis]; }
+};
+
+}  // namespace plate
