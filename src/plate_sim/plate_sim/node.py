@@ -25,7 +25,6 @@ from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
     camera_to_info,
-    compiling,
     cycle_to_msg,
     msg_to_knots,
     msg_to_motors,
@@ -198,7 +197,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )  # fmt: skip
 
     def configure(self) -> None:
-        """Put the parts on the plate, and compile."""
+        """Put the parts on the plate."""
         options = self.options
         self._rig = load_rig(options.rig_file)
         self._scenario, self._seed = load_scenario(options.scenario), options.seed
@@ -225,7 +224,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 f"latency is {options.latency:g} with a trigger_phase, allowed: 0, images at once"
             )
         self._next_ns = START_NS  # when the next cycle begins
-        self._compile()
+        self._simulation = self._scattered()
+        self._warm_up()
         self._connect()
 
     def begin(self) -> None:
@@ -283,14 +283,12 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             noise=options.noise, mu_scale=options.mu_scale,
         )  # fmt: skip
 
-    def _compile(self) -> None:
-        """Put the parts on the plate, and have everything compiled before time starts."""
-        with compiling(self):
-            self._simulation = self._scattered()
-            state = self._simulation.state
-            angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
-            run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
-            Camera(self._rig).render(state.position, angle, rng)
+    def _warm_up(self) -> None:
+        """Simulate and draw once: libraries are loaded and tables made before time starts."""
+        state = self._simulation.state
+        angle, rng = np.zeros(len(state.ids)), np.random.default_rng(0)
+        run_cycle(state, PlateCycle.rest(self.options.idle_period), self._rig)
+        Camera(self._rig).render(state.position, angle, rng)
 
     def _connect(self) -> None:
         self._images = self.managed_publisher(Image, "image_raw", IMAGE)

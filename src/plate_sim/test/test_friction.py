@@ -1,11 +1,10 @@
 """Point parts against exact results, a stiff solver of scipy, and invariants."""
 
-import numba
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plate_core import PlateCycle, PlateError, load_rig
+from plate_core import PlateCycle, PlateError
 from plate_core.rig import surface_velocity, to_plate
 from plate_sim import PlateMotion, simulate, simulate_bodies
 from plate_sim.friction import disc
@@ -186,10 +185,3 @@ def test_a_cycle_that_does_not_close_is_refused():
     states[0, 2, 0] = 1e-3
     with pytest.raises(PlateError, match=r"does not close: end and start differ by 0\.001 m"):
         PlateCycle.from_knots(np.array([0, 0.1, 0.2]), *states)
-
-
-def test_nothing_is_compiled_anew_for_what_the_motors_did():
-    cycle = two_harmonics(5.0)
-    motion = PlateMotion.of_motors(load_rig(), np.linspace(0, 0.1, 4), np.zeros((4, 3, 4)))
-    for name in ("times", "coefficients"):
-        assert numba.typeof(getattr(motion, name)) == numba.typeof(getattr(cycle, name))

@@ -1,4 +1,4 @@
-"""Draws plate and parts into an image: compiled loops over the pixels that matter.
+"""Draws plate and parts into an image: loops over the pixels that matter.
 
 Every pixel knows the place of the plate's plane that it looks at, so that whatever lens and
 perspective there are is in that table. An edge is drawn as the fraction of the pixel it covers,
@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import inner_kernel, kernel
 from plate_core.rig import PartType, contains, rim_distance
 
+from .. import _kernels
 from ..friction.outline import convex_pieces
 
 SPOT_GRID = 25
@@ -135,23 +135,11 @@ def _edges(corner: np.ndarray) -> np.ndarray:
     return np.column_stack([normal, np.sum(normal * corner, axis=1)])
 
 
-@inner_kernel
 def expose(canvas, bank, noise, image):
     """Add noise to the canvas (n,), with deviates `bank` (n,), and round it to the image (n,)."""
-    noise = np.float32(noise)
-    for i in range(len(canvas)):
-        value = canvas[i] + noise * bank[i] + np.float32(0.5)
-        image[i] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
+    _kernels.expose(canvas, bank, noise, image)
 
 
-@inner_kernel
-def along(fraction, last):
-    """Return the piece of a path of `last` pieces, and the fraction of it, at one of the whole."""
-    piece = min(int(fraction * last), last - 1)
-    return piece, fraction * last - piece
-
-
-@kernel()
 def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, grey):
     """Paint background and plate anew where the plate's edge may be.
 
@@ -174,43 +162,9 @@ def draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale
     grey : (2,)
         Of background and plate, at full light.
     """
-    pose = np.empty((copies, 4))
-    for k in range(copies):
-        middle = poses[0]
-        if len(poses) > 1:
-            j, part = along((k + 0.5) / copies, len(poses) - 1)
-            middle = poses[j] + part * (poses[j + 1] - poses[j])
-        pose[k, :2] = middle[:2]
-        pose[k, 2], pose[k, 3] = np.cos(middle[2]), np.sin(middle[2])
-    for i in pixels:
-        x, y = places[i]
-        across, down = depths(pose[0], half, x, y)
-        depth = min(across, down) * scale
-        if depth > 0.5 + travel * scale:
-            cover = 1.0
-        elif depth < -0.5 - travel * scale:
-            cover = 0.0
-        else:
-            cover = 0.0
-            for k in range(copies):
-                across, down = depths(pose[k], half, x, y)
-                cover += min(max(across * scale + 0.5, 0.0), 1.0) * min(
-                    max(down * scale + 0.5, 0.0), 1.0
-                )
-            cover /= copies
-        canvas[i] = (grey[0] + (grey[1] - grey[0]) * cover) * light[i]
+    _kernels.draw_plate(canvas, light, places, pixels, poses, copies, travel, half, scale, *grey)
 
 
-@inner_kernel
-def depths(pose, half, x, y):
-    """Distances of a point [m] from the plate's edges across and along it, positive inside;
-    pose: x, y, cosine, sine."""
-    dx, dy = x - pose[0], y - pose[1]
-    across = half[0] - abs(pose[2] * dx + pose[3] * dy)
-    return across, half[1] - abs(pose[2] * dy - pose[3] * dx)
-
-
-@kernel()
 def draw_parts(canvas, light, places, sprites, outlines):
     """Blend parts into the canvas (height, width), one after the other.
 
@@ -224,74 +178,4 @@ def draw_parts(canvas, light, places, sprites, outlines):
     outlines : Outlines
         Of as many.
     """
-    for i in range(len(sprites.grey)):
-        scale, radius, copies = sprites.scale[i], sprites.radius[i], sprites.copies[i]
-        grey, cos, sin = sprites.grey[i], sprites.turn[i, 0], sprites.turn[i, 1]
-        begin, hole, end = outlines.first[i], outlines.hole[i], outlines.end[i]
-        opacity = sprites.opacity[i]
-        centre, middle, spread = positions(sprites.path[:, i], copies)
-        outer = radius + spread + 1 / scale
-        inner = 0.0
-        if hole == end:
-            inner = inner_radius(radius, outlines, begin, end) - spread - 0.5 / scale
-        top, bottom, left, right = sprites.window[i]
-        for row in range(top, bottom):
-            for col in range(left, right):
-                x, y = places[row, col]
-                square = (x - middle[0]) ** 2 + (y - middle[1]) ** 2
-                if square > outer * outer:
-                    continue
-                cover = 1.0 * copies
-                if inner < 0 or square >= inner * inner:
-                    cover = 0.0
-                    for k in range(copies):
-                        dx, dy = x - centre[k, 0], y - centre[k, 1]
-                        along_x, along_y = cos * dx + sin * dy, cos * dy - sin * dx
-                        if begin == hole:
-                            inside = (radius - np.sqrt(dx * dx + dy * dy)) * scale
-                            own = min(max(inside + 0.5, 0.0), 1.0)
-                        else:
-                            own = polygons_cover(along_x, along_y, scale, outlines, begin, hole)
-                        own -= polygons_cover(along_x, along_y, scale, outlines, hole, end)
-                        cover += max(own, 0.0)
-                fraction = opacity * cover / copies
-                canvas[row, col] += fraction * (grey * light[row, col] - canvas[row, col])
-
-
-@kernel()
-def positions(path, copies):
-    """Return positions (copies, 2) averaged along a path (s, 2), its middle, and the farthest of
-    them from that."""
-    centre = np.empty((copies, 2))
-    middle = 0.5 * (path[0] + path[-1])
-    spread = 0.0
-    for k in range(copies):
-        j, part = along((k + 0.5) / copies, len(path) - 1)
-        centre[k] = path[j] + part * (path[j + 1] - path[j])
-        far = np.sqrt((centre[k, 0] - middle[0]) ** 2 + (centre[k, 1] - middle[1]) ** 2)
-        spread = max(spread, far)
-    return centre, middle, spread
-
-
-@inner_kernel
-def polygons_cover(x, y, scale, outlines, begin, end):
-    """Fraction of a pixel at (x, y) [m, part's frame] that convex polygons side by side cover."""
-    edges, pieces, cover = outlines.edges, outlines.pieces, 0.0
-    for piece in range(begin, end):
-        inside = np.inf
-        for e in range(pieces[piece], pieces[piece + 1]):
-            inside = min(inside, edges[e, 2] - edges[e, 0] * x - edges[e, 1] * y)
-        cover += min(max(inside * scale + 0.5, 0.0), 1.0)
-    return min(cover, 1.0)
-
-
-@kernel()
-def inner_radius(radius, outlines, begin, end):
-    """Radius [m] about a part's centre within which all is part."""
-    if begin == end:
-        return radius
-    inner = 0.0
-    for piece in range(begin, end):
-        first, last = outlines.pieces[piece], outlines.pieces[piece + 1]
-        inner = max(inner, np.min(outlines.edges[first:last, 2]))
-    return inner
+    _kernels.draw_parts(canvas, light, places, *sprites, *outlines[:5])

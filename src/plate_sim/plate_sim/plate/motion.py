@@ -31,7 +31,7 @@ class PlateMotion:
     coefficients: np.ndarray
 
     def __post_init__(self) -> None:
-        # Read-only like those of a cycle: numba would compile everything again for others.
+        # Read-only, like those of a cycle.
         times = np.array(self.times, dtype=float)
         times.setflags(write=False)
         object.__setattr__(self, "times", times)

@@ -12,36 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, cos, sin
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError
-from plate_core.kernels import inner_kernel, kernel
 
-from ..contacts import Contacts
-from ..contacts.broad_phase import approach, near_pairs
-from ..contacts.impulses import Rules
-from ..contacts.resolve import Outlines, deepest_overlap, resolve_contacts, room_for
+from .. import _kernels
+from ..contacts import INELASTIC, Contacts
 from ..friction.checks import check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
-from ..friction.patch import POINT
-from ..friction.step import (
-    ANGLE,
-    BODY,
-    LANES,
-    SPIN,
-    VX,
-    VY,
-    X,
-    Y,
-    advance,
-    glide,
-)
+from ..friction.step import BODY, LANES
 from ..plate.ground import LEVEL, Ground
 from ..plate.motion import PlateMotion
-from ..plate.pieces import END, SAMPLE, samples, tabulate
+from ..plate.pieces import tabulate
 
 STEP = 2e-4
 """Default longest integration step [s]: parts then move at most some 0.2 mm between contacts."""
@@ -94,19 +79,25 @@ class Shapes(NamedTuple):
 
     Attributes
     ----------
-    bodies : (P,) of BODY
-        Of the parts; the last is that of the walls, which nothing moves.
+    bodies : (P, 10)
+        `BODY` of the parts; the last is that of the walls, which nothing moves.
     discs : (4, P - 1)
-        As `glide` takes them.
-    mesh : (n,) of POINT
-        Points of all footprints but discs.
-    outlines : Outlines
+        mu g [m/s2], squared radius and radius of gyration [m2], and 1 where there is a disc.
+    mesh : (7, n)
+        Points of all footprints but discs: x, y [m, part's axes], share of the weight, size of the
+        cell (see `Footprint.blur`) [m], and the forces of the last step, a first guess of the next.
+    pieces : (p, 2)
+        First corner, and last + 1, of each convex piece of the rims of all parts but discs.
+    corners : (c, 5)
+        Place, outward normal of the side that begins there, in the parts' axes, and 1 if that side
+        is part of the rim, or 0 if another piece of the part begins there.
     """
 
     bodies: np.ndarray
     discs: np.ndarray
     mesh: np.ndarray
-    outlines: Outlines
+    pieces: np.ndarray
+    corners: np.ndarray
 
     @classmethod
     def of(cls, footprints: Sequence[Footprint], mu_g: np.ndarray) -> Shapes:
@@ -131,14 +122,14 @@ class Shapes(NamedTuple):
             corners.append(part.corners)
             point, piece, corner = point + len(part.points), piece + len(outline), ends[-1]
         bodies["mu_g"][:count] = mu_g
-        points = np.zeros(point, POINT)
-        for name, column in zip(("x", "y", "weight", "blur"), np.concatenate(mesh).T, strict=True):
-            points[name] = column
+        points = np.zeros((7, point))
+        points[:4] = np.concatenate(mesh).T
         even = (bodies["radius"] > 0) & (bodies["first_point"] == bodies["end_point"])
         discs = np.array([bodies["mu_g"], bodies["radius"] ** 2, bodies["gyration2"], even])
-        rims = np.concatenate(corners)
-        outlines = Outlines(np.concatenate(pieces), rims, np.empty_like(rims))
-        return cls(bodies, np.ascontiguousarray(discs[:, :-1]), points, outlines)
+        return cls(
+            bodies.view(float).reshape(-1, 10), np.ascontiguousarray(discs[:, :-1]), points,
+            np.concatenate(pieces), np.concatenate(corners),
+        )  # fmt: skip
 
 
 def simulate_bodies(
@@ -262,12 +253,9 @@ def run_bodies(
     state[:, :count] = np.column_stack([position, angle, velocity, spin])[order].T
     here = np.array(on_plate, bool)[order]
     record = np.empty((cycles * steps // every + 1 if every else 0, count, 6))
-    rules = Rules(0.0, 0.0, False, False)
-    if contacts is not None:
-        rules = Rules(contacts.restitution, contacts.friction, True, contacts.walls)
     i, j, depth, share = run(
         tabulate(motion)[0], steps, cycles, max(every, 1), ground.effect(gravity), state, shapes,
-        rules, np.asarray(half, float), here, record,
+        contacts, np.asarray(half, float), here, record,
     )  # fmt: skip
     if share > START_OVERLAP:
         first, second = sorted((names[order[i]], names[order[j]]))
@@ -285,8 +273,7 @@ def run_bodies(
     return BodyTrajectory.of_states(time, record[:, back], here[back])
 
 
-@kernel(nogil=True, error_model="numpy")
-def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, record):
+def run(table, steps, cycles, every, ground, state, shapes, contacts, half, here, record):
     """Advance parts through cycles of the plate, in place.
 
     Parameters
@@ -299,12 +286,12 @@ def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, r
     state : (6, P)
         As in `friction.step`; changed.
     shapes : Shapes
-    rules : Rules
+    contacts : Contacts or None
     half : (2,)
         Half sides of the plate [m]; infinite if it is endless.
     here : (M,)
         Which parts are on the plate; changed.
-    record : (cycles * steps / every + 1, M, 6) or (0, M, 6)
+    record : (cycles * steps // every + 1, M, 6) or (0, M, 6)
         Filled, unless empty.
 
     Returns
@@ -313,67 +300,11 @@ def run(table, steps, cycles, every, ground, state, shapes, rules, half, here, r
         Parts that overlap most at the start, by how much [m], and as a share of the slimmer one: if
         that is more than `START_OVERLAP` nothing has moved.
     """
-    count, step = len(here), table[-1, END] / steps
-    bodies, mesh, outlines = shapes.bodies, shapes.mesh, shapes.outlines
-    plate, inner = samples(table, 2 * steps), np.empty((3, SAMPLE))
-    discs = shapes.discs.copy()
-    done = np.empty(discs.shape[1])
-    together = False
-    for i in range(count):
-        discs[3, i] *= here[i]
-        together |= discs[3, i] != 0
-    pairs, marks = np.empty((4 * count, 2), np.int64), np.empty((2, state.shape[1]))
-    order = np.arange(count)
-    found, skin, gap = 0, np.inf, np.inf
-    room = room_for(pairs, count)
-    first, second, depth, share = -1, -1, 0.0, 0.0
-    if rules.meets:
-        pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
-        first, second, depth, share = deepest_overlap(state, bodies, outlines, pairs, found)
-        if share > START_OVERLAP:
-            return first, second, depth, share
-    for k in range(cycles * steps):
-        if len(record) and k % every == 0:
-            record[k // every] = state[:, :count].T
-        at = k % steps
-        now = plate[2 * at : 2 * at + 3]
-        done[:] = 0.0
-        if together:
-            glide(now, step, ground, state, discs, done)
-        for i in range(count):
-            if done[i] == 0 and here[i]:
-                advance(table, at * step, step, now, inner, ground, state, i, bodies[i], mesh)
-        if rules.meets:
-            drift = approach(state, here, marks)
-            if drift >= skin:
-                pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
-                drift = 0.0
-            close = found if drift >= gap else 0
-            if close or rules.walls:
-                if len(room.close) < close:
-                    room = room_for(pairs, count)
-                resolve_contacts(
-                    state, bodies, here, outlines, pairs, close, rules, step, now[2], half, room
-                )  # fmt: skip
-        if not rules.walls and _drop(state, here, discs, now[2], half) and rules.meets:
-            pairs, found, skin, gap = near_pairs(state, bodies, here, order, pairs, marks)
-    if len(record):
-        record[-1] = state[:, :count].T
-    return first, second, depth, share
-
-
-@inner_kernel
-def _drop(state, here, discs, plate, half):
-    """Take parts whose centre is beyond the plate's edge away; return whether there were any."""
-    c, s = cos(plate[ANGLE]), sin(plate[ANGLE])
-    any_left = False
-    for i in range(len(here)):
-        rx, ry = state[X, i] - plate[X], state[Y, i] - plate[Y]
-        if here[i] and (abs(c * rx + s * ry) > half[0] or abs(c * ry - s * rx) > half[1]):
-            here[i] = False
-            state[VX, i] = state[VY, i] = state[SPIN, i] = discs[3, i] = 0.0
-            any_left = True
-    return any_left
+    touch = contacts or INELASTIC
+    return _kernels.run(
+        table, steps, cycles, every, *ground, state, *shapes, touch.restitution, touch.friction,
+        contacts is not None, touch.walls, START_OVERLAP, half, here, record,
+    )  # fmt: skip
 
 
 def equal_steps(time: float, step: float) -> int:

@@ -1,0 +1,122 @@
+// Two discs that touch, and a disc at a wall: what impulses.hpp says of rigid parts, in closed
+// form.
+//
+// The impulse across goes through a disc's centre, so it turns no disc, and friction between the
+// rims changes no closing speed: one impulse across and one along the rims are all.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include "contacts/impulses.hpp"
+
+namespace plate::contacts {
+
+// Change a part's velocity by `speed` [m/s] along n as if it were `ago` [s] since.
+inline void push(const State& state, int i, double speed, double nx, double ny, double ago) {
+    state(VX, i) += speed * nx;
+    state(VY, i) += speed * ny;
+    state(X, i) += ago * speed * nx;
+    state(Y, i) += ago * speed * ny;
+}
+
+// Change a part's spin [rad/s] as if it were `ago` [s] since.
+inline void turn(const State& state, int i, double spin, double ago) {
+    state(SPIN, i) += spin;
+    state(ANGLE, i) += ago * spin;
+}
+
+// How deep [m] two discs overlap; 0 if they do not.
+inline double overlap(const State& state, Bodies bodies, int i, int j) {
+    const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
+    const double size = bodies[i].radius + bodies[j].radius;
+    const double lack = size * size - dx * dx - dy * dy;
+    return lack > 0 ? lack / (size + std::sqrt(dx * dx + dy * dy)) : 0.0;
+}
+
+// Let two discs collide if they touch, in place; return how deep [m] they overlapped. step [s].
+inline double collide_discs(const State& state, Bodies bodies, int i, int j, const Rules& rules,
+                            double step) {
+    double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
+    const double ri = bodies[i].radius, rj = bodies[j].radius, size = ri + rj;
+    const double distance2 = dx * dx + dy * dy, lack = size * size - distance2;
+    if (lack <= 0) return 0.0;
+    const double wx = state(VX, i) - state(VX, j), wy = state(VY, i) - state(VY, j);
+    const double closing = -(wx * dx + wy * dy);
+    double far = std::sqrt(distance2), ago = 0.0;
+    const double depth = lack / (size + far);
+    if (closing > 0) {  // |d - ago w| = size: when they touched
+        ago = lack / (closing + std::sqrt(closing * closing + (wx * wx + wy * wy) * lack));
+        const bool within = ago <= step;
+        if (!within) ago = step;
+        dx -= ago * wx, dy -= ago * wy;
+        far = within ? size : std::sqrt(dx * dx + dy * dy);
+    } else if (depth <= KEPT) {
+        return depth;
+    }
+    // Two centres in one point have no line; any direction will do.
+    const double nx = far > 0 ? dx / far : 1.0, ny = far > 0 ? dy / far : 0.0;
+    const double mi = bodies[i].mass_inverse, mj = bodies[j].mass_inverse, light = mi + mj;
+    double left = depth - KEPT;
+    if (closing > 0) {
+        const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
+        left -= ago * gain;
+        push(state, i, mi * gain / light, nx, ny, ago);
+        push(state, j, -mj * gain / light, nx, ny, ago);
+        if (rules.friction > 0) {
+            const double arm = far - ri;
+            const double ti = mi * ri / bodies[i].gyration2, tj = mj * arm / bodies[j].gyration2;
+            const double along = wy * nx - wx * ny - ri * state(SPIN, i) - arm * state(SPIN, j);
+            const double most = rules.friction * gain / light;
+            const double drag =
+                std::min(std::max(-along / (light + ri * ti + arm * tj), -most), most);
+            push(state, i, mi * drag, -ny, nx, ago);
+            push(state, j, -mj * drag, -ny, nx, ago);
+            turn(state, i, -ti * drag, ago);
+            turn(state, j, -tj * drag, ago);
+        }
+    }
+    if (left > 0) {
+        left /= light;
+        state(X, i) += mi * left * nx;
+        state(Y, i) += mi * left * ny;
+        state(X, j) -= mj * left * nx;
+        state(Y, j) -= mj * left * ny;
+    }
+    return depth;
+}
+
+// Let a disc that is `depth` [m] in a wall, whose inward normal is n, collide with it; the last
+// column of the state is the plate's pose and twist.
+inline void collide_with_wall(const State& state, Bodies bodies, int i, double depth, double nx,
+                              double ny, const Rules& rules, double step) {
+    const int wall = state.size(1) - 1;
+    const double radius = bodies[i].radius;
+    const double rx = state(X, i) - state(X, wall), ry = state(Y, i) - state(Y, wall);
+    double wx = state(VX, i) - state(VX, wall), wy = state(VY, i) - state(VY, wall);
+    const double spin = state(SPIN, wall), arm = radius - 0.5 * depth;
+    const double closing = -nx * (wx + spin * (ry - arm * ny)) - ny * (wy - spin * (rx - arm * nx));
+    double left = depth - KEPT;
+    if (closing > 0) {
+        const double ago = std::min(depth / closing, step);
+        // The rim where and when they touched
+        const double px = rx - ago * wx - radius * nx, py = ry - ago * wy - radius * ny;
+        wx += spin * py, wy -= spin * px;
+        const double gain = (1 + rules.restitution) * std::max(0.0, -(wx * nx + wy * ny));
+        left -= ago * gain;
+        push(state, i, gain, nx, ny, ago);
+        if (rules.friction > 0) {
+            const double roll = radius / bodies[i].gyration2;
+            const double along = wy * nx - wx * ny - radius * state(SPIN, i);
+            const double most = rules.friction * gain;
+            const double drag = std::min(std::max(-along / (1 + radius * roll), -most), most);
+            push(state, i, drag, -ny, nx, ago);
+            turn(state, i, -roll * drag, ago);
+        }
+    }
+    if (left > 0) {
+        state(X, i) += left * nx;
+        state(Y, i) += left * ny;
+    }
+}
+
+}  // namespace plate::contacts

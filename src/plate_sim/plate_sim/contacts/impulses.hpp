@@ -1,0 +1,228 @@
+// Impulses between rigid parts that turn, and the end of their overlaps.
+//
+// Where parts touch while they close in, the least impulses that end it (one or two points, solved
+// together) are raised by the restitution e: (1 + e) of them. That never adds energy, whatever the
+// shapes (the inelastic outcome is the nearest one in the measure of energy; the elastic one is as
+// far on the other side). Then each point rubs: an impulse of up to mu_c times the one across takes
+// speed off along the rims, and never turns it around. Impulses act on both parts in one place at
+// one time, so momentum and angular momentum are kept: that time is when the parts touched, within
+// the step. What overlap a crowd leaves is ended by moving its parts apart, without speed.
+//
+// For discs alone all this is simpler: discs.hpp.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <span>
+
+#include <plate/view.hpp>
+
+#include "contacts/manifold.hpp"
+#include "friction/step.hpp"
+
+namespace plate::contacts {
+
+// Overlap [m] that is left: parts that part end it themselves, and no shift disturbs their angular
+// momentum.
+constexpr double KEPT = 5e-6;
+
+// Impulses of one collision, at most: friction beside the line of centres may call for more than
+// one.
+constexpr int REBOUNDS = 20;
+
+// A closing speed below this share of the first one is none.
+constexpr double ROUNDING = 1e-12;
+
+// Two points whose impulses differ by a smaller share than this act as one.
+constexpr double RANK = 1e-9;
+
+using State = View<double, 2>;  // as in friction/step.hpp
+
+// One for each column of a state; the last one is the walls'.
+using Bodies = std::span<const Body>;
+
+// Restitution and friction coefficient of contacts; whether parts touch each other at all, and
+// whether there are walls.
+struct Rules {
+    double restitution, friction;
+    bool meets, walls;
+};
+
+// 1/mass [1/kg] and 1/inertia [1/(kg m2)] of two parts.
+struct Inertia {
+    double first, first_turn, second, second_turn;
+};
+
+// From the centres of two parts to a point where they touch [m].
+struct Arm {
+    Vec first, second;
+};
+
+// Velocity [m/s] of a part's place (x, y) from its centre.
+inline Vec velocity(const State& state, int i, double x, double y) {
+    return {state(VX, i) - state(SPIN, i) * y, state(VY, i) + state(SPIN, i) * x};
+}
+
+// How fast two parts close in at point k [m/s].
+inline double closing_speed(const State& state, int i, int j, const Manifold& contact, int k) {
+    const auto [px, py] = contact.point[k];
+    const Vec a = velocity(state, i, px - state(X, i), py - state(Y, i));
+    const Vec b = velocity(state, j, px - state(X, j), py - state(Y, j));
+    return contact.normal.x * (b.x - a.x) + contact.normal.y * (b.y - a.y);
+}
+
+// Whether two parts close in at any point where they touch.
+inline bool closes(const State& state, int i, int j, const Manifold& contact) {
+    for (int k = 0; k < contact.count; k++)
+        if (closing_speed(state, i, j, contact, k) > 0) return true;
+    return false;
+}
+
+// How long ago [s] two parts touched that close in at their present speeds.
+inline double touched(const State& state, int i, int j, const Manifold& contact, double step) {
+    double ago = 0.0;
+    for (int k = 0; k < contact.count; k++) {
+        const double closing = closing_speed(state, i, j, contact, k);
+        if (closing > 0) ago = std::max(ago, std::min(contact.depth[k] / closing, step));
+    }
+    return ago;
+}
+
+// The arm to point k when two parts touched, the first a disc of a radius or (0) none; the second a
+// wall or a part.
+inline Arm arm_of(const State& state, int i, int j, double radius, bool wall,
+                  const Manifold& contact, int k, double ago) {
+    Arm arm;
+    if (radius > 0) {
+        arm.first = {-radius * contact.normal.x, -radius * contact.normal.y};
+    } else {
+        auto [px, py] = contact.point[k];
+        const Vec a = velocity(state, i, px - state(X, i), py - state(Y, i));
+        const Vec b = velocity(state, j, px - state(X, j), py - state(Y, j));
+        const double share = wall ? 0.0 : 0.5;
+        px -= ago * (share * a.x + (1 - share) * b.x);
+        py -= ago * (share * a.y + (1 - share) * b.y);
+        arm.first = {px - state(X, i) + ago * state(VX, i), py - state(Y, i) + ago * state(VY, i)};
+    }
+    const double wx = state(VX, i) - state(VX, j), wy = state(VY, i) - state(VY, j);
+    arm.second = {arm.first.x + state(X, i) - state(X, j) - ago * wx,
+                  arm.first.y + state(Y, i) - state(Y, j) - ago * wy};
+    return arm;
+}
+
+// How fast the first moves along n as seen from the second, at one point [m/s].
+inline double speed(const State& state, int i, int j, const Arm& arm, Vec n) {
+    const Vec a = velocity(state, i, arm.first.x, arm.first.y);
+    const Vec b = velocity(state, j, arm.second.x, arm.second.y);
+    return n.x * (a.x - b.x) + n.y * (a.y - b.y);
+}
+
+// Change of that speed at `arm` by an impulse of 1 N s along n at `other` [1/kg].
+inline double compliance(const Arm& arm, const Arm& other, Vec n, const Inertia& inertia) {
+    const double a = arm.first.x * n.y - arm.first.y * n.x;
+    const double b = arm.second.x * n.y - arm.second.y * n.x;
+    const double c = other.first.x * n.y - other.first.y * n.x;
+    const double d = other.second.x * n.y - other.second.y * n.x;
+    return inertia.first + inertia.second + inertia.first_turn * a * c +
+           inertia.second_turn * b * d;
+}
+
+// Give both an impulse along n; row VX: of their velocities, row X: of their places.
+inline void push(const State& state, int i, int j, const Arm& arm, Vec n, double impulse,
+                 const Inertia& inertia, int row) {
+    const auto [a, b] = arm;
+    state(row, i) += impulse * inertia.first * n.x;
+    state(row + 1, i) += impulse * inertia.first * n.y;
+    state(row + 2, i) += impulse * inertia.first_turn * (a.x * n.y - a.y * n.x);
+    state(row, j) -= impulse * inertia.second * n.x;
+    state(row + 1, j) -= impulse * inertia.second * n.y;
+    state(row + 2, j) -= impulse * inertia.second_turn * (b.x * n.y - b.y * n.x);
+}
+
+// Least impulses along n at two points, at least 0, after which none closes in; v0, v1 are the
+// points' speeds [m/s] along n.
+struct Least {
+    double at[2] = {0.0, 0.0};
+
+    Least(const Arm arms[2], Vec n, const Inertia& inertia, double v0, double v1, int count) {
+        const double h00 = compliance(arms[0], arms[0], n, inertia);
+        const double j0 = std::max(0.0, -v0 / h00);
+        at[0] = j0;
+        if (count == 1) return;
+        const double h11 = compliance(arms[1], arms[1], n, inertia);
+        const double h01 = compliance(arms[0], arms[1], n, inertia);
+        if (v0 < 0 && v1 + h01 * j0 >= 0) return;
+        const double j1 = std::max(0.0, -v1 / h11);
+        const double det = h00 * h11 - h01 * h01;
+        if (v1 < 0 && v0 + h01 * j1 >= 0)
+            at[0] = 0.0, at[1] = j1;
+        else if (det > RANK * h00 * h11)
+            at[0] = std::max(0.0, (h01 * v1 - h11 * v0) / det),
+            at[1] = std::max(0.0, (h01 * v0 - h00 * v1) / det);
+        else
+            at[0] = 0.5 * j0, at[1] = 0.5 * j1;
+    }
+};
+
+// Give impulses until no point closes in; v0, v1 are the points' speeds [m/s] along n.
+inline void bounce(const State& state, int i, int j, const Arm arms[2], Vec n,
+                   const Inertia& inertia, int count, double v0, double v1, const Rules& rules) {
+    const Vec t{-n.y, n.x};
+    const double still = ROUNDING * std::max(std::abs(v0), std::abs(v1));
+    const double raised = 1 + rules.restitution;
+    for (int rebound = 0; rebound < REBOUNDS; rebound++) {
+        if (v0 >= -still && v1 >= -still) break;
+        const Least least(arms, n, inertia, v0, v1, count);
+        for (int k = 0; k < count; k++)
+            push(state, i, j, arms[k], n, raised * least.at[k], inertia, VX);
+        for (int k = 0; k < count; k++) {
+            const double most = rules.friction * raised * least.at[k];
+            if (most > 0) {
+                const double drag =
+                    -speed(state, i, j, arms[k], t) / compliance(arms[k], arms[k], t, inertia);
+                push(state, i, j, arms[k], t, std::min(std::max(drag, -most), most), inertia, VX);
+            }
+        }
+        // Friction may have turned them towards each other again
+        v0 = speed(state, i, j, arms[0], n);
+        v1 = count == 2 ? speed(state, i, j, arms[1], n) : 0.0;
+    }
+}
+
+// Let two parts, or a part and a wall, collide where they touch, in place.
+//
+// i, j: the parts, of which one at least is no disc, or a part that is none and a wall. A disc is
+// the first; a wall is the second, and the last of all columns and bodies, whose state is the
+// plate's pose and twist. step [s].
+inline void collide(const State& state, Bodies bodies, int i, int j, Manifold contact,
+                    const Rules& rules, double step) {
+    const Body &a = bodies[i], &b = bodies[j];
+    const double ago = touched(state, i, j, contact, step);
+    const int count = contact.count;
+    const Vec n = contact.normal;
+    Arm arms[2]{};
+    for (int k = 0; k < count; k++)
+        arms[k] = arm_of(state, i, j, a.radius, b.mass_inverse == 0, contact, k, ago);
+    const Inertia inertia{a.mass_inverse, a.mass_inverse / a.gyration2, b.mass_inverse,
+                          b.mass_inverse / b.gyration2};
+    double before[3][2], v[2] = {0.0, 0.0};
+    for (int d = 0; d < 3; d++) before[d][0] = state(VX + d, i), before[d][1] = state(VX + d, j);
+    for (int k = 0; k < count; k++) v[k] = speed(state, i, j, arms[k], n);
+    bounce(state, i, j, arms, n, inertia, count, v[0], v[1], rules);
+    for (int d = 0; d < 3; d++) {
+        state(X + d, i) += ago * (state(VX + d, i) - before[d][0]);
+        state(X + d, j) += ago * (state(VX + d, j) - before[d][1]);
+    }
+    for (int k = 0; k < count; k++)
+        contact.depth[k] -= ago * (speed(state, i, j, arms[k], n) - v[k]);
+    for (int k = 0; k < count; k++) {
+        const double left = contact.depth[k] - KEPT;
+        if (left > 0) {
+            const double give = left / compliance(arms[k], arms[k], n, inertia);
+            push(state, i, j, arms[k], n, give, inertia, X);
+            if (count == 2 && k == 0)
+                contact.depth[1] -= give * compliance(arms[0], arms[1], n, inertia);
+        }
+    }
+}
+
+}  // namespace plate::contacts

@@ -1,0 +1,174 @@
+// Where two rigid parts touch: discs and convex polygons, in the plane.
+//
+// Convex polygons touch along the side that separates them most (separating axes: Gottschalk, Lin
+// and Manocha 1996), with the other's nearest side clipped to it.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <span>
+
+#include "vectors.hpp"
+
+namespace plate::contacts {
+
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+
+// The second part's side is taken for the flat one only if it separates by so much more [m].
+constexpr double PREFER = 1e-6;
+
+// Points where two parts touch, 0 to 2; the unit normal from the second part to the first; each
+// point [m], midway in the overlap; and the overlap's depth [m] at each.
+struct Manifold {
+    int count = 0;
+    Vec normal{};
+    Vec point[2]{};
+    double depth[2]{};
+};
+
+// A corner of a part's rim: its place, the outward normal of the side that begins there, and 1 if
+// that side is part of the rim, or 0 if another piece of the part begins at it.
+struct Corner {
+    double x, y, out_x, out_y, open;
+};
+static_assert(sizeof(Corner) == 5 * sizeof(double));
+using Corners = std::span<const Corner>;
+
+// The corner after k.
+inline int next(int k, Corners corners) {
+    return k + 1 < static_cast<int>(corners.size()) ? k + 1 : 0;
+}
+
+// The manifold of a disc, the first part, and a convex polygon.
+inline Manifold disc_polygon(double cx, double cy, double radius, Corners corners) {
+    double most = -INFINITE;
+    int side = -1;
+    for (int k = 0; k < static_cast<int>(corners.size()); k++) {
+        const Corner& corner = corners[k];
+        const double apart = corner.out_x * (cx - corner.x) + corner.out_y * (cy - corner.y);
+        if (apart >= radius || (apart > 0 && corner.open == 0)) return {};
+        if (apart > most && corner.open != 0) most = apart, side = k;
+    }
+    if (side < 0) return {};
+    double nx = corners[side].out_x, ny = corners[side].out_y;
+    if (most > 0) {
+        // Nearest to the side, or to one of its ends
+        const Corner &a = corners[side], &b = corners[next(side, corners)];
+        const double along = (a.x - cx) * ny - (a.y - cy) * nx;
+        const double beyond = (cx - b.x) * ny - (cy - b.y) * nx;
+        if (along < 0 || beyond < 0) {
+            const Corner& end = along < 0 ? a : b;
+            const double x = cx - end.x, y = cy - end.y;
+            most = std::sqrt(x * x + y * y);
+            if (most >= radius) return {};
+            nx = x / most, ny = y / most;
+        }
+    }
+    const double depth = radius - most, arm = radius - 0.5 * depth;
+    return {1, {nx, ny}, {{cx - arm * nx, cy - arm * ny}}, {depth}};
+}
+
+// Most that an open side of a polygon separates it from another, and that side; a gap of 0 if any
+// side separates them.
+struct Separation {
+    double gap;
+    int side;
+
+    Separation(Corners flat, Corners other) : gap(-INFINITE), side(-1) {
+        for (int k = 0; k < static_cast<int>(flat.size()); k++) {
+            const double nx = flat[k].out_x, ny = flat[k].out_y;
+            double least = INFINITE;
+            for (const Corner& corner : other)
+                least = std::min(least, nx * (corner.x - flat[k].x) + ny * (corner.y - flat[k].y));
+            if (least >= 0) {
+                gap = 0.0, side = k;
+                return;
+            }
+            if (least > gap && flat[k].open != 0) gap = least, side = k;
+        }
+    }
+};
+
+// The manifold of a side of `flat` with `other`; its normal points to `other`.
+inline Manifold clip(Corners flat, int side, Corners other) {
+    const double x0 = flat[side].x, y0 = flat[side].y;
+    const double nx = flat[side].out_x, ny = flat[side].out_y, tx = -ny, ty = nx;
+    // The other's side that faces it most
+    double facing = INFINITE;
+    int k = 0;
+    for (int i = 0; i < static_cast<int>(other.size()); i++) {
+        const double cosine = nx * other[i].out_x + ny * other[i].out_y;
+        if (cosine < facing) facing = cosine, k = i;
+    }
+    const Corner &end = flat[next(side, flat)], &a = other[k], &b = other[next(k, other)];
+    const double length = tx * (end.x - x0) + ty * (end.y - y0);
+    // Along and out of the flat side
+    const double along[] = {tx * (a.x - x0) + ty * (a.y - y0), tx * (b.x - x0) + ty * (b.y - y0)};
+    const double out[] = {nx * (a.x - x0) + ny * (a.y - y0), nx * (b.x - x0) + ny * (b.y - y0)};
+    Manifold contact{0, {nx, ny}};
+    for (int i = 0; i < 2; i++) {
+        double s = along[i], d = out[i];
+        const double bound = std::min(std::max(s, 0.0), length);
+        if (bound != s) {
+            const auto [low, high] = std::minmax(along[0], along[1]);
+            if (low == high || !(low <= bound && bound <= high)) continue;
+            d = out[0] + (out[1] - out[0]) * (bound - along[0]) / (along[1] - along[0]);
+            s = bound;
+        }
+        if (d < 0) {
+            contact.point[contact.count] = {x0 + s * tx + 0.5 * d * nx, y0 + s * ty + 0.5 * d * ny};
+            contact.depth[contact.count++] = -d;
+        }
+    }
+    if (contact.count) return contact;
+    // The other's nearest side passes by a corner; its deepest corner does not
+    for (const Corner& corner : other) {
+        const double d = nx * (corner.x - x0) + ny * (corner.y - y0);
+        if (-d > contact.depth[0])
+            contact = {1, {nx, ny}, {{corner.x - 0.5 * d * nx, corner.y - 0.5 * d * ny}}, {-d}};
+    }
+    return contact;
+}
+
+// The manifold of two convex polygons.
+inline Manifold polygon_polygon(Corners first, Corners second) {
+    const Separation of_first(first, second);
+    if (of_first.gap >= 0) return {};
+    const Separation of_second(second, first);
+    if (of_second.gap >= 0 || (of_first.side < 0 && of_second.side < 0)) return {};
+    if (of_second.side >= 0 && (of_first.side < 0 || of_first.gap + PREFER < of_second.gap))
+        return clip(second, of_second.side, first);
+    Manifold contact = clip(first, of_first.side, second);
+    contact.normal = {-contact.normal.x, -contact.normal.y};
+    return contact;
+}
+
+// The manifold of a rim with a wall through a point, whose inward normal is n.
+inline Manifold polygon_wall(Corners rim, Vec wall, Vec n) {
+    Manifold contact{0, n};
+    for (const Corner& corner : rim) {
+        const double depth = n.x * (wall.x - corner.x) + n.y * (wall.y - corner.y);
+        if (depth <= 0) continue;
+        // The two deepest
+        int at = contact.count;
+        if (at < 2) {
+            contact.count++;
+        } else {
+            at = contact.depth[0] < contact.depth[1] ? 0 : 1;
+            if (depth <= contact.depth[at]) continue;
+        }
+        contact.point[at] = {corner.x + 0.5 * depth * n.x, corner.y + 0.5 * depth * n.y};
+        contact.depth[at] = depth;
+    }
+    return contact;
+}
+
+// Set corners of a part in plate_home from those in its axes.
+inline void place_corners(Corners corners, double x, double y, double cosine, double sine,
+                          Corner* placed) {
+    for (const auto& [a, b, u, v, open] : corners)
+        *placed++ = {x + cosine * a - sine * b, y + sine * a + cosine * b,
+                     cosine * u - sine * v, sine * u + cosine * v, open};
+}
+
+}  // namespace plate::contacts

@@ -1,0 +1,226 @@
+// Which parts touch each other or a wall in a step, and the passes of impulses that end it.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "contacts/broad_phase.hpp"
+#include "contacts/discs.hpp"
+#include "contacts/impulses.hpp"
+#include "contacts/manifold.hpp"
+
+namespace plate::contacts {
+
+// Gauss-Seidel passes over the near pairs of one step, at most.
+constexpr int SWEEPS = 24;
+
+// Overlap [m] that ends the passes: a hundredth of a pixel.
+constexpr double OVERLAP = 1e-5;
+
+// Pairs apart by less than this share of their size take part in the passes of a step, as others
+// may push them into each other.
+constexpr double MARGIN = 0.03;
+
+// A pass brings two parts closer by at most about this times the deepest overlap.
+constexpr double PUSHES = 4.0;
+
+// A convex piece's first corner, its last + 1.
+struct Convex {
+    std::int64_t first, end;
+};
+
+// The rims of all parts that are not discs, in the parts' axes, and room for those in plate_home.
+struct Outlines {
+    std::span<const Convex> pieces;
+    Corners corners;
+    std::vector<Corner> placed;
+
+    Outlines(std::span<const Convex> the_pieces, Corners the_corners)
+        : pieces(the_pieces), corners(the_corners), placed(the_corners.size()) {}
+
+    // The corners of a piece in plate_home.
+    Corners operator[](int piece) const { return rim(piece, piece + 1); }
+
+    // Those of pieces [first, end), which follow each other.
+    Corners rim(int first, int end) const {
+        return {placed.data() + pieces[first].first, placed.data() + pieces[end - 1].end};
+    }
+
+    // Place the corners of part i in plate_home.
+    void place(const State& state, const Body& body, int i) {
+        if (body.end_piece == body.first_piece) return;
+        const auto first = pieces[body.first_piece].first, end = pieces[body.end_piece - 1].end;
+        place_corners(corners.subspan(first, end - first), state(X, i), state(Y, i),
+                      std::cos(state(ANGLE, i)), std::sin(state(ANGLE, i)), &placed[first]);
+    }
+};
+
+// Two parts, a disc before a polygon, how deep they overlap [m], and where they do most.
+struct Touch {
+    int i, j;
+    double depth = 0.0;
+    Manifold contact{};
+};
+
+// Where two parts touch of which one at least is no disc.
+inline Touch touch(const State& state, Bodies bodies, int i, int j, Outlines& outlines) {
+    if (bodies[j].radius > 0 && !(bodies[i].radius > 0)) std::swap(i, j);
+    const Body &a = bodies[i], &b = bodies[j];
+    const bool disc = a.radius > 0;
+    outlines.place(state, a, i);
+    outlines.place(state, b, j);
+    Touch most{i, j};
+    for (int q = b.first_piece; q < b.end_piece; q++) {
+        for (int p = a.first_piece; p < (disc ? a.first_piece + 1 : a.end_piece); p++) {
+            const Manifold contact =
+                disc ? disc_polygon(state(X, i), state(Y, i), a.radius, outlines[q])
+                     : polygon_polygon(outlines[p], outlines[q]);
+            double depth = 0.0;
+            for (int k = 0; k < contact.count; k++) depth = std::max(depth, contact.depth[k]);
+            if (depth > most.depth) most.depth = depth, most.contact = contact;
+        }
+    }
+    return most;
+}
+
+// Two parts of a list that overlap, the depth [m], and that over the slimmer one's `slim`: the
+// greatest; -1, -1, 0, 0 if none do.
+struct Overlap {
+    int first = -1, second = -1;
+    double depth = 0.0, share = 0.0;
+};
+
+inline Overlap deepest_overlap(const State& state, Bodies bodies, Outlines& outlines,
+                               const std::vector<Pair>& pairs) {
+    Overlap worst;
+    for (auto [i, j] : pairs) {
+        double depth;
+        if (bodies[i].radius > 0 && bodies[j].radius > 0) {
+            depth = overlap(state, bodies, i, j);
+        } else {
+            const Touch most = touch(state, bodies, i, j, outlines);
+            i = most.i, j = most.j, depth = most.depth;
+        }
+        const double share = depth / std::min(bodies[i].slim, bodies[j].slim);
+        if (share > worst.share) worst = {i, j, depth, share};
+    }
+    return worst;
+}
+
+// All contacts of parts in steps of equal length.
+struct Contacts {
+    State state;
+    Bodies bodies;
+    View<const bool, 1> here;  // (M,): which parts are on the plate
+    Outlines outlines;
+    Rules rules;
+    double step;                // [s]
+    const double* half;         // the plate's half sides (2,) [m]
+    std::vector<Pair> close{};  // room to work in
+    std::vector<int> edge{};
+
+    // End closing speeds and overlaps after a step, in place, of near pairs and at the walls of the
+    // plate. The last column of the state and the last body are the walls'.
+    void resolve(std::span<const Pair> pairs, const PlateSample& plate) {
+        const int wall = state.size(1) - 1;
+        const double twist[] = {plate.x, plate.y, plate.theta, plate.vx, plate.vy, plate.spin};
+        for (int row = 0; row < 6; row++) state(row, wall) = twist[row];
+        const double c = std::cos(plate.theta), s = std::sin(plate.theta);
+        close.resize(pairs.size() + 1), edge.resize(here.size(0) + 1);
+        int count = 0, outer = 0;
+        double margin = 0.0, pushed = INFINITE;
+        for (int sweep = 0; sweep < SWEEPS; sweep++) {
+            if (pushed > margin) {
+                margin = INFINITE;
+                count = close_pairs(pairs, margin);
+                if (rules.walls) outer = near_walls(c, s, margin);
+                pushed = 0.0;
+            }
+            double deepest = 0.0;
+            for (int row = 0; row < count; row++) {
+                // Forth and back: pushes then travel both ways through a crowd.
+                const auto [i, j] = close[sweep % 2 == 0 ? row : count - 1 - row];
+                const bool discs = bodies[i].radius > 0 && bodies[j].radius > 0;
+                deepest = std::max(deepest, discs ? collide_discs(state, bodies, i, j, rules, step)
+                                                  : collide_parts(i, j));
+            }
+            for (int k = 0; k < outer; k++)
+                deepest = std::max(deepest, meet_walls(edge[k], c, s));
+            if (deepest <= OVERLAP) break;
+            pushed += PUSHES * deepest;
+        }
+    }
+
+  private:
+    // Fill `close` with the pairs whose rims are within MARGIN; return how many there are, and
+    // lower `margin` to the distance [m] from which any other would have to be pushed.
+    int close_pairs(std::span<const Pair> pairs, double& margin) {
+        int count = 0;
+        for (const auto [i, j] : pairs) {
+            const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
+            const double reach = bodies[i].reach + bodies[j].reach, size = (1 + MARGIN) * reach;
+            margin = std::min(margin, MARGIN * reach);
+            close[count] = {i, j};
+            count += dx * dx + dy * dy < size * size;  // no branch: it could not be predicted
+        }
+        return count;
+    }
+
+    // The same of `edge` and the parts that are within MARGIN of a wall.
+    int near_walls(double c, double s, double& margin) {
+        const int wall = state.size(1) - 1;
+        int count = 0;
+        for (int i = 0; i < here.size(0); i++) {
+            const double reach = bodies[i].reach, size = (1 + MARGIN) * reach;
+            const double rx = state(X, i) - state(X, wall), ry = state(Y, i) - state(Y, wall);
+            const bool near = std::abs(c * rx + s * ry) + size > half[0] ||
+                              std::abs(c * ry - s * rx) + size > half[1];
+            edge[count] = i;
+            count += here(i) && near;
+            margin = std::min(margin, MARGIN * reach);
+        }
+        return count;
+    }
+
+    // Let two parts collide if they touch, of which one at least is no disc; return how deep [m]
+    // they overlapped.
+    double collide_parts(int i, int j) {
+        const double dx = state(X, i) - state(X, j), dy = state(Y, i) - state(Y, j);
+        const double size = bodies[i].reach + bodies[j].reach;
+        if (dx * dx + dy * dy >= size * size) return 0.0;
+        const Touch most = touch(state, bodies, i, j, outlines);
+        if (most.depth > KEPT || closes(state, most.i, most.j, most.contact))
+            collide(state, bodies, most.i, most.j, most.contact, rules, step);
+        return most.depth;
+    }
+
+    // Let a part meet the walls; return how deep [m] it was in them.
+    double meet_walls(int i, double c, double s) {
+        const Body& body = bodies[i];
+        const int wall = state.size(1) - 1;
+        double deepest = 0.0;
+        for (int side = 0; side < 4; side++) {
+            const double sign = side % 2 ? -1.0 : 1.0, far = half[side / 2];
+            const Vec out = side < 2 ? Vec{sign * c, sign * s} : Vec{-sign * s, sign * c};
+            const Vec at{state(X, wall) + far * out.x, state(Y, wall) + far * out.y};
+            const double apart = (at.x - state(X, i)) * out.x + (at.y - state(Y, i)) * out.y;
+            if (apart >= body.reach) continue;
+            if (body.radius > 0) {
+                const double depth = body.radius - apart;
+                deepest = std::max(deepest, depth);
+                collide_with_wall(state, bodies, i, depth, -out.x, -out.y, rules, step);
+                continue;
+            }
+            outlines.place(state, body, i);
+            const Manifold contact = polygon_wall(outlines.rim(body.first_piece, body.end_piece),
+                                                  at, {-out.x, -out.y});
+            for (int k = 0; k < contact.count; k++) deepest = std::max(deepest, contact.depth[k]);
+            if (contact.count > 0) collide(state, bodies, i, wall, contact, rules, step);
+        }
+        return deepest;
+    }
+};
+
+}  // namespace plate::contacts

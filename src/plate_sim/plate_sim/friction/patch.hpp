@@ -1,0 +1,256 @@
+// The implicit Coulomb step of a rigid footprint: one small convex problem with three unknowns.
+//
+// A part's slip d = (u, v, c) [m/s, m/s, rad/s] is the plate's twist at the part less the part's.
+// With no friction it would be `free` after a step; friction over the footprint makes it the least
+// of
+//
+//     1/2 |d - free|^2 + dv sum_i p_i |d_i|,    |d|^2 = u^2 + v^2 + gyration2 c^2,
+//
+// d_i the slip at point i, p_i its share of the weight, dv = mu g dt the velocity step. (Its
+// optimality condition is the step: each point's force is mu p_i m g along the slip AFTER the step,
+// or, without slip, any up to that.) So a part slips, turns and sticks without overshooting,
+// whatever the step.
+//
+// Solved with forces beside slips as unknowns (Andersen, Christiansen, Conn and Overton 2000),
+// whose Newton steps do not mind that norms have kinks. What the duality gap promises ends it.
+//
+// Terms of sums are found for several points at once, then added point by point: so a sum is the
+// same whatever the processor's vectors are.
+#pragma once
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include <algorithm>
+#include <cmath>
+
+#include "friction/disc.hpp"
+
+namespace plate {
+
+// The points of footprints (7, n). Rows: their places x, y in the part's axes [m]; shares of the
+// weight; sizes of their cells (see `Footprint.blur`) [m]; and the forces x, y on them and on their
+// blur in the last step [p_i mu m g], a first guess of the next: these change.
+using Mesh = View<double, 2>;
+
+}  // namespace plate
+
+namespace plate::patch {
+
+// Error of the slip after a step, as a share of dv: as an error of mu of that share.
+constexpr double SLACK = 1e-6;
+// Share of the slip times dv that rounding leaves of the duality gap.
+constexpr double ROUNDING = 1e-14;
+// Slips below this share of dv are none: then the part sticks.
+constexpr double SNAP = 1e-3;
+// 1 to 12 are needed; on feet, once in 5000 cases where a foot is a pivot, this many do not do.
+constexpr int ITERATIONS = 30;
+// Added to a squared slip [m2/s2], so that none is divided by 0.
+constexpr double TINY = 1e-200;
+// Share of dv below which a point's friction is rounded off, so that Newton's steps converge.
+constexpr double ROUND = 1e-4;
+// Points whose terms are found before they are added.
+constexpr int BLOCK = 64;
+// Fewer points than this, such as feet, are added one by one.
+constexpr int FEW = 6;
+
+// Some points of a part.
+struct Points {
+    const double *__restrict x, *__restrict y, *__restrict weight, *__restrict blur;
+    double *__restrict fx, *__restrict fy, *__restrict fb;
+    int count;
+};
+
+[[gnu::always_inline]] inline Points points_of(const Mesh& mesh, int first, int end) {
+    return {mesh[0] + first, mesh[1] + first, mesh[2] + first, mesh[3] + first,
+            mesh[4] + first, mesh[5] + first, mesh[6] + first, end - first};
+}
+
+// Friction that a slip in the part's axes gives it: force [mu m g], and torque by m gyration2
+// [mu g / m]; and a bound of how it changes with the slip [mu g / (m/s)].
+struct Friction {
+    Slip push;
+    double stiff;
+};
+
+// What point i adds to it.
+[[gnu::always_inline]] inline Friction friction_at(const Slip& d, double gyration2,
+                                                   const Points& at, int i) {
+    const double x = at.x[i], y = at.y[i], b = at.blur[i];
+    const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
+    const double share = at.weight[i] / std::sqrt(u * u + v * v + w * w + TINY);
+    return {{share * u, share * v, share * (x * v - y * u + b * w)},
+            share * (gyration2 + x * x + y * y)};
+}
+
+PLATE_WIDE inline Friction friction(const Slip& d, double gyration2, const Mesh& mesh, int first,
+                                    int end) {
+    double fx = 0, fy = 0, fc = 0, stiff = 0;
+    for (; first < end; first += BLOCK) {
+        const Points at = points_of(mesh, first, std::min(end, first + BLOCK));
+        if (at.count < FEW) {
+            for (int i = 0; i < at.count; i++) {
+                const Friction one = friction_at(d, gyration2, at, i);
+                fx += one.push.x, fy += one.push.y, fc += one.push.turn, stiff += one.stiff;
+            }
+            break;
+        }
+        double ax[BLOCK], ay[BLOCK], ac[BLOCK], change[BLOCK];
+#pragma omp simd
+        for (int i = 0; i < at.count; i++) {
+            const Friction one = friction_at(d, gyration2, at, i);
+            ax[i] = one.push.x, ay[i] = one.push.y, ac[i] = one.push.turn, change[i] = one.stiff;
+        }
+        for (int i = 0; i < at.count; i++)
+            fx += ax[i], fy += ay[i], fc += ac[i], stiff += change[i];
+    }
+    return {{fx, fy, fc / gyration2}, stiff / gyration2};
+}
+
+// Point the forces along the slips.
+[[gnu::always_inline]] inline void point_along(const Slip& d, double dv, const Points& at) {
+    const double round2 = (ROUND * dv) * (ROUND * dv);
+#pragma omp simd
+    for (int i = 0; i < at.count; i++) {
+        const double u = d.x - d.turn * at.y[i], v = d.y + d.turn * at.x[i];
+        const double w = d.turn * at.blur[i];
+        const double inverse = 1 / std::sqrt(u * u + v * v + w * w + round2);
+        at.fx[i] = u * inverse, at.fy[i] = v * inverse, at.fb[i] = w * inverse;
+    }
+}
+
+// Sums over points of what a Newton step needs: mean directions g of the slips, mean forces w
+// (times dv), duality gap, and the symmetric part of (1 - z n')/|slip|, seen by (u, v, c).
+struct Sums {
+    Slip g, w;
+    double gap, hxx, hyy, hxy, hxc, hyc, hcc;
+};
+
+[[gnu::always_inline]] inline Sums sum_up(const Slip& d, double dv, const Mesh& mesh, int first,
+                                          int end) {
+    const double round2 = (ROUND * dv) * (ROUND * dv), round = ROUND * dv;
+    Sums sum{};
+    for (; first < end; first += BLOCK) {
+        const Points at = points_of(mesh, first, std::min(end, first + BLOCK));
+        double gx[BLOCK], gy[BLOCK], gc[BLOCK], wx[BLOCK], wy[BLOCK], wc[BLOCK], gap[BLOCK];
+        double hxx[BLOCK], hyy[BLOCK], hxy[BLOCK], hxc[BLOCK], hyc[BLOCK];
+        double even[BLOCK], mixed[BLOCK];
+#pragma omp simd
+        for (int i = 0; i < at.count; i++) {
+            // Slips n at the points, their forces z
+            const double x = at.x[i], y = at.y[i], b = at.blur[i];
+            const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
+            const double norm = std::sqrt(u * u + v * v + w * w + round2), inverse = 1 / norm;
+            const double nx = u * inverse, ny = v * inverse, nb = w * inverse;
+            const double p = dv * at.weight[i], zx = at.fx[i], zy = at.fy[i], zb = at.fb[i];
+            const double inner = std::sqrt(std::max(0.0, 1 - zx * zx - zy * zy - zb * zb));
+            gap[i] = p * (norm - zx * u - zy * v - zb * w - round * inner);
+            wx[i] = p * zx;
+            wy[i] = p * zy;
+            wc[i] = p * (x * zy - y * zx + b * zb);
+            gx[i] = p * nx;
+            gy[i] = p * ny;
+            gc[i] = p * (x * ny - y * nx + b * nb);
+            const double q = p * inverse;
+            const double axx = q * (1 - zx * nx), ayy = q * (1 - zy * ny), abb = q * (1 - zb * nb);
+            const double axy = -0.5 * q * (zx * ny + zy * nx);
+            const double axb = -0.5 * q * (zx * nb + zb * nx);
+            const double ayb = -0.5 * q * (zy * nb + zb * ny);
+            hxx[i] = axx;
+            hyy[i] = ayy;
+            hxy[i] = axy;
+            hxc[i] = -y * axx + x * axy + b * axb;
+            hyc[i] = -y * axy + x * ayy + b * ayb;
+            even[i] = y * y * axx + x * x * ayy + b * b * abb;
+            mixed[i] = 2 * (b * x * ayb - b * y * axb - x * y * axy);
+        }
+        for (int i = 0; i < at.count; i++) {
+            sum.gap += gap[i];
+            sum.w.x += wx[i], sum.w.y += wy[i], sum.w.turn += wc[i];
+            sum.g.x += gx[i], sum.g.y += gy[i], sum.g.turn += gc[i];
+            sum.hxx += hxx[i], sum.hyy += hyy[i], sum.hxy += hxy[i];
+            sum.hxc += hxc[i], sum.hyc += hyc[i];
+            sum.hcc += even[i];
+            sum.hcc += mixed[i];
+        }
+    }
+    return sum;
+}
+
+// Change the forces by a Newton step in which the slip d changes by s.
+[[gnu::always_inline]] inline void change_forces(const Slip& d, const Slip& s, double dv,
+                                                 const Points& at) {
+    const double round2 = (ROUND * dv) * (ROUND * dv);
+#pragma omp simd
+    for (int i = 0; i < at.count; i++) {
+        const double x = at.x[i], y = at.y[i], b = at.blur[i];
+        const double u = d.x - d.turn * y, v = d.y + d.turn * x, w = d.turn * b;
+        const double inverse = 1 / std::sqrt(u * u + v * v + w * w + round2);
+        const double nx = u * inverse, ny = v * inverse, nb = w * inverse;
+        const double tu = (s.x - s.turn * y) * inverse, tv = (s.y + s.turn * x) * inverse;
+        const double tw = s.turn * b * inverse, along = nx * tu + ny * tv + nb * tw;
+        const double zx = nx + tu - at.fx[i] * along, zy = ny + tv - at.fy[i] * along;
+        const double zb = nb + tw - at.fb[i] * along;
+        const double size = std::max(1.0, std::sqrt(zx * zx + zy * zy + zb * zb));
+        at.fx[i] = zx / size, at.fy[i] = zy / size, at.fb[i] = zb / size;
+    }
+}
+
+// Solve [[a, b, c], [b, d, e], [c, e, f]] s = right, symmetric and positive.
+inline Slip solve(double a, double b, double c, double d, double e, double f, Slip right) {
+    const double l1 = b / a, l2 = c / a;
+    d -= l1 * b;
+    e -= l1 * c;
+    f -= l2 * c;
+    right.y -= l1 * right.x;
+    right.turn -= l2 * right.x;
+    const double l3 = e / d;
+    f -= l3 * e;
+    const double s3 = (right.turn - l3 * right.y) / f, s2 = right.y / d - l3 * s3;
+    return {(right.x - b * s2 - c * s3) / a, s2, s3};
+}
+
+// The slip after a step, in the part's axes; zeros if the part sticks.
+//
+// free: the slip after the step if there were no friction. dv: mu g dt [m/s], above 0. The part's
+// points in the mesh are `first` to `end` - 1; their forces are changed.
+PLATE_WIDE inline Slip slip_after(const Slip& free, double dv, double gyration2, const Mesh& mesh,
+                                  int first, int end) {
+    const Points all = points_of(mesh, first, end);
+    double far2 = 0, spread = 0;
+    for (int i = 0; i < all.count; i++) {
+        const double r2 = all.x[i] * all.x[i] + all.y[i] * all.y[i];
+        far2 = std::max(far2, r2);
+        spread += all.weight[i] * r2;
+    }
+    // It sticks if a force that is linear over the footprint is enough: nearly always when it does.
+    const double push = free.turn * gyration2 / spread;
+    if (std::sqrt(free.x * free.x + free.y * free.y) + std::abs(push) * std::sqrt(far2) <= dv)
+        return {0, 0, 0};
+    Slip d = free;
+    const double size2 = free.x * free.x + free.y * free.y + gyration2 * free.turn * free.turn;
+    if (size2 > 16 * dv * dv) {  // it slides on, so the forces point along the slip
+        const double share = 1 - dv / std::sqrt(size2);
+        d = {share * free.x, share * free.y, share * free.turn};
+        point_along(d, dv, all);
+    }
+    const double enough = 0.5 * ((SLACK * dv) * (SLACK * dv)) + ROUNDING * dv * std::sqrt(size2);
+    Slip w{};
+    for (int i = 0; i < ITERATIONS; i++) {
+        const Sums sum = sum_up(d, dv, mesh, first, end);
+        w = sum.w;
+        const double ex = d.x - free.x + w.x, ey = d.y - free.y + w.y;
+        const double ec = d.turn - free.turn + w.turn / gyration2;
+        if (sum.gap + 0.5 * (ex * ex + ey * ey + gyration2 * ec * ec) <= enough) break;
+        const Slip s =
+            solve(1 + sum.hxx, sum.hxy, sum.hxc, 1 + sum.hyy, sum.hyc, gyration2 + sum.hcc,
+                  {free.x - d.x - sum.g.x, free.y - d.y - sum.g.y,
+                   gyration2 * (free.turn - d.turn) - sum.g.turn});
+        change_forces(d, s, dv, all);
+        d = {d.x + s.x, d.y + s.y, d.turn + s.turn};
+    }
+    if (d.x * d.x + d.y * d.y + gyration2 * d.turn * d.turn <= (SNAP * dv) * (SNAP * dv))
+        return {0, 0, 0};
+    return {free.x - w.x, free.y - w.y, free.turn - w.turn / gyration2};
+}
+
+}  // namespace plate::patch

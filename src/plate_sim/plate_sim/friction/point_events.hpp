@@ -1,0 +1,372 @@
+// Point parts on the plate's exact motion, event by event, to a stated accuracy: the judge.
+//
+// A part slides, by Runge-Kutta 5(4) with steps that keep the estimated error small; or it is stuck
+// to its place in the plate, exactly, until the surface's acceleration there exceeds what static
+// friction gives. Where the slip vanishes the time is found; then the part sticks if the surface
+// can hold it, else it slides off along the surface's acceleration: on a line that is a reversal.
+// Where the slip in the plane only dips, steps shrink with it, but never below what the tolerance
+// can feel.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include "friction/runge_kutta.hpp"
+#include "plate/pieces.hpp"
+
+namespace plate::sliding {
+
+// Share of the tolerance that one step may err: errors of a cycle's steps add up and decay.
+constexpr double STEP_SHARE = 0.05;
+// Share of a step's error [m] that may be left to slide when a part is taken to be stuck.
+constexpr double SNAP_SHARE = 0.1;
+// Share of a step's error, per period, below which a slip [m/s] counts as none.
+constexpr double ZERO_SHARE = 0.2;
+// A part can stick if the surface can hold it also this share of a period later.
+constexpr double AHEAD = 1e-8;
+// Shortest step, as a share of the period: time itself is rounded to 1e-16 of it.
+constexpr double FLOOR = 1e-13;
+// Trial steps per cycle, after which equal steps, so many in a cycle, finish it unchecked.
+constexpr std::int64_t BUDGET = 50'000;
+constexpr int COARSE = 2000;
+// Share of a slip that counts as none, to which roots are found and lines kept.
+constexpr double FINE = 1e-3;
+// Friction [m/s2] below this moves nothing; its directions would drown in rounding.
+constexpr double LEAST = 1e-60;
+// Least numbers of looks, per piece and per period, for the release of a stuck part.
+constexpr int SCAN = 3, LOOKS = 100;
+
+// What one part's steps are measured by: mu g [m/s2]; the period [s]; the greatest acceleration
+// [m/s2] under the part and how fast it changes [1/s], about.
+struct Bounds {
+    double limit, period, accel, rate;
+};
+
+// A sliding part at the start of a step: its slip [m/s]; acceleration of the surface under it
+// [m/s2]; the same along friction, times friction [m2/s4]; error that the step may make [m];
+// whether the slip keeps to a line; whether the budget is spent.
+struct Slide {
+    double slip, surface, power, allowed;
+    bool line, crude;
+};
+
+// Output samples: their distance [s], how many there are in a cycle, the cycles already behind, and
+// the gravity along the plate with which the frame falls [m/s2].
+struct Grid {
+    double step;
+    int per_cycle, done;
+    Vec gravity;
+
+    // The time of sample j, from the start of the present cycle [s].
+    double time(int j) const { return (j - done * per_cycle) * step; }
+};
+
+// One part's places [m] and velocities [m/s]: rows of 2, `row` numbers apart, the first one given.
+struct Track {
+    double *path, *speed;
+    int count, row;
+
+    Point at(int j) const {
+        const double *p = path + j * row, *v = speed + j * row;
+        return {{p[0], p[1]}, {v[0], v[1]}};
+    }
+    void put(int j, const Point& part) const {
+        double *p = path + j * row, *v = speed + j * row;
+        p[0] = part.place.x, p[1] = part.place.y, v[0] = part.velocity.x, v[1] = part.velocity.y;
+    }
+};
+
+// A state in a freely falling frame, seen from the room after t [s].
+inline Point fallen(const Point& part, double t, Vec gravity) {
+    return {part.place + 0.5 * t * t * gravity, part.velocity + t * gravity};
+}
+
+// Slip [m/s] that is over before friction can change v by what a step may err; no more than
+// friction can give in a period, where that is next to nothing.
+inline double zero_slip(double limit, double a, double allowed, double period) {
+    return std::min(ZERO_SHARE * allowed / period * std::max(1.0, a / limit), limit * period);
+}
+
+// Whether a slip r [m/s] is as good as none where the surface accelerates by a [m/s2].
+inline bool calm(double r, double limit, double a, double allowed, double period) {
+    return r * r <= 2 * SNAP_SHARE * allowed * (limit - a) ||
+           r <= zero_slip(limit, a, allowed, period);
+}
+
+// Square of the acceleration [m2/s4] of a place in the plate.
+inline double felt(Table table, double t, int k, Vec q) {
+    const Vec accel = riding(table, t, k, q).accel;
+    return dot(accel, accel);
+}
+
+// Whether the surface can carry a part at q [m, in the plate] along.
+inline bool holds(Table table, double t, int k, Vec q, double limit) {
+    return felt(table, t, k, q) <= limit * limit;
+}
+
+// Shorten a step to end on a knot, unless it would span several pieces.
+inline double to_knot(Table table, double t, int k, double h, double room) {
+    h = std::min(h, room);
+    const double least = FLOOR * table.back().end;
+    if (table[k].end - t <= least && k + 1 < static_cast<int>(table.size())) k++;
+    const double gap = table[k].end - t;
+    return gap > least && gap < h && h < 2 * (table[k].end - table[k].start) ? gap : h;
+}
+
+// Whether the slip may vanish unseen within a step: from values and rates at its ends.
+inline bool dips(Table table, double t, int k, double h, const Step& made, const Slide& now,
+                 const Bounds& bounds) {
+    const double r = now.slip, limit = bounds.limit;
+    const double down = h * (now.power / limit - limit);
+    if (down >= 0) return false;
+    const Vec w = slip(table, t + h, k, made.end), a = surface_rate(table, t + h, k, made.end);
+    const double r_end = std::sqrt(dot(w, w)), up = h * (dot(made.force, a) / limit - limit);
+    if (up <= 0) return false;
+    // The cubic r + down s + b s^2 + c s^3, s from 0 to 1
+    const double b = 3 * (r_end - r) - 2 * down - up, c = 2 * (r - r_end) + down + up;
+    const double root = std::sqrt(std::max(0.0, b * b - 3 * c * down));
+    const double s = b + root > 0 ? -down / (b + root) : 0.5;
+    const double least = r + s * (down + s * (b + s * c)), turn = bounds.rate * h;
+    return least < 0.01 * bounds.accel * h * (turn * (turn * turn));
+}
+
+// A step that was made [s], state and friction at its end, and the next step to try [s].
+struct Slid {
+    double h;
+    Point end;
+    Vec force;
+    double hint;
+};
+
+// Make one step of a sliding part, of at most h [s].
+inline Slid slide(Table table, double t, int k, double h, double hint, const Point& part, Vec force,
+                  const Slide& now, const Bounds& bounds) {
+    const double limit = bounds.limit, period = bounds.period, first = h;
+    const double zero = zero_slip(limit, now.surface, now.allowed, period);
+    while (true) {
+        const Step made = now.line ? line_step(table, t, k, h, part, force)
+                                   : runge_kutta(table, t, k, h, part, force, limit);
+        const bool must = h <= FLOOR * period || now.crude;
+        if (made.turned > 0) {
+            const auto [tau, rest, error] =
+                landing(table, t, k, made.turned * h, part, force, now.slip, limit, FINE * zero);
+            const bool fits = tau > 0 && period * error <= now.allowed && rest <= zero;
+            if (fits || must) {
+                if (fits && !now.crude) h = tau;
+                return {h, even(part, force, h), force, hint};
+            }
+            h = hint = tau > 0 ? 0.7 * tau : 0.4 * made.turned * h;
+            continue;
+        }
+        const double error = made.place_error + period * made.velocity_error;
+        if (error > now.allowed && !must) {
+            h = hint = h * std::max(0.2, 0.9 * std::pow(now.allowed / error, 0.2));
+            continue;
+        }
+        if (!must && dips(table, t, k, h, made, now, bounds)) {
+            h = hint = 0.5 * h;
+            continue;
+        }
+        const double grown =
+            error * 4000 < now.allowed ? 6 : 0.9 * std::pow(now.allowed / error, 0.2);
+        const bool as_wanted = h == first && first == hint;
+        return {h, made.end, made.force,
+                as_wanted || grown < 1 ? h * grown : std::max(hint, h * grown)};
+    }
+}
+
+// A time [s] at which the surface cannot hold the part, looked for up to `high`; else -1.
+//
+// Looked at are the middle, the end, and the peak of the parabola through both and the start.
+inline double first_free(Table table, double low, double high, int k, Vec q, double limit) {
+    const double middle = 0.5 * (low + high), most = limit * limit;
+    const double a = felt(table, low, k, q), b = felt(table, middle, k, q);
+    const double c = felt(table, high, k, q);
+    if (b > most) return middle;
+    const double bend = a - 2 * b + c;
+    if (bend < 0 && std::abs(a - c) < -2 * bend) {
+        const double peak = middle + 0.25 * (high - low) * (a - c) / bend;
+        if (felt(table, peak, k, q) > most) return peak;
+    }
+    return c > most ? high : -1;
+}
+
+// Time [s], at most the period, up to which the surface holds a part at q [m, in the plate].
+inline double release(Table table, double t, int k, Vec q, double limit) {
+    const double period = table.back().end, radius = std::sqrt(dot(q, q));
+    for (int piece = k; piece < static_cast<int>(table.size()); piece++) {
+        const double end = table[piece].end;
+        double low = std::max(t, table[piece].start);
+        if (low >= end || ride_bound(table[piece], radius) <= limit) continue;
+        const double width = std::min((end - table[piece].start) / SCAN, period / LOOKS);
+        while (low < end) {
+            const double high = std::min(low + width, end);
+            double free = first_free(table, low, high, piece, q, limit);
+            if (free < 0) {
+                low = high;
+                continue;
+            }
+            while (free - low > 1e-15 * period) {
+                const double middle = 0.5 * (low + free);
+                if (!(low < middle && middle < free)) break;
+                if (holds(table, middle, piece, q, limit))
+                    low = middle;
+                else
+                    free = middle;
+            }
+            return low;
+        }
+    }
+    return period;
+}
+
+// Write the samples, from the j-th on, of a part stuck at q up to a time [s]; return the next
+// sample.
+inline int emit_held(Table table, double until, int k, Vec q, const Grid& grid, int j,
+                     const Track& track) {
+    for (; j < track.count - 1; j++) {
+        const double at = grid.time(j);
+        if (at > until) break;
+        track.put(j, fallen(riding(table, at, k, q).part, at, grid.gravity));
+    }
+    return j;
+}
+
+// Write the samples of a sliding step: the quintic through both ends' p, v and v'.
+inline int emit(double t, double h, const Point& start, Vec before, const Point& end, Vec after,
+                const Grid& grid, int j, const Track& track) {
+    if (j >= track.count - 1 || grid.time(j) > t + h) return j;
+    const Vec p = start.place, v = start.velocity;
+    const double hh = h * h;
+    const Vec d = end.place - p - h * v - 0.5 * hh * before;
+    const Vec s = h * (end.velocity - v - h * before), b = hh * (after - before);
+    const Vec x3 = 10 * d - 4 * s + 0.5 * b, x4 = -15 * d + 7 * s - b, x5 = 6 * d - 3 * s + 0.5 * b;
+    for (; j < track.count - 1; j++) {
+        const double tau = grid.time(j) - t;
+        if (tau > h) break;
+        const double u = tau / h, cube = u * u / h;
+        const Vec place = p + tau * (v + 0.5 * tau * before) + u * u * u * (x3 + u * (x4 + u * x5));
+        const Vec velocity = v + tau * before + cube * (3 * x3 + u * (4 * x4 + u * 5 * x5));
+        track.put(j, fallen({place, velocity}, t + tau, grid.gravity));
+    }
+    return j;
+}
+
+// Fill a part's track from its first row; return the steps.
+//
+// limit, static_limit [m/s2]: what dynamic and static friction can give. tolerance: of the
+// displacement in one cycle [m].
+inline std::int64_t run_part(Table table, const Scales& scales, double limit, double static_limit,
+                             double tolerance, int cycles, const Track& track) {
+    const double period = table.back().end;
+    const bool wraps = table[0].wraps != 0;
+    const int count = (track.count - 1) / cycles;
+    Point part = track.at(0);
+    // Greatest acceleration [m/s2] under the part and how fast it changes [1/s], about
+    const double arm = std::sqrt(dot(part.place, part.place));
+    const double accel = scales.accel + arm * scales.push;
+    const double jerk = scales.jerk + arm * scales.push_rate, rate = accel > 0 ? jerk / accel : 0;
+    const Bounds bounds{limit, period, accel, rate};
+    const double reach = rate * period < 0.5
+                             ? period
+                             : std::max(1 / rate, period / std::max<double>(COARSE, table.size()));
+    bool stuck = false;
+    int done = 0, k = 0, j = 1;
+    std::int64_t steps = 0;
+    double t = 0, hint = 0.25 * reach;
+    Vec q{0, 0}, w = slip(table, t, k, part), rate_under = surface_rate(table, t, k, part);
+    while (done < cycles) {
+        steps++;
+        const Grid grid{period / count, count, done, scales.gravity};
+        const double left = period - t, r = std::sqrt(dot(w, w));
+        const double a = std::sqrt(dot(rate_under, rate_under));
+        const bool ends = done == cycles - 1 || !wraps;
+        const double room = ends ? left : period;
+        // Rounding of the state limits what a step can promise.
+        const double size = std::abs(part.place.x) + std::abs(part.place.y) +
+                            period * (std::abs(part.velocity.x) + std::abs(part.velocity.y));
+        const double allowed = std::max(STEP_SHARE * tolerance, 1e-15 * size);
+        const bool crude = steps > BUDGET * cycles;
+        double h = 0;
+        Point end = part;
+        Vec before{0, 0}, after{0, 0};
+        if (!stuck && !crude && calm(r, limit, a, allowed, period)) {
+            q = in_plate(table, t, k, part.place);
+            stuck = holds(table, t + AHEAD * period, k, q, static_limit);
+            if (!stuck) {
+                const Restart made = restart(table, t, k, std::min(0.5 * reach, room), part, limit,
+                                             allowed / period);
+                h = hint = made.tau, end = made.end, before = made.before, after = made.after;
+                stuck = h == 0;
+            }
+        } else if (!stuck) {
+            if (r > 0) before = {limit * w.x / r, limit * w.y / r};
+            const Vec line = scales.line;
+            const bool on_line = std::abs(w.x * line.y - w.y * line.x) <=
+                                     FINE * zero_slip(limit, a, allowed, period) &&
+                                 (line.x != 0 || line.y != 0);
+            if (on_line) {
+                before = (dot(w, line) > 0 ? limit : -limit) * line;
+                hint = reach;
+            }
+            hint = crude ? period / COARSE : std::min(hint, reach);
+            const double first = on_line ? std::min(hint, room) : to_knot(table, t, k, hint, room);
+            const Slide now{r, a, dot(before, rate_under), allowed, on_line, crude};
+            const Slid made = slide(table, t, k, first, hint, part, before, now, bounds);
+            h = made.h, end = made.end, after = made.force, hint = made.hint;
+        }
+        if (stuck) {
+            const double until = release(table, t + AHEAD * period, k, q, static_limit);
+            j = emit_held(table, until, k, q, grid, j, track);
+            h = until - t;
+            end = riding(table, until, k, q).part;
+            stuck = until >= period;
+            hint = 0.1 * reach;
+        } else {
+            j = emit(t, h, part, before, end, after, grid, j, track);
+        }
+        part = end;
+        t += h;
+        if (t >= period || (h >= left && ends)) {
+            t = std::max(0.0, t - period);
+            done++;
+            k = 0;
+            if (!wraps) {  // back into the room, from the frame that fell
+                const Point fell = even({part.place, {0, 0}}, scales.gravity, period);
+                part = {fell.place, end.velocity + fell.velocity};
+            }
+        }
+        w = slip(table, t, k, part);
+        rate_under = surface_rate(table, t, k, part);
+    }
+    track.put(track.count - 1, part);
+    return steps;
+}
+
+// Fill the tracks of M parts, path and speed (rows, M, 2), from their first rows; return the steps.
+//
+// limit (M,): mu g of each part [m/s2]. static_ratio: static over dynamic friction. checked (M,):
+// whether a part's motion was found within the budgets.
+inline std::int64_t run_points(Table table, const Scales& scales, const double* limit,
+                               double static_ratio, double tolerance, int cycles, double* path,
+                               double* speed, int rows, int count, bool* checked) {
+    std::int64_t steps = 0;
+    for (int i = 0; i < count; i++) {
+        const Track track{path + 2 * i, speed + 2 * i, rows, 2 * count};
+        checked[i] = true;
+        if (limit[i] <= LEAST) {
+            const double dt = cycles * table.back().end / (rows - 1);
+            const auto [place, velocity] = track.at(0);
+            for (int j = 1; j < rows; j++)
+                track.put(j, fallen({place + j * dt * velocity, velocity}, j * dt, scales.gravity));
+        } else {
+            const std::int64_t made = run_part(table, scales, limit[i], static_ratio * limit[i],
+                                               tolerance, cycles, track);
+            checked[i] = made <= BUDGET * cycles;
+            steps += made;
+        }
+    }
+    return steps;
+}
+
+}  // namespace plate::sliding

@@ -1,0 +1,202 @@
+// Steps of a sliding part: Runge-Kutta 5(4), the landing where the slip vanishes, the restart.
+//
+// While a part slides, v' = mu g w/|w| with the slip w = v_s(p, t) - v: smooth, as long as w is not
+// zero. Every step returns how far it went, the part's new state, and friction at its end.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include "plate/pieces.hpp"
+
+namespace plate::sliding {
+
+// Dormand and Prince, A family of embedded Runge-Kutta formulae, J. Comp. Appl. Math. 6 (1980),
+// table 2: order 5 with an error estimate of order 4; the last stage is the next step's first.
+constexpr int STAGES = 7;
+constexpr double C[STAGES] = {0., 1. / 5, 3. / 10, 4. / 5, 8. / 9, 1., 1.};
+constexpr double B[] = {35. / 384, 0., 500. / 1113, 125. / 192, -2187. / 6784, 11. / 84};
+constexpr double A[STAGES][STAGES - 1] = {
+    {},
+    {1. / 5},
+    {3. / 40, 9. / 40},
+    {44. / 45, -56. / 15, 32. / 9},
+    {19372. / 6561, -25360. / 2187, 64448. / 6561, -212. / 729},
+    {9017. / 3168, -355. / 33, 46732. / 5247, 49. / 176, -5103. / 18656},
+    {B[0], B[1], B[2], B[3], B[4], B[5]},
+};
+constexpr double E[STAGES] = {
+    B[0] - 5179. / 57600,   0.,
+    B[2] - 7571. / 16695,   B[3] - 393. / 640,
+    B[4] + 92097. / 339200, B[5] - 187. / 2100,
+    -1. / 40};
+
+// Shortened restarts before a part is held a moment longer: 0.3**40 of a step is rounding.
+constexpr int TRIES = 40;
+// A root in time is found to this share of its bracket.
+constexpr double ROOT = 1e-15;
+
+// The sum of weights times vectors, in order.
+template <int COUNT>
+[[gnu::always_inline]] inline Vec weighted(const double* weights, const Vec* vectors) {
+    Vec sum = weights[0] * vectors[0];
+#pragma GCC unroll 8
+    for (int i = 1; i < COUNT; i++)
+        if (weights[i] != 0) sum = sum + weights[i] * vectors[i];
+    return sum;
+}
+
+// What a step leads to: the share of it by which the slip has reversed, 0 if it has not, and then
+// state and friction [m/s2] at its end, and estimated errors of position [m] and velocity [m/s].
+struct Step {
+    double turned;
+    Point end;
+    Vec force;
+    double place_error, velocity_error;
+};
+
+// A stage of a step: velocity and friction there, and whether the slip is still along n.
+struct Stage {
+    Vec velocity, force;
+    bool on;
+};
+
+[[gnu::always_inline]] inline Stage stage(Table table, double t, int& k, const Point& part,
+                                          double limit, Vec n) {
+    const Vec w = slip(table, t, k, part);
+    const double r = std::sqrt(dot(w, w)), share = r > 0 ? limit / r : 0;
+    return {part.velocity, share * w, dot(w, n) > 0};
+}
+
+// Stage S of a step and those after it; velocities v and friction f are known at those before.
+template <int S>
+[[gnu::always_inline]] inline Step stages(Table table, double t, int k, double h, const Point& part,
+                                          double limit, Vec n, Vec* v, Vec* f) {
+    Point at;
+    if constexpr (S == 1)
+        at = {part.place + h * A[1][0] * v[0], part.velocity + h * A[1][0] * f[0]};
+    else
+        at = {part.place + h * weighted<S>(A[S], v), part.velocity + h * weighted<S>(A[S], f)};
+    const Stage made = stage(table, t + C[S] * h, k, at, limit, n);
+    if (!made.on) return {C[S], part, f[0], 0, 0};
+    v[S] = made.velocity, f[S] = made.force;
+    if constexpr (S + 1 < STAGES) {
+        return stages<S + 1>(table, t, k, h, part, limit, n, v, f);
+    } else {
+        const Vec ep = weighted<STAGES>(E, v), ev = weighted<STAGES>(E, f);
+        return {0, at, f[S], h * (std::abs(ep.x) + std::abs(ep.y)),
+                h * (std::abs(ev.x) + std::abs(ev.y))};
+    }
+}
+
+// Try a step h [s] from friction f [m/s2].
+inline Step runge_kutta(Table table, double t, int k, double h, const Point& part, Vec force,
+                        double limit) {
+    Vec v[STAGES] = {part.velocity}, f[STAGES] = {force};
+    const Vec n{force.x / limit, force.y / limit};
+    return stages<1>(table, t, k, h, part, limit, n, v, f);
+}
+
+// State after tau [s] of constant friction [m/s2].
+inline Point even(const Point& part, Vec force, double tau) {
+    return {part.place + tau * (part.velocity + 0.5 * tau * force), part.velocity + tau * force};
+}
+
+// Slip along and across n [m/s] after tau [s] of constant friction f.
+inline Vec straight(Table table, double t, int k, double tau, const Point& part, Vec force, Vec n) {
+    const Vec w = slip(table, t + tau, k, even(part, force, tau));
+    return {w.x * n.x + w.y * n.y, w.y * n.x - w.x * n.y};
+}
+
+// As `runge_kutta`, for a slip that keeps to a line: friction is constant, the step exact.
+inline Step line_step(Table table, double t, int k, double h, const Point& part, Vec force) {
+    const Vec w = straight(table, t, k, h, part, force, force);
+    return {w.x > 0 ? 0. : 1., even(part, force, h), force, 0, 0};
+}
+
+// When the slip vanishes [s], or 0 if it does not; the slip [m/s] that then remains across: 0 on a
+// line; and a bound of the velocity's error [m/s] from the direction's change on the way.
+struct Landing {
+    double tau, rest, error;
+};
+
+// Find when the slip, r [m/s] now, vanishes within h [s] if friction keeps its direction.
+//
+// A slip along of `none` [m/s] is as good as none.
+inline Landing landing(Table table, double t, int k, double h, const Point& part, Vec force,
+                       double r, double limit, double none) {
+    const Vec n{force.x / limit, force.y / limit};
+    const Vec last = straight(table, t, k, h, part, force, n);
+    if (last.x > 0) return {0, 0, 0};
+    double low = 0, high = h, s_low = r, s_high = last.x, rest = last.y, tau = h;
+    int side = 0;
+    // Illinois: regula falsi that halves the value at an end that stays
+    for (int i = 0; i < 60; i++) {
+        if (high - low <= ROOT * h || s_high == 0) break;
+        tau = (low * s_high - high * s_low) / (s_high - s_low);
+        if (!(low < tau && tau < high)) {
+            tau = 0.5 * (low + high);
+            if (!(low < tau && tau < high)) break;
+        }
+        const Vec w = straight(table, t, k, tau, part, force, n);
+        rest = w.y;
+        if (w.x > 0) {
+            low = tau, s_low = w.x;
+            if (side == 1) s_high *= 0.5;
+            side = 1;
+        } else {
+            high = tau, s_high = w.x;
+            if (side == -1) s_low *= 0.5;
+            side = -1;
+        }
+        if (std::abs(w.x) <= none) break;
+    }
+    const Vec half = straight(table, t, k, 0.5 * tau, part, force, n);
+    rest = std::abs(rest);
+    // Across a slip that shrinks evenly the angle grows as rest tau/(tau - t): a logarithm.
+    double share = rest > 0 ? rest / r * (1 + std::log(std::max(1.0, r / rest))) : 0;
+    share += half.x > 0 ? std::abs(half.y) / half.x : 1;
+    return {tau, rest, limit * tau * share};
+}
+
+// Direction of the acceleration of a place in the plate.
+inline Vec heading(Table table, double t, int k, Vec q) {
+    const Vec accel = riding(table, t, k, q).accel;
+    const double a = std::sqrt(dot(accel, accel));
+    return a > 0 ? Vec{accel.x / a, accel.y / a} : Vec{0, 0};
+}
+
+// Length of a first step [s], 0 if the part slid nowhere; its end; friction at both ends [m/s2].
+struct Restart {
+    double tau;
+    Point end;
+    Vec before, after;
+};
+
+// Slide off from a slip of nearly 0, at most h [s] far, where the surface accelerates too much.
+//
+// The slip turns at once along the surface's acceleration a, and then follows it: friction is
+// mu g a/|a|. Velocity may err by `allowed` [m/s].
+inline Restart restart(Table table, double t, int k, double h, const Point& part, double limit,
+                       double allowed) {
+    const Vec q = in_plate(table, t, k, part.place), n0 = heading(table, t, k, q);
+    for (int i = 0; i < TRIES; i++) {
+        const Vec n1 = heading(table, t + 0.5 * h, k, q), n2 = heading(table, t + h, k, q);
+        // Simpson's rule for v, its integral for p
+        const Vec u = part.velocity + limit * h / 6 * (n0 + 4 * n1 + n2);
+        const Vec p = part.place + h * (part.velocity + limit * h / 6 * (n0 + 2 * n1));
+        int piece = k;
+        const Vec w = slip(table, t + h, piece, {p, u});
+        const double r = std::sqrt(dot(w, w));
+        // The slip r lags behind a that turns at a rate w by the angle r w/|a|.
+        const double error = r * (std::abs(n2.x - n0.x) + std::abs(n2.y - n0.y));
+        if (error > allowed) {
+            h *= std::max(0.1, std::min(0.7, 0.9 * std::pow(allowed / error, 1. / 3)));
+            continue;
+        }
+        if (dot(w, n2) > 0) return {h, {p, u}, limit * n0, limit * n2};
+        h *= 0.3;
+    }
+    return {0, part, {0, 0}, {0, 0}};
+}
+
+}  // namespace plate::sliding

@@ -1,0 +1,18 @@
+// What Python sees of the kernels: the module `_kernels`.
+#include <plate/bind.hpp>
+
+namespace plate {
+
+void bind_plate(nb::module_& m);
+void bind_friction(nb::module_& m);
+void bind_camera(nb::module_& m);
+void bind_world(nb::module_& m);
+
+NB_MODULE(_kernels, m) {
+    bind_plate(m);
+    bind_friction(m);
+    bind_camera(m);
+    bind_world(m);
+}
+
+}  // namespace plate

@@ -1,0 +1,242 @@
+// The plate's exact motion: the quintic pieces of a cycle in one table, and the only evaluation of
+// the plate's pose, twist and acceleration that integrators use. See pieces.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <vector>
+
+#include "vectors.hpp"
+
+namespace plate {
+
+// A piece between two knots: times of its start and end [s]; six powers of the time since its start
+// of x, y [m] and theta [rad], each; what a riding part can feel (see `ride_bound`); whether theta
+// changes anywhere; and whether the end of the cycle is its start. A row of a table (K, 24).
+struct Piece {
+    double start, end, x[6], y[6], theta[6], line, push, turns, wraps;
+};
+static_assert(sizeof(Piece) == 24 * sizeof(double));
+using Table = std::span<const Piece>;
+
+// Bounds of the rates of O' [m/s2], theta' [rad/s2], O'' [m/s3] and theta'' [rad/s3]; direction of
+// the line on which the plate accelerates, 0 if there is none; gravity along the plate [m/s2].
+struct Scales {
+    double accel, push, jerk, push_rate;
+    Vec line, gravity;
+};
+static_assert(sizeof(Scales) == 8 * sizeof(double));
+
+// The plate at an instant: pose [m, m, rad] and twist [m/s, m/s, rad/s].
+struct PlateSample {
+    double x, y, theta, vx, vy, spin;
+};
+
+// A point part: place [m] and velocity [m/s].
+struct Point {
+    Vec place, velocity;
+};
+
+// A motion is on a line if it accelerates across it by no more than this share: rounding.
+constexpr double STRAIGHT = 1e-11;
+
+// Value of the polynomial c, u [s] after its knot; its first and second derivative.
+inline double place(const double* c, double u) {
+    return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))));
+}
+inline double slope(const double* c, double u) {
+    return c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * (5 * c[5]))));
+}
+inline double bend(const double* c, double u) {
+    return 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * (20 * c[5])));
+}
+
+// The piece that a share of the motion is in, if all were of one length.
+inline int piece_at(Table table, double share) {
+    const int last = static_cast<int>(table.size()) - 1;
+    const double k = share * (last + 1);
+    return k >= last ? last : k > 0 ? static_cast<int>(k) : 0;
+}
+
+// Of the pieces near the k-th, the one that time t [s] is in; the first and the last go on.
+inline int seek(Table table, double t, int k) {
+    while (k > 0 && t < table[k].start) k--;
+    while (k + 1 < static_cast<int>(table.size()) && t >= table[k].end) k++;
+    return k;
+}
+
+// Wrap t [s] into a closed cycle; set k to its piece, which is sought from its share unless it is
+// k.
+inline double locate(Table table, double t, int& k) {
+    const double period = table.back().end;
+    if (t >= period) {
+        if (table[0].wraps == 0) {
+            k = static_cast<int>(table.size()) - 1;
+            return t;
+        }
+        t -= period;
+    }
+    if (t < table[k].start || t >= table[k].end) k = seek(table, t, piece_at(table, t / period));
+    return t;
+}
+
+// Pose and twist at time t [s]; before and after the cycle it goes on.
+inline PlateSample sample(Table table, double t) {
+    const Piece& piece = table[seek(table, t, piece_at(table, t / table.back().end))];
+    const double u = t - piece.start;
+    return {place(piece.x, u), place(piece.y, u), place(piece.theta, u),
+            slope(piece.x, u), slope(piece.y, u), slope(piece.theta, u)};
+}
+
+// The (steps + 1) samples at the ends of equal steps through the motion.
+inline std::vector<PlateSample> samples(Table table, int steps) {
+    std::vector<PlateSample> rows(steps + 1);
+    for (int k = 0; k <= steps; k++) rows[k] = sample(table, table.back().end * k / steps);
+    return rows;
+}
+
+// Slip w = v_s - v [m/s] of a part at time t; k is set to its piece. v_s = O' + theta' x (P - O).
+inline Vec slip(Table table, double t, int& k, const Point& part) {
+    t = locate(table, t, k);
+    const Piece& piece = table[k];
+    const double u = t - piece.start;
+    Vec w = Vec{slope(piece.x, u), slope(piece.y, u)} - part.velocity;
+    if (piece.turns != 0) {
+        const double spin = slope(piece.theta, u);
+        w.x -= spin * (part.place.y - place(piece.y, u));
+        w.y += spin * (part.place.x - place(piece.x, u));
+    }
+    return w;
+}
+
+// Rate [m/s2] of the surface's velocity under a part: O'' + theta'' x (P - O) + theta' x (v - O').
+inline Vec surface_rate(Table table, double t, int k, const Point& part) {
+    t = locate(table, t, k);
+    const Piece& piece = table[k];
+    const double u = t - piece.start;
+    Vec a{bend(piece.x, u), bend(piece.y, u)};
+    if (piece.turns != 0) {
+        const double spin = slope(piece.theta, u), push = bend(piece.theta, u);
+        const Vec arm{part.place.x - place(piece.x, u), part.place.y - place(piece.y, u)};
+        const Vec v{part.velocity.x - slope(piece.x, u), part.velocity.y - slope(piece.y, u)};
+        a.x -= push * arm.y + spin * v.y;
+        a.y += push * arm.x + spin * v.x;
+    }
+    return a;
+}
+
+// A part that rides with the plate: its state, and acceleration [m/s2].
+struct Ride {
+    Point part;
+    Vec accel;
+};
+
+// State of a part stuck at q [m, in the plate] at time t; k is set to its piece.
+inline Ride riding(Table table, double t, int& k, Vec q) {
+    t = locate(table, t, k);
+    const Piece& piece = table[k];
+    const double u = t - piece.start;
+    Vec r = q;
+    double spin = 0, push = 0;
+    if (piece.turns != 0) {
+        const double theta = place(piece.theta, u), c = std::cos(theta), s = std::sin(theta);
+        r = {c * q.x - s * q.y, s * q.x + c * q.y};
+        spin = slope(piece.theta, u), push = bend(piece.theta, u);
+    }
+    return {{{place(piece.x, u) + r.x, place(piece.y, u) + r.y},
+             {slope(piece.x, u) - spin * r.y, slope(piece.y, u) + spin * r.x}},
+            {bend(piece.x, u) - push * r.y - spin * spin * r.x,
+             bend(piece.y, u) + push * r.x - spin * spin * r.y}};
+}
+
+// Where in the plate [m] a part at p is at time t.
+inline Vec in_plate(Table table, double t, int k, Vec p) {
+    t = locate(table, t, k);
+    const Piece& piece = table[k];
+    const double u = t - piece.start;
+    const Vec r = p - Vec{place(piece.x, u), place(piece.y, u)};
+    if (piece.turns == 0) return r;
+    const double theta = place(piece.theta, u), c = std::cos(theta), s = std::sin(theta);
+    return {c * r.x + s * r.y, c * r.y - s * r.x};
+}
+
+// What a part riding at `radius` [m] feels at most [m/s2] during a piece.
+inline double ride_bound(const Piece& piece, double radius) {
+    return piece.line + radius * piece.push;
+}
+
+// Bezier point i of the second derivative of `place`, u from 0 to h.
+inline double bezier(const double* c, double h, int i) {
+    double point = 2 * c[2] + 2 * h * i * c[3];
+    if (i >= 2) point += (i == 2 ? 4.0 : 12.0) * h * h * c[4];
+    if (i == 3) point += 20 * h * h * h * c[5];
+    return point;
+}
+
+// Write what bounds riding parts in a piece, and update the scales, by Bezier points.
+//
+// A cubic never leaves the hull of its points: so their greatest norm bounds O'' and theta'', their
+// greatest difference the rates of those; theta' is bounded from its ends.
+inline void bound(Piece& piece, Scales& scales) {
+    const double h = piece.end - piece.start;
+    double line = 0, push = 0, last = 0;
+    Vec last_b{0, 0};
+    for (int i = 0; i < 4; i++) {
+        const Vec b{bezier(piece.x, h, i), bezier(piece.y, h, i)};
+        const double turn = bezier(piece.theta, h, i), norm = std::sqrt(dot(b, b));
+        line = std::max(line, norm), push = std::max(push, std::abs(turn));
+        if (norm > scales.accel) scales.accel = norm, scales.line = {b.x / norm, b.y / norm};
+        if (i > 0) {
+            const Vec change = b - last_b;
+            scales.jerk = std::max(scales.jerk, 3 / h * std::sqrt(dot(change, change)));
+            scales.push_rate = std::max(scales.push_rate, 3 / h * std::abs(turn - last));
+        }
+        last_b = b, last = turn;
+    }
+    scales.push = std::max(scales.push, push);
+    const double spin =
+        std::max(std::abs(piece.theta[1]), std::abs(slope(piece.theta, h))) + 0.5 * h * push;
+    piece.line = line, piece.push = push + spin * spin;
+}
+
+// Whether the plate accelerates, by `accel` [m/s2] at most, along the unit vector n only.
+inline bool on_line(Table table, Vec n, double accel) {
+    for (const Piece& piece : table) {
+        const double h = piece.end - piece.start;
+        double across = std::abs(n.y * piece.x[5] - n.x * piece.y[5]);
+        for (int i = 4; i > 1; i--)
+            across = std::abs(n.y * piece.x[i] - n.x * piece.y[i]) + h * across;
+        if (across > STRAIGHT * accel) return false;
+    }
+    return true;
+}
+
+// Fill a table from a cycle's knots (K + 1,) [s] and coefficients (K, 6, 3); return its scales.
+inline Scales tabulate(const double* times, const double* coefficients, Vec gravity, bool closed,
+                       std::span<Piece> table) {
+    Scales scales{};
+    bool turns = false;
+    for (Piece& piece : table) {
+        const double t = times[0], fall[] = {0.5 * t * t, t, 0.5};
+        piece.start = t, piece.end = times[1];
+        for (int i = 0; i < 6; i++, coefficients += 3) {
+            piece.x[i] = coefficients[0];
+            piece.y[i] = coefficients[1];
+            piece.theta[i] = coefficients[2];
+            turns |= coefficients[2] != 0;
+        }
+        for (int i = 0; i < 3; i++) {
+            piece.x[i] -= gravity.x * fall[i];
+            piece.y[i] -= gravity.y * fall[i];
+        }
+        bound(piece, scales);
+        times++;
+    }
+    const bool wraps = closed && gravity.x == 0 && gravity.y == 0;
+    for (Piece& piece : table) piece.turns = turns, piece.wraps = wraps;
+    if (turns || !on_line(table, scales.line, scales.accel)) scales.line = {0, 0};
+    scales.gravity = gravity;
+    return scales;
+}
+
+}  // namespace plate
