@@ -29,7 +29,6 @@ from plate_core.ros import (
     SafeLifecycleNode,
     array_to_image,
     camera_to_msg,
-    compiling,
     msg_to_wanted,
     parameter,
     parts_to_msg,
@@ -61,7 +60,7 @@ from .plate import PlateLocation, light_problem
 from .recognition import camera_limits
 from .shapes.part_files import OUT, load_bare
 from .tracking import Prediction, Tracker, TrackerOptions, found_text
-from .vision import HOME, follow_plate, make_vision, observe, size_problem, warm_up
+from .vision import HOME, follow_plate, make_vision, observe, size_problem
 
 WARN_PERIOD_S = 2.0
 """Least time between two warnings of a kind [s]."""
@@ -183,7 +182,7 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         self.report(self._find, self._values, "camera", self._begin_report)
 
     def configure(self) -> None:
-        """Read rig and lens, and compile."""
+        """Read rig and lens."""
         values = self.options
         self._rig = load_rig(values.rig_file)
         self._lens_message: tuple[object, ...] | None = None
@@ -203,8 +202,6 @@ class DetectorNode(SafeLifecycleNode[DetectorParameters]):
         if values.bare_plate_file:
             bare = load_bare(Path(values.bare_plate_file), self._vision.region.size_px)
             self._vision = replace(self._vision, background=bare)
-        with compiling(self):
-            warm_up(self._vision)
         self._parts = self.managed_publisher(Parts, "parts", DATA)
         if self._rig.fiducials is not None:
             self._poses = self.managed_publisher(PoseStamped, "plate_pose", DATA)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from plate_core import Rig
@@ -13,24 +12,16 @@ from plate_core.rig import to_home
 
 from .camera.lens import Calibration, Lens, calibrate_by_rig
 from .detection import DetectorOptions, detect, round_patches
-from .discs import MARK_RADII
 from .errors import ImageError
 from .plate.home import PlateLocation, locate_plate
 from .plate.region import Region, make_region
 from .recognition import find_types, is_named, model_plate
 from .shapes import Background
 from .shapes.catalogue import Catalogue, make_catalogue
-from .shapes.groups import warm_up as warm_up_types
 from .tracking import Prediction, Tracker, update
 
 HOME = np.zeros(3)
 """The plate at rest."""
-
-BRIGHT, DARK = 200, 30
-"""Grey levels of a plate and of parts that everything is compiled for."""
-
-CLUMP = 4
-"""Half the side of a dark square for which the search in clumps is compiled [part radii]."""
 
 EDGE_POINTS = 8
 """Points by which every bent edge of the plate is known: twice what its polynomial needs."""
@@ -260,35 +251,6 @@ def follow_plate(
         placed = make_vision(rig, vision.options, calibration=now.home, pose=now.region_pose)
         vision = replace(placed, catalogue=vision.catalogue, background=vision.background)
     return now, vision, image
-
-
-def warm_up(vision: Vision) -> None:
-    """Compile what parts need, also many that touch, before the first image comes."""
-    image = three_discs(vision)
-    if vision.catalogue is not None:
-        observe(vision, Tracker(), np.dstack([image] * 3), 0.0)
-        warm_up_types(vision.catalogue)
-        return
-    observe(vision, Tracker(), image, 0.0)
-    x, y = np.rint(np.mean(vision.region.outline_px, axis=0)).astype(int)
-    half = round(CLUMP * vision.options.radius_px)
-    image[y - half : y + half, x - half : x + half] = DARK
-    observe(vision, Tracker(), image, 0.0)
-
-
-def three_discs(vision: Vision) -> np.ndarray:
-    """Return an image (H, W) uint8 of two discs that touch and a third with a mark, amid the
-    region."""
-    width, height = vision.region.size_px
-    image = np.full((height, width), BRIGHT, np.uint8)
-    radius = vision.options.radius_px
-    middle = np.mean(vision.region.outline_px, axis=0)
-    for place in (-1, 1, 5):
-        x, y = np.rint(middle + [place * radius, 0]).astype(int)
-        cv2.circle(image, (int(x), int(y)), round(radius), DARK, thickness=-1)
-    mark = (int(x) + round(radius / 2), int(y))
-    cv2.circle(image, mark, round(MARK_RADII * radius), (BRIGHT + DARK) // 2, thickness=-1)
-    return image
 
 
 def _angles(vision: Vision, found: np.ndarray, centre_px: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 
 from plate_core import load_rig
 from plate_vision import DetectorOptions, ImageError, Tracker, make_vision, observe
-from plate_vision.vision import ANY_ANGLE, three_discs
+from plate_vision.vision import ANY_ANGLE
 
 DT = 0.05
 
@@ -110,11 +110,3 @@ def test_drift_of_still_parts_is_small(draw, rng):
     assert drift.shape == (39, 10, 2)
     assert drift.std() < 0.5e-3
     assert drift.std(axis=0).max() < 1e-3
-
-
-def test_what_is_compiled_first_has_parts_that_touch_and_one_that_does_not_with_a_mark(vision):
-    parts = observe(vision, Tracker(), three_discs(vision), 0.0).parts
-    x = np.sort(parts.position[:, 0])
-    radius = load_rig().parts.radius_m
-    assert np.diff(x) == pytest.approx([2 * radius, 4 * radius], abs=0.15 * radius)
-    assert np.count_nonzero(parts.angle) == 1

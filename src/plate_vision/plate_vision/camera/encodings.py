@@ -183,8 +183,7 @@ def grey_levels(image: np.ndarray) -> np.ndarray:
         image = image[:, :, 1]
     if image.ndim != 2 or image.size == 0:
         raise ImageError(f"image: shape is {image.shape}, allowed: (H, W) or (H, W, 3), not empty")
-    # Kernels are compiled for one kind of arrays: any other would be compiled anew, for seconds.
-    return np.require(image, requirements=("C", "W"))
+    return np.ascontiguousarray(image)  # once, or each kernel would
 
 
 def check_size(width: int, height: int) -> None:

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
-
+from .. import _kernels
 from ..camera.lens import check_quadrilateral, cross
 from ..errors import ImageError
 
@@ -22,10 +21,6 @@ SEAM_PX = 1.0
 
 BOW_DEGREE = 4
 """Degree of the polynomial for a bent edge: within 0.05 px of one that bulges by 20 px."""
-
-BOW_REACH = 1.05
-"""How far beyond its ends, in half lengths, a bent edge is followed."""
-
 
 SAMPLES = 1200
 """Pixels from which the light is taken, on a regular grid: its surface is then good to 0.15 grey
@@ -81,7 +76,8 @@ class Region:
     def depth(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
         """Distance of points (...) from the nearest edge of the plate [px], negative outside."""
         x, y = np.broadcast_arrays(np.asarray(x_px, float), np.asarray(y_px, float))
-        return _depth(self.edges, self.bows, x.ravel(), y.ravel()).reshape(x.shape)
+        depth = _kernels.region_depth(self.edges, self.bows, x.ravel(), y.ravel())
+        return np.asarray(depth.reshape(x.shape))
 
     @cached_property
     def usable(self) -> np.ndarray:
@@ -161,24 +157,6 @@ def make_region(size_px: tuple[int, int], outline_px: np.ndarray | None = None) 
         _bows(points, normals, offsets) if points.shape[1] > 1 else no_bows,
         (int(low[0]), int(low[1]), int(high[0]), int(high[1])),
     )
-
-
-@kernel(error_model="numpy")
-def _depth(edges: np.ndarray, bows: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return `Region.depth` (n,) of points (n,)."""
-    depth = np.full(len(x), np.inf)
-    for i in range(len(x)):
-        for edge in range(len(edges)):
-            inside = edges[edge, 0] * x[i] + edges[edge, 1] * y[i] + edges[edge, 2]
-            if len(bows):
-                place = bows[edge, 0] + bows[edge, 1] * x[i] + bows[edge, 2] * y[i]
-                place = min(max(place, -BOW_REACH), BOW_REACH)
-                bow = 0.0
-                for factor in bows[edge, 3:]:
-                    bow = bow * place + factor
-                inside -= bow
-            depth[i] = min(depth[i], inside)
-    return depth
 
 
 def _bows(points: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:

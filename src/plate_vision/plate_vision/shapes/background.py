@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from plate_core.kernels import SAME_ROUNDING, kernel
-
+from .. import _kernels
 from ..errors import ImageError
 from ..plate.region import quadratic
 
@@ -284,22 +283,8 @@ def deviation(lab: np.ndarray, bare: np.ndarray, chroma: float) -> np.ndarray:
     """Return how far colours (H, W, C) uint8 are from others: (H, W) uint8 [L], 255 at most; a and
     b weigh `chroma`."""
     out = np.empty(lab.shape[:2], np.uint8)
-    flat = (-1, lab.shape[2])
-    _deviation(lab.reshape(flat), bare.reshape(flat), chroma**2, out.reshape(-1))
+    _kernels.deviation(lab, bare, chroma, out)
     return out
-
-
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
-def _deviation(lab: np.ndarray, bare: np.ndarray, weight: float, out: np.ndarray) -> None:
-    channels = lab.shape[1]
-    for i in range(len(out)):
-        change = np.int32(lab[i, 0]) - np.int32(bare[i, 0])
-        square = np.float32(change * change)
-        if channels == 3:
-            a = np.int32(lab[i, 1]) - np.int32(bare[i, 1])
-            b = np.int32(lab[i, 2]) - np.int32(bare[i, 2])
-            square += np.float32(weight) * np.float32(a * a + b * b)
-        out[i] = np.uint8(min(np.sqrt(square) + np.float32(0.5), np.float32(255)))
 
 
 def _chroma_weight(labs: np.ndarray, bare: np.ndarray) -> float:

@@ -8,36 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from plate_core.kernels import kernel
 from plate_core.rig import PartType
 
-from .outlines import (
-    CLIP,
-    HARMONICS,
-    Outline,
-    distances,
-    fit_pose,
-    make_outline,
-    rim_distance,
-)
+from .. import _kernels
+from .outlines import HARMONICS, Outline, distances, make_outline
 
 ROUND_CORNERS = 96
 """Corners of the polygon that stands for a disc where not the circle itself does."""
-
-TURNS = 96
-"""Angles for which spectra are compared."""
-
-STARTS = 4
-"""Angles from which a polygon is laid onto an outline, at most."""
-
-LIKELY = 0.4
-"""Least correlation of both spectra at such an angle, relative to the best one of the type."""
-
-STEPS = 5
-"""Gauss-Newton steps."""
-
-EXACT = 0.15
-"""Where outlines are as near to each other, no other angle is tried [px]."""
 
 GRID = 13
 """Points along each side of a box around a type at which it is sampled."""
@@ -199,85 +176,19 @@ def lay_on(
 ) -> np.ndarray:
     """Lay a type onto an outline in every likely turn: (5,) as `fit_pose`; the distances are then
     those of both from each other."""
-    return np.asarray(
-        _lay_on(
-            template.edges,
-            template.samples,
-            template.outline.centre,
-            template.outline.spectrum,
-            template.part.symmetry,
-            outline.edges,
-            outline.centre,
-            outline.spectrum,
-            1 / scale,
-            hopeless,
-        )
+    fit: np.ndarray = _kernels.lay_on(
+        template.edges,
+        template.samples,
+        template.outline.centre,
+        template.outline.spectrum,
+        template.part.symmetry,
+        outline.edges,
+        outline.centre,
+        outline.spectrum,
+        1 / scale,
+        hopeless,
     )
-
-
-@kernel(error_model="numpy")
-def _lay_on(
-    edges: np.ndarray,
-    samples: np.ndarray,
-    own: np.ndarray,
-    known: np.ndarray,
-    symmetry: int,
-    rim: np.ndarray,
-    centre: np.ndarray,
-    seen: np.ndarray,
-    unit: float,
-    hopeless: float,
-) -> np.ndarray:
-    best = np.zeros(5)
-    best[4] = np.inf
-    reach = np.sqrt(np.sum(samples[:, :2] ** 2) / len(samples))
-    for angle in likely_turns(seen, known, symmetry):
-        c, s = np.cos(angle), np.sin(angle)
-        start = np.array(
-            [centre[0] - c * own[0] + s * own[1], centre[1] - s * own[0] - c * own[1], angle]
-        )
-        fit = fit_pose(edges, rim, start, unit, symmetry != 0, STEPS, hopeless)
-        if fit[4] >= min(best[4], hopeless):
-            best[4] = min(best[4], fit[4])
-            continue
-        # What the type has and the outline has not.
-        c, s = np.cos(fit[2]), np.sin(fit[2])
-        rest, worst = 0.0, CLIP * (unit * unit + reach * reach / 100)
-        for i in range(len(samples)):
-            x = samples[i, 0] + fit[3] * samples[i, 2]
-            y = samples[i, 1] + fit[3] * samples[i, 3]
-            gap = rim_distance(rim, fit[0] + c * x - s * y, fit[1] + s * x + c * y)
-            rest += min(gap * gap, worst)
-        fit[4] = np.sqrt(0.5 * (fit[4] ** 2 + rest / len(samples)))
-        if fit[4] < best[4]:
-            best = fit
-        if best[4] < EXACT * unit:
-            break
-    return best
-
-
-@kernel(error_model="numpy")
-def likely_turns(seen: np.ndarray, known: np.ndarray, symmetry: int) -> np.ndarray:
-    """Return the angles (k,) [rad] by which an outline with one spectrum (HARMONICS,) seems turned
-    to one with another, the most likely first; that one looks the same in so many directions."""
-    if symmetry == 0:
-        return np.zeros(1)
-    alike = np.zeros(TURNS)
-    for i in range(TURNS):
-        turn = np.exp(2j * np.pi * i / TURNS)
-        wave = complex(1.0, 0.0)
-        for k in range(1, HARMONICS):
-            wave *= turn
-            alike[i] += (seen[k] * np.conj(known[k]) * wave).real
-    sector = alike[: (TURNS + symmetry - 1) // symmetry].copy()
-    for i in range(len(sector)):
-        if alike[i] < alike[i - 1] or alike[i] < alike[(i + 1) % TURNS]:
-            sector[i] = -np.inf
-    order = np.argsort(-sector)[:STARTS]
-    count = 1
-    while count < len(order) and sector[order[count]] >= LIKELY * sector[order[0]]:
-        count += 1
-    return 2 * np.pi / TURNS * order[:count]
+    return fit
 
 
 def _refined(ring: np.ndarray, length: float) -> np.ndarray:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from ..camera.lens import Calibration
-from .catalogue import Catalogue, Template, lay_on, make_catalogue
+from .catalogue import Catalogue, Template
 from .classes import (
     COLOUR_LAB,
     GROUP,
@@ -185,20 +185,6 @@ def explain_groups(
                 added.append(parts)
                 break
     return np.concatenate([seen[kept], *added])
-
-
-def warm_up(catalogue: Catalogue) -> None:
-    """Compile what comparison with types needs, and groups of them."""
-    for template in catalogue.templates:
-        lay_on(template, template.outline, 100 / template.outline.reach)
-        angle_sd(template, template.outline.points, np.zeros(5), 1.0)
-    template, scale = catalogue.templates[0], ENOUGH_PX / catalogue.templates[0].outline.reach
-    side = int(4 * ENOUGH_PX)
-    to_px = np.array([[scale, 0, 0.5 * side], [0, -scale, 0.5 * side]])
-    blank = np.zeros((side, side), np.uint8)
-    view = View(blank, np.dstack([blank] * 3), to_px, scale, template.outline)
-    mask = view.drawn(template, np.zeros(3))
-    take_apart(replace(view, mask=mask), make_catalogue({template.part.name: template.part}))
 
 
 def _places(seen: np.ndarray) -> np.ndarray:
@@ -495,7 +481,7 @@ def _placed(
         free,
         border,
         view.to_px,
-        template.samples[:, :2],
+        template.samples,
         template.inner,
         pole,
         depth * view.scale - OUTSIDE_PX,
@@ -515,6 +501,6 @@ def _support(
 ) -> tuple[float, float]:
     """Return which fraction of a part's rim is on the group's, and which of it is outside."""
     found: tuple[float, float] = support(
-        free, border, view.to_px, template.samples[:, :2], template.inner, pose
+        free, border, view.to_px, template.samples, template.inner, pose
     )
     return found

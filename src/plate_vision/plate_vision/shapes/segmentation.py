@@ -11,15 +11,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from plate_core.kernels import kernel
-
+from .. import _kernels
 from ..plate.region import Region
 from .background import Background, colours_like, deviation
 from .grouping import Piece, pieces_of
 from .patch import HALF, Patch
 from .shadows import take_out_shadows
 
-LEAST_AREA_PX2 = 30.0
+LEAST_AREA_PX2: float = _kernels.LEAST_AREA_PX2
 """Smallest part: a disc of 3 px radius."""
 
 LEAST_DEPTH_PX = 1.8
@@ -28,28 +27,8 @@ LEAST_DEPTH_PX = 1.8
 LEAST_HOLE_PX2 = 6
 """Smallest hole: less is a speck on the part."""
 
-STRONG = 1.2
-"""Contrast of a part, relative to the deviation up to which a pixel may show the background."""
-
 NEAR_PX = 12
 """How far the level of a part's inside reaches to its rim [px]."""
-
-WEAKER = 0.35
-"""Least contrast of another colour of a part, relative to that of its main one."""
-
-BRIGHTER = 0.25
-"""The same of one on the other side of the plate's lightness: the halo of a sharpened edge has
-less."""
-
-EVEN = 0.3
-"""Steepest slope of what is even, relative to the steepest of the patch."""
-
-BRIDGE = 0.3
-"""Least cover of a line of one pixel between two colours of a part."""
-
-LEAP = 1.2
-"""Least step in L from one colour of a part to another on the other side of the plate's, relative
-to the larger of their contrasts."""
 
 HOLE = 0.35
 """Deviation of a hole from the plate relative to the part's contrast: a highlight has more."""
@@ -137,85 +116,15 @@ def _cover(
     """Return how much of each pixel is part (H, W) float32: its deviation relative to that of the
     part around it; 0 where there is none."""
     slope = cv2.morphologyEx(away, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    contrast, steepest, bright = _contrasts(labels, away, brighter, slope, count)
+    contrast, steepest = np.empty((2, count), np.float32)
+    bright = np.empty(count, np.bool_)
+    _kernels.find_contrasts(labels, away, brighter, slope, contrast, steepest, bright)
     side = 2 * NEAR_PX + 1
     around = cv2.dilate(away, np.ones((side, side), np.uint8))
-    return _relative(away, around, brighter, slope, labels, contrast, steepest, bright, limit)
-
-
-@kernel(error_model="numpy")
-def _contrasts(
-    labels: np.ndarray, away: np.ndarray, brighter: np.ndarray, slope: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return of each patch (count,) the deviation that most of its inside has, the median of its
-    upper half, 0 if it is too small; its steepest slope; whether most of it is brighter than the
-    background."""
-    balance = np.zeros(count, np.int64)
-    histogram = np.zeros((count, 256), np.int32)
-    steepest = np.zeros(count, np.float32)
-    height, width = labels.shape
-    for y in range(height):
-        for x in range(width):
-            if labels[y, x]:
-                histogram[labels[y, x], away[y, x]] += 1
-                steepest[labels[y, x]] = max(steepest[labels[y, x]], np.float32(slope[y, x]))
-                balance[labels[y, x]] += 1 if brighter[y, x] > 0 else -1
-    contrast = np.zeros(count, np.float32)
-    for k in range(1, count):
-        total = 0
-        for level in range(1, 256):
-            total += histogram[k, level]
-        if total < LEAST_AREA_PX2:
-            continue
-        # The upper half of the range below the brightest tenth.
-        passed, high = 0, 255
-        while high > 0 and passed + histogram[k, high] < 0.1 * total:
-            passed += histogram[k, high]
-            high -= 1
-        low = high // 2
-        above = 0
-        for level in range(low, 256):
-            above += histogram[k, level]
-        passed, middle = 0, 255
-        while middle > low and 2 * (passed + histogram[k, middle]) < above:
-            passed += histogram[k, middle]
-            middle -= 1
-        contrast[k] = middle
-    return contrast, steepest, balance > 0
-
-
-@kernel(error_model="numpy")
-def _relative(
-    away: np.ndarray,
-    around: np.ndarray,
-    brighter: np.ndarray,
-    slope: np.ndarray,
-    labels: np.ndarray,
-    contrast: np.ndarray,
-    steepest: np.ndarray,
-    bright: np.ndarray,
-    limit: np.ndarray,
-) -> np.ndarray:
-    height, width = away.shape
-    cover = np.zeros((height, width), np.float32)
-    for y in range(height):
-        for x in range(width):
-            k = labels[y, x]
-            if k == 0:
-                continue
-            full = min(contrast[k], np.float32(around[y, x]))
-            here = np.float32(away[y, x])
-            if full <= STRONG * limit[y, x]:
-                continue
-            cover[y, x] = min(here / full, np.float32(1))
-            # A highlight on a dark part may differ less from the plate than the part.
-            if (brighter[y, x] > 0) != bright[k] and here > max(
-                BRIGHTER * contrast[k], STRONG * limit[y, x]
-            ):
-                cover[y, x] = 1
-            # Of several colours the weaker: far from the background, but even.
-            if here > WEAKER * contrast[k] and slope[y, x] < EVEN * steepest[k]:
-                cover[y, x] = 1
+    cover = np.empty(away.shape, np.float32)
+    _kernels.find_cover(
+        away, around, brighter, slope, labels, contrast, steepest, bright, limit, cover
+    )
     return cover
 
 
@@ -230,27 +139,8 @@ def _bridged(cover: np.ndarray, away: np.ndarray, light: np.ndarray) -> np.ndarr
     step = cv2.morphologyEx(light, cv2.MORPH_GRADIENT, narrow)
     near = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, narrow)
     far = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
-    _bridge(mask, cover, near, far, step, cv2.dilate(away, wide))
+    _kernels.bridge(mask, cover, near, far, step, cv2.dilate(away, wide))
     return np.asarray(mask)
-
-
-@kernel(error_model="numpy")
-def _bridge(
-    mask: np.ndarray,
-    cover: np.ndarray,
-    near: np.ndarray,
-    far: np.ndarray,
-    step: np.ndarray,
-    around: np.ndarray,
-) -> None:
-    height, width = mask.shape
-    for y in range(height):
-        for x in range(width):
-            if far[y, x] and not mask[y, x]:
-                leap = np.float32(step[y, x]) > LEAP * np.float32(around[y, x])
-                if leap or (near[y, x] and cover[y, x] > BRIDGE):
-                    mask[y, x] = 1
-                    cover[y, x] = 1
 
 
 def _patches(

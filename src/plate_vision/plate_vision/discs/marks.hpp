@@ -1,0 +1,125 @@
+// Marks, a spot off the middle of a part that tells its angle: see marks.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include "discs/measure.hpp"
+
+namespace plate {
+
+// Of a mark [part radii].
+constexpr double MARK_RADIUS = 0.3;
+
+// Where its centre may be, from that of a seed [part radii]: half way out, give or take the seed's
+// error.
+constexpr double MARK_PLACE[] = {0.25, 0.75};
+
+// What stands out, over the area of a mark: less is noise, more is something else.
+constexpr double MARK_AREA[] = {0.5, 1.6};
+
+// Round the mark's centre, what stands out belongs to it [mark radii]: with its blurred edge, and
+// short of the part's.
+constexpr double MARK_REACH = 1.5;
+
+// Least contrast of a mark, over the part's darkness: a black part's grey mark has 0.5, a grey
+// part's black mark 1.
+constexpr double CONTRAST = 0.3;
+
+// Fraction of the contrast that may be noise: five deviations of a noise of 2 levels.
+constexpr double MARK_NOISE = 0.25;
+
+// Times that the centre is taken again, in the window round the last one.
+constexpr int ROUNDS = 4;
+
+// The pixels of an image of which a round spot may have some: rows and columns, half open.
+struct Box {
+    int top, bottom, left, right;
+
+    Box(View<const uint8_t, 2> grey, double x, double y, double reach)
+        : top(std::max(0, static_cast<int>(y - reach))),
+          bottom(std::min(grey.size(0), static_cast<int>(y + reach) + 2)),
+          left(std::max(0, static_cast<int>(x - reach))),
+          right(std::min(grey.size(1), static_cast<int>(x + reach) + 2)) {}
+};
+
+// Median of numbers, which are put in another order.
+inline double median(std::vector<double>& numbers) {
+    const auto middle = numbers.begin() + numbers.size() / 2;
+    std::nth_element(numbers.begin(), middle, numbers.end());
+    if (numbers.size() % 2) return *middle;
+    return (*std::max_element(numbers.begin(), middle) + *middle) / 2;
+}
+
+// Find the places of marks (n, 2) [px], NaN for a part without one, and the grey of their parts
+// and their contrasts (n, 2).
+inline void find_marks(const LitPlate& plate, View<const double, 2> seeds, double radius,
+                       View<double, 2> found, View<double, 2> level) {
+    const double mark = MARK_RADIUS * radius, core = CORE * radius;
+    const int size = static_cast<int>(core) + 1;
+    std::vector<double> inner;
+    for (int i = 0; i < seeds.size(0); i++) {
+        const double u = seeds(i, 0), v = seeds(i, 1);
+        found(i, 0) = found(i, 1) = NAN;
+        level(i, 0) = level(i, 1) = 0;
+        inner.clear();
+        const int bottom = std::min(plate.height(), static_cast<int>(v) + size + 2);
+        const int right = std::min(plate.width(), static_cast<int>(u) + size + 2);
+        for (int r = std::max(0, static_cast<int>(v) - size); r < bottom; r++)
+            for (int c = std::max(0, static_cast<int>(u) - size); c < right; c++)
+                if ((c - u) * (c - u) + (r - v) * (r - v) <= core * core)
+                    inner.push_back(plate.grey(r, c));
+        if (inner.empty()) continue;
+        const double empty = bare(plate.light.data, u, v);
+        const auto [darkest, lightest] = std::minmax_element(inner.begin(), inner.end());
+        const double below = *darkest, above = *lightest;
+        if (above - below < CONTRAST * (empty - above)) continue;  // whatever the median is
+        const double part = median(inner);
+        const double contrast = above - part > part - below ? above - part : below - part;
+        if (std::abs(contrast) < CONTRAST * (empty - part)) continue;
+        double x = u, y = v, mass = 0;
+        for (int turn = 0; turn < ROUNDS; turn++) {
+            // First what stands out in the inner part; then round the last centre.
+            const double reach = turn == 0 ? core : MARK_REACH * mark, at_x = x, at_y = y;
+            const Box box(plate.grey, at_x, at_y, reach);
+            x = y = 0, mass = 1e-9;
+            for (int r = box.top; r < box.bottom; r++)
+                for (int c = box.left; c < box.right; c++) {
+                    const double excess = (plate.grey(r, c) - part) / contrast;
+                    const double dx = c - at_x, dy = r - at_y;
+                    if (excess > MARK_NOISE && dx * dx + dy * dy <= reach * reach) {
+                        mass += excess;
+                        x += excess * c;
+                        y += excess * r;
+                    }
+                }
+            x /= mass, y /= mass;
+        }
+        const double place = std::sqrt((x - u) * (x - u) + (y - v) * (y - v));
+        const double area = mass / (std::numbers::pi * (mark * mark));
+        if (MARK_PLACE[0] * radius <= place && place <= MARK_PLACE[1] * radius &&
+            MARK_AREA[0] <= area && area <= MARK_AREA[1]) {
+            found(i, 0) = x, found(i, 1) = y;
+            level(i, 0) = part, level(i, 1) = contrast;
+        }
+    }
+}
+
+// Give what stands out round the marks (n, 2) [px] the grey of their parts.
+inline void paint_marks(View<uint8_t, 2> grey, View<const double, 2> centre,
+                        View<const double, 2> level, double radius) {
+    const double reach = MARK_REACH * MARK_RADIUS * radius;
+    for (int i = 0; i < centre.size(0); i++) {
+        const double x = centre(i, 0), y = centre(i, 1), part = level(i, 0);
+        const Box box({grey.data, grey.shape}, x, y, reach);
+        for (int r = box.top; r < box.bottom; r++)
+            for (int c = box.left; c < box.right; c++) {
+                const bool beside = (c - x) * (c - x) + (r - y) * (r - y) > reach * reach;
+                if (!beside && (grey(r, c) - part) / level(i, 1) > 0)
+                    grey(r, c) = static_cast<uint8_t>(part);
+            }
+    }
+}
+
+}  // namespace plate

@@ -1,0 +1,120 @@
+// Centres, radii and darkness of round parts that stand alone: see measure.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include "plate/light.hpp"
+
+namespace plate {
+
+// Reach [px] beyond a part's radius that is looked at: 0.7 px from rounding the window, 1 px of
+// seed error, and the blurred edge.
+constexpr double RIM_PX = 3.0;
+
+// Distance [px] from a part's radius to the rim of its window that must be bright.
+constexpr double RIM_CLEAR_PX = 2.2;
+
+// Inner part of a disc, in radii, whose mean darkness, or median if it may have a mark, is the
+// part's: away from the blurred edge.
+constexpr double CORE = 0.6;
+
+// Darkness below which moments leave a pixel out: 4 standard deviations of a noise of 2 in 200
+// levels. Otherwise the empty rim of the window would make the centre's error half as large again.
+constexpr double LEAST_DARKNESS = 0.04;
+
+// Darkness below which a fitted disc is a shadow, no part; keeps the division by it harmless.
+constexpr double MIN_DARKNESS = 0.05;
+
+// A measured disc: see `DISC` of measure.py.
+struct Disc {
+    double x_px, y_px, radius_px, darkness, misfit;
+};
+
+// The round window around a seed: its pixels' places from the middle [px].
+struct RoundWindow {
+    // What is added up of the pixels, by which each one's darkness is multiplied.
+    enum Sum { MASS, RIGHT, DOWN, WIDE, RIM, SUMS = 8 };
+
+    struct Pixel {
+        float factors[SUMS];
+        bool inner;
+    };
+    std::vector<float> x, y;
+    std::vector<int> offsets;  // in the image, from the middle
+    std::vector<Pixel> pixels;
+    int reach, inner = 0;
+
+    RoundWindow(double radius, int width) : reach(radius + RIM_PX) {
+        const float outer = (radius + RIM_PX) * (radius + RIM_PX);
+        const float clear = (radius + RIM_CLEAR_PX) * (radius + RIM_CLEAR_PX);
+        const float core = CORE * radius * (CORE * radius);
+        for (int row = -reach; row <= reach; row++)
+            for (int column = -reach; column <= reach; column++) {
+                const float right = column, down = row, square = right * right + down * down;
+                if (square > outer) continue;
+                x.push_back(right), y.push_back(down);
+                offsets.push_back(row * width + column);
+                const float rim = square > clear;
+                pixels.push_back({{1, right, down, square, rim}, square <= core});
+                inner += square <= core;
+            }
+    }
+};
+
+PLATE_WIDE inline void darkness_at(const LitPlate& plate, const RoundWindow& window, int x0, int y0,
+                                   std::vector<float>& level, std::vector<float>& darkness) {
+    const uint8_t* middle = &plate.grey(y0, x0);
+    const int count = window.x.size();
+    const float left = x0, top = y0, *light = plate.light.data;
+    const float *__restrict x = window.x.data(), *__restrict y = window.y.data();
+    float *__restrict here = level.data(), *__restrict dark = darkness.data();
+    for (int i = 0; i < count; i++) here[i] = middle[window.offsets[i]];
+#pragma omp simd
+    for (int i = 0; i < count; i++) dark[i] = 1 - here[i] / bare(light, left + x[i], top + y[i]);
+}
+
+// Measure discs (n,) that are `alone` from round windows at seeds (n, 2), and the dark area (n,)
+// [px2] in the rims of the windows; those at the image's border are left as they are.
+inline void measure_alone(const LitPlate& plate, View<const int64_t, 2> seeds, double radius,
+                          const bool* alone, Disc* discs, double* dirt) {
+    const RoundWindow window(radius, plate.width());
+    const int64_t reach = window.reach;
+    std::vector<float> level(window.x.size()), darkness(window.x.size());
+    for (int k = 0; k < seeds.size(0); k++) {
+        const int64_t x0 = seeds(k, 0), y0 = seeds(k, 1);
+        if (!alone[k] || x0 < reach || y0 < reach || x0 >= plate.width() - reach ||
+            y0 >= plate.height() - reach)
+            continue;
+        darkness_at(plate, window, x0, y0, level, darkness);
+        float sum[RoundWindow::SUMS] = {}, inner = 0;
+        for (size_t i = 0; i < darkness.size(); i++) {
+            const RoundWindow::Pixel& pixel = window.pixels[i];
+            inner += pixel.inner ? darkness[i] : 0;
+            const float dark = darkness[i] > static_cast<float>(LEAST_DARKNESS) ? darkness[i] : 0;
+            for (int s = 0; s < RoundWindow::SUMS; s++) sum[s] += dark * pixel.factors[s];
+        }
+        const float mass = std::max(sum[RoundWindow::MASS], 1e-6f);
+        const float right = sum[RoundWindow::RIGHT] / mass, down = sum[RoundWindow::DOWN] / mass;
+        const float wide = sum[RoundWindow::WIDE] / mass - right * right - down * down;
+        // The mean over the inner part; the seed is near enough for that to be all inside.
+        const float dark = std::max(inner / window.inner, static_cast<float>(MIN_DARKNESS));
+        const double area = mass / (std::numbers::pi * dark);
+        discs[k] = {x0 + static_cast<double>(right), y0 + static_cast<double>(down),
+                    std::sqrt(area), dark, std::abs(2.0 * wide / area - 1)};
+        dirt[k] = sum[RoundWindow::RIM];
+    }
+}
+
+// Which centres (n, 2) [px] have another nearer than a distance.
+inline void crowded(View<const double, 2> centre, double distance_px, bool* near) {
+    std::fill_n(near, centre.size(0), false);
+    for (int i = 0; i < centre.size(0); i++)
+        for (int j = 0; j < i; j++) {
+            const double dx = centre(i, 0) - centre(j, 0), dy = centre(i, 1) - centre(j, 1);
+            if (dx * dx + dy * dy < distance_px * distance_px) near[i] = near[j] = true;
+        }
+}
+
+}  // namespace plate

@@ -1,0 +1,200 @@
+// First guesses of the parts' centres: see seeds.py.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numbers>
+#include <vector>
+
+#include "plate/light.hpp"
+
+namespace plate {
+
+// Change of darkness [1/px], by Sobel, that is an edge: seven times what noise makes.
+constexpr double MIN_SLOPE = 0.03;
+
+// Least fraction of a whole rim's votes that make a part; and where no other is near, as in the
+// middle of seven that are packed: of its rim only the gaps are seen, and those are blurred.
+constexpr double MIN_VOTES[] = {0.12, 0.02};
+
+// Least darkness of the place that is voted for: keeps bright places from collecting votes.
+constexpr double MIN_TARGET = 0.1;
+
+// Least distance of two centres, in part radii, for each of these: parts that touch have 2, the
+// middle of four in a square 1.4.
+constexpr double SEPARATION[] = {1.3, 1.6};
+
+// A coarse grid of pixels: the first one, and the step [px].
+struct Grid {
+    int x, y, step;
+};
+
+// Write 1 (h, w) where there is less than a fraction of the light, or no plate, on a grid.
+PLATE_WIDE inline void find_dark(const LitPlate& plate, double threshold, Grid grid,
+                                 View<const bool, 2> outside, View<uint8_t, 2> dark) {
+    float light[9];
+    std::copy_n(plate.light.data, 9, light);
+    for (int term = 0; term < TERMS; term++) light[term] *= static_cast<float>(threshold);
+    const int columns = dark.size(1);
+    std::vector<uint8_t> levels(columns);
+    for (int row = 0; row < dark.size(0); row++) {
+        const int y = grid.y + row * grid.step;
+        const uint8_t* grey = plate.grey[y] + grid.x;
+        for (int column = 0; column < columns; column++) levels[column] = grey[column * grid.step];
+        const uint8_t* __restrict level = levels.data();
+        const bool* __restrict no_plate = outside[row];
+        uint8_t* __restrict out = dark[row];
+#pragma omp simd
+        for (int column = 0; column < columns; column++) {
+            const int x = grid.x + column * grid.step;
+            out[column] = level[column] < bare(light, x, y) ? 1 : no_plate[column];
+        }
+    }
+}
+
+// What blobs are: centres x, y of those of the size of one part, and boxes x0, x1, y0, y1, half
+// open, of larger ones.
+struct Blobs {
+    std::vector<double> centres;
+    std::vector<int64_t> boxes;
+};
+
+// Find the blobs in `core` (h, w) of `least` to `most` pixels, and larger ones, of which `merged`
+// (h, w) becomes true; `core` is false everywhere afterwards.
+inline Blobs find_blobs(View<bool, 2> core, double least, double most, View<bool, 2> merged) {
+    const int height = core.size(0), width = core.size(1);
+    struct Pixel {
+        int x, y;
+    };
+    std::vector<Pixel> blob;
+    Blobs found;
+    const bool* end = core.data + static_cast<size_t>(height) * width;
+    const auto next = [&](const bool* from) {
+        return static_cast<bool*>(std::memchr(const_cast<bool*>(from), true, end - from));
+    };
+    for (bool* first = next(core.data); first; first = next(first)) {
+        const int place = first - core.data;
+        *first = false;
+        blob.assign(1, {place % width, place / width});
+        for (size_t done = 0; done < blob.size(); done++) {
+            const Pixel at = blob[done];
+            const int bottom = std::min(at.y + 2, height), right = std::min(at.x + 2, width);
+            for (int row = std::max(at.y - 1, 0); row < bottom; row++)
+                for (int column = std::max(at.x - 1, 0); column < right; column++)
+                    if (core(row, column)) {
+                        core(row, column) = false;
+                        blob.push_back({column, row});
+                    }
+        }
+        const double size = blob.size();
+        int64_t x = 0, y = 0, x0 = width, x1 = 0, y0 = height, y1 = 0;
+        for (const Pixel& pixel : blob) {
+            x += pixel.x, y += pixel.y;
+            x0 = std::min<int64_t>(x0, pixel.x), x1 = std::max<int64_t>(x1, pixel.x + 1);
+            y0 = std::min<int64_t>(y0, pixel.y), y1 = std::max<int64_t>(y1, pixel.y + 1);
+        }
+        if (size > most) {
+            found.boxes.insert(found.boxes.end(), {x0, x1, y0, y1});
+            for (const Pixel& pixel : blob) merged(pixel.y, pixel.x) = true;
+        } else if (size >= least) {
+            found.centres.insert(found.centres.end(), {x / size, y / size});
+        }
+    }
+    return found;
+}
+
+// Let every piece of edge vote for the point one radius inside it; `votes` (h, w) begins at the
+// pixel x0, y0.
+//
+// A vote weighs as much as the edge rises, relative to the darkness it votes for: so the votes of
+// a whole rim add up to its length [px], however blurred it is.
+inline void vote(const LitPlate& plate, int x0, int y0, double radius, View<float, 2> votes) {
+    const int height = plate.height(), width = plate.width();
+    const int rows = votes.size(0), columns = votes.size(1);
+    for (int y = std::max(y0, 1); y < std::min(y0 + rows, height - 1); y++) {
+        const uint8_t *above = plate.grey[y - 1], *here = plate.grey[y], *below = plate.grey[y + 1];
+        const bool *usable_above = plate.usable[y - 1], *usable_below = plate.usable[y + 1];
+        for (int x = std::max(x0, 1); x < std::min(x0 + columns, width - 1); x++) {
+            const int a = above[x - 1], b = above[x], c = above[x + 1];
+            const int d = here[x - 1], f = here[x + 1];
+            const int g = below[x - 1], h = below[x], i = below[x + 1];
+            const int right = a + 2 * d + g - c - 2 * f - i, down = a + 2 * b + c - g - 2 * h - i;
+            const float rise = std::sqrt(static_cast<float>(right * right + down * down));
+            const double light = 8.0 * bare(plate.light.data, x, y);
+            if (rise < MIN_SLOPE * light) continue;
+            if (!usable_above[x - 1] || !usable_above[x + 1]) continue;
+            if (!usable_below[x - 1] || !usable_below[x + 1]) continue;
+            const int to_x = std::rint(x + radius * right / rise);
+            const int to_y = std::rint(y + radius * down / rise);
+            if (to_x < x0 || to_x >= x0 + columns || to_y < y0 || to_y >= y0 + rows) continue;
+            const uint8_t target =
+                plate.grey(std::clamp(to_y, 0, height - 1), std::clamp(to_x, 0, width - 1));
+            const double dark = 1 - target / light * 8;
+            votes(to_y - y0, to_x - x0) += rise / light / std::max(dark, MIN_TARGET);
+        }
+    }
+}
+
+// Squared distance [px2] of a point from the nearest of `count` centres [px].
+inline double nearest(const double* centres, int count, double x, double y) {
+    double least = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < count; k++) {
+        const double dx = centres[2 * k] - x, dy = centres[2 * k + 1] - y;
+        least = std::min(least, dx * dx + dy * dy);
+    }
+    return least;
+}
+
+// Centres x, y (n, 2) [px]: the most votes (h, w) first, then the most far enough away. The votes
+// begin at the pixel x0, y0; centres are where `merged` (h, w) is true, on a grid.
+inline std::vector<double> find_peaks(View<const float, 2> votes, int x0, int y0,
+                                      View<const bool, 2> merged, const Grid& grid, double radius) {
+    const double rim = 2 * std::numbers::pi * radius;
+    const int rows = votes.size(0), columns = votes.size(1);
+    struct Place {
+        double count;
+        int x, y;
+    };
+    std::vector<Place> places;
+    for (int y = 0; y < rows; y++)
+        for (int x = 0; x < columns; x++) {
+            if (!(votes(y, x) > MIN_VOTES[1] * rim)) continue;
+            const int right = x + x0 - grid.x, down = y + y0 - grid.y;
+            const int row = down / grid.step, column = right / grid.step;
+            if (right >= 0 && down >= 0 && row < merged.size(0) && column < merged.size(1) &&
+                merged(row, column))
+                places.push_back({votes(y, x), x, y});
+        }
+    std::vector<double> found;
+    const double apart = SEPARATION[0] * radius * (SEPARATION[0] * radius);
+    const double far = SEPARATION[1] * radius * (SEPARATION[1] * radius);
+    const auto fewer = [](const Place& a, const Place& b) { return a.count < b.count; };
+    while (!places.empty()) {
+        const auto best = std::max_element(places.begin(), places.end(), fewer);
+        const auto [count, x, y] = *best;
+        if (count <= 0) break;
+        best->count = 0;
+        if (count < MIN_VOTES[0] * rim &&
+            nearest(found.data(), found.size() / 2, x + x0, y + y0) < far)
+            continue;
+        // The middle of the peak: among pixels with nearly as many votes.
+        double weight = 0, sx = 0, sy = 0;
+        for (int j = std::max(y - 1, 0); j < std::min(y + 2, rows); j++)
+            for (int i = std::max(x - 1, 0); i < std::min(x + 2, columns); i++) {
+                const double more = std::max(votes(j, i) - 0.5 * votes(y, x), 0.0);
+                weight += more;
+                sx += more * i;
+                sy += more * j;
+            }
+        found.insert(found.end(), {x0 + sx / weight, y0 + sy / weight});
+        for (Place& place : places) {
+            const int dx = place.x - x, dy = place.y - y;
+            if (dx * dx + dy * dy <= apart) place.count = 0;
+        }
+    }
+    return found;
+}
+
+}  // namespace plate

@@ -1,0 +1,127 @@
+// The light on the plate: see light.py.
+#pragma once
+#include <algorithm>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include "plate/eight.hpp"
+
+namespace plate {
+
+// First guess of the plate's brightness: right as long as parts cover less than 3/4 of it.
+constexpr double BRIGHT_PERCENTILE = 75;
+
+// Brightness relative to the first guess that counts as plate: wider than a shading of +-15 %,
+// narrow enough to leave out a part as bright as 2/3 of the plate. Then the same relative to the
+// fitted surface, for the second fit: leaves out the parts' edges.
+constexpr std::pair<double, double> BRIGHT_RANGES[] = {{0.72, 1.3}, {0.92, 1.08}};
+
+// Keeps the fit solvable for images one pixel high or wide; elsewhere without effect.
+constexpr double RIDGE = 1e-9;
+
+// Least fraction of the pixels looked at that must be plate.
+constexpr double MIN_FRACTION = 0.1;
+
+// Coefficients of a quadratic surface.
+constexpr int TERMS = 6;
+
+// An image, and by what parts are told from the plate in it: see `LitPlate` of light.py.
+struct LitPlate {
+    View<const uint8_t, 2> grey;
+    View<const float, 1> light;
+    View<const bool, 2> usable;
+
+    int height() const { return grey.size(0); }
+    int width() const { return grey.size(1); }
+};
+
+// Brightness of the bare plate [grey levels] at a pixel; `light` is that of `LitPlate`.
+[[gnu::always_inline]] inline float bare(const float* light, float x_px, float y_px) {
+    const float u = (x_px - light[6]) * light[8], v = (y_px - light[7]) * light[8];
+    return u * (light[1] + light[3] * u) + (light[0] + v * (light[2] + light[5] * v)) +
+           u * (light[4] * v);
+}
+
+// Solve positive definite equations in place: `right` becomes the solution.
+template <int SIZE>
+void solve(double (&normal)[SIZE][SIZE], double (&right)[SIZE]) {
+    for (int i = 0; i < SIZE; i++)
+        for (int j = i + 1; j < SIZE; j++) {
+            const double factor = normal[j][i] / normal[i][i];
+            for (int k = i; k < SIZE; k++) normal[j][k] -= factor * normal[i][k];
+            right[j] -= factor * right[i];
+        }
+    for (int i = SIZE - 1; i >= 0; i--) {
+        for (int k = i + 1; k < SIZE; k++) right[i] -= normal[i][k] * right[k];
+        right[i] /= normal[i][i];
+    }
+}
+
+// A pixel from which the light is taken: terms of the surface there, grey level, and nothing.
+struct LightSample {
+    float terms[TERMS], value, none;
+};
+static_assert(sizeof(LightSample) == sizeof(Eight));
+
+// Add up the least squares over those samples whose value is `low` to `high` times the fitted one;
+// return how many these are. All sums of a sample are taken at once.
+PLATE_WIDE inline int light_equations(const std::vector<LightSample>& samples,
+                                      const std::vector<float>& fitted, double low, double high,
+                                      double (&normal)[TERMS][TERMS], double (&right)[TERMS]) {
+    Eight sum[TERMS] = {};
+    int kept = 0;
+    for (size_t i = 0; i < samples.size(); i++) {
+        const LightSample& sample = samples[i];
+        const bool plate = low * fitted[i] < sample.value && sample.value < high * fitted[i];
+        const float weight = plate;
+        kept += plate;
+        Eight all;
+        load(all, sample.terms);
+        for (int a = 0; a < TERMS; a++) sum[a] += sample.terms[a] * weight * all;
+    }
+    for (int a = 0; a < TERMS; a++) {
+        right[a] = sum[a][TERMS];
+        for (int b = 0; b <= a; b++) normal[a][b] = normal[b][a] = sum[a][b];
+    }
+    return kept;
+}
+
+// Coefficients of the surface through those of the pixels `rows`, `columns` (n,), with `design`
+// (TERMS, n), that show the bare plate; none if there is no bright plate.
+inline std::vector<float> fit_light(View<const uint8_t, 2> grey, View<const int64_t, 1> rows,
+                                    View<const int64_t, 1> columns, View<const float, 2> design,
+                                    double min_grey) {
+    const int count = rows.size(0);
+    std::vector<LightSample> samples(count);
+    int levels[256] = {};
+    for (int i = 0; i < count; i++) {
+        const uint8_t level = grey(rows(i), columns(i));
+        for (int a = 0; a < TERMS; a++) samples[i].terms[a] = design(a, i);
+        samples[i].value = level;
+        levels[level]++;
+    }
+    int guess = 0, darker = levels[0];
+    while (darker <= static_cast<int>(count * BRIGHT_PERCENTILE / 100)) darker += levels[++guess];
+    if (guess < min_grey) return {};
+    std::vector<float> fitted(count, guess);
+    double normal[TERMS][TERMS], right[TERMS];
+    for (auto [low, high] : BRIGHT_RANGES) {
+        const int kept = light_equations(samples, fitted, low, high, normal, right);
+        if (kept < std::max(2.0 * TERMS, MIN_FRACTION * count)) return {};
+        for (int a = 0; a < TERMS; a++) normal[a][a] += RIDGE * count;
+        solve(normal, right);
+        std::fill(fitted.begin(), fitted.end(), 0.f);
+        for (int a = 0; a < TERMS; a++) {
+            const float factor = right[a], *term = design[a];
+            for (int i = 0; i < count; i++) fitted[i] += factor * term[i];
+        }
+    }
+    if (*std::min_element(fitted.begin(), fitted.end()) < 0.5 * min_grey) return {};
+    return {right, right + TERMS};
+}
+
+}  // namespace plate

@@ -1,0 +1,134 @@
+// How types of parts are laid onto outlines: see catalogue.py.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <numeric>
+#include <vector>
+
+#include "shapes/outlines.hpp"
+
+namespace plate {
+
+// Angles for which spectra are compared.
+constexpr int TURNS = 96;
+
+// Angles from which a polygon is laid onto an outline, at most.
+constexpr int STARTS = 4;
+
+// Least correlation of both spectra at such an angle, relative to the best one of the type.
+constexpr double LIKELY = 0.4;
+
+// Gauss-Newton steps.
+constexpr int FIT_STEPS = 5;
+
+// Where outlines are as near to each other, no other angle is tried [px].
+constexpr double EXACT = 0.15;
+
+// How well spectra (HARMONICS,) agree where one is turned to the other by each of the angles.
+PLATE_WIDE inline void correlate(const Complex* seen, const Complex* known,
+                                 std::array<double, TURNS>& alike) {
+    double turn_x[TURNS], turn_y[TURNS], wave_x[TURNS], wave_y[TURNS];
+    for (int i = 0; i < TURNS; i++) {
+        const double angle = 2 * std::numbers::pi * i / TURNS;
+        turn_x[i] = std::cos(angle), turn_y[i] = std::sin(angle);
+        wave_x[i] = 1, wave_y[i] = 0;
+        alike[i] = 0;
+    }
+    for (int k = 1; k < HARMONICS; k++) {
+        const Complex both = seen[k] * Complex{known[k].real, -known[k].imag};
+#pragma omp simd
+        for (int i = 0; i < TURNS; i++) {
+            const double x = wave_x[i] * turn_x[i] - wave_y[i] * turn_y[i];
+            const double y = wave_x[i] * turn_y[i] + wave_y[i] * turn_x[i];
+            wave_x[i] = x, wave_y[i] = y;
+            alike[i] += both.real * x - both.imag * y;
+        }
+    }
+}
+
+// Angles [rad] by which an outline with one spectrum (HARMONICS,) seems turned to one with another,
+// the most likely first; that one looks the same in so many directions.
+inline std::vector<double> likely_turns(const Complex* seen, const Complex* known, int symmetry) {
+    if (symmetry == 0) return {0};
+    std::array<double, TURNS> alike, sector;
+    correlate(seen, known, alike);
+    const int size = (TURNS + symmetry - 1) / symmetry;
+    for (int i = 0; i < size; i++) {
+        const double before = alike[(i + TURNS - 1) % TURNS], after = alike[(i + 1) % TURNS];
+        const bool peak = !(alike[i] < before || alike[i] < after);
+        sector[i] = peak ? alike[i] : -std::numeric_limits<double>::infinity();
+    }
+    std::vector<int> order(size);
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(),
+                     [&](int a, int b) { return sector[a] > sector[b]; });
+    std::vector<double> found;
+    for (int i = 0; i < std::min(size, STARTS); i++) {
+        if (i > 0 && !(sector[order[i]] >= LIKELY * sector[order[0]])) break;
+        found.push_back(2 * std::numbers::pi / TURNS * order[i]);
+    }
+    return found;
+}
+
+// A type of parts, as `Template` of catalogue.py has it: edges (e, 5), samples (n, 4) of its rim
+// with the unit vectors outwards, the centre and the spectrum of its outline.
+struct TypeOutline {
+    View<const double, 2> edges, samples;
+    const double* centre;
+    const Complex* spectrum;
+    int symmetry;
+};
+
+// An outline that was seen: its edges, centre and spectrum.
+struct SeenOutline {
+    View<const double, 2> edges;
+    const double* centre;
+    const Complex* spectrum;
+};
+
+// Lay a type onto an outline in every likely turn: see `lay_on` of catalogue.py.
+inline PoseFit lay_on(const TypeOutline& type, const SeenOutline& seen, double unit,
+                      double hopeless) {
+    constexpr double FAR = std::numeric_limits<double>::infinity();
+    const auto& samples = type.samples;
+    const int count = samples.size(0);
+    PoseFit best{0, 0, 0, 0, FAR};
+    double square = 0;
+    for (int i = 0; i < count; i++)
+        for (int axis = 0; axis < 2; axis++) square += samples(i, axis) * samples(i, axis);
+    const double reach = std::sqrt(square / count);
+    const double worst = CLIP * (unit * unit + reach * reach / 100);
+    Places places(count);
+    for (double angle : likely_turns(seen.spectrum, type.spectrum, type.symmetry)) {
+        double c = std::cos(angle), s = std::sin(angle);
+        const double start[] = {seen.centre[0] - c * type.centre[0] + s * type.centre[1],
+                                seen.centre[1] - s * type.centre[0] - c * type.centre[1], angle};
+        PoseFit fit = fit_pose(type.edges, seen.edges, start, unit, type.symmetry != 0, FIT_STEPS,
+                               hopeless, FAR);
+        if (fit.rest >= std::min(best.rest, hopeless)) {
+            best.rest = std::min(best.rest, fit.rest);
+            continue;
+        }
+        // What the type has and the outline has not.
+        c = std::cos(fit.angle), s = std::sin(fit.angle);
+        for (int i = 0; i < count; i++) {
+            const double x = samples(i, 0) + fit.swell * samples(i, 2);
+            const double y = samples(i, 1) + fit.swell * samples(i, 3);
+            places.x[i] = fit.x + c * x - s * y;
+            places.y[i] = fit.y + s * x + c * y;
+        }
+        rim_distances(seen.edges, places);
+        double rest = 0;
+        for (int i = 0; i < count; i++)
+            rest += std::min(places.distance[i] * places.distance[i], worst);
+        fit.rest = std::sqrt(0.5 * (fit.rest * fit.rest + rest / count));
+        if (fit.rest < best.rest) best = fit;
+        if (best.rest < EXACT * unit) break;
+    }
+    return best;
+}
+
+}  // namespace plate

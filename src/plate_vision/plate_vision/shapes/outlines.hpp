@@ -1,0 +1,451 @@
+// Outlines of patches to a fraction of a pixel, and fits of polygons: see outlines.py.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include "plate/light.hpp"
+
+namespace plate {
+
+// Of an outline's spectrum that are compared, from 0: a hexagon differs from a disc in the 6th and
+// 12th, a square in the 4th, 8th, 12th and 16th.
+constexpr int HARMONICS = 17;
+
+// How far to both sides of a patch's rim the image is looked at for its edge [px], and at how many
+// places along that way.
+constexpr double REACH_PX = 2.5;
+constexpr int STEPS = 11;
+
+// Least difference of both ends of that way, relative to part and surroundings, that is an edge:
+// where parts touch there is none, and the patch's rim counts.
+constexpr double LEAST_STEP = 0.25;
+
+// Most that a point adds to the square of a distance [squares of the unit, and of a tenth of the
+// part]: one that is far off counts, but not for all.
+constexpr double CLIP = 16.0;
+
+// A fit that moves less than that is done [units of the fit, pixels mostly].
+constexpr double STILL = 0.003;
+
+// Least deviation of a point from a type's outline, RMS [units].
+constexpr double LEAST_ERROR = 0.1;
+
+// Neighbours on a rim that are off together.
+constexpr double TOGETHER = 2.0;
+
+// Points that are looked at together.
+constexpr int POINTS = 8;
+
+struct Complex {
+    double real, imag;
+
+    Complex operator*(const Complex& by) const {
+        return {real * by.real - imag * by.imag, real * by.imag + imag * by.real};
+    }
+    void operator+=(const Complex& more) { real += more.real, imag += more.imag; }
+};
+
+// Write how much pixels (h, w, c) are like a patch, 1, and unlike what is around it, 0, into
+// `field` (h, w), and the patch's colour, the median, into `colour` (c,).
+//
+// In `mask`, `inner` and `around` (h + 2, w + 2), which have a frame of one pixel, is 1 what is of
+// the patch, what is so for sure, and what may be.
+inline void contrast(View<const uint8_t, 3> pixels, View<const uint8_t, 2> mask,
+                     View<const uint8_t, 2> inner, View<const uint8_t, 2> around,
+                     View<float, 2> field, double* colour) {
+    const int height = pixels.size(0), width = pixels.size(1), channels = pixels.size(2);
+    std::vector<int> counts(2 * 256 * channels);
+    bool sure = false;
+    for (int y = 1; y <= height; y++)
+        sure |= std::any_of(inner[y] + 1, inner[y] + 1 + width, [](uint8_t one) { return one; });
+    const View<const uint8_t, 2>& core = sure ? inner : mask;
+    for (int y = 0; y < height; y++) {
+        const uint8_t *own = core[y + 1] + 1, *near = around[y + 1] + 1, *pixel = pixels[y];
+        for (int x = 0; x < width; x++, pixel += channels) {
+            if (!own[x] && near[x]) continue;
+            int* count = &counts[own[x] ? 0 : 256 * channels];
+            for (int k = 0; k < channels; k++) count[256 * k + pixel[k]]++;
+        }
+    }
+    std::vector<double> middle(2 * channels), way(channels);
+    double square = 0;
+    for (int side = 0; side < 2; side++) {
+        int total = 0;
+        const int* count = &counts[side * 256 * channels];
+        for (int level = 0; level < 256; level++) total += count[level];
+        for (int k = 0; k < channels; k++, count += 256) {
+            int level = 0;
+            for (int passed = count[0]; 2 * passed < total; passed += count[level]) level++;
+            middle[side * channels + k] = total ? level : 255 - middle[k];
+        }
+    }
+    for (int k = 0; k < channels; k++) {
+        colour[k] = middle[k];
+        way[k] = middle[k] - middle[channels + k];
+        square += way[k] * way[k];
+    }
+    square = std::max(square, 1.0);
+    for (int i = 0; i < height * width; i++) {
+        double along = 0;
+        for (int k = 0; k < channels; k++)
+            along += (pixels.data[channels * i + k] - middle[channels + k]) * way[k];
+        field.data[i] = along / square;
+    }
+}
+
+// A field (h, w) at a place between its pixels.
+inline double sample(View<const float, 2> field, double x, double y) {
+    x = std::min(std::max(x, 0.0), field.size(1) - 1.001);
+    y = std::min(std::max(y, 0.0), field.size(0) - 1.001);
+    const int i = x, j = y;
+    const double u = x - i, v = y - j;
+    return (1 - v) * ((1 - u) * field(j, i) + u * field(j, i + 1)) +
+           v * ((1 - u) * field(j + 1, i) + u * field(j + 1, i + 1));
+}
+
+// Write points (count, 2), evenly spaced, where a field crosses half its way near a ring (k, 2) of
+// the outermost pixels of a patch, or of the pixels around a hole, in a frame of one pixel.
+inline void find_edge(View<const float, 2> field, View<const int32_t, 2> ring, bool hole,
+                      View<double, 2> thinned) {
+    struct Point {
+        double x, y;
+    };
+    const int number = ring.size(0);
+    std::vector<Point> at(number), moved(number);
+    double twice = 0;
+    for (int i = 0; i < number; i++) at[i] = {ring(i, 0) - 1.0, ring(i, 1) - 1.0};
+    for (int i = 0; i < number; i++) {
+        const Point &a = at[i], &b = at[(i + 1) % number];
+        twice += a.x * b.y - b.x * a.y;
+    }
+    const double sense = (twice > 0) != hole ? 1 : -1;
+    for (int i = 0; i < number; i++) {
+        const Point before = at[(i + 2 * number - 2) % number], after = at[(i + 2) % number];
+        const Point here = at[i];
+        double x = sense * (after.y - before.y), y = sense * (before.x - after.x);
+        const double length = std::sqrt(x * x + y * y);
+        moved[i] = here;
+        if (length == 0) continue;
+        x /= length, y /= length;
+        // The patch ends between the middles of two pixels.
+        const double step = 0.5 / std::max(std::abs(x), std::abs(y));
+        const auto level = [&](double way) {
+            return sample(field, here.x + way * x, here.y + way * y);
+        };
+        const double first = level(step - REACH_PX), last = level(step + REACH_PX);
+        double best = step;
+        if (first - last > LEAST_STEP) {
+            const double half = 0.5 * (first + last);
+            double gap = std::numeric_limits<double>::infinity(), old = first;
+            for (int k = 1; k < STEPS; k++) {
+                const double way = step - REACH_PX + 2 * REACH_PX * k / (STEPS - 1);
+                const double now = level(way);
+                if (old >= half && half > now) {
+                    const double cross =
+                        way - 2 * REACH_PX / (STEPS - 1) * (half - now) / (old - now);
+                    if (std::abs(cross - step) < gap) {
+                        gap = std::abs(cross - step);
+                        best = cross;
+                    }
+                }
+                old = now;
+            }
+        }
+        moved[i] = {here.x + best * x, here.y + best * y};
+    }
+    std::vector<double> way(number + 1);
+    for (int i = 0; i < number; i++) {
+        const Point &a = moved[i], &b = moved[(i + 1) % number];
+        way[i + 1] = way[i] + std::hypot(b.x - a.x, b.y - a.y);
+    }
+    for (int k = 0, i = 0; k < thinned.size(0); k++) {
+        const double wanted = way[number] * k / thinned.size(0);
+        while (way[i + 1] <= wanted && i < number - 1) i++;
+        const double u = (wanted - way[i]) / std::max(way[i + 1] - way[i], 1e-9);
+        const Point &a = moved[i], &b = moved[(i + 1) % number];
+        thinned(k, 0) = (1 - u) * a.x + u * b.x;
+        thinned(k, 1) = (1 - u) * a.y + u * b.y;
+    }
+}
+
+// What is measured of an outline: see `Outline` of outlines.py.
+struct OutlineMeasures {
+    double area, x, y;
+    std::array<Complex, HARMONICS> spectrum;
+};
+
+// Turn rings of points (n, 2) to their sense, in place, and measure them; a ring goes up to each of
+// `ends` (k,).
+inline OutlineMeasures measure_outline(View<double, 2> points, View<const int64_t, 1> ends) {
+    double whole = 0, x = 0, y = 0;
+    const double x0 = points(0, 0), y0 = points(0, 1);
+    for (int ring = 0, first = 0; ring < ends.size(0); ring++) {
+        const int end = ends(ring);
+        double twice = 0, mx = 0, my = 0;
+        for (int i = first; i < end; i++) {
+            const int j = i + 1 < end ? i + 1 : first;
+            const double ax = points(i, 0) - x0, ay = points(i, 1) - y0;
+            const double bx = points(j, 0) - x0, by = points(j, 1) - y0;
+            const double cross = ax * by - bx * ay;
+            twice += cross;
+            mx += cross * (ax + bx) / 3;
+            my += cross * (ay + by) / 3;
+        }
+        if ((twice > 0) != (first == 0)) {
+            for (int i = first, j = end - 1; i < j; i++, j--)
+                std::swap_ranges(points[i], points[i] + 2, points[j]);
+            twice = -twice, mx = -mx, my = -my;
+        }
+        whole += twice, x += mx, y += my;
+        first = end;
+    }
+    x = x0 + x / whole, y = y0 + y / whole;
+    OutlineMeasures found{0.5 * whole, x, y, {}};
+    for (int ring = 0, first = 0; ring < ends.size(0); ring++) {
+        const int end = ends(ring);
+        for (int i = first; i < end; i++) {
+            const int j = i + 1 < end ? i + 1 : first;
+            const double ax = points(i, 0) - x, ay = points(i, 1) - y;
+            const double bx = points(j, 0) - x, by = points(j, 1) - y;
+            const double mx = 0.5 * (ax + bx), my = 0.5 * (ay + by), square = mx * mx + my * my;
+            if (square == 0) continue;
+            const double radius = std::sqrt(square);
+            const Complex turn{mx / radius, -my / radius};
+            // r4 / 4 d(phi), and r2 d(phi) is twice the area of the triangle.
+            Complex term{0.25 * square * (ax * by - bx * ay), 0};
+            for (Complex& wave : found.spectrum) {
+                wave += term;
+                term = term * turn;
+            }
+        }
+        first = end;
+    }
+    return found;
+}
+
+// Edges (e, 5) of rings of points (n, 2): see `Outline.edges`.
+inline std::vector<double> outline_edges(View<const double, 2> points,
+                                         View<const int64_t, 1> ends) {
+    std::vector<double> edges;
+    for (int ring = 0, first = 0; ring < ends.size(0); ring++) {
+        const int end = ends(ring);
+        for (int i = first; i < end; i++) {
+            const int j = i + 1 < end ? i + 1 : first;
+            const double x = points(j, 0) - points(i, 0), y = points(j, 1) - points(i, 1);
+            const double length = std::sqrt(x * x + y * y);
+            if (length > 0)
+                edges.insert(edges.end(),
+                             {points(i, 0), points(i, 1), x / length, y / length, length});
+        }
+        first = end;
+    }
+    return edges;
+}
+
+// Points, and how far they are from edges: filled up to a multiple of POINTS.
+struct Places {
+    int size;
+    std::vector<double> x, y;
+    std::vector<double> distance, right, down;  // signed; unit vectors along which it grows
+
+    explicit Places(int count) : size(count) {
+        for (auto* list : {&x, &y, &distance, &right, &down})
+            list->resize((count + POINTS - 1) / POINTS * POINTS);
+    }
+    int padded() const { return x.size(); }
+};
+
+// Of points, the nearest edge so far: the square of the distance, which edge, the way from it.
+struct Nearest {
+    double least[POINTS], edge[POINTS] = {}, right[POINTS] = {}, down[POINTS] = {};
+
+    Nearest() { std::fill_n(least, POINTS, std::numeric_limits<double>::infinity()); }
+
+    [[gnu::always_inline]] void keep(int i, double distance, double its, double dx, double dy) {
+        const bool nearer = distance < least[i];
+        least[i] = nearer ? distance : least[i];
+        edge[i] = nearer ? its : edge[i];
+        right[i] = nearer ? dx : right[i];
+        down[i] = nearer ? dy : down[i];
+    }
+};
+
+// Find the signed distances of points from edges (e, 5), positive outside, and the unit vectors
+// along which they grow. An edge of negative length is a circle of that radius about its start.
+PLATE_WIDE inline void edge_distances(View<const double, 2> edges, Places& places) {
+    for (int first = 0; first < places.padded(); first += POINTS) {
+        const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
+        Nearest nearest;
+        for (int e = 0; e < edges.size(0); e++) {
+            const double* edge = edges[e];
+            const double x0 = edge[0], y0 = edge[1], ux = edge[2], uy = edge[3], length = edge[4];
+            if (length < 0) {
+#pragma omp simd
+                for (int i = 0; i < POINTS; i++) {
+                    const double vx = x[i] - x0, vy = y[i] - y0;
+                    const double out = 1 + length / std::max(std::sqrt(vx * vx + vy * vy), 1e-12);
+                    const double dx = out * vx, dy = out * vy;
+                    nearest.keep(i, dx * dx + dy * dy, e, dx, dy);
+                }
+                continue;
+            }
+#pragma omp simd
+            for (int i = 0; i < POINTS; i++) {
+                const double vx = x[i] - x0, vy = y[i] - y0, across = ux * vy - uy * vx;
+                const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
+                const double dx = vx - along * ux, dy = vy - along * uy;
+                // Of two edges that meet where it is nearest, the one further to its side tells
+                // which.
+                nearest.keep(i, dx * dx + dy * dy - 1e-6 * across * across, e, dx, dy);
+            }
+        }
+        for (int i = 0; i < POINTS; i++) {
+            const double* edge = edges[static_cast<int>(nearest.edge[i])];
+            const double vx = x[i] - edge[0], vy = y[i] - edge[1];
+            double ux = edge[2], uy = edge[3], side;
+            if (edge[4] < 0) {
+                // The way out, and a right angle from it.
+                const double size = std::max(std::sqrt(vx * vx + vy * vy), 1e-12);
+                ux = -vy / size, uy = vx / size;
+                side = size > -edge[4] ? 1 : -1;
+            } else {
+                side = ux * vy - uy * vx < 0 ? 1 : -1;
+            }
+            const double right = nearest.right[i], down = nearest.down[i];
+            const double square = right * right + down * down;
+            const double length = std::sqrt(square);
+            const bool on_edge = square < 1e-20;
+            places.distance[first + i] = on_edge ? 0 : side * length;
+            places.right[first + i] = on_edge ? uy : side * right / length;
+            places.down[first + i] = on_edge ? -ux : side * down / length;
+        }
+    }
+}
+
+// Find the distances of points from edges (e, 5) of positive length.
+PLATE_WIDE inline void rim_distances(View<const double, 2> edges, Places& places) {
+    for (int first = 0; first < places.padded(); first += POINTS) {
+        const double *__restrict x = &places.x[first], *__restrict y = &places.y[first];
+        double least[POINTS];
+        std::fill_n(least, POINTS, 1e30);
+        for (int e = 0; e < edges.size(0); e++) {
+            const double* edge = edges[e];
+            const double x0 = edge[0], y0 = edge[1], ux = edge[2], uy = edge[3], length = edge[4];
+#pragma omp simd
+            for (int i = 0; i < POINTS; i++) {
+                const double vx = x[i] - x0, vy = y[i] - y0;
+                const double along = std::min(std::max(vx * ux + vy * uy, 0.0), length);
+                const double dx = vx - along * ux, dy = vy - along * uy;
+                least[i] = std::min(least[i], dx * dx + dy * dy);
+            }
+        }
+        for (int i = 0; i < POINTS; i++) places.distance[first + i] = std::sqrt(least[i]);
+    }
+}
+
+// What `fit_pose` returns: x, y [m], angle [rad]; how far the points are outside on average [m];
+// root mean square of the rest [m].
+struct PoseFit {
+    double x, y, angle, swell, rest;
+};
+
+// Lay a polygon, edges (e, 5), onto points (n, 2) by Gauss-Newton steps: see `fit_pose` of
+// outlines.py.
+inline PoseFit fit_pose(View<const double, 2> edges, View<const double, 2> points,
+                        const double* pose, double unit, bool turns, int steps, double hopeless,
+                        double gate) {
+    const int number = points.size(0);
+    const bool gated = gate < std::numeric_limits<double>::infinity();
+    double x = pose[0], y = pose[1], angle = pose[2], swell = 0, square = 0, rest = 0;
+    for (int i = 0; i < number; i++) {
+        const double dx = points(i, 0) - x, dy = points(i, 1) - y;
+        square += dx * dx + dy * dy;
+    }
+    const double lever = std::sqrt(square / number);
+    const double worst = CLIP * (unit * unit + lever * lever / 100);
+    Places places(number);
+    for (int step = 0; step <= steps; step++) {
+        const double c = std::cos(angle), s = std::sin(angle);
+        for (int i = 0; i < number; i++) {
+            const double dx = points(i, 0) - x, dy = points(i, 1) - y;
+            places.x[i] = c * dx + s * dy;
+            places.y[i] = -s * dx + c * dy;
+        }
+        edge_distances(edges, places);
+        double a[4][4] = {}, g[4] = {};
+        rest = 0;
+        for (int i = 0; i < number; i++) {
+            const double error = places.distance[i] - swell;
+            if (std::abs(error) > gate) continue;
+            const double nx = places.right[i], ny = places.down[i];
+            rest += std::min(error * error, worst);
+            const double weight = std::min(1.0, unit / std::max(std::abs(error), 1e-12));
+            const double row[4] = {-(c * nx - s * ny), -(s * nx + c * ny),
+                                   turns ? nx * places.y[i] - ny * places.x[i] : 0, -1};
+            for (int j = 0; j < 4; j++) {
+                g[j] += weight * row[j] * error;
+                for (int k = 0; k < 4; k++) a[j][k] += weight * row[j] * row[k];
+            }
+        }
+        if (step == steps || (step >= 2 && rest > number * hopeless * hopeless)) break;
+        if (!turns) a[2][2] = 1;
+        if (gated) {
+            for (int j = 0; j < 3; j++) a[3][j] = a[j][3] = 0;
+            a[3][3] = 1, g[3] = 0;
+        }
+        for (int j = 0; j < 4; j++) a[j][j] += 1e-9 * a[j][j] + 1e-15;
+        solve(a, g);
+        x -= g[0], y -= g[1], angle -= g[2], swell -= g[3];
+        const double moved = std::max(
+            {std::abs(g[0]), std::abs(g[1]), lever * std::abs(g[2]), std::abs(g[3])});
+        if (moved < STILL * unit) break;
+    }
+    return {x, y, angle, swell, std::sqrt(rest / number)};
+}
+
+// How sure a fitted angle is, as a standard deviation [rad]: see `turn_scatter` of outlines.py.
+inline double turn_scatter(View<const double, 2> edges, View<const double, 2> points,
+                           const double* fit, double full, double unit, double gate) {
+    const int count = points.size(0);
+    double lever = 0;
+    for (int i = 0; i < count; i++) {
+        const double dx = points(i, 0) - fit[0], dy = points(i, 1) - fit[1];
+        lever += dx * dx + dy * dy;
+    }
+    lever /= count;
+    const double step = unit / std::sqrt(lever), most = CLIP * unit * unit;
+    double squares[3] = {};
+    int number = 0;
+    std::vector<char> near(count);
+    Places places(count);
+    for (int k = 0; k < 3; k++) {
+        const double turn = fit[2] + std::array{0.0, step, -step}[k];
+        const double c = std::cos(turn), s = std::sin(turn);
+        for (int i = 0; i < count; i++) {
+            const double dx = points(i, 0) - fit[0], dy = points(i, 1) - fit[1];
+            places.x[i] = c * dx + s * dy;
+            places.y[i] = -s * dx + c * dy;
+        }
+        edge_distances(edges, places);
+        for (int i = 0; i < count; i++) {
+            const double error = places.distance[i] - fit[3];
+            if (k == 0) number += near[i] = !(std::abs(error) > gate);
+            if (near[i]) squares[k] += std::min(error * error, most);
+        }
+    }
+    if (!number) return std::numeric_limits<double>::infinity();
+    for (double& square : squares) square /= number;
+    const double rest = std::max(squares[0], LEAST_ERROR * unit * (LEAST_ERROR * unit));
+    const double bend = (squares[1] + squares[2] - 2 * squares[0]) / (2 * step * step);
+    if (bend <= 0) return std::numeric_limits<double>::infinity();
+    return std::sqrt(TOGETHER * rest / (number * bend) * std::max(full / bend, 1.0));
+}
+
+}  // namespace plate

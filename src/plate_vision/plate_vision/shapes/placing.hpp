@@ -1,0 +1,188 @@
+// Where a part may lie in a group, all places and turns are tried: see placing.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate {
+
+// How near the group's rim is to a part's where it is the same [px].
+constexpr double NEAR_PX = 1.3;
+
+// How far outside a part may seem to be [px].
+constexpr double OUTSIDE_PX = 1.6;
+
+// Largest fraction of a part outside the group.
+constexpr double MOST_OUTSIDE = 0.06;
+
+// Less than any number of points on a rim.
+constexpr int16_t BARRED = -30'000;
+
+// Places along a row that are looked at together.
+constexpr int PLACES = 16;
+
+// Most pixels of a frame around the group.
+constexpr double MOST_MARGIN = 1e4;
+
+// 1 for a point of a part that is not where it is free, else 0.
+inline int is_outside(double free) { return free < -OUTSIDE_PX; }
+
+// 1 for a point of a part's rim that is on the group's, -1 if it is outside, else 0.
+inline int is_on_rim(double border) {
+    if (border < -OUTSIDE_PX) return -1;
+    return border < NEAR_PX;
+}
+
+// A field (h, w) at the pixel nearest to a place of a part at a pose; far outside it beside the
+// window. `to_px` is (2, 3).
+inline double level(View<const float, 2> field, View<const double, 2> to_px, const double* place,
+                    const double* pose, double c, double s) {
+    const double u = pose[0] + c * place[0] - s * place[1];
+    const double v = pose[1] + s * place[0] + c * place[1];
+    const double i = std::floor(to_px(0, 0) * u + to_px(0, 1) * v + to_px(0, 2) + 0.5);
+    const double j = std::floor(to_px(1, 0) * u + to_px(1, 1) * v + to_px(1, 2) + 0.5);
+    const bool inside = i >= 0 && j >= 0 && j < field.size(0) && i < field.size(1);
+    return inside ? field(j, i) : -99;
+}
+
+// Which fraction of a part's rim is on the group's, and which of its inner points is outside.
+struct Support {
+    double seen, outside;
+};
+
+// Return which fraction of a part's rim (n, 2) is on the group's, less that which is outside, and
+// which of its inner points (m, 2) is not where it is free.
+inline Support support(View<const float, 2> free, View<const float, 2> border,
+                       View<const double, 2> to_px, View<const double, 2> rim,
+                       View<const double, 2> inner, const double* pose) {
+    const double c = std::cos(pose[2]), s = std::sin(pose[2]);
+    int seen = 0, out = 0;
+    for (int k = 0; k < rim.size(0); k++)
+        seen += is_on_rim(level(border, to_px, rim[k], pose, c, s));
+    for (int k = 0; k < inner.size(0); k++)
+        out += is_outside(level(free, to_px, inner[k], pose, c, s));
+    return {static_cast<double>(seen) / rim.size(0), static_cast<double>(out) / inner.size(0)};
+}
+
+// How far the farthest of points (n, 2) is from a place (2,).
+inline double farthest(View<const double, 2> points, const double* place) {
+    double most = 0;
+    for (int k = 0; k < points.size(0); k++)
+        most = std::max(most, std::hypot(points(k, 0) - place[0], points(k, 1) - place[1]));
+    return most;
+}
+
+// Write where points (n, 2) of a part at a turn are from its pole, as offsets in a framed field.
+inline void find_offsets(View<const double, 2> points, View<const double, 2> to_px,
+                         const double* pole, double angle, int margin, int width,
+                         std::vector<int>& offsets) {
+    const double c = std::cos(angle), s = std::sin(angle), most = margin;
+    for (int k = 0; k < points.size(0); k++) {
+        const double x = points(k, 0) - pole[0], y = points(k, 1) - pole[1];
+        const double u = c * x - s * y, v = s * x + c * y;
+        const double i = std::floor(to_px(0, 0) * u + to_px(0, 1) * v + 0.5);
+        const double j = std::floor(to_px(1, 0) * u + to_px(1, 1) * v + 0.5);
+        if (!(std::abs(i) <= most && std::abs(j) <= most))
+            throw std::invalid_argument("rim and inner: not all points are finite");
+        offsets[k] = static_cast<int>(j) * width + static_cast<int>(i);
+    }
+}
+
+// Add to `total` (count,), for places along a row of a field that begins at `row`, what it is at
+// all points of a part that lies there; also to numbers that follow, up to a multiple of PLACES.
+PLATE_WIDE inline void add_rows(const int16_t* row, const std::vector<int>& offsets,
+                                int16_t* __restrict total, int count) {
+    for (int first = 0; first < count; first += PLACES) {
+        int16_t sum[PLACES];
+        std::copy_n(total + first, PLACES, sum);
+        for (int offset : offsets) {
+            const int16_t* __restrict values = row + first + offset;
+            for (int i = 0; i < PLACES; i++) sum[i] += values[i];
+        }
+        std::copy_n(sum, PLACES, total + first);
+    }
+}
+
+// A place where a part may be: x, y [m], the angle [rad] at which most of its rim is seen, and how
+// much.
+struct PlaceFound {
+    double x, y, angle, seen;
+};
+
+// Return each place where a part's widest place may be: see `search` of placing.py.
+//
+// A part at a turn is a set of offsets in pixels, the same at all places, so that what it covers is
+// counted for a whole row of places at once.
+inline std::vector<PlaceFound> search(View<const float, 2> free, View<const float, 2> border,
+                                      View<const double, 2> to_px, View<const double, 2> rim,
+                                      View<const double, 2> inner, const double* pole, double depth,
+                                      View<const double, 1> turns, int stride) {
+    const int height = free.size(0), width = free.size(1);
+    const double scale = std::max(std::hypot(to_px(0, 0), to_px(0, 1)),
+                                  std::hypot(to_px(1, 0), to_px(1, 1)));
+    const double reach = scale * std::max(farthest(rim, pole), farthest(inner, pole));
+    if (!(reach < MOST_MARGIN)) throw std::invalid_argument("the part is too large");
+    const int margin = 2 + static_cast<int>(reach);  // no part leaves it
+    constexpr double FAR = -std::numeric_limits<double>::infinity();
+    const int framed = width + 2 * margin;
+    const size_t all = static_cast<size_t>(height + 2 * margin) * framed + PLACES;
+    std::vector<int16_t> outside(all, is_outside(FAR)), on_rim(all, is_on_rim(FAR));
+    std::vector<int> begin(height, width), end(height);  // of each row's places
+    for (int j = 0; j < height; j++)
+        for (int i = 0; i < width; i++) {
+            const int at = (margin + j) * framed + margin + i;
+            outside[at] = is_outside(free(j, i));
+            on_rim[at] = is_on_rim(border(j, i));
+            if (free(j, i) >= depth) begin[j] = std::min(begin[j], i), end[j] = i + 1;
+        }
+    const int most = 2 * MOST_OUTSIDE * inner.size(0);
+    std::vector<int16_t> best(height * width), counts(width + PLACES);
+    std::vector<int> best_turn(height * width), inner_at(inner.size(0)), rim_at(rim.size(0));
+    for (int turn = 0; turn < turns.size(0); turn++) {
+        find_offsets(inner, to_px, pole, turns(turn), margin, framed, inner_at);
+        find_offsets(rim, to_px, pole, turns(turn), margin, framed, rim_at);
+        for (int j = 0; j < height; j += stride) {
+            const int count = end[j] - begin[j], first = (margin + j) * framed + margin + begin[j];
+            if (count <= 0) continue;
+            std::fill_n(counts.begin(), count, 0);
+            add_rows(&outside[first], inner_at, counts.data(), count);
+            bool fits = false;
+            for (int k = 0; k < count; k++) {
+                const int i = begin[j] + k;
+                const bool tried = i % stride == 0 && free(j, i) >= depth && counts[k] <= most;
+                counts[k] = tried ? 0 : BARRED;
+                fits |= tried;
+            }
+            if (!fits) continue;
+            add_rows(&on_rim[first], rim_at, counts.data(), count);
+            for (int k = 0; k < count; k++) {
+                const int at = j * width + begin[j] + k;
+                if (counts[k] > best[at]) best[at] = counts[k], best_turn[at] = turn;
+            }
+        }
+    }
+    const double a = to_px(0, 0), b = to_px(0, 1), c0 = to_px(0, 2);
+    const double d = to_px(1, 0), e = to_px(1, 1), f0 = to_px(1, 2);
+    const double det = a * e - b * d;
+    std::vector<PlaceFound> found;
+    for (int j = 0; j < height; j++)
+        for (int i = 0; i < width; i++) {
+            const int at = j * width + i;
+            if (best[at] == 0) continue;
+            const double angle = turns(best_turn[at]);
+            const double u = (e * (i - c0) - b * (j - f0)) / det;
+            const double v = (a * (j - f0) - d * (i - c0)) / det;
+            const double c = std::cos(angle), s = std::sin(angle);
+            found.push_back({u - c * pole[0] + s * pole[1], v - s * pole[0] - c * pole[1], angle,
+                             static_cast<double>(best[at]) / rim.size(0)});
+        }
+    return found;
+}
+
+}  // namespace plate

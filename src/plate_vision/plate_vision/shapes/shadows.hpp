@@ -1,0 +1,176 @@
+// Shadows, where the background is darker, its chroma kept, and fades into the plate: see
+// shadows.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include <plate/view.hpp>
+
+#include "shapes/segmentation.hpp"
+
+namespace plate {
+
+// Darkest shadow, relative to the plate [L].
+constexpr double DARKEST = 0.45;
+
+// Even pixels that a part and a shadow have at least.
+constexpr int LEAST_EVEN = 12;
+
+// Deviation of a shadow, relative to that of the part that casts it, at most.
+constexpr double LIGHTER = 0.8;
+
+// Of the even pixels of a patch so many are darker than what is called its dark side.
+constexpr double DARKER = 0.3;
+
+// Where a shadow's edge is looked at: its deviation relative to that of the whole shadow.
+constexpr double HALFWAY[] = {0.3, 0.7};
+
+// Pixels of a shadow's edge by which its width is known.
+constexpr int LEAST_SEEN = 4;
+
+// What is seen of an image's shadows: which pixels (h, w) are like a darker plate, which of them
+// are no darker than a shadow, and the slope of the light at each [L/px]; of each patch (count,)
+// the steepest slope and the largest deviation where it is darker, its area, and how much more of
+// it is brighter than the plate than like a darker one.
+struct ShadowEdges {
+    int count;
+    View<bool, 2> like, lit;
+    View<float, 2> slope;
+    float *steepest, *largest;
+    int64_t *total, *balance;
+};
+
+// Find shadows in colours `lab` of an image on a background `bare` (h, w, c), by patches: the rest
+// (h, w). All that is found is 0 before.
+inline void find_shadow_edges(View<const uint8_t, 3> lab, View<const uint8_t, 3> bare,
+                              double chroma, View<const uint8_t, 2> limit,
+                              View<const int32_t, 2> labels, const ShadowEdges& found) {
+    const int height = lab.size(0), width = lab.size(1), channels = lab.size(2);
+    for (int y = 0; y < height; y++) {
+        const uint8_t *row = lab[y], *upper = lab[std::max(y - 1, 0)];
+        const uint8_t *plate_row = bare[y], *lower = lab[std::min(y + 1, height - 1)];
+        each_labelled(labels[y], width, found.count, [&](int x, int k) {
+            const int here = row[channels * x], plate = plate_row[channels * x];
+            found.total[k]++;
+            if (here >= plate) {
+                found.balance[k]++;
+                return;
+            }
+            const int left = row[channels * std::max(x - 1, 0)];
+            const int right = row[channels * std::min(x + 1, width - 1)];
+            const int up = upper[channels * x], down = lower[channels * x];
+            const int across = right - left, along = down - up;
+            const float slope =
+                0.5f * std::sqrt(static_cast<float>(across * across + along * along));
+            found.slope(y, x) = slope;
+            if (std::max({left, right, up, down}) <= plate + limit(y, x)) {
+                // Else it is the edge of a highlight.
+                found.steepest[k] = std::max(found.steepest[k], slope);
+                found.largest[k] = std::max<float>(found.largest[k], plate - here);
+            }
+            if (channels == 3) {
+                const float factor = static_cast<float>(here) / plate;
+                double square = 0;
+                for (int c = 1; c < 3; c++) {
+                    const double expected = 128 + factor * (plate_row[3 * x + c] - 128.0);
+                    square += (row[3 * x + c] - expected) * (row[3 * x + c] - expected);
+                }
+                if (chroma * std::sqrt(square) > limit(y, x)) return;
+            }
+            found.balance[k]--;
+            found.like(y, x) = true;
+            found.lit(y, x) = here >= DARKEST * plate;
+        });
+    }
+}
+
+// Find of each patch (count,) the deviation that parts its light side from its dark one, 0 if there
+// are no two; that of the light side, and that of the dark one or of all.
+//
+// It parts the even pixels best in two, as Otsu (1979) does.
+inline void part_sides(View<const uint8_t, 2> away, View<const bool, 2> like,
+                       View<const float, 2> slope, const float* steepest,
+                       View<const int32_t, 2> labels, View<float, 1> bound, float* light,
+                       float* dark) {
+    const int count = bound.size(0), size = labels.size(0) * labels.size(1);
+    Histograms histograms(count), plains(count);
+    each_labelled(labels.data, size, count, [&](int i, int k) {
+        if (!(slope.data[i] < EVEN * steepest[k])) return;
+        histograms[k][away.data[i]]++;
+        plains[k][away.data[i]] += like.data[i];
+    });
+    for (int k = 0; k < count; k++) {
+        bound(k) = light[k] = dark[k] = 0;
+        if (k == 0) continue;
+        const int *histogram = histograms[k], *plain = plains[k];
+        int64_t total = 0, below = 0;
+        double moment = 0, first = 0, most = 0;
+        for (int level = 0; level < 256; level++) {
+            total += histogram[level];
+            moment += static_cast<double>(level) * histogram[level];
+        }
+        for (int level = 0; level < 255; level++) {
+            below += histogram[level];
+            first += static_cast<double>(level) * histogram[level];
+            if (below < LEAST_EVEN || total - below < LEAST_EVEN) continue;
+            const double low = first / below, high = (moment - first) / (total - below);
+            const double between = below * (total - below) * ((high - low) * (high - low));
+            if (between > most) {
+                most = between;
+                bound(k) = low > LIGHTER * high ? 0 : 0.5 * (low + high);
+                light[k] = low;
+            }
+        }
+        int level = 255;
+        for (int64_t passed = 0; level > 0 && passed < DARKER * total; level--)
+            passed += histogram[level];
+        dark[k] = level;
+        // What is shadow is like a darker plate.
+        int64_t under = 0, own = 0;
+        for (int l = 0; l < static_cast<int>(bound(k)); l++) under += histogram[l], own += plain[l];
+        if (2 * own < under) bound(k) = 0;
+    }
+}
+
+// Find of each patch (count,) the slope at the outer edge of its light side [L/px], 0 if it is not
+// seen; and the direction (count, 2) from the dark side to the light one, 0 before.
+inline void find_fade(View<const uint8_t, 2> away, View<const uint8_t, 2> around,
+                      View<const bool, 2> like, View<const float, 2> slope,
+                      View<const int32_t, 2> labels, View<const float, 1> bound,
+                      const float* level, float* fade, View<double, 2> way) {
+    struct Side {
+        double count, x, y;
+    };
+    struct Patch {
+        Side light, dark;
+        int seen;
+    };
+    const int count = bound.size(0);
+    std::vector<Patch> patches(count);
+    std::fill_n(fade, count, 0.f);
+    for (int y = 0; y < labels.size(0); y++)
+        each_labelled(labels[y], labels.size(1), count, [&](int x, int k) {
+            if (bound(k) == 0) return;
+            const float here = away(y, x);
+            Side& side = like(y, x) && here < bound(k) ? patches[k].light : patches[k].dark;
+            side.count++, side.x += x, side.y += y;
+            if (!like(y, x) || around(y, x) > bound(k)) return;
+            if (HALFWAY[0] * level[k] < here && here < HALFWAY[1] * level[k]) {
+                fade[k] += slope(y, x);
+                patches[k].seen++;
+            }
+        });
+    for (int k = 0; k < count; k++) {
+        const auto& [light, dark, seen] = patches[k];
+        fade[k] = seen >= LEAST_SEEN ? fade[k] / seen : 0;
+        if (light.count == 0 || dark.count == 0) continue;
+        const double dx = light.x / light.count - dark.x / dark.count;
+        const double dy = light.y / light.count - dark.y / dark.count;
+        const double length = std::sqrt(dx * dx + dy * dy);
+        if (length > 0) way(k, 0) = dx / length, way(k, 1) = dy / length;
+    }
+}
+
+}  // namespace plate

@@ -1,0 +1,73 @@
+"""Kernels refuse what they would read or write outside memory."""
+
+import numpy as np
+import pytest
+
+from plate_vision import _kernels
+
+GREY, USABLE = np.zeros((20, 30), np.uint8), np.ones((20, 30), bool)
+LIGHT = np.float32([200, 0, 0, 0, 0, 0, 15, 10, 0.1])
+PLATE = GREY, LIGHT, USABLE
+LABELS = np.full((20, 30), 3, np.int32)
+FIELD = np.zeros((20, 30), np.float32)
+PAIRS, THREE = np.ones((4, 2)), np.zeros(3)
+TO_PX = np.eye(2, 3)
+EDGES = np.array([[0.0, 0, 1, 0, 1]])
+
+
+def outputs(*names):
+    """Return arrays of float32 for three patches, or other types."""
+    return [np.zeros(3, name) for name in names]
+
+
+WRONG = {
+    "samples outside the image": lambda: _kernels.fit_light(
+        GREY, np.array([20]), np.array([0]), np.zeros((6, 1), np.float32), 60
+    ),
+    "edges of two numbers": lambda: _kernels.region_depth(PAIRS, np.zeros((0, 8)), THREE, THREE),
+    "another size of plate": lambda: _kernels.vote(GREY, LIGHT, USABLE[1:], 0, 0, 8, FIELD),
+    "a light of six numbers": lambda: _kernels.vote(GREY, LIGHT[:6], USABLE, 0, 0, 8, FIELD),
+    "a grid beyond the image": lambda: _kernels.find_dark(
+        *PLATE, 0.8, (0, 0, 2), USABLE, np.zeros((20, 30), np.uint8)
+    ),
+    "a step of nothing": lambda: _kernels.find_peaks(FIELD, 0, 0, USABLE, (0, 0, 0), 8),
+    "no room for discs": lambda: _kernels.fit_discs(*PLATE, PAIRS, 8, np.zeros((3, 5))),
+    "an endless radius": lambda: _kernels.fit_discs(*PLATE, PAIRS, np.inf, np.zeros((4, 5))),
+    "marks without levels": lambda: _kernels.paint_marks(GREY, PAIRS, PAIRS[:3], 8),
+    "a label too large": lambda: _kernels.find_contrasts(
+        LABELS, GREY, GREY, GREY, *outputs("f4", "f4", "?")
+    ),
+    "a negative label": lambda: _kernels.find_fade(
+        GREY, GREY, USABLE, FIELD, -LABELS, *outputs("f4", "f4", "f4"), np.zeros((3, 2))
+    ),
+    "a distance without end": lambda: _kernels.find_basins(
+        FIELD + np.inf, 0.8, 0.6, 16, np.zeros((20, 30), np.int32)
+    ),
+    "a field of one row": lambda: _kernels.find_edge(
+        FIELD[:1], np.ones((4, 2), np.int32), False, np.empty((8, 2))
+    ),
+    "rings beyond the points": lambda: _kernels.outline_edges(PAIRS, np.array([3, 5])),
+    "rings that end before they begin": lambda: _kernels.outline_edges(PAIRS, np.array([3, 2])),
+    "no edges": lambda: _kernels.distances(EDGES[:0], PAIRS),
+    "a pose of two numbers": lambda: _kernels.fit_pose(EDGES, PAIRS, THREE[:2], 1, True, 5, 1, 1),
+    "a stride of nothing": lambda: _kernels.search(
+        FIELD, FIELD, TO_PX, PAIRS, PAIRS, THREE[:2], 1, THREE, 0
+    ),
+    "a rim that is nowhere": lambda: _kernels.search(
+        FIELD, FIELD, TO_PX, np.nan * PAIRS, PAIRS, THREE[:2], 0, THREE, 1
+    ),
+    "a rim far away": lambda: _kernels.search(
+        FIELD, FIELD, TO_PX, 1e9 * PAIRS, PAIRS, THREE[:2], 0, THREE, 1
+    ),
+}
+
+
+@pytest.mark.parametrize("call", WRONG.values(), ids=WRONG)
+def test_wrong_calls_raise(call):
+    with pytest.raises((ValueError, IndexError)):
+        call()
+
+
+def test_an_array_of_another_type_is_not_written_to():
+    with pytest.raises(TypeError):
+        _kernels.crowded(PAIRS, 1.0, np.zeros(4, np.uint8))
