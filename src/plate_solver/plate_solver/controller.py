@@ -225,9 +225,7 @@ class Controller:
         elif running is not None and wanted.start is None:
             position, velocity = after(running, parts.position, start, friction)
         if wanted.start is not None:
-            # Contiguous: numba would compile everything again for views.
-            states = np.ascontiguousarray(wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2))
-            position, velocity = states
+            position, velocity = wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2)
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
         radius, half = np.array([t.reach_m for t in types]), self._rig.plate.half

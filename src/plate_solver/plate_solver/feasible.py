@@ -11,9 +11,7 @@ import sys
 import numpy as np
 
 from plate_core import PlateError, Rig, load_rig
-from plate_core.kernels import when_compiling
 from plate_core.rig import LEAST_GAMMA, rig_names, rig_path
-from plate_core.status import COMPILING
 from plate_core.tasks import (
     FeedTask,
     FollowTask,
@@ -70,17 +68,12 @@ def main() -> None:
         scenario = load_scenario(args.scenario) if args.scenario else None
         name = args.rig or (scenario.rig if scenario else "")
         rig = load_rig(name)
-        with when_compiling(_say_compiling):
-            told, likely = report(rig, rig_path(name).name, scenario)
+        told, likely = report(rig, rig_path(name).name, scenario)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     print(told)
     sys.exit(0 if likely else 1)
-
-
-def _say_compiling() -> None:
-    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
 
 
 def report(rig: Rig, name: str, scenario: Scenario | None) -> tuple[str, bool]:

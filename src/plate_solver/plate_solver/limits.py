@@ -1,22 +1,22 @@
 """How much of the rig's limits a sampled motion uses: the one check that both methods make.
 
-Compiled, as a search asks it at every step; `plate_core.motion.usage` says the same of a whole
+In C++, as a search asks it at every step; `plate_core.motion.usage` says the same of a whole
 cycle, and a test compares the two.
 """
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import PlateCycle, Rig
-from plate_core.kernels import SAME_ROUNDING, kernel
 from plate_core.motion import PIECES
 from plate_core.rig import motor_levers, motor_reach
 
-MARGIN = 0.98
+from . import _kernels
+
+MARGIN: float = _kernels.MARGIN
 """Fraction of the limits that a search uses: its samples may miss a peak by a little."""
 
 HEADROOM = 1.1
@@ -24,16 +24,11 @@ HEADROOM = 1.1
 nor get hot, so they are not looked at: the plate's spin takes up to 2 % more of them than
 `motor_reach` counts, and heat up to 3 % more (test_motors.py, test_weak_motors.py)."""
 
-CERTAIN = 0.999
+CERTAIN: float = _kernels.CERTAIN
 """Fraction of the limits that a finished cycle uses at most, by its control points."""
-
 
 EQUAL_WEIGHT = np.ones(1)
 """Weights of samples at equal steps."""
-
-HULL_WEIGHT = np.array([2.0, 1, 1, 1, 1])
-"""Weights of control points at equal steps: a square's mean is at most that of the points' squares,
-as the six basis functions of a piece share its time; its last point is the next one's first."""
 
 
 class Limits(NamedTuple):
@@ -89,61 +84,6 @@ class Limits(NamedTuple):
         )
 
 
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
-def motion_use(
-    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, limits: Limits, linear: bool
-) -> float:
-    """Return the greatest fraction of stroke, speed or acceleration that samples (n, 3) use."""
-    stroke = speed = peak = 0.0
-    motors, half = limits.motors, limits.half
-    for k in range(len(pose)):
-        angle = pose[k, 2]
-        if linear:
-            s, c = 0.0, 1.0
-        elif abs(angle) < 0.1:  # the usual case, to 1e-9
-            s = angle * (1 - angle * angle * (1 / 6 - angle * angle / 120))
-            c = 1 - angle * angle * (0.5 - angle * angle / 24)
-        else:
-            s, c = sin(angle), cos(angle)
-        tilt = angle if linear else s
-        spin, spin_rate = twist[k, 2], accel[k, 2]
-        for i in range(len(motors)):
-            px, py, ex, ey = motors[i, 0, 0], motors[i, 0, 1], motors[i, 1, 0], motors[i, 1, 1]
-            along = ex * (c * px - tilt * py - px) + ey * (tilt * px + c * py - py)
-            across = ey * (c * px - s * py) - ex * (s * px + c * py)
-            stroke = max(stroke, abs(ex * pose[k, 0] + ey * pose[k, 1] + along))
-            speed = max(speed, abs(ex * twist[k, 0] + ey * twist[k, 1] + spin * across))
-        for sx in (-half[0], half[0]):
-            for sy in (-half[1], half[1]):
-                x, y = c * sx - s * sy, s * sx + c * sy
-                ax = accel[k, 0] - spin_rate * y - spin * spin * x
-                ay = accel[k, 1] + spin_rate * x - spin * spin * y
-                peak = max(peak, ax * ax + ay * ay)
-    return max(stroke / limits.stroke_m, speed / limits.speed, sqrt(peak) / limits.accel)
-
-
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
-def force_use(
-    pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits
-) -> float:
-    """Return the greatest fraction of a motor's peak or continuous force that samples use."""
-    most = hottest = total = 0.0
-    for k in range(len(pose)):
-        total += weight[k % len(weight)]
-    for i in range(limits.loads.shape[1]):
-        square = 0.0
-        for k in range(len(pose)):
-            force = 0.0
-            for c in range(3):
-                force += limits.loads[0, i, c] * pose[k, c] + limits.loads[1, i, c] * twist[k, c]
-                force += limits.loads[2, i, c] * accel[k, c]
-            most = max(most, abs(force))
-            square += weight[k % len(weight)] * force * force
-        hottest = max(hottest, square / total)
-    return max(most, limits.heat * sqrt(hottest))
-
-
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def limit_use(
     pose: np.ndarray, twist: np.ndarray, accel: np.ndarray, weight: np.ndarray, limits: Limits,
     linear: bool,
@@ -160,8 +100,7 @@ def limit_use(
         Time that each sample stands for, over and over again from the first to the last: for the
         motors' heat, as if the motion were played continuously.
     """
-    used = motion_use(pose, twist, accel, limits, linear)
-    return max(used, force_use(pose, twist, accel, weight, limits)) if limits.forceful else used
+    return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
 
 def within_limits(cycle: PlateCycle, full: Limits) -> PlateCycle:

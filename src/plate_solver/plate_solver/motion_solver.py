@@ -171,8 +171,7 @@ class MotionSolver(ABC):
         if not request.flags.slack:
             return self._solve(request)
         aim = easiest_force(request, self._reach)
-        # In another order of its numbers the search would be compiled once more.
-        found = self._solve(replace(request, force=np.ascontiguousarray(aim)))
+        found = self._solve(replace(request, force=aim))
         error = request.force - (aim - found.residual)
         if not found.success:  # others within the slack may be in reach
             found = replace(found, status=Status.FAILED)

@@ -21,7 +21,6 @@ from plate_core.ros import (
     NodeOptions,
     SafeLifecycleNode,
     centres_to_msg,
-    compiling,
     cycle_to_msg,
     msg_to_wanted,
     nanoseconds,
@@ -107,7 +106,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self.report(self._find, self._values, reported=self._begin_report)
 
     def configure(self) -> None:
-        """Read the rig, and compile."""
+        """Read the rig."""
         options = self.options
         self._rig = rig = load_rig(options.rig_file)
         limit = rig.reach.limit
@@ -120,8 +119,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._controller = Controller(
             rig, options.method, options.seed, deadline=deadline, **effort
         )
-        with compiling(self):
-            warm_up(self._controller, rig.plate.half)
+        warm_up(self._controller, rig.plate.half)
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self.managed_subscription(PartForces, "part_forces", self._on_forces, NEWEST)
@@ -255,7 +253,7 @@ class SolverNode(SafeLifecycleNode[Options]):
 
 
 def warm_up(controller: Controller, half: np.ndarray) -> None:
-    """Compile before the first image comes."""
+    """Answer once: tables and libraries are there when the first request comes."""
     chosen = controller.method
     turned = Wanted.make(Parts.make(("part_0",), np.zeros((1, 2))), torque=np.array([1e-6]))
     for controller.method in ("rotations", "sinusoids"):

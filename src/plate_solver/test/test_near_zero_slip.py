@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from plate_solver.maps import force_rules
-from plate_solver.maps.near_zero_slip import COSH, FADED, NARROWEST, branch_point, find_dips
+from plate_solver.maps.near_zero_slip import branch_point, find_dips
 from plate_solver.maps.sinusoid_force import ADAPTIVE, PANELS, USUAL, force_of
 
 NONE = np.empty((0, 0))
@@ -73,5 +73,9 @@ def test_a_dip_between_two_equal_samples_is_found_once():
     assert found[0] == 0
 
 
-def test_there_are_nodes_for_the_narrowest_dip():
-    assert 64 * NARROWEST * COSH[-1] > FADED
+@pytest.mark.parametrize("depth", [1e-8, 1e-10, 1e-12])
+def test_there_are_nodes_for_the_narrowest_dip(depth):
+    slip = slip_with_zeros(np.array([1.0 - 1j * depth, 2 + 1j, 4 - 1j, 5 + 0.5j]))
+    got = force_of(slip, force_rules(2), ADAPTIVE, work(2), NONE)
+    truth = force_of(slip, force_rules(2), PANELS, work(2), NONE)
+    np.testing.assert_allclose(got, truth, atol=1e-7)

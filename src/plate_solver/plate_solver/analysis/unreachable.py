@@ -24,12 +24,12 @@ than what N harmonics can do.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import cos, hypot, pi, sin, sqrt
+from math import pi
 
 import numpy as np
 from scipy.optimize import nnls
 
-from plate_core.kernels import kernel
+from .. import _kernels
 
 SAME = 1e-6
 """Forces [mu m g] that differ by less are the same."""
@@ -37,14 +37,8 @@ SAME = 1e-6
 ROUNDS = 10
 """Directions lambda that are tried; most requests are found within the set sooner."""
 
-SPACING, POINTS = 0.12, 48
-"""Spacing [rad] of the great circles' normals, and points on each."""
-
-HALVINGS = 4
-"""Times that a cell of great circles is halved in a proof at most."""
-
-MOST_WORK = 2e8
-"""Pairs of points that a proof looks at before it is given up: some tenths of a second."""
+SPACING = 0.12
+"""Spacing [rad] of the great circles' normals."""
 
 WITHIN = 1e-2
 """Fraction of a request that may be missing from a mean of found forces, to be within the set."""
@@ -81,7 +75,7 @@ def is_out_of_reach(position: np.ndarray, force: np.ndarray, number: int, arm_m:
     for _ in range(ROUNDS):
         bound, three = _best(vectors @ separating)
         if separating @ wanted > most * bound:
-            return bool(_proves(cells, position, arm_m, separating, separating @ wanted / most))
+            return _proves(cells, position, arm_m, separating, separating @ wanted / most)
         force = most * sum(vectors[three[0], k] for k in three[1:])
         found += [force, -force]
         # The nearest mean of what is found, with fractions of at most one in all.
@@ -117,146 +111,23 @@ def _cells() -> np.ndarray:
     return np.array(cells)
 
 
-@kernel(error_model="numpy")
-def _circle(tilt: float, turn: float, points: np.ndarray) -> None:
-    """Write points (C, 3) of the great circle with the given normal, at equal angles."""
-    for c in range(len(points)):
-        angle = 2 * pi * c / len(points)
-        a, b = cos(angle), sin(angle)
-        points[c, 0] = a * cos(tilt) * cos(turn) - b * sin(turn)
-        points[c, 1] = a * cos(tilt) * sin(turn) + b * cos(turn)
-        points[c, 2] = -a * sin(tilt)
-
-
-@kernel()
 def _circles(cells: np.ndarray) -> np.ndarray:
     """Return the great circles (Q, C, 3) of the middles of cells."""
-    circles = np.empty((len(cells), POINTS, 3))
-    for q in range(len(cells)):
-        low, high, left, right = cells[q]
-        _circle((low + high) / 2, (left + right) / 2, circles[q])
-    return circles
+    return _kernels.circles(cells)
 
 
-@kernel(error_model="numpy")
 def _vectors(twists: np.ndarray, position: np.ndarray, arm_m: float) -> np.ndarray:
     """Return unit slips (Q, C, 2 M) of twists (Q, C, 3) in units of (1, 1, 1/arm_m)."""
-    vectors = np.zeros((twists.shape[0], twists.shape[1], 2 * len(position)))
-    for q in range(twists.shape[0]):
-        for c in range(twists.shape[1]):
-            spin = twists[q, c, 2] / arm_m
-            for i in range(len(position)):
-                wx = twists[q, c, 0] - spin * position[i, 1]
-                wy = twists[q, c, 1] + spin * position[i, 0]
-                size = hypot(wx, wy)
-                if size > 0:
-                    vectors[q, c, 2 * i], vectors[q, c, 2 * i + 1] = wx / size, wy / size
-    return vectors
+    return _kernels.unit_slips(twists, position, arm_m)
 
 
-@kernel(error_model="numpy")
-def _upper(
-    points: np.ndarray,
-    position: np.ndarray,
-    arm_m: float,
-    separating: np.ndarray,
-    radius: float,
-    most: np.ndarray,
-) -> None:
-    """Write bounds (C,) of lambda . n over all twists within `radius` [rad] of points (C, 3)."""
-    most[:] = 0.0
-    for i in range(len(position)):
-        lx, ly = separating[2 * i], separating[2 * i + 1]
-        weight = hypot(lx, ly)
-        if weight == 0:
-            continue
-        reach = radius * sqrt(1 + (position[i, 0] ** 2 + position[i, 1] ** 2) / arm_m**2)
-        for c in range(len(points)):
-            spin = points[c, 2] / arm_m
-            wx = points[c, 0] - spin * position[i, 1]
-            wy = points[c, 1] + spin * position[i, 0]
-            square = wx * wx + wy * wy
-            if square <= reach * reach:
-                most[c] += weight
-                continue
-            # The angle to lambda, less the most that the slip may turn within the radius.
-            along, across = lx * wx + ly * wy, abs(lx * wy - ly * wx)
-            free = sqrt(square - reach * reach)
-            if along > 0 and across * free <= along * reach:
-                most[c] += weight
-            else:
-                most[c] += (along * free + across * reach) / square
-
-
-@kernel(error_model="numpy")
-def _triple(v: np.ndarray, running: np.ndarray, where: np.ndarray) -> tuple[float, int, int, int]:
-    """Return T of values (C,) around a great circle, and the three places.
-
-    The value opposite to the middle one stands for minus it, so that bounds remain bounds; the
-    angle between the outer two may be half a turn and a step, for points between those given.
-    """
-    points = len(v)
-    half = points // 2
-    triple, one, two, three = -np.inf, 0, 0, 0
-    for m in range(points):
-        against = v[(m + half) % points]
-        for a in range(half + 2):
-            k = m - a if m >= a else m - a + points
-            if a == 0 or v[k] > running[a - 1]:
-                running[a], where[a] = v[k], k
-            else:
-                running[a], where[a] = running[a - 1], where[a - 1]
-        for a in range(half + 2):
-            k = m + a if m + a < points else m + a - points
-            total = v[k] + running[half + 1 - a] + against
-            if total > triple:
-                triple, one, two, three = total, k, where[half + 1 - a], (m + half) % points
-    return triple, one, two, three
-
-
-@kernel(error_model="numpy")
 def _best(value: np.ndarray) -> tuple[float, tuple[int, int, int, int]]:
     """Return T of values (Q, C) on great circles: circle, and three points on it."""
-    triple, places = -np.inf, (0, 0, 0, 0)
-    running, where = np.empty(value.shape[1]), np.empty(value.shape[1], np.int64)
-    for q in range(len(value)):
-        most, one, two, three = _triple(value[q], running, where)
-        if most > triple:
-            triple, places = most, (q, one, two, three)
-    return triple, places
+    return _kernels.best_triple(value)
 
 
-@kernel(error_model="numpy")
 def _proves(
     cells: np.ndarray, position: np.ndarray, arm_m: float, separating: np.ndarray, limit: float
 ) -> bool:
     """Whether T is less than a limit on all great circles, cell by cell."""
-    finest = POINTS * 2**HALVINGS
-    points, most = np.empty((finest, 3)), np.empty(finest)
-    running, where = np.empty(finest), np.empty(finest, np.int64)
-    waiting = np.empty((4 * HALVINGS + 4, 5))
-    work = 0.0
-    for q in range(len(cells)):
-        waiting[0, :4] = cells[q]
-        waiting[0, 4] = 0
-        count = 1
-        while count:
-            count -= 1
-            low, high, left, right, level = waiting[count]
-            n = POINTS * 2 ** int(level)
-            work += n * n
-            _circle((low + high) / 2, (left + right) / 2, points[:n])
-            # Farthest normal of the cell from its middle, and half a step along the circle.
-            widest = max(sin(low), sin(high)) if high < pi / 2 else 1.0
-            radius = hypot(high - low, widest * (right - left)) / 2 + pi / n
-            _upper(points[:n], position, arm_m, separating, radius, most[:n])
-            if _triple(most[:n], running, where)[0] < limit:
-                continue
-            if level == HALVINGS or work > MOST_WORK:
-                return False
-            tilt, turn = (low + high) / 2, (left + right) / 2
-            for a, b in ((low, tilt), (tilt, high)):
-                for c, d in ((left, turn), (turn, right)):
-                    waiting[count] = (a, b, c, d, level + 1)
-                    count += 1
-    return True
+    return _kernels.proves(cells, position, arm_m, separating, limit)

@@ -11,18 +11,14 @@ Parts are innermost: their square roots overlap.
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.kernels import SAME_ROUNDING, kernel
+
+from .. import _kernels
 
 PREDICTION_STEP = 0.1e-3
 """Step for predicting what a finished cycle does [s]: it is done once, so it may be fine."""
-
-TINY = 1e-300
-"""Keeps 0/0 away."""
 
 
 def after(
@@ -43,7 +39,6 @@ def finely_sampled(cycle: PlateCycle) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return cycle.pose(t), cycle.twist(t), np.full(steps, cycle.period / steps)
 
 
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_state(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray,
@@ -61,25 +56,9 @@ def end_state(
     friction_accel : (M,)
         mu g of each part [m/s2].
     """
-    count = len(position)
-    px, py = position[:, 0].copy(), position[:, 1].copy()
-    vx, vy = velocity[:, 0].copy(), velocity[:, 1].copy()
-    for k in range(len(twist)):
-        u, v, w, h = twist[k, 0], twist[k, 1], twist[k, 2], dt[k]
-        x, y = pose[k, 0], pose[k, 1]
-        for i in range(count):
-            dx = u - w * (py[i] - y) - vx[i]
-            dy = v + w * (px[i] - x) - vy[i]
-            bound = friction_accel[i] * h
-            gain = bound / (max(sqrt(dx * dx + dy * dy), bound) + TINY)
-            vx[i] += gain * dx
-            vy[i] += gain * dy
-            px[i] += h * vx[i]
-            py[i] += h * vy[i]
-    return np.column_stack((px, py)), np.column_stack((vx, vy))
+    return _kernels.end_state(position, velocity, pose, twist, dt, friction_accel)
 
 
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
 def end_state_gradient(
     position: np.ndarray, velocity: np.ndarray, pose: np.ndarray, twist: np.ndarray,
     dt: np.ndarray, friction_accel: np.ndarray, coast: float = 0.0,
@@ -94,60 +73,4 @@ def end_state_gradient(
     by_twist : (3, n, 2 M)
     by_dt : (n, 2 M)
     """
-    count, n = len(position), len(twist)
-    px, py = position[:, 0].copy(), position[:, 1].copy()
-    vx, vy = velocity[:, 0].copy(), velocity[:, 1].copy()
-    arm_x, arm_y = np.empty((n, count)), np.empty((n, count))
-    # d velocity step / d slip; friction while it slips; velocity
-    xx, xy, yy = np.empty((n, count)), np.empty((n, count)), np.empty((n, count))
-    fx, fy = np.empty((n, count)), np.empty((n, count))
-    after_x, after_y = np.empty((n, count)), np.empty((n, count))
-    for k in range(n):
-        u, v, w, h = twist[k, 0], twist[k, 1], twist[k, 2], dt[k]
-        x, y = pose[k, 0], pose[k, 1]
-        for i in range(count):
-            rx, ry = px[i] - x, py[i] - y
-            dx, dy = u - w * ry - vx[i], v + w * rx - vy[i]
-            arm_x[k, i], arm_y[k, i] = rx, ry
-            bound, d = friction_accel[i] * h, sqrt(dx * dx + dy * dy)
-            inverse = 1 / (max(d, bound) + TINY)
-            gain, slips = bound * inverse, d > bound
-            a, b = dx * inverse, dy * inverse  # unit vector of a slip
-            xx[k, i] = gain * (1 - a * a) if slips else 1.0
-            xy[k, i] = -gain * a * b if slips else 0.0
-            yy[k, i] = gain * (1 - b * b) if slips else 1.0
-            fx[k, i] = friction_accel[i] * a if slips else 0.0
-            fy[k, i] = friction_accel[i] * b if slips else 0.0
-            vx[i] += gain * dx
-            vy[i] += gain * dy
-            after_x[k, i], after_y[k, i] = vx[i], vy[i]
-            px[i] += h * vx[i]
-            py[i] += h * vy[i]
-    by_pose, by_twist = np.empty((2, n, 2 * count)), np.empty((3, n, 2 * count))
-    by_dt = np.empty((n, 2 * count))
-    ax, ay, bx, by = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    for axis in range(2):
-        first = axis * count
-        # Adjoints of position (a) and velocity (b) at the end of step k.
-        ax[:], ay[:] = 1.0 - axis, 1.0 * axis
-        bx[:], by[:] = coast * ax, coast * ay
-        for back in range(n):
-            k = n - 1 - back
-            h, w = dt[k], twist[k, 2]
-            for i in range(count):
-                cx, cy = bx[i] + h * ax[i], by[i] + h * ay[i]
-                by_dt[k, first + i] = (
-                    ax[i] * after_x[k, i] + ay[i] * after_y[k, i]
-                    + cx * fx[k, i] + cy * fy[k, i]
-                )  # fmt: skip
-                gx = xx[k, i] * cx + xy[k, i] * cy
-                gy = xy[k, i] * cx + yy[k, i] * cy
-                bx[i], by[i] = cx - gx, cy - gy
-                ax[i] += w * gy
-                ay[i] -= w * gx
-                by_twist[0, k, first + i] = gx
-                by_twist[1, k, first + i] = gy
-                by_twist[2, k, first + i] = arm_x[k, i] * gy - arm_y[k, i] * gx
-                by_pose[0, k, first + i] = -w * gy
-                by_pose[1, k, first + i] = w * gx
-    return by_pose, by_twist, by_dt
+    return _kernels.end_state_gradient(position, velocity, pose, twist, dt, friction_accel, coast)

@@ -9,16 +9,11 @@ radian of it counts is the weight.
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from plate_core.kernels import kernel
-
-STEEP_M = 0.01
-"""So far beyond a wall a metre counts twice as much on average [m]: else many parts on their way
-push one that is at home over the edge."""
+from .. import _kernels
 
 
 class Ends(NamedTuple):
@@ -51,38 +46,9 @@ class Ends(NamedTuple):
     parts: int
 
 
-@kernel(fastmath=False, error_model="numpy")
 def end_errors(place: np.ndarray, ends: Ends) -> tuple[np.ndarray, np.ndarray]:
     """Return the errors (R,) of ends (C,) [m, rad], and minus their derivatives (R, C).
 
     The first C are those of the coordinates, then come pairs that are too near.
     """
-    size, count = len(place), ends.parts
-    rows = size
-    error, slope = np.zeros(size + len(ends.pair)), np.zeros((size + len(ends.pair), size))
-    for j in range(size):
-        at = place[j]
-        if at < ends.low[j]:
-            error[j] += ends.weight[j] * (ends.low[j] - at)
-            slope[j, j] += ends.weight[j]
-        elif at > ends.high[j]:
-            error[j] += ends.weight[j] * (ends.high[j] - at)
-            slope[j, j] += ends.weight[j]
-        if at < ends.edge_low[j]:
-            beyond = ends.edge_low[j] - at
-            error[j] += beyond + beyond * beyond / STEEP_M
-            slope[j, j] += 1 + 2 * beyond / STEEP_M
-        elif at > ends.edge_high[j]:
-            beyond = at - ends.edge_high[j]
-            error[j] -= beyond + beyond * beyond / STEEP_M
-            slope[j, j] += 1 + 2 * beyond / STEEP_M
-    for k in range(len(ends.pair)):
-        a, b = ends.pair[k, 0], ends.pair[k, 1]
-        dx, dy = place[b] - place[a], place[count + b] - place[count + a]
-        distance = max(sqrt(dx * dx + dy * dy), 1e-9)
-        if distance < ends.clear[k]:
-            error[rows] = ends.clear[k] - distance
-            slope[rows, b], slope[rows, a] = dx / distance, -dx / distance
-            slope[rows, count + b], slope[rows, count + a] = dy / distance, -dy / distance
-            rows += 1
-    return error[:rows].copy(), slope[:rows].copy()
+    return _kernels.end_errors(place, ends)

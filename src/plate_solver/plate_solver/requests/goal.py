@@ -117,8 +117,7 @@ class Goal:
         shape, middle = self.position.shape, self.position + self.displacement
 
         def flat(values: np.ndarray | float) -> np.ndarray:
-            # A copy in any case: numba would compile everything again for what cannot be written.
-            return np.array(np.broadcast_to(values, shape).T, order="C").ravel()
+            return np.broadcast_to(values, shape).T.ravel()
 
         low, high = middle - self.tolerance, middle + self.tolerance
         weighed = np.broadcast_to(self.weight, shape) > 0

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import PlateError
-from plate_core.kernels import kernel
+
+from .. import _kernels
 
 CURL_LENGTH_M = 0.05
 """Turns a curl error [mu m g / m] into a force error: as it would act over this distance."""
 
-FARTHEST_M = 1e3
+FARTHEST_M: float = _kernels.FARTHEST_M
 """Places of parts [m] beyond this are mistakes."""
 
-FASTEST_MPS = 1e3
+FASTEST_MPS: float = _kernels.FASTEST_MPS
 """Velocities of parts [m/s] beyond this are mistakes."""
 
 
 class RequestFlags(NamedTuple):
-    """What kind of request it is, found in one pass: a compiled one, as numpy takes longer than a
-    search from a near start.
+    """What kind of request it is, found in one pass, in C++: numpy takes longer than a search from
+    a near start.
 
     Attributes
     ----------
@@ -46,7 +46,6 @@ class RequestFlags(NamedTuple):
     loaded: float
 
 
-@kernel()
 def request_flags(
     position: np.ndarray,
     force: np.ndarray,
@@ -55,24 +54,7 @@ def request_flags(
     tolerance: np.ndarray,
 ) -> RequestFlags:
     """Return the `RequestFlags` of a request."""
-    sound = within = True
-    moving = curled = slack = False
-    loaded = 0.0
-    for i in range(len(force)):
-        curled |= not np.isnan(curl[i])
-        sound &= not np.isinf(curl[i])
-        least = 0.0
-        for axis in range(2):
-            wanted, free = abs(force[i, axis]), tolerance[i, axis]
-            sound &= abs(position[i, axis]) <= FARTHEST_M
-            sound &= abs(velocity[i, axis]) <= FASTEST_MPS
-            sound &= wanted < np.inf and free >= 0
-            moving |= velocity[i, axis] != 0
-            slack |= free != 0
-            within &= wanted <= free
-            least = hypot(least, max(wanted - free, 0.0))
-        loaded = max(loaded, least)
-    return RequestFlags(sound, moving, curled, slack, within, loaded)
+    return RequestFlags(*_kernels.request_flags(position, force, velocity, curl, tolerance))
 
 
 @dataclass(frozen=True)
@@ -115,10 +97,7 @@ class Request:
     @cached_property
     def flags(self) -> RequestFlags:
         """What kind of request this is."""
-        found: RequestFlags = request_flags(
-            self.position, self.force, self.velocity, self.curl, self.tolerance
-        )
-        return found
+        return request_flags(self.position, self.force, self.velocity, self.curl, self.tolerance)
 
     @property
     def idle(self) -> bool:
@@ -150,7 +129,7 @@ class Request:
         PlateError
             If a shape is not (M, 2), or (M,) for curl, or a value is not finite or absurd.
         """
-        position = np.array(position, dtype=float, order="C")  # as kernels are compiled for
+        position = np.array(position, dtype=float, order="C")  # as kernels take it
         if position.ndim != 2 or position.shape[1] != 2 or not len(position):
             raise PlateError(f"position has shape {position.shape}, allowed: (M, 2), M at least 1")
         count = len(position)

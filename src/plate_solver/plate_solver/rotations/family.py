@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.kernels import SAME_ROUNDING, kernel
 
-from ..limits import Limits, limit_use
-from .sequence import gap_back, knot_poses, motion, pull_back, ramps, timeline, timeline_back
+from .. import _kernels
+from ..limits import Limits
+from .sequence import knot_poses, motion
 
 RAMP_STEPS, LEAST_STEPS = 8, 6
 """Steps in a ramp, and least ones in a hold, while a sequence is being corrected."""
@@ -21,12 +20,6 @@ HOLD_STEP = 1e-3
 
 RAMP_PART = 0.95
 """Fraction of the acceleration limit that ramps take; the rest is for closing the motion."""
-
-SHORTEST, FASTEST = 0.02, 2.5
-"""Least length of a rotation and greatest speed, in units of their usual values."""
-
-MOST_RAMPS = 0.9
-"""Greatest fraction of the period that ramps may take."""
 
 UNLIMITED_M = 1e9
 """Stroke of a plate whose stroke is not counted [m]."""
@@ -65,53 +58,14 @@ Line = tuple[np.ndarray, np.ndarray]
 Moved = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@kernel(fastmath=SAME_ROUNDING, error_model="numpy")
-def split(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, np.ndarray]:
-    """Return holds (J + 1,) and twists (J, 3) of parameters."""
-    count, own = family.basis.shape[:2]
-    twists = np.zeros((count, 3))
-    for j in range(count):
-        for q in range(own):
-            value = theta[count + 1 + j * own + q]
-            for c in range(3):
-                twists[j, c] += value * family.basis[j, q, c]
-    return theta[: count + 1] * family.hold_scale, twists
-
-
-@kernel(fastmath=SAME_ROUNDING)
 def line_of(theta: np.ndarray, family: Sequences) -> Line:
     """Return knot times and twists there, as `timeline`."""
-    holds, twists = split(theta, family)
-    ramp, _ = ramps(twists, family.limits.half, family.loads, family.accel, family.blend)
-    return timeline(holds, twists, ramp, family.period)
+    return _kernels.line_of(theta, family)
 
 
-@kernel(fastmath=SAME_ROUNDING)
 def runnable(theta: np.ndarray, family: Sequences) -> tuple[np.ndarray, Line, Moved]:
     """Keep lengths positive, and the motion within the limits; return its knots and samples."""
-    theta = theta.copy()
-    count, own = family.basis.shape[:2]
-    for j in range(count + 1):
-        theta[j] = max(theta[j], SHORTEST)
-    speeds = theta[count + 1 :]
-    for j in range(count):
-        size = sqrt(np.sum(speeds[j * own : (j + 1) * own] ** 2))
-        speeds[j * own : (j + 1) * own] /= max(size / FASTEST, 1.0)
-    for _ in range(8):
-        ramp, _ = ramps(
-            split(theta, family)[1], family.limits.half, family.loads, family.accel, family.blend
-        )
-        filled = ramp.sum() / (MOST_RAMPS * family.period)
-        if filled > 1:
-            speeds /= 1.001 * filled
-        line = line_of(theta, family)
-        moved = motion(line[0], line[1], family.steps)
-        used = limit_use(moved[0], moved[1], moved[2], moved[3], family.limits, True)
-        if used <= 1:
-            return theta, line, moved
-        speeds /= 1.01 * used
-    line = line_of(theta, family)
-    return theta, line, motion(line[0], line[1], family.steps)
+    return _kernels.runnable(theta, family)
 
 
 class RotationFamily:
@@ -187,9 +141,16 @@ class RotationFamily:
     def pull_back(
         self, parameters: np.ndarray, by_pose: np.ndarray, by_twist: np.ndarray, by_dt: np.ndarray
     ) -> np.ndarray:
-        """Turn derivatives by the samples, as `sequence.pull_back`, into ones (R, P)."""
-        line = self._timeline(parameters)
-        return self._back(parameters, *pull_back(*line, self.plain.steps, by_pose, by_twist, by_dt))
+        """Turn derivatives of R results by the samples into ones (R, P).
+
+        Parameters
+        ----------
+        parameters : (P,)
+        by_pose : (3, n, R), or (2, n, R) where nothing depends on theta itself
+        by_twist : (3, n, R)
+        by_dt : (n, R)
+        """
+        return _kernels.pull_back(parameters, self.plain, by_pose, by_twist, by_dt)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Keep lengths positive, and all but the stroke within the limits."""
@@ -208,8 +169,8 @@ class RotationFamily:
 
     def penalty_slopes(self, parameters: np.ndarray) -> np.ndarray:
         """Return the derivative (7, P) of minus the penalty."""
-        line, rows = self._timeline(parameters), self._limits.levers
-        gap = self._back(parameters, *gap_back(*line)) * self._lengths[:, None]
+        rows = self._limits.levers
+        gap = _kernels.gap_slopes(parameters, self.plain) * self._lengths[:, None]
         pose = self._motion(parameters)[0]
         travel = pose @ rows.T
         by_pose = np.zeros((3, len(pose), len(rows)))
@@ -243,19 +204,9 @@ class RotationFamily:
     def _timeline(self, parameters: np.ndarray) -> Line:
         if self._known is not None and self._known[0] is parameters:
             return self._known[1]
-        line: Line = line_of(parameters, self.plain)
-        return line
+        return line_of(parameters, self.plain)
 
     def _motion(self, parameters: np.ndarray) -> Moved:
         if self._known is not None and self._known[0] is parameters:
             return self._known[2]
-        moved: Moved = motion(*self._timeline(parameters), self.plain.steps)
-        return moved
-
-    def _back(self, parameters: np.ndarray, by_time: np.ndarray, by_knot: np.ndarray) -> np.ndarray:
-        plain = self.plain
-        holds, twists = split(parameters, plain)
-        ramp, slope = ramps(twists, plain.limits.half, plain.loads, plain.accel, plain.blend)
-        by_hold, by_twist = timeline_back(holds, ramp, slope, self.period, by_time, by_knot)
-        by_speed = by_twist[:, :, None] @ plain.basis.transpose(0, 2, 1)
-        return np.hstack([by_hold * plain.hold_scale, by_speed.reshape(len(by_time), -1)])
+        return motion(*self._timeline(parameters), self.plain.steps)

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
 
-from plate_core.kernels import SAME_ROUNDING, kernel
-
+from .. import _kernels
 from ..requests.request import CURL_LENGTH_M
 from .library import Library
 from .simplex import TimeFractions, least_time
@@ -24,9 +22,6 @@ takes no notice of them, closure does."""
 
 CLOSURE_PRICE = 1e4
 """Price of a gap between the start and the end: there is to be none."""
-
-SWEEPS = 20
-"""Most sweeps of 2-opt; four do as a rule."""
 
 RETURN = 2.5
 """Speed of a return stroke over that of the stroke before it."""
@@ -155,7 +150,8 @@ def nearest_order(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
     Changes are those of the plate's fastest corner: they are what ramps cost. From rest the nearest
     neighbour is taken each time, then stretches are turned round as long as that shortens the tour.
     """
-    return _tour(_changes(np.vstack([np.zeros(3), twists]), np.asarray(half, dtype=float))) - 1
+    tour = _kernels.short_tour(np.vstack([np.zeros(3), twists]), half)
+    return np.array(tour, dtype=int) - 1
 
 
 def best_order(
@@ -185,44 +181,3 @@ def best_order(
         if value < least:
             best, least = other, value
     return best
-
-
-@kernel(fastmath=SAME_ROUNDING)
-def _changes(twists: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return the change (J, J) [m/s] of the fastest corner between any two twists."""
-    count = len(twists)
-    change = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i):
-            d = twists[i] - twists[j]
-            most = 0.0
-            for x in (-half[0], half[0]):
-                for y in (-half[1], half[1]):
-                    most = max(most, (d[0] - d[2] * y) ** 2 + (d[1] + d[2] * x) ** 2)
-            change[i, j] = change[j, i] = sqrt(most)
-    return change
-
-
-@kernel()
-def _tour(change: np.ndarray) -> np.ndarray:
-    """Return a short closed tour that begins at 0, without its beginning."""
-    count = len(change)
-    tour = np.zeros(count + 1, np.int64)
-    free = np.ones(count, np.bool_)
-    for k in range(1, count):
-        free[tour[k - 1]] = False
-        best = np.inf
-        for j in range(count):
-            if free[j] and change[tour[k - 1], j] < best:
-                best, tour[k] = change[tour[k - 1], j], j
-    for _ in range(SWEEPS):
-        improved = False
-        for i in range(1, count - 1):
-            for j in range(i + 1, count):
-                a, b, c, d = tour[i - 1], tour[i], tour[j], tour[j + 1]
-                if change[a, c] + change[b, d] < change[a, b] + change[c, d] - 1e-12:
-                    tour[i : j + 1] = tour[i : j + 1][::-1].copy()
-                    improved = True
-        if not improved:
-            break
-    return tour[1:count]

@@ -7,19 +7,16 @@ own, and only what is left in the end is scaled away.
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
-from plate_core.kernels import kernel
-
+from .. import _kernels
 from ..limits import Limits
 from .basis import SinusoidBasis, SinusoidFamily
 
-EXCESS_M = 2e-3
+EXCESS_M: float = _kernels.EXCESS_M
 """An excess of a whole limit counts as a displacement error of so much [m]."""
 
-AIM = 0.95
+AIM: float = _kernels.AIM
 """Fraction of a limit above which there is excess: what is found ends a little higher."""
 
 LOOKS_PER_HARMONIC = 8
@@ -69,7 +66,6 @@ class LimitedSinusoids(SinusoidFamily):
         return value, slope
 
 
-@kernel()
 def excess(
     coefficients: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray,
     limits: Limits,
@@ -90,77 +86,12 @@ def excess(
     slope : (K, h, 3)
         Its derivative by the coefficients.
     """
-    size, rows = pose.shape[1], limits.levers
-    value, slope = np.empty(len(pose) * 12), np.empty((len(pose) * 12, size, 3))
-    found = 0
-    x, v, a = pose @ coefficients, twist @ coefficients, accel @ coefficients
-    for k in range(len(pose)):
-        for i in range(len(rows)):
-            for order in range(2):
-                state = v[k] if order else x[k]
-                q = rows[i, 0] * state[0] + rows[i, 1] * state[1] + rows[i, 2] * state[2]
-                limit = limits.speed if order else limits.stroke_m
-                used = abs(q) / limit
-                if used > AIM:
-                    sign = 1.0 if q > 0 else -1.0
-                    for h in range(size):
-                        each = sign * (twist[k, h] if order else pose[k, h]) / limit
-                        for d in range(3):
-                            slope[found, h, d] = each * rows[i, d]
-                    value[found] = used - AIM
-                    found += 1
-        spin = v[k, 2]
-        for corner in range(4):
-            cx = limits.half[0] if corner & 1 else -limits.half[0]
-            cy = limits.half[1] if corner & 2 else -limits.half[1]
-            ax = a[k, 0] - a[k, 2] * cy - spin * spin * cx
-            ay = a[k, 1] + a[k, 2] * cx - spin * spin * cy
-            size_a = sqrt(ax * ax + ay * ay)
-            if size_a > AIM * limits.accel:
-                ux, uy = ax / size_a / limits.accel, ay / size_a / limits.accel
-                turn, rate = uy * cx - ux * cy, -2 * spin * (ux * cx + uy * cy)
-                for h in range(size):
-                    slope[found, h, 0] = ux * accel[k, h]
-                    slope[found, h, 1] = uy * accel[k, h]
-                    slope[found, h, 2] = turn * accel[k, h] + rate * twist[k, h]
-                value[found] = size_a / limits.accel - AIM
-                found += 1
-    return value[:found].copy(), slope[:found].copy()
+    return _kernels.excess(coefficients, pose, twist, accel, limits)
 
 
-@kernel()
 def force_excess(
     coefficients: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray,
     limits: Limits,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the same as `excess` of motors' peak forces, and of their root mean squares."""
-    size, looks = pose.shape[1], len(pose)
-    motors = limits.loads.shape[1]
-    value, slope = np.empty((looks + 1) * motors), np.empty(((looks + 1) * motors, size, 3))
-    found = 0
-    x, v, a = pose @ coefficients, twist @ coefficients, accel @ coefficients
-    for i in range(motors):
-        on_pose, on_twist, on_accel = limits.loads[0, i], limits.loads[1, i], limits.loads[2, i]
-        square, by_own = 0.0, np.zeros((size, 3))
-        for k in range(looks):
-            force = 0.0
-            for d in range(3):
-                force += on_pose[d] * x[k, d] + on_twist[d] * v[k, d] + on_accel[d] * a[k, d]
-            square += force * force / looks
-            over = abs(force) > AIM
-            for h in range(size):
-                for d in range(3):
-                    each = on_pose[d] * pose[k, h] + on_twist[d] * twist[k, h]
-                    each += on_accel[d] * accel[k, h]
-                    by_own[h, d] += force * each / looks
-                    if over:
-                        slope[found, h, d] = each if force > 0 else -each
-            if over:
-                value[found] = abs(force) - AIM
-                found += 1
-        heat = limits.heat * sqrt(square)
-        if heat > AIM:
-            slope[found] = limits.heat * limits.heat / heat * by_own
-            value[found] = heat - AIM
-            found += 1
-    return value[:found].copy(), slope[:found].copy()
+    return _kernels.force_excess(coefficients, pose, twist, accel, limits)

@@ -15,7 +15,7 @@ from ..limits import within_limits
 from ..maps import step_force_gradient, step_forces
 from ..motion_solver import MotionSolver, check_options, make_options
 from ..requests import Goal, Request, Solution, force_solution, goal_solution
-from .average import FEW_CANDIDATES, Found, Motions, PlainMotions, invert
+from .average import FEW_CANDIDATES, Motions, invert, motions_of
 from .basis import SinusoidFamily, sinusoid_basis
 from .steer import SinusoidSteering
 
@@ -26,7 +26,7 @@ SPREAD = 0.7
 """Size of a disturbance of what is known, over that of a random motion, where curls are asked."""
 
 STARTS = 3
-"""Starts of the compiled search for each restart: one takes a tenth of a millisecond."""
+"""Starts of the averaged search for each restart: one takes a tenth of a millisecond."""
 
 MOST_STARTS = 200
 """Random starts that are drawn; who wants more restarts meets them again."""
@@ -96,7 +96,7 @@ class SinusoidSolver(MotionSolver):
     def __init__(self, rig: Rig, **options: float) -> None:
         self.options: SinusoidOptions = make_options(SinusoidOptions, options)
         super().__init__(rig, self.options.seed)
-        self._searches: dict[tuple[int, float, bool], tuple[PlainMotions, np.ndarray]] = {}
+        self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
             self._limits,
@@ -121,7 +121,7 @@ class SinusoidSolver(MotionSolver):
         motions, pool = self.search_of(request.force.size)
         tolerance = self.options.tolerance
         warm = self._warm.get(key)
-        found: Found = invert(
+        found = invert(
             pool[:0] if warm is None else warm[None],
             pool,
             request.position,
@@ -207,14 +207,14 @@ class SinusoidSolver(MotionSolver):
         """How many harmonics the motions for so many forces on the averaged map have."""
         return self._key(constraints, self.options.at_rest)[0]
 
-    def search_of(self, constraints: int) -> tuple[PlainMotions, np.ndarray]:
+    def search_of(self, constraints: int) -> tuple[Motions, np.ndarray]:
         """Return what `invert` takes for so many forces: motions, and random ones to start from."""
         key = self._key(constraints, self.options.at_rest)
         if key not in self._searches:
             basis = sinusoid_basis(*key)
             size = min(self.options.restarts + 1, MOST_STARTS) * FEW_CANDIDATES
             pool = np.random.default_rng(self._seed).normal(size=(size, 3 * basis.size))
-            self._searches[key] = Motions.of(key[0], basis, self._limits).plain, pool
+            self._searches[key] = motions_of(key[0], basis, self._limits), pool
         return self._searches[key]
 
     def _key(

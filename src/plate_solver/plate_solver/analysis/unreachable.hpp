@@ -1,0 +1,231 @@
+// What no motion of N harmonics can do: kernels of analysis/unreachable.py.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate::unreachable {
+
+constexpr double PI = std::numbers::pi;
+
+// Points on each great circle.
+constexpr int POINTS = 48;
+
+// Times that a cell of great circles is halved in a proof at most.
+constexpr int HALVINGS = 4;
+
+// Pairs of points that a proof looks at before it is given up: some hundredths of a second.
+constexpr double MOST_WORK = 2e8;
+
+// Middle points that `greatest_triple` looks at, at once.
+constexpr int SIDE_BY_SIDE = 8;
+
+constexpr double NOTHING = -std::numeric_limits<double>::infinity();
+
+// Points on a great circle, a coordinate after the other.
+struct Circle {
+    std::vector<double> cosine, sine;  // of their angles, which are equally spaced
+    std::vector<double> x, y, z;
+
+    explicit Circle(int count) : cosine(count), sine(count), x(count), y(count), z(count) {
+        for (int c = 0; c < count; c++) {
+            const double angle = 2 * PI * c / count;
+            cosine[c] = std::cos(angle), sine[c] = std::sin(angle);
+        }
+    }
+
+    int count() const { return static_cast<int>(x.size()); }
+
+    void turn_to(double tilt, double turn) {
+        const double cos_tilt = std::cos(tilt), sin_tilt = std::sin(tilt);
+        const double cos_turn = std::cos(turn), sin_turn = std::sin(turn);
+        for (int c = 0; c < count(); c++) {
+            const double a = cosine[c], b = sine[c];
+            x[c] = a * cos_tilt * cos_turn - b * sin_turn;
+            y[c] = a * cos_tilt * sin_turn + b * cos_turn;
+            z[c] = -a * sin_tilt;
+        }
+    }
+};
+
+// The great circles (Q, POINTS, 3) of the middles of cells (Q, 4).
+inline void circles(View<const double, 2> cells, View<double, 3> points) {
+    Circle circle(POINTS);
+    for (int q = 0; q < cells.size(0); q++) {
+        circle.turn_to((cells(q, 0) + cells(q, 1)) / 2, (cells(q, 2) + cells(q, 3)) / 2);
+        for (int c = 0; c < POINTS; c++) {
+            double* point = points[q] + 3 * c;
+            point[0] = circle.x[c], point[1] = circle.y[c], point[2] = circle.z[c];
+        }
+    }
+}
+
+// Unit slips (T, 2 M) of twists (T, 3) in units of (1, 1, 1/arm_m).
+inline void unit_slips(View<const double, 2> twists, View<const double, 2> position, double arm_m,
+                    View<double, 2> slips) {
+    for (int t = 0; t < twists.size(0); t++) {
+        const double spin = twists(t, 2) / arm_m;
+        for (int i = 0; i < position.size(0); i++) {
+            const double wx = twists(t, 0) - spin * position(i, 1);
+            const double wy = twists(t, 1) + spin * position(i, 0);
+            const double size = std::hypot(wx, wy);
+            slips(t, 2 * i) = size > 0 ? wx / size : 0;
+            slips(t, 2 * i + 1) = size > 0 ? wy / size : 0;
+        }
+    }
+}
+
+// Bounds of lambda . n over all twists within `radius` [rad] of the points of a circle.
+PLATE_WIDE inline void upper(const Circle& circle, View<const double, 2> position, double arm_m,
+                             const double* separating, double radius, double* __restrict most) {
+    const int count = circle.count();
+    const double *__restrict x = circle.x.data(), *__restrict y = circle.y.data();
+    const double* __restrict z = circle.z.data();
+    std::fill_n(most, count, 0.0);
+    for (int i = 0; i < position.size(0); i++) {
+        const double px = position(i, 0), py = position(i, 1);
+        const double lx = separating[2 * i], ly = separating[2 * i + 1];
+        const double weight = std::hypot(lx, ly);
+        if (weight == 0) continue;
+        const double reach = radius * std::sqrt(1 + (px * px + py * py) / (arm_m * arm_m));
+#pragma omp simd
+        for (int c = 0; c < count; c++) {
+            const double spin = z[c] / arm_m, wx = x[c] - spin * py, wy = y[c] + spin * px;
+            const double square = wx * wx + wy * wy;
+            // The angle to lambda, less the most that the slip may turn within the radius.
+            const double along = lx * wx + ly * wy, across = std::abs(lx * wy - ly * wx);
+            const double free = std::sqrt(square - reach * reach);
+            const bool all = (square <= reach * reach) |
+                             ((along > 0) & (across * free <= along * reach));
+            most[c] += all ? weight : (along * free + across * reach) / square;
+        }
+    }
+}
+
+// T of values (C,) around a great circle; C is a multiple of SIDE_BY_SIDE.
+//
+// The value opposite to the middle one stands for minus it, so that bounds remain bounds; the angle
+// between the outer two may be half a turn and a step, for points between those given.
+PLATE_WIDE inline double greatest_triple(const double* values, int points) {
+    const int half = points / 2, reach = half + 1;
+    std::vector<double> round(points + 2 * reach);  // once round, and `reach` to both sides
+    for (int i = 0; i < static_cast<int>(round.size()); i++)
+        round[i] = values[(i + points - reach) % points];
+    std::vector<double> before((reach + 1) * SIDE_BY_SIDE);  // greatest from there to the middle
+    double triple = NOTHING;
+    for (int m = 0; m < points; m += SIDE_BY_SIDE) {
+        double most[SIDE_BY_SIDE], pair[SIDE_BY_SIDE];
+        std::fill_n(most, SIDE_BY_SIDE, NOTHING), std::fill_n(pair, SIDE_BY_SIDE, NOTHING);
+        for (int a = 0; a <= reach; a++) {
+            const double* __restrict v = round.data() + reach + m - a;
+            double* __restrict kept = before.data() + a * SIDE_BY_SIDE;
+#pragma omp simd
+            for (int i = 0; i < SIDE_BY_SIDE; i++) {
+                most[i] = v[i] > most[i] ? v[i] : most[i];
+                kept[i] = most[i];
+            }
+        }
+        for (int a = 0; a <= reach; a++) {
+            const double* __restrict v = round.data() + reach + m + a;
+            const double* __restrict kept = before.data() + (reach - a) * SIDE_BY_SIDE;
+#pragma omp simd
+            for (int i = 0; i < SIDE_BY_SIDE; i++) {
+                const double sum = v[i] + kept[i];
+                pair[i] = sum > pair[i] ? sum : pair[i];
+            }
+        }
+        for (int i = 0; i < SIDE_BY_SIDE; i++)
+            triple = std::max(triple, pair[i] + values[(m + i + half) % points]);
+    }
+    return triple;
+}
+
+// T of values on great circles, the circle, and three points on it.
+struct Best {
+    double triple;
+    std::array<int, 4> places;
+};
+
+// The three places on a circle where `greatest_triple` is.
+inline std::array<int, 3> places_of(const double* values, int points) {
+    const int half = points / 2, reach = half + 1;
+    std::vector<double> running(reach + 1);
+    std::vector<int> where(reach + 1);
+    double triple = NOTHING;
+    std::array<int, 3> places{};
+    for (int m = 0; m < points; m++) {
+        const int opposite = (m + half) % points;
+        for (int a = 0; a <= reach; a++) {
+            const int k = (m - a + points) % points;
+            const bool more = a == 0 || values[k] > running[a - 1];
+            running[a] = more ? values[k] : running[a - 1];
+            where[a] = more ? k : where[a - 1];
+        }
+        for (int a = 0; a <= reach; a++) {
+            const int k = (m + a) % points;
+            const double total = values[k] + running[reach - a] + values[opposite];
+            if (total > triple) triple = total, places = {k, where[reach - a], opposite};
+        }
+    }
+    return places;
+}
+
+// T of values (Q, C), and where it is.
+inline Best best_triple(View<const double, 2> value) {
+    const int points = value.size(1);
+    Best found{NOTHING, {}};
+    for (int q = 0; q < value.size(0); q++) {
+        const double triple = greatest_triple(value[q], points);
+        if (triple > found.triple) found.triple = triple, found.places[0] = q;
+    }
+    if (value.size(0)) {
+        const std::array<int, 3> places = places_of(value[found.places[0]], points);
+        std::copy_n(places.begin(), 3, found.places.begin() + 1);
+    }
+    return found;
+}
+
+// Whether T is less than a limit on all great circles, cell by cell (Q, 4): tilt from, to, turn
+// from, to.
+inline bool proves(View<const double, 2> cells, View<const double, 2> position, double arm_m,
+                   const double* separating, double limit) {
+    struct Cell {
+        double low, high, left, right;
+        int level;
+    };
+    std::vector<Circle> circles;
+    for (int level = 0; level <= HALVINGS; level++) circles.emplace_back(POINTS << level);
+    std::vector<double> most(POINTS << HALVINGS);
+    double work = 0;
+    for (int q = 0; q < cells.size(0); q++) {
+        std::vector<Cell> waiting{{cells(q, 0), cells(q, 1), cells(q, 2), cells(q, 3), 0}};
+        while (!waiting.empty()) {
+            const auto [low, high, left, right, level] = waiting.back();
+            waiting.pop_back();
+            Circle& circle = circles[level];
+            const int n = circle.count();
+            const double tilt = (low + high) / 2, turn = (left + right) / 2;
+            work += static_cast<double>(n) * n;
+            circle.turn_to(tilt, turn);
+            // Farthest normal of the cell from its middle, and half a step along the circle.
+            const double widest = high < PI / 2 ? std::max(std::sin(low), std::sin(high)) : 1.0;
+            const double radius = std::hypot(high - low, widest * (right - left)) / 2 + PI / n;
+            upper(circle, position, arm_m, separating, radius, most.data());
+            if (greatest_triple(most.data(), n) < limit) continue;
+            if (level == HALVINGS || work > MOST_WORK) return false;
+            waiting.push_back({low, tilt, left, turn, level + 1});
+            waiting.push_back({low, tilt, turn, right, level + 1});
+            waiting.push_back({tilt, high, left, turn, level + 1});
+            waiting.push_back({tilt, high, turn, right, level + 1});
+        }
+    }
+    return true;
+}
+
+}  // namespace plate::unreachable

@@ -1,0 +1,113 @@
+// How much of the rig's limits a sampled motion uses: kernels of limits.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include <plate/four.hpp>
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate {
+
+constexpr int MOTORS = 4;
+
+// As in limits.py.
+constexpr double MARGIN = 0.98, CERTAIN = 0.999;
+constexpr double EQUAL_WEIGHT[] = {1.0};
+
+// Weights of control points at equal steps: a square's mean is at most that of the points' squares,
+// as the six basis functions of a piece share its time; its last point is the next one's first.
+constexpr double HULL_WEIGHT[] = {2.0, 1, 1, 1, 1};
+
+// The rig's limits, or a fraction of them.
+struct Limits {
+    double motors[MOTORS][2][2];  // where each pushes [m], and its direction
+    double half[2];               // half sides of the plate [m]
+    double stroke_m, speed, accel, arm_m;
+    double levers[MOTORS][3];    // travel of each motor by the pose
+    double loads[3][MOTORS][3];  // force of each motor over its peak force, for pose, twist, accel
+    double heat;                 // peak force over continuous force
+    bool forceful;               // whether motors may lack force or get hot
+};
+
+// Weights (m,) as a view: `weights(EQUAL_WEIGHT)`.
+template <int COUNT>
+View<const double, 1> weights(const double (&each)[COUNT]) {
+    return {each, {COUNT}};
+}
+
+[[gnu::always_inline]] inline void keep_greatest(Four& most, const Four& value) {
+    const Four size = value < 0 ? -value : value;
+    most = size > most ? size : most;
+}
+
+inline double greatest(const Four& value) {
+    return std::max(std::max(value[0], value[1]), std::max(value[2], value[3]));
+}
+
+// The greatest fraction of stroke, speed or acceleration: of four motors, then corners, at once.
+PLATE_WIDE inline double motion_use(Samples pose, Samples twist, Samples accel,
+                                    const Limits& limits, bool linear) {
+    Four px, py, ex, ey, corner_x, corner_y, stroke{}, speed{}, peak{};
+    for (int i = 0; i < MOTORS; i++) {
+        px[i] = limits.motors[i][0][0], py[i] = limits.motors[i][0][1];
+        ex[i] = limits.motors[i][1][0], ey[i] = limits.motors[i][1][1];
+        corner_x[i] = i & 2 ? limits.half[0] : -limits.half[0];
+        corner_y[i] = i & 1 ? limits.half[1] : -limits.half[1];
+    }
+    for (int k = 0; k < pose.count; k++) {
+        const double angle = pose(k, 2), spin = twist(k, 2), spin_rate = accel(k, 2);
+        double s = 0, c = 1;
+        if (!linear && std::abs(angle) < 0.1) {  // the usual case, to 1e-9
+            s = angle * (1 - angle * angle * (1.0 / 6 - angle * angle / 120));
+            c = 1 - angle * angle * (0.5 - angle * angle / 24);
+        } else if (!linear) {
+            s = std::sin(angle), c = std::cos(angle);
+        }
+        const double tilt = linear ? angle : s;
+        const Four along = ex * (c * px - tilt * py - px) + ey * (tilt * px + c * py - py);
+        const Four across = ey * (c * px - s * py) - ex * (s * px + c * py);
+        keep_greatest(stroke, ex * pose(k, 0) + ey * pose(k, 1) + along);
+        keep_greatest(speed, ex * twist(k, 0) + ey * twist(k, 1) + spin * across);
+        const Four x = c * corner_x - s * corner_y, y = s * corner_x + c * corner_y;
+        const Four ax = accel(k, 0) - spin_rate * y - spin * spin * x;
+        const Four ay = accel(k, 1) + spin_rate * x - spin * spin * y;
+        keep_greatest(peak, ax * ax + ay * ay);
+    }
+    return std::max({greatest(stroke) / limits.stroke_m, greatest(speed) / limits.speed,
+                     std::sqrt(greatest(peak)) / limits.accel});
+}
+
+// The greatest fraction of a motor's peak or continuous force: of four motors at once.
+PLATE_WIDE inline double force_use(Samples pose, Samples twist, Samples accel,
+                                   View<const double, 1> weight, const Limits& limits) {
+    Four loads[3][3], most{}, square{};
+    for (int order = 0; order < 3; order++)
+        for (int c = 0; c < 3; c++)
+            for (int i = 0; i < MOTORS; i++) loads[order][c][i] = limits.loads[order][i][c];
+    double total = 0;
+    for (int k = 0; k < pose.count; k++) {
+        const double share = weight(k % weight.size(0));
+        Four force{};
+        for (int c = 0; c < 3; c++) {
+            force += loads[0][c] * pose(k, c) + loads[1][c] * twist(k, c);
+            force += loads[2][c] * accel(k, c);
+        }
+        keep_greatest(most, force);
+        square += share * force * force;
+        total += share;
+    }
+    const double hottest = std::max(0.0, greatest(square / total));
+    return std::max(greatest(most), limits.heat * std::sqrt(hottest));
+}
+
+// The greatest fraction of a limit that samples (n, 3) of a motion use; `weight` (m,), over and
+// over again, is the time that each stands for.
+inline double limit_use(Samples pose, Samples twist, Samples accel, View<const double, 1> weight,
+                        const Limits& limits, bool linear) {
+    const double used = motion_use(pose, twist, accel, limits, linear);
+    if (!limits.forceful) return used;
+    return std::max(used, force_use(pose, twist, accel, weight, limits));
+}
+
+}  // namespace plate

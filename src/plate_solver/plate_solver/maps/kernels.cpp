@@ -1,0 +1,164 @@
+// What Python sees of the cycle map's kernels.
+#include "maps/blocks.hpp"
+#include "maps/stick_slip.hpp"
+#include "maps/turning.hpp"
+#include "records.hpp"
+
+namespace plate {
+
+using namespace nb::literals;
+
+// The rows `at` and `at + 1` of parts side by side, as (M, 2).
+static auto pairs_of(const Matrix& parts, int at, size_t count) {
+    std::vector<double> pairs(2 * count);
+    for (size_t i = 0; i < count; i++)
+        for (int row = 0; row < 2; row++) pairs[2 * i + row] = parts[at + row][i];
+    return to_numpy<2>(std::move(pairs), {count, 2});
+}
+
+static auto row_of(const Matrix& parts, int at, size_t count) {
+    return to_numpy<1>({parts[at], parts[at] + count}, {count});
+}
+
+// What moves parts: samples (n, 3) of the plate's motion, and how long each lasts (n,) [s].
+static void check_motion(const Table& pose, const Table& twist, const Numbers& dt) {
+    check("twist", twist, {dt.size(), 3});
+    check("pose", pose, {dt.size(), 3});
+}
+
+static void check_parts(const Table& position, const Table& velocity, const Numbers& friction) {
+    const size_t count = position.shape(0);
+    check("position", position, {count, 2});
+    check("velocity", velocity, {count, 2});
+    if (friction.size() < count) throw nb::value_error("friction_accel is not given for all parts");
+}
+
+static void check_spins(const Table& position, const Numbers& spin, const Table& spread) {
+    check("spin", spin, {position.shape(0)});
+    check("spread", spread, {position.shape(0), 3});
+}
+
+// Derivatives of `each` numbers by pose (2, n, each), twist (3, n, each) and dt (n, each).
+template <class Find>
+static nb::tuple gradient_of(size_t n, size_t each, Find find) {
+    std::vector<double> by_pose(2 * n * each), by_twist(3 * n * each), by_dt(n * each);
+    {
+        const int steps = n, wide = each;
+        nb::gil_scoped_release others_may_run;
+        static thread_local Matrix past;
+        find(past, View<double, 3>{by_pose.data(), {2, steps, wide}},
+             View<double, 3>{by_twist.data(), {3, steps, wide}},
+             View<double, 2>{by_dt.data(), {steps, wide}});
+    }
+    return nb::make_tuple(to_numpy<3>(std::move(by_pose), {2, n, each}),
+                          to_numpy<3>(std::move(by_twist), {3, n, each}),
+                          to_numpy<2>(std::move(by_dt), {n, each}));
+}
+
+static void bind_stick_slip(nb::module_& m) {
+    m.def("end_state", [](Table position, Table velocity, Table pose, Table twist, Numbers dt,
+                          Numbers friction_accel) {
+        check_parts(position, velocity, friction_accel);
+        check_motion(pose, twist, dt);
+        Matrix parts;
+        put_side_by_side(view(position), view(velocity), view(friction_accel), stick_slip::ROWS,
+                         parts);
+        {
+            nb::gil_scoped_release others_may_run;
+            end_state(parts, samples(pose), samples(twist), dt.data());
+        }
+        const size_t count = position.shape(0);
+        return nb::make_tuple(pairs_of(parts, stick_slip::X, count),
+                              pairs_of(parts, stick_slip::VX, count));
+    });
+    m.def("end_state_gradient", [](Table position, Table velocity, Table pose, Table twist,
+                                   Numbers dt, Numbers friction_accel, double coast) {
+        check_parts(position, velocity, friction_accel);
+        check_motion(pose, twist, dt);
+        Matrix parts;
+        put_side_by_side(view(position), view(velocity), view(friction_accel), stick_slip::ROWS,
+                         parts);
+        const size_t count = position.shape(0);
+        return gradient_of(dt.size(), 2 * count, [&](auto& past, auto... by) {
+            end_state_gradient(parts, count, samples(pose), samples(twist), dt.data(), coast, past,
+                               by...);
+        });
+    });
+}
+
+static void bind_turning(nb::module_& m) {
+    m.def("end_turning", [](Table position, Table velocity, Numbers spin, Table spread, Table pose,
+                            Table twist, Numbers dt, Numbers friction_accel) {
+        using namespace end_turning_rows;
+        check_parts(position, velocity, friction_accel);
+        check_spins(position, spin, spread);
+        check_motion(pose, twist, dt);
+        Matrix parts;
+        put_turning_side_by_side(view(position), view(velocity), view(spin), view(spread),
+                                 view(friction_accel), parts);
+        {
+            nb::gil_scoped_release others_may_run;
+            end_turning(parts, samples(pose), samples(twist), dt.data());
+        }
+        const size_t count = position.shape(0);
+        return nb::make_tuple(pairs_of(parts, X, count), pairs_of(parts, VX, count),
+                              row_of(parts, TURN, count), row_of(parts, SPIN, count));
+    });
+    m.def("end_turning_gradient", [](Table position, Table velocity, Numbers spin, Table spread,
+                                     Table pose, Table twist, Numbers dt, Numbers friction_accel,
+                                     double coast) {
+        check_parts(position, velocity, friction_accel);
+        check_spins(position, spin, spread);
+        check_motion(pose, twist, dt);
+        Matrix parts;
+        put_turning_side_by_side(view(position), view(velocity), view(spin), view(spread),
+                                 view(friction_accel), parts);
+        const size_t count = position.shape(0);
+        return gradient_of(dt.size(), 3 * count, [&](auto& past, auto... by) {
+            end_turning_gradient(parts, count, samples(pose), samples(twist), dt.data(), coast,
+                                 past, by...);
+        });
+    });
+}
+
+// `trace` and `adjoint`, or those of parts that turn: with one axis more, larger states and traces.
+template <auto TRACE_PARTS, auto ADJOINT>
+static void bind_blocks(nb::module_& m, const char* trace_name, const char* adjoint_name,
+                        size_t axes, size_t state_size, size_t trace_size) {
+    m.def(trace_name, [=](Array<double, 2> state, Table pose, Table twist, double dt,
+                          Array<double, 3> steps) {
+        check("state", state, {state.shape(0), state_size});
+        check("pose", pose, {pose.shape(0), 3});
+        check("twist", twist, {pose.shape(0), 3});
+        check("steps", steps, {pose.shape(0), state.shape(0), trace_size});
+        nb::gil_scoped_release others_may_run;
+        TRACE_PARTS(view(state), LANES * state.shape(0), samples(pose), samples(twist), dt,
+                    view(steps));
+    }, "state"_a.noconvert(), "pose"_a, "twist"_a, "dt"_a, "steps"_a.noconvert());
+    m.def(adjoint_name, [=](Box steps, Table twist, double dt, double coast,
+                            Array<double, 4> by_twist, Array<double, 4> by_pose) {
+        const size_t blocks = steps.shape(1), bins = by_twist.shape(0);
+        check("steps", steps, {twist.shape(0), blocks, trace_size});
+        check("twist", twist, {twist.shape(0), 3});
+        check("by_twist", by_twist, {bins, blocks, axes, 3 * LANES});
+        check("by_pose", by_pose, {bins, blocks, axes, 2 * LANES});
+        if (bins == 0 || twist.shape(0) % bins)
+            throw nb::value_error("the steps are no multiple of the bins");
+        nb::gil_scoped_release others_may_run;
+        ADJOINT(view(steps), LANES * blocks, samples(twist), dt, coast, view(by_twist),
+                view(by_pose));
+    }, "steps"_a, "twist"_a, "dt"_a, "coast"_a, "by_twist"_a.noconvert(), "by_pose"_a.noconvert());
+}
+
+void bind_maps(nb::module_& m) {
+    m.attr("LANES") = LANES;
+    m.attr("STATE") = STATE, m.attr("TRACE") = TRACE;
+    m.attr("TURNING_STATE") = TURNING_STATE, m.attr("TURNING_TRACE") = TURNING_TRACE;
+    bind_stick_slip(m);
+    bind_turning(m);
+    bind_blocks<trace, adjoint>(m, "trace", "adjoint", 2, STATE, TRACE);
+    bind_blocks<trace_turning, adjoint_turning>(m, "trace_turning", "adjoint_turning", 3,
+                                                TURNING_STATE, TURNING_TRACE);
+}
+
+}  // namespace plate

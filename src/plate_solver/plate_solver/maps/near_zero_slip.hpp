@@ -1,0 +1,281 @@
+// What equal steps miss where the surface almost stands still under a part: kernels of
+// near_zero_slip.py.
+#pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate::near_zero_slip {
+
+constexpr double PI = std::numbers::pi;
+
+// Step of u: errs by exp(-pi^2 / STEP) = 2e-8 of the integrand.
+constexpr double STEP = 0.55;
+
+// Of a node: the integrand is even, half of it is summed.
+constexpr double WEIGHT = 2 / PI * STEP;
+
+// Nodes: enough for the narrowest dip.
+constexpr int PLACES = 44;
+
+// Least b [rad]: a narrower dip is a jump to all that matters.
+constexpr double NARROWEST = 1e-10;
+
+// n b cosh u beyond which nothing is left: 4e-8.
+constexpr double FADED = 17.0;
+
+// n b from which a dip needs no correction: equal steps err by exp(-n b). And the same for the
+// parabola's lowest point, in units of its bend, with time in steps.
+constexpr double NEAR = 14.0, STEPS_NEAR = (NEAR / (2 * PI)) * (NEAR / (2 * PI)) / 2;
+
+// Steps within which a second dip may hide from the samples, beside the first.
+constexpr double CLOSE = 4.0;
+
+// Steps to a zero at most; from a minimum of the samples three are usual.
+constexpr int NEWTON_STEPS = 10;
+
+struct Nodes {
+    std::array<double, PLACES> cosh, sinh;
+};
+
+inline const Nodes NODES_OF_U = [] {
+    Nodes nodes;
+    for (int k = 0; k < PLACES; k++)
+        nodes.cosh[k] = std::cosh((k + 0.5) * STEP), nodes.sinh[k] = std::sinh((k + 0.5) * STEP);
+    return nodes;
+}();
+
+// A complex number; unlike std::complex it looks for no infinities.
+struct Complex {
+    double real = 0, imag = 0;
+};
+
+inline Complex operator+(Complex a, Complex b) { return {a.real + b.real, a.imag + b.imag}; }
+inline Complex operator-(Complex a, Complex b) { return {a.real - b.real, a.imag - b.imag}; }
+inline Complex operator*(Complex a, Complex b) {
+    return {a.real * b.real - a.imag * b.imag, a.real * b.imag + a.imag * b.real};
+}
+inline Complex operator*(double a, Complex b) { return {a * b.real, a * b.imag}; }
+inline Complex conjugate(Complex a) { return {a.real, -a.imag}; }
+inline double square(Complex a) { return a.real * a.real + a.imag * a.imag; }
+
+// A positive number if three samples have a minimum whose parabola has n b < NEAR.
+[[gnu::always_inline]] inline double dip_of(double before, double here, double after) {
+    const double bend = before - 2 * here + after, slope = after - before;
+    const double depth = STEPS_NEAR * bend * bend - (here * bend - slope * slope / 8);
+    return (here <= before) & (here < after) ? depth : -1.0;
+}
+
+// Writes the indices of the dips of a squared slip (n,) to `found` (n,); returns how many.
+[[gnu::always_inline]] inline int find_dips(const double* __restrict square, int n,
+                                            double* __restrict found) {
+    found[0] = dip_of(square[n - 1], square[0], square[1]);
+#pragma omp simd
+    for (int k = 1; k < n - 1; k++) found[k] = dip_of(square[k - 1], square[k], square[k + 1]);
+    found[n - 1] = dip_of(square[n - 2], square[n - 1], square[0]);
+    int count = 0;
+    const auto collect = [&](int first, int last) {
+        for (int k = first; k < last; k++) {  // without branches
+            const bool hit = found[k] > 0;
+            found[count] = k;
+            count += hit;
+        }
+    };
+    int k = 0;
+    for (; k + 8 <= n; k += 8) {
+        double most = found[k];
+        for (int i = 1; i < 8; i++) most = std::max(most, found[k + i]);
+        if (most > 0) collect(k, k + 8);
+    }
+    collect(k, n);
+    return count;
+}
+
+struct BranchPoint {
+    Complex middle;  // exp(i a)
+    double b;
+    bool alone;
+};
+
+// The zero of wx + i wy near a time, exp(i t) = `start`: exp(i a), b, and whether it is alone
+// within `close` [rad]. The slip (2 N + 1, 2) has rows sin 1..N, cos 1..N, constant [m/s].
+inline BranchPoint branch_point(View<const double, 2> slip, Complex start, double close) {
+    const int number = slip.size(0) / 2;
+    Complex z = start;  // z^N (wx + i wy) is a polynomial of z = exp(i t)
+    Complex slope, bend;
+    double last = 1, off = 1;
+    for (int step = 0; step < NEWTON_STEPS; step++) {
+        Complex value;
+        slope = bend = {};
+        for (int k = number; k >= -number; k--) {
+            Complex term;
+            if (k > 0) {
+                const double *s = slip[k - 1], *c = slip[number + k - 1];
+                term = {(c[0] + s[1]) / 2, (c[1] - s[0]) / 2};
+            } else if (k < 0) {
+                const double *s = slip[-k - 1], *c = slip[number - k - 1];
+                term = {(c[0] - s[1]) / 2, (c[1] + s[0]) / 2};
+            } else {
+                term = {slip(2 * number, 0), slip(2 * number, 1)};
+            }
+            bend = bend * z + slope;
+            slope = slope * z + value;
+            value = value * z + term;
+        }
+        const Complex change = 1 / (square(slope) + 1e-300) * (value * conjugate(slope));
+        z = z - change;
+        last = square(change), off = (square(z) - 1) / 2;
+        if (last < 1e-10 * off * off || last < 1e-24) break;
+    }
+    const double radius = std::sqrt(square(z)) + 1e-300;
+    const bool done = last < 1e-8 * off * off || last < 1e-22;
+    // bend / slope is the sum of 1 / (z - other zero): large if one is close.
+    const bool lonely = square(bend) * close * close < square(slope);
+    return {1 / radius * z, std::max(std::abs(std::log(radius)), NARROWEST), done && lonely};
+}
+
+// A slip about time a, for each harmonic from 0 on: even and odd x, y; cos j a, sin j a; and the
+// slopes by the even ones (xx, xy, yy) and by the odd.
+struct Turned {
+    double even[2], odd[2], cosine, sine, by_even[3], by_odd[3];
+};
+
+inline std::vector<Turned> turned_to(View<const double, 2> slip, Complex middle) {
+    const int number = slip.size(0) / 2;
+    std::vector<Turned> turned(number + 1);
+    turned[0].even[0] = slip(2 * number, 0), turned[0].even[1] = slip(2 * number, 1);
+    turned[0].cosine = 1;
+    Complex wave{1, 0};
+    for (int j = 1; j <= number; j++) {
+        wave = wave * middle;
+        const double c = wave.real, s = wave.imag;
+        const double *by_sine = slip[j - 1], *by_cosine = slip[number + j - 1];
+        for (int axis = 0; axis < 2; axis++) {
+            turned[j].even[axis] = by_sine[axis] * s + by_cosine[axis] * c;
+            turned[j].odd[axis] = by_sine[axis] * c - by_cosine[axis] * s;
+        }
+        turned[j].cosine = c, turned[j].sine = s;
+    }
+    return turned;
+}
+
+struct ComplexSlip {
+    Complex x, y;
+    double fade;  // exp(-n depth)
+};
+
+// The slip at a + i depth.
+inline ComplexSlip complex_slip(const std::vector<Turned>& turned, double depth, int n) {
+    const double step = std::exp(-depth);
+    double power = 1;
+    Complex x{turned[0].even[0], 0}, y{turned[0].even[1], 0};
+    const int number = static_cast<int>(turned.size()) - 1;
+    for (int j = 1; j <= number; j++) {
+        power *= step;
+        const double ch = (1 / power + power) / 2, sh = (1 / power - power) / 2;
+        x.real += turned[j].even[0] * ch;
+        y.real += turned[j].even[1] * ch;
+        x.imag += turned[j].odd[0] * sh;
+        y.imag += turned[j].odd[1] * sh;
+    }
+    for (int m = number; m < n; m *= 2) power *= power;
+    return {x, y, power};
+}
+
+// -q / (1 + q), the sum of (-q)^m from m = 1: all aliases of n equal steps.
+inline Complex aliases(Complex q) {
+    const double scale = -1 / square(Complex{1 + q.real, q.imag});
+    return {(q.real + square(q)) * scale, q.imag * scale};
+}
+
+// 1 / sqrt(value) with a positive real part.
+inline Complex inverse_root(Complex value) {
+    const double size = std::sqrt(square(value));
+    const double real = std::sqrt((size + value.real) / 2), share = 1 / size;
+    return {real * share, -0.5 * value.imag / real * share};
+}
+
+// Adds share [y y, -x y, x x] times cosh (real part) and sinh (imaginary) to the slopes.
+inline void add_slopes(Complex share, Complex x, Complex y, double depth,
+                       std::vector<Turned>& turned) {
+    const Complex by[3] = {share * y * y, -1 * share * x * y, share * x * x};
+    for (int j = 1; j < static_cast<int>(turned.size()); j++) {
+        const double ch = std::cosh(j * depth), sh = std::sinh(j * depth);
+        for (int row = 0; row < 3; row++) {
+            turned[j].by_even[row] += by[row].real * ch;
+            turned[j].by_odd[row] -= by[row].imag * sh;
+        }
+    }
+}
+
+// Adds what is beside the double pole at u = 0 that derivatives have: steps to its sides miss
+// pi^2 / STEP of it.
+inline void add_pole(Complex phase, double b, int n, std::vector<Turned>& turned) {
+    const ComplexSlip at = complex_slip(turned, b, n);
+    Complex dx, dy;  // derivative of the slip by depth
+    for (int j = 1; j < static_cast<int>(turned.size()); j++) {
+        const double ch = j * std::cosh(j * b), sh = j * std::sinh(j * b);
+        dx = dx + Complex{turned[j].even[0] * sh, turned[j].odd[0] * ch};
+        dy = dy + Complex{turned[j].even[1] * sh, turned[j].odd[1] * ch};
+    }
+    const Complex root = inverse_root(-1 / b * (at.x * dx + at.y * dy));
+    const double scale = 0.5 * (PI / STEP / b) * (PI / STEP / b);
+    const Complex share = scale * aliases(at.fade * phase) * root * root * root;
+    add_slopes(share, at.x, at.y, b, turned);
+}
+
+// Takes the slopes about time a off the gradient (3, 2 N) by sines and cosines.
+inline void take_off(const std::vector<Turned>& turned, View<double, 2> gradient) {
+    const int number = static_cast<int>(turned.size()) - 1;
+    for (int j = 1; j <= number; j++) {
+        const double c = WEIGHT * turned[j].cosine, s = WEIGHT * turned[j].sine;
+        for (int row = 0; row < 3; row++) {
+            const double even = turned[j].by_even[row], odd = turned[j].by_odd[row];
+            gradient(row, j - 1) -= s * even + c * odd;
+            gradient(row, number + j - 1) -= c * even - s * odd;
+        }
+    }
+}
+
+struct Excess {
+    double x, y;
+    bool good;  // not if another dip lies close by
+};
+
+// By how much the mean of n steps is too high, [mu m g], due to the dip near a time, exp(i t) =
+// `start`. n is N times a power of 2. The derivatives' excess is taken off `gradient`, unless that
+// is empty.
+inline Excess excess(View<const double, 2> slip, Complex start, int n, View<double, 2> gradient) {
+    const BranchPoint point = branch_point(slip, start, CLOSE * 2 * PI / n);
+    const double b = point.b, farthest = 1.5 * 2 * PI / n;
+    if (!point.alone || square(point.middle - start) > farthest * farthest || n * b > 2 * NEAR)
+        return {0, 0, false};
+    std::vector<Turned> turned = turned_to(slip, point.middle);
+    const int number = static_cast<int>(turned.size()) - 1;
+    Complex phase{turned[number].cosine, turned[number].sine};
+    for (int m = number; m < n; m *= 2) phase = phase * phase;  // exp(i n a)
+    const bool sloped = gradient.size(0) > 0;
+    if (sloped) add_pole(phase, b, n, turned);
+    double fx = 0, fy = 0;
+    for (int u = 0; u < PLACES; u++) {
+        const double depth = b * NODES_OF_U.cosh[u];
+        if (n * depth > FADED) break;
+        const ComplexSlip at = complex_slip(turned, depth, n);
+        const double slope = b * NODES_OF_U.sinh[u], across = -1 / (slope * slope);
+        const Complex value = across * (at.x * at.x + at.y * at.y);
+        if (!(value.real > 0)) return {0, 0, false};
+        const Complex root = inverse_root(value), share = aliases(at.fade * phase) * root;
+        fx += (share * at.x).real;
+        fy += (share * at.y).real;
+        if (sloped) add_slopes(across * (share * root * root), at.x, at.y, depth, turned);
+    }
+    if (sloped) take_off(turned, gradient);
+    return {WEIGHT * fx, WEIGHT * fy, true};
+}
+
+}  // namespace plate::near_zero_slip

@@ -1,0 +1,30 @@
+// `Rules` of Python, as kernels take it: for bindings.
+#pragma once
+#include "maps/sinusoid_force.hpp"
+#include "records.hpp"
+
+namespace plate {
+
+// Keeps the arrays of a named tuple `Rules` while views of them are used; checked for motions of as
+// many sines and cosines, together, as `rows`.
+class RulesRecord {
+public:
+    RulesRecord(const nb::tuple& record, size_t rows)
+        : waves(nb::cast<Table>(record[0])), taylor(nb::cast<Table>(record[2])) {
+        check("waves", waves, {rows, waves.shape(1)});
+        check("taylor", taylor, {DEGREE + 1, rows / 2});
+        rules = {view(waves), nb::cast<int>(record[1]), view(taylor), nb::cast<int>(record[3])};
+        const int few = rules.few, usual = rules.waves.size(1) - few;
+        if (few < EIGHT || usual < EIGHT || few % EIGHT || usual % EIGHT)
+            throw nb::value_error("steps are not a multiple of eight");
+        if (rules.pieces < 1) throw nb::value_error("pieces is not at least 1");
+    }
+
+    const Rules& operator*() const { return rules; }
+
+private:
+    Table waves, taylor;
+    Rules rules;
+};
+
+}  // namespace plate

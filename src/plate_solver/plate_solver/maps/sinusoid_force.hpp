@@ -1,0 +1,189 @@
+// The averaged force map of sinusoidal motions: kernels of sinusoid_force.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include <plate/four.hpp>
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include "maps/mean_force.hpp"
+#include "maps/near_zero_slip.hpp"
+
+namespace plate {
+
+constexpr int DEGREE = 10;  // of the polynomials that the adaptive quadrature takes
+
+// Grids: few equal steps, the usual ones, those with dips corrected, and adaptive panels.
+enum Grid { PANELS = -2, ADAPTIVE = -1, FEW = 0, USUAL = 1 };
+
+// Where the slip of N harmonics is looked at: `Rules` of sinusoid_force.py.
+struct Rules {
+    View<const double, 2> waves;  // (2 N, K)
+    int few;
+    View<const double, 2> taylor;  // (DEGREE + 1, N)
+    int pieces;
+};
+
+// The slip (2 N + 1, 2) under a part at a place, of a motion (2 N, 3) in plate_home.
+[[gnu::always_inline]] inline void slip_at(View<const double, 2> coefficients, double x, double y,
+                                           double vx, double vy, View<double, 2> slip) {
+    const int rows = coefficients.size(0);
+    for (int j = 0; j < rows; j++) {
+        const double* own = coefficients[j];
+        slip(j, 0) = own[0] - y * own[2];
+        slip(j, 1) = own[1] + x * own[2];
+    }
+    slip(rows, 0) = -vx, slip(rows, 1) = -vy;
+}
+
+// The mean direction of slip over nodes from `start` to `stop`, a multiple of eight of them; rows
+// of `work`: slip x, y, its square, 1 / its size.
+[[gnu::always_inline]] inline Force equal_steps(View<const double, 2> slip,
+                                                View<const double, 2> waves, int start, int stop,
+                                                View<double, 2> work) {
+    const int n = stop - start, rows = slip.size(0) - 1;
+    double *__restrict wx = work[0], *__restrict wy = work[1];
+    double *__restrict square = work[2], *__restrict inverse = work[3];
+    for (int k = 0; k < n; k += EIGHT) {
+        Four x[2], y[2];
+        x[0] = x[1] = slip(rows, 0) + Four{}, y[0] = y[1] = slip(rows, 1) + Four{};
+        for (int j = 0; j < rows; j++) {
+            const double *wave = waves[j] + start + k, ax = slip(j, 0), ay = slip(j, 1);
+            Four one, other;
+            load(one, wave), load(other, wave + 4);
+            x[0] += ax * one, y[0] += ay * one;
+            x[1] += ax * other, y[1] += ay * other;
+        }
+        store(x[0], wx + k), store(x[1], wx + k + 4);
+        store(y[0], wy + k), store(y[1], wy + k + 4);
+    }
+    double fx[EIGHT] = {}, fy[EIGHT] = {};
+    for (int k = 0; k < n; k += EIGHT)
+#pragma omp simd
+        for (int i = 0; i < EIGHT; i++) {
+            const double u = wx[k + i], v = wy[k + i], d = u * u + v * v;
+            const double r = 1 / std::sqrt(std::max(d, TINY_SQUARE));
+            square[k + i] = d, inverse[k + i] = r;
+            fx[i] += r * u;
+            fy[i] += r * v;
+        }
+    return {sum_of_eight(fx) / n, sum_of_eight(fy) / n};
+}
+
+// Adds the derivatives of `equal_steps` to `gradient` (3, 2 N); overwrites `work`.
+[[gnu::always_inline]] inline void step_slopes(View<const double, 2> waves, int start, int stop,
+                                               View<double, 2> work, View<double, 2> gradient) {
+    const int n = stop - start;
+    double *__restrict xx = work[0], *__restrict xy = work[1], *__restrict yy = work[2];
+    const double* __restrict inverse = work[3];
+#pragma omp simd
+    for (int k = 0; k < n; k++) {
+        const double r = inverse[k], ux = xx[k] * r, uy = xy[k] * r;
+        const double g = yy[k] > TINY_SQUARE ? r / n : 0.0;
+        xx[k] = g * uy * uy, xy[k] = -g * ux * uy, yy[k] = g * ux * ux;
+    }
+    for (int j = 0; j < waves.size(0); j += 2) {
+        const double *even = waves[j] + start, *odd = waves[j + 1] + start;
+        Four by_even[3][2] = {}, by_odd[3][2] = {};
+        for (int k = 0; k < n; k += EIGHT)
+            for (int half = 0; half < 2; half++) {
+                const int at = k + 4 * half;
+                Four slope, one, other;
+                load(one, even + at), load(other, odd + at);
+                for (int row = 0; row < 3; row++) {
+                    load(slope, work[row] + at);
+                    by_even[row][half] += slope * one;
+                    by_odd[row][half] += slope * other;
+                }
+            }
+        for (int row = 0; row < 3; row++) {
+            gradient(row, j) += sum_of_eight(by_even[row]);
+            gradient(row, j + 1) += sum_of_eight(by_odd[row]);
+        }
+    }
+}
+
+// By the adaptive quadrature, piece by piece; the derivatives are written to `gradient` (3, 2 N),
+// unless it is empty.
+PLATE_WIDE inline Force by_panels(View<const double, 2> slip, const Rules& rule,
+                                  View<double, 2> gradient) {
+    const int number = rule.taylor.size(1);
+    const bool sloped = gradient.size(0) > 0;
+    std::fill_n(gradient.data, gradient.size(0) * gradient.size(1), 0.0);
+    double power[DEGREE + 1][2], local[3][DEGREE + 1];
+    Force total{0, 0};
+    for (int piece = 0; piece < rule.pieces; piece++) {
+        const double middle = 2 * near_zero_slip::PI * (piece + 0.5) / rule.pieces;
+        std::fill_n(&power[0][0], 2 * (DEGREE + 1), 0.0);
+        power[0][0] = slip(2 * number, 0), power[0][1] = slip(2 * number, 1);
+        for (int j = 0; j < number; j++) {
+            const double s = std::sin((j + 1) * middle), c = std::cos((j + 1) * middle);
+            for (int axis = 0; axis < 2; axis++) {
+                const double a = slip(j, axis), b = slip(number + j, axis);
+                const double here = a * s + b * c, rate = a * c - b * s;
+                for (int m = 0; m <= DEGREE; m++)
+                    power[m][axis] += rule.taylor(m, j) * (m % 2 ? rate : here);
+            }
+        }
+        std::fill_n(&local[0][0], 3 * (DEGREE + 1), 0.0);
+        const Force mean = mean_direction<DEGREE>(power, -0.5, sloped ? local : nullptr);
+        total.x += mean.x / rule.pieces;
+        total.y += mean.y / rule.pieces;
+        for (int j = 0; j < (sloped ? number : 0); j++) {
+            const double s = std::sin((j + 1) * middle), c = std::cos((j + 1) * middle);
+            for (int row = 0; row < 3; row++) {
+                double here = 0, rate = 0;
+                for (int m = 0; m <= DEGREE; m++)
+                    (m % 2 ? rate : here) += rule.taylor(m, j) * local[row][m];
+                gradient(row, j) += (here * s + rate * c) / rule.pieces;
+                gradient(row, number + j) += (here * c - rate * s) / rule.pieces;
+            }
+        }
+    }
+    return total;
+}
+
+// The average force [mu m g] of a slip (2 N + 1, 2) [m/s] on a grid. `work` (5, K) takes the
+// samples; `gradient` (3, 2 N) takes the derivatives by the slip's rows, unless it is empty:
+// d f_x / d slip_x, d f_x / d slip_y = d f_y / d slip_x, d f_y / d slip_y [s/m].
+PLATE_WIDE inline Force force_of(View<const double, 2> slip, const Rules& rule, int grid,
+                                 View<double, 2> work, View<double, 2> gradient) {
+    if (grid == PANELS) return by_panels(slip, rule, gradient);
+    const bool few = grid == FEW;
+    const int start = few ? 0 : rule.few, stop = few ? rule.few : rule.waves.size(1);
+    const int n = stop - start, half_rows = rule.waves.size(0) / 2;
+    Force force = equal_steps(slip, rule.waves, start, stop, work);
+    const int dips = grid == ADAPTIVE ? near_zero_slip::find_dips(work[2], n, work[4]) : 0;
+    if (gradient.size(0)) {
+        std::fill_n(gradient.data, gradient.size(0) * gradient.size(1), 0.0);
+        step_slopes(rule.waves, start, stop, work, gradient);
+    }
+    for (int dip = 0; dip < dips; dip++) {
+        const int k = start + static_cast<int>(work(4, dip));
+        const near_zero_slip::Complex at{rule.waves(half_rows, k), rule.waves(0, k)};
+        const near_zero_slip::Excess more = near_zero_slip::excess(slip, at, n, gradient);
+        if (!more.good) return by_panels(slip, rule, gradient);
+        force.x -= more.x;
+        force.y -= more.y;
+    }
+    return force;
+}
+
+// The average forces (C, 2) [mu m g] of C cases: one motion (2 N, 3) and one part each.
+inline void sinusoid_forces(View<const double, 3> coefficients, View<const double, 2> position,
+                            View<const double, 2> velocity, const Rules& rule,
+                            View<double, 2> force) {
+    const int rows = coefficients.size(1);
+    Matrix slip(rows + 1, 2), work(5, rule.waves.size(1));
+    const View<double, 2> own{slip[0], {rows + 1, 2}}, samples{work[0], {5, work.columns}};
+    const View<double, 2> none{nullptr, {0, 0}};
+    for (int i = 0; i < coefficients.size(0); i++) {
+        slip_at({coefficients[i], {rows, 3}}, position(i, 0), position(i, 1), velocity(i, 0),
+                velocity(i, 1), own);
+        const Force found = force_of({own.data, own.shape}, rule, ADAPTIVE, samples, none);
+        force(i, 0) = found.x, force(i, 1) = found.y;
+    }
+}
+
+}  // namespace plate

@@ -1,0 +1,138 @@
+// The cycle map, and how it depends on the plate's motion: kernels of stick_slip.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate {
+
+namespace stick_slip {
+
+// Rows of parts: place [m], velocity [m/s], mu g [m/s2].
+constexpr int X = 0, Y = 1, VX = 2, VY = 3, ACCEL = 4, ROWS = 5;
+
+// Rows of what is remembered of a step: way from the plate to the part, derivative of the
+// velocity's change by the slip, friction while it slips, velocity.
+constexpr int ARM_X = 0, ARM_Y = 1, XX = 2, XY = 3, YY = 4, FX = 5, FY = 6;
+constexpr int AFTER_X = 7, AFTER_Y = 8, PAST = 9;
+
+// Keeps 0/0 away.
+constexpr double TINY = 1e-300;
+
+}  // namespace stick_slip
+
+// Puts parts side by side, in the first five rows of a matrix of so many; columns that fill it up
+// to a multiple of four are zero.
+inline void put_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
+                             View<const double, 1> friction_accel, int rows, Matrix& parts) {
+    using namespace stick_slip;
+    const int count = position.size(0);
+    parts.resize(rows, (count + 3) / 4 * 4);
+    std::fill_n(parts[0], rows * parts.columns, 0.0);
+    for (int i = 0; i < count; i++) {
+        parts[X][i] = position(i, 0), parts[Y][i] = position(i, 1);
+        parts[VX][i] = velocity(i, 0), parts[VY][i] = velocity(i, 1);
+        parts[ACCEL][i] = friction_accel(i);
+    }
+}
+
+// Moves parts, side by side, through samples (n, 3) of the plate's motion, for dt (n,) [s] each.
+PLATE_WIDE inline void end_state(Matrix& parts, Samples pose, Samples twist, const double* dt) {
+    using namespace stick_slip;
+    const int wide = parts.columns;
+    double *__restrict px = parts[X], *__restrict py = parts[Y];
+    double *__restrict vx = parts[VX], *__restrict vy = parts[VY];
+    const double* __restrict accel = parts[ACCEL];
+    for (int k = 0; k < twist.count; k++) {
+        const double u = twist(k, 0), v = twist(k, 1), w = twist(k, 2), h = dt[k];
+        const double x = pose(k, 0), y = pose(k, 1);
+#pragma omp simd
+        for (int i = 0; i < wide; i++) {
+            const double dx = u - w * (py[i] - y) - vx[i];
+            const double dy = v + w * (px[i] - x) - vy[i];
+            const double bound = accel[i] * h;
+            const double gain = bound / (std::max(std::sqrt(dx * dx + dy * dy), bound) + TINY);
+            vx[i] += gain * dx;
+            vy[i] += gain * dy;
+            px[i] += h * vx[i];
+            py[i] += h * vy[i];
+        }
+    }
+}
+
+// Derivatives of where parts would be if they kept their last velocity for `coast` [s], by pose
+// (2, n, 2 M), twist (3, n, 2 M) and dt (n, 2 M): last x of all `count` parts, then y of all. The
+// parts are moved; `past` is room.
+PLATE_WIDE inline void end_state_gradient(Matrix& parts, int count, Samples pose, Samples twist,
+                                          const double* dt, double coast, Matrix& past,
+                                          View<double, 3> by_pose, View<double, 3> by_twist,
+                                          View<double, 2> by_dt) {
+    using namespace stick_slip;
+    const int wide = parts.columns, n = twist.count;
+    double *__restrict px = parts[X], *__restrict py = parts[Y];
+    double *__restrict vx = parts[VX], *__restrict vy = parts[VY];
+    const double* __restrict accel = parts[ACCEL];
+    past.resize(n * PAST, wide);
+    for (int k = 0; k < n; k++) {
+        const double u = twist(k, 0), v = twist(k, 1), w = twist(k, 2), h = dt[k];
+        const double x = pose(k, 0), y = pose(k, 1);
+        double* __restrict own = past[k * PAST];
+#pragma omp simd
+        for (int i = 0; i < wide; i++) {
+            const double rx = px[i] - x, ry = py[i] - y;
+            const double dx = u - w * ry - vx[i], dy = v + w * rx - vy[i];
+            const double bound = accel[i] * h, d = std::sqrt(dx * dx + dy * dy);
+            const double inverse = 1 / (std::max(d, bound) + TINY);
+            const double gain = bound * inverse;
+            const bool slips = d > bound;
+            const double a = dx * inverse, b = dy * inverse;  // unit vector of a slip
+            own[ARM_X * wide + i] = rx, own[ARM_Y * wide + i] = ry;
+            own[XX * wide + i] = slips ? gain * (1 - a * a) : 1.0;
+            own[XY * wide + i] = slips ? -gain * a * b : 0.0;
+            own[YY * wide + i] = slips ? gain * (1 - b * b) : 1.0;
+            own[FX * wide + i] = slips ? accel[i] * a : 0.0;
+            own[FY * wide + i] = slips ? accel[i] * b : 0.0;
+            vx[i] += gain * dx;
+            vy[i] += gain * dy;
+            own[AFTER_X * wide + i] = vx[i], own[AFTER_Y * wide + i] = vy[i];
+            px[i] += h * vx[i];
+            py[i] += h * vy[i];
+        }
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        // Adjoints of position (a) and velocity (b) at the end of step k, in the parts' rows.
+        double *__restrict ax = px, *__restrict ay = py, *__restrict bx = vx, *__restrict by = vy;
+        std::fill_n(ax, wide, 1.0 - axis), std::fill_n(ay, wide, 1.0 * axis);
+        std::fill_n(bx, wide, coast * ax[0]), std::fill_n(by, wide, coast * ay[0]);
+        for (int k = n - 1; k >= 0; k--) {
+            const double h = dt[k], w = twist(k, 2);
+            const double* __restrict own = past[k * PAST];
+            double* __restrict on_dt = &by_dt(k, axis * count);
+            double* __restrict on_u = &by_twist(0, k, axis * count);
+            double* __restrict on_v = &by_twist(1, k, axis * count);
+            double* __restrict on_w = &by_twist(2, k, axis * count);
+            double* __restrict on_x = &by_pose(0, k, axis * count);
+            double* __restrict on_y = &by_pose(1, k, axis * count);
+#pragma omp simd
+            for (int i = 0; i < count; i++) {
+                const double* at = own + i;
+                const double cx = bx[i] + h * ax[i], cy = by[i] + h * ay[i];
+                on_dt[i] = ax[i] * at[AFTER_X * wide] + ay[i] * at[AFTER_Y * wide] +
+                           cx * at[FX * wide] + cy * at[FY * wide];
+                const double gx = at[XX * wide] * cx + at[XY * wide] * cy;
+                const double gy = at[XY * wide] * cx + at[YY * wide] * cy;
+                bx[i] = cx - gx, by[i] = cy - gy;
+                ax[i] += w * gy;
+                ay[i] -= w * gx;
+                on_u[i] = gx, on_v[i] = gy;
+                on_w[i] = at[ARM_X * wide] * gy - at[ARM_Y * wide] * gx;
+                on_x[i] = -w * gy, on_y[i] = w * gx;
+            }
+        }
+    }
+}
+
+}  // namespace plate

@@ -1,0 +1,269 @@
+// The cycle map of parts that turn, part by part and in blocks: kernels of turning.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include "blocks.hpp"
+#include "stick_slip.hpp"
+
+namespace plate {
+
+constexpr int TURNING_STATE = 10 * LANES, TURNING_TRACE = 11 * LANES;
+
+namespace turning {
+
+// Rows of a state: as in `blocks`, then turn [rad], spin [rad/s] and second moments [m2].
+using blocks::X, blocks::Y, blocks::VX, blocks::VY, blocks::BOUND, blocks::TINY, blocks::GROUP;
+constexpr int TURN = 5 * LANES, SPIN = 6 * LANES;
+constexpr int SXX = 7 * LANES, SXY = 8 * LANES, SYY = 9 * LANES;
+
+// Rows of a trace: the derivatives of the changes of velocity and spin by slip and relative spin,
+// row by row (3, 3), and the way from the plate to the part [m].
+constexpr int ARM_X = 9 * LANES, ARM_Y = 10 * LANES;
+
+// Square of the slip [m2/s2] below which its direction counts less and less: where a part hardly
+// slides J is its mean over all directions.
+constexpr double SLOW2 = 1e-4;
+
+}  // namespace turning
+
+// As `trace`, in blocks (b, TURNING_STATE), (n, b, TURNING_TRACE).
+PLATE_WIDE inline void trace_turning(View<double, 2> state, int parts, Samples pose, Samples twist,
+                                     double dt, View<double, 3> steps) {
+    using namespace turning;
+    for (int k = 0; k < twist.count; k++) {
+        const double px = pose(k, 0), py = pose(k, 1);
+        const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2);
+        for (int block = 0; block < state.size(0); block++) {
+            double* __restrict own = state[block];
+            double* __restrict step = &steps(k, block, 0);
+            for (int lane = 0; lane < lanes_used(parts, block); lane += GROUP)
+#pragma omp simd
+                for (int i = lane; i < lane + GROUP; i++) {
+                    const double rx = own[X + i] - px, ry = own[Y + i] - py;
+                    const double dx = u - s * ry - own[VX + i], dy = v + s * rx - own[VY + i];
+                    const double dw = s - own[SPIN + i];
+                    const double xx = own[SXX + i], xy = own[SXY + i], yy = own[SYY + i];
+                    const double square = dx * dx + dy * dy;
+                    const double by_gyration2 = 1 / (xx + yy), by_square = 1 / (square + SLOW2);
+                    const double along = dx * dx * xx + 2 * dx * dy * xy + dy * dy * yy;
+                    const double j = (along + SLOW2 * 0.5 * (xx + yy)) * by_square;
+                    const double jx = 2 * (dx * xx + dy * xy - dx * j) * by_square;
+                    const double jy = 2 * (dx * xy + dy * yy - dy * j) * by_square;
+                    const double inverse = 1 / std::sqrt(square + j * dw * dw + TINY);
+                    double g = own[BOUND + i] * inverse;
+                    const double slips = g < 1 ? 1.0 : 0.0;
+                    g = std::min(g, 1.0);
+                    const double down = g * inverse * inverse * slips;
+                    const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;
+                    const double lever = j * by_gyration2, turns = dw * by_gyration2;
+                    step[i] = g - down * dx * bx, step[LANES + i] = -down * dx * by;
+                    step[2 * LANES + i] = -down * dx * j * dw;
+                    step[3 * LANES + i] = -down * dy * bx, step[4 * LANES + i] = g - down * dy * by;
+                    step[5 * LANES + i] = -down * dy * j * dw;
+                    step[6 * LANES + i] = turns * (g * jx - down * j * bx);
+                    step[7 * LANES + i] = turns * (g * jy - down * j * by);
+                    step[8 * LANES + i] = lever * (g - down * dw * j * dw);
+                    step[ARM_X + i] = rx, step[ARM_Y + i] = ry;
+                    const double vx = own[VX + i] + g * dx, vy = own[VY + i] + g * dy;
+                    const double spin = own[SPIN + i] + g * lever * dw;
+                    own[VX + i] = vx, own[VY + i] = vy, own[SPIN + i] = spin;
+                    own[X + i] += dt * vx, own[Y + i] += dt * vy, own[TURN + i] += dt * spin;
+                }
+        }
+    }
+}
+
+// As `adjoint`, of places and turns: (bins, b, 3, 3 LANES), (bins, b, 3, 2 LANES).
+PLATE_WIDE inline void adjoint_turning(View<const double, 3> steps, int parts, Samples twist,
+                                       double dt, double coast, View<double, 4> by_twist,
+                                       View<double, 4> by_pose) {
+    using namespace turning;
+    const int bins = by_twist.size(0), each = twist.count / bins;
+    for (int block = 0; block < steps.size(1); block++)
+        for (int axis = 0; axis < 3; axis++) {
+            alignas(64) double own[6 * LANES] = {};  // adjoints of x, y, turn; vx, vy, spin
+            std::fill_n(own + axis * LANES, LANES, 1.0);
+            std::fill_n(own + (3 + axis) * LANES, LANES, coast);
+            for (int bin = bins - 1; bin >= 0; bin--) {
+                alignas(64) double sum[5 * LANES] = {};
+                for (int k = (bin + 1) * each - 1; k >= bin * each; k--) {
+                    const double s = twist(k, 2);
+                    const double* __restrict step = &steps(k, block, 0);
+                    for (int lane = 0; lane < lanes_used(parts, block); lane += GROUP)
+#pragma omp simd
+                        for (int i = lane; i < lane + GROUP; i++) {
+                            const double* d = step + i;
+                            const double cx = own[3 * LANES + i] + dt * own[i];
+                            const double cy = own[4 * LANES + i] + dt * own[LANES + i];
+                            const double cw = own[5 * LANES + i] + dt * own[2 * LANES + i];
+                            const double gx = d[0] * cx + d[3 * LANES] * cy + d[6 * LANES] * cw;
+                            const double gy = d[LANES] * cx + d[4 * LANES] * cy + d[7 * LANES] * cw;
+                            const double gw =
+                                d[2 * LANES] * cx + d[5 * LANES] * cy + d[8 * LANES] * cw;
+                            own[3 * LANES + i] = cx - gx, own[4 * LANES + i] = cy - gy;
+                            own[5 * LANES + i] = cw - gw;
+                            own[i] += s * gy, own[LANES + i] -= s * gx;
+                            sum[i] += gx, sum[LANES + i] += gy;
+                            sum[2 * LANES + i] += d[ARM_X] * gy - d[ARM_Y] * gx + gw;
+                            sum[3 * LANES + i] -= s * gy, sum[4 * LANES + i] += s * gx;
+                        }
+                }
+                std::copy_n(sum, 3 * LANES, &by_twist(bin, block, axis, 0));
+                std::copy_n(sum + 3 * LANES, 2 * LANES, &by_pose(bin, block, axis, 0));
+            }
+        }
+}
+
+namespace end_turning_rows {
+
+// Rows of parts after those of `stick_slip`: turn [rad], spin [rad/s], second moments [m2].
+using stick_slip::X, stick_slip::Y, stick_slip::VX, stick_slip::VY, stick_slip::ACCEL;
+constexpr int TURN = 5, SPIN = 6, SXX = 7, SXY = 8, SYY = 9, ROWS = 10;
+
+// Rows of what is remembered of a step: derivatives of the changes of velocity and spin (3, 3), way
+// from the plate to the part, change of velocity and spin by dt, velocity and spin.
+constexpr int ARM_X = 9, ARM_Y = 10, BY_DT = 11, AFTER = 14, PAST = 17;
+
+}  // namespace end_turning_rows
+
+// As `put_side_by_side`, with spin (M,) and second moments xx, xy, yy (M, 3).
+inline void put_turning_side_by_side(View<const double, 2> position, View<const double, 2> velocity,
+                                     View<const double, 1> spin, View<const double, 2> spread,
+                                     View<const double, 1> friction_accel, Matrix& parts) {
+    using namespace end_turning_rows;
+    put_side_by_side(position, velocity, friction_accel, ROWS, parts);
+    std::fill_n(parts[SXX], parts.columns, 1.0), std::fill_n(parts[SYY], parts.columns, 1.0);
+    for (int i = 0; i < position.size(0); i++) {
+        parts[SPIN][i] = spin(i);
+        for (int c = 0; c < 3; c++) parts[SXX + c][i] = spread(i, c);
+    }
+}
+
+// Moves parts that turn, side by side, as `end_state`.
+PLATE_WIDE inline void end_turning(Matrix& parts, Samples pose, Samples twist, const double* dt) {
+    using namespace end_turning_rows;
+    using turning::SLOW2, turning::TINY;
+    const int wide = parts.columns;
+    double *__restrict px = parts[X], *__restrict py = parts[Y], *__restrict angle = parts[TURN];
+    double *__restrict vx = parts[VX], *__restrict vy = parts[VY], *__restrict w = parts[SPIN];
+    const double *__restrict xx = parts[SXX], *__restrict xy = parts[SXY];
+    const double *__restrict yy = parts[SYY], *__restrict accel = parts[ACCEL];
+    for (int k = 0; k < twist.count; k++) {
+        const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2), h = dt[k];
+        const double x = pose(k, 0), y = pose(k, 1);
+#pragma omp simd
+        for (int i = 0; i < wide; i++) {
+            const double dw = s - w[i], gyration2 = xx[i] + yy[i];
+            const double dx = u - s * (py[i] - y) - vx[i], dy = v + s * (px[i] - x) - vy[i];
+            const double square = dx * dx + dy * dy;
+            const double along = dx * dx * xx[i] + 2 * dx * dy * xy[i] + dy * dy * yy[i];
+            const double j = (along + SLOW2 * 0.5 * gyration2) / (square + SLOW2);
+            const double bound = accel[i] * h;
+            const double gain = bound / (std::max(std::sqrt(square + j * dw * dw), bound) + TINY);
+            vx[i] += gain * dx;
+            vy[i] += gain * dy;
+            w[i] += gain * j / gyration2 * dw;
+            px[i] += h * vx[i];
+            py[i] += h * vy[i];
+            angle[i] += h * w[i];
+        }
+    }
+}
+
+// As `end_state_gradient`, of places and turns: (2, n, 3 M), (3, n, 3 M), (n, 3 M).
+PLATE_WIDE inline void end_turning_gradient(Matrix& parts, int count, Samples pose, Samples twist,
+                                            const double* dt, double coast, Matrix& past,
+                                            View<double, 3> by_pose, View<double, 3> by_twist,
+                                            View<double, 2> by_dt) {
+    using namespace end_turning_rows;
+    using turning::SLOW2, turning::TINY;
+    const int wide = parts.columns, n = twist.count;
+    double *__restrict px = parts[X], *__restrict py = parts[Y], *__restrict angle = parts[TURN];
+    double *__restrict vx = parts[VX], *__restrict vy = parts[VY], *__restrict w = parts[SPIN];
+    const double *__restrict xx = parts[SXX], *__restrict xy = parts[SXY];
+    const double *__restrict yy = parts[SYY], *__restrict accel = parts[ACCEL];
+    past.resize(n * PAST, wide);
+    for (int k = 0; k < n; k++) {
+        const double u = twist(k, 0), v = twist(k, 1), s = twist(k, 2), h = dt[k];
+        const double x = pose(k, 0), y = pose(k, 1);
+        double* __restrict own = past[k * PAST];
+#pragma omp simd
+        for (int i = 0; i < wide; i++) {
+            double* at = own + i;
+            const double rx = px[i] - x, ry = py[i] - y, dw = s - w[i];
+            const double dx = u - s * ry - vx[i], dy = v + s * rx - vy[i];
+            const double gyration2 = xx[i] + yy[i], square = dx * dx + dy * dy;
+            const double along = dx * dx * xx[i] + 2 * dx * dy * xy[i] + dy * dy * yy[i];
+            const double j = (along + SLOW2 * 0.5 * gyration2) / (square + SLOW2);
+            const double jx = 2 * (dx * xx[i] + dy * xy[i] - dx * j) / (square + SLOW2);
+            const double jy = 2 * (dx * xy[i] + dy * yy[i] - dy * j) / (square + SLOW2);
+            const double q = std::sqrt(square + j * dw * dw), bound = accel[i] * h;
+            const bool slips = q > bound;
+            const double inverse = 1 / (std::max(q, bound) + TINY);
+            const double g = bound * inverse;
+            const double down = slips ? g * inverse * inverse : 0.0;  // of the gain, by q^2/2
+            const double bx = dx + 0.5 * dw * dw * jx, by = dy + 0.5 * dw * dw * jy;  // of q^2/2
+            const double lever = j / gyration2, turns = dw / gyration2;
+            at[0] = g - down * dx * bx, at[wide] = -down * dx * by;
+            at[2 * wide] = -down * dx * j * dw;
+            at[3 * wide] = -down * dy * bx, at[4 * wide] = g - down * dy * by;
+            at[5 * wide] = -down * dy * j * dw;
+            at[6 * wide] = turns * (g * jx - down * j * bx);
+            at[7 * wide] = turns * (g * jy - down * j * by);
+            at[8 * wide] = lever * (g - down * dw * j * dw);
+            at[ARM_X * wide] = rx, at[ARM_Y * wide] = ry;
+            const double force = slips ? accel[i] * inverse : 0.0;
+            at[BY_DT * wide] = force * dx, at[(BY_DT + 1) * wide] = force * dy;
+            at[(BY_DT + 2) * wide] = force * lever * dw;
+            vx[i] += g * dx;
+            vy[i] += g * dy;
+            w[i] += g * lever * dw;
+            at[AFTER * wide] = vx[i], at[(AFTER + 1) * wide] = vy[i], at[(AFTER + 2) * wide] = w[i];
+            px[i] += h * vx[i];
+            py[i] += h * vy[i];
+        }
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        // Adjoints of place and angle (a), velocity and spin (b) at the end of step k, in the
+        // parts' rows.
+        double *__restrict ax = px, *__restrict ay = py, *__restrict aw = angle;
+        double *__restrict bx = vx, *__restrict by = vy, *__restrict bw = w;
+        std::fill_n(ax, wide, axis == 0 ? 1.0 : 0.0), std::fill_n(bx, wide, coast * ax[0]);
+        std::fill_n(ay, wide, axis == 1 ? 1.0 : 0.0), std::fill_n(by, wide, coast * ay[0]);
+        std::fill_n(aw, wide, axis == 2 ? 1.0 : 0.0), std::fill_n(bw, wide, coast * aw[0]);
+        for (int k = n - 1; k >= 0; k--) {
+            const double h = dt[k], s = twist(k, 2);
+            const double* __restrict own = past[k * PAST];
+            double* __restrict on_dt = &by_dt(k, axis * count);
+            double* __restrict on_u = &by_twist(0, k, axis * count);
+            double* __restrict on_v = &by_twist(1, k, axis * count);
+            double* __restrict on_w = &by_twist(2, k, axis * count);
+            double* __restrict on_x = &by_pose(0, k, axis * count);
+            double* __restrict on_y = &by_pose(1, k, axis * count);
+#pragma omp simd
+            for (int i = 0; i < count; i++) {
+                const double* at = own + i;
+                const double cx = bx[i] + h * ax[i], cy = by[i] + h * ay[i];
+                const double cw = bw[i] + h * aw[i];
+                on_dt[i] = ax[i] * at[AFTER * wide] + ay[i] * at[(AFTER + 1) * wide] +
+                           aw[i] * at[(AFTER + 2) * wide] + cx * at[BY_DT * wide] +
+                           cy * at[(BY_DT + 1) * wide] + cw * at[(BY_DT + 2) * wide];
+                const double gx = at[0] * cx + at[3 * wide] * cy + at[6 * wide] * cw;
+                const double gy = at[wide] * cx + at[4 * wide] * cy + at[7 * wide] * cw;
+                const double gw = at[2 * wide] * cx + at[5 * wide] * cy + at[8 * wide] * cw;
+                bx[i] = cx - gx, by[i] = cy - gy, bw[i] = cw - gw;
+                ax[i] += s * gy;
+                ay[i] -= s * gx;
+                on_u[i] = gx, on_v[i] = gy;
+                on_w[i] = at[ARM_X * wide] * gy - at[ARM_Y * wide] * gx + gw;
+                on_x[i] = -s * gy, on_y[i] = s * gx;
+            }
+        }
+    }
+}
+
+}  // namespace plate

@@ -1,0 +1,72 @@
+// Named tuples of Python as structs, and back: for bindings.
+#pragma once
+#include <algorithm>
+#include <initializer_list>
+#include <string>
+#include <type_traits>
+
+#include <plate/bind.hpp>
+
+#include "fit/levenberg_marquardt.hpp"
+#include "limits.hpp"
+
+namespace plate {
+
+using Numbers = Array<const double, 1>;
+using Table = Array<const double, 2>;
+using Box = Array<const double, 3>;
+
+// Raises where an array has not the shape that is wanted.
+template <class Any>
+void check(const char* name, const Any& array, std::initializer_list<size_t> wanted) {
+    std::string found, allowed;
+    bool same = array.ndim() == wanted.size();
+    size_t axis = 0;
+    for (size_t size : wanted) {
+        same = same && array.shape(axis++) == size;
+        allowed += (allowed.empty() ? "" : ", ") + std::to_string(size);
+    }
+    if (same) return;
+    for (axis = 0; axis < array.ndim(); axis++)
+        found += (found.empty() ? "" : ", ") + std::to_string(array.shape(axis));
+    const std::string says = name + (" has shape (" + found) + "), allowed: (" + allowed + ")";
+    throw nb::value_error(says.c_str());
+}
+
+// Copies an array that has the shape of the room for it, which has up to three axes.
+template <class Room>
+void read(const char* name, nb::handle array, Room& room) {
+    constexpr size_t AXES = std::rank_v<Room>;
+    const size_t sizes[] = {std::extent_v<Room, 0>, std::extent_v<Room, 1>, std::extent_v<Room, 2>};
+    const auto from = nb::cast<Array<const double, AXES>>(array);
+    for (size_t axis = 0; axis < AXES; axis++)
+        if (from.shape(axis) != sizes[axis])
+            throw nb::value_error((std::string(name) + " has not the shape wanted").c_str());
+    std::copy_n(from.data(), from.size(), reinterpret_cast<double*>(&room));
+}
+
+// `Limits` of Python.
+inline Limits limits_of(const nb::tuple& record) {
+    Limits limits{
+        .stroke_m = nb::cast<double>(record[2]),
+        .speed = nb::cast<double>(record[3]),
+        .accel = nb::cast<double>(record[4]),
+        .arm_m = nb::cast<double>(record[5]),
+        .heat = nb::cast<double>(record[8]),
+        .forceful = nb::cast<bool>(record[9]),
+    };
+    read("motors", record[0], limits.motors), read("half", record[1], limits.half);
+    read("levers", record[6], limits.levers), read("loads", record[7], limits.loads);
+    return limits;
+}
+
+// The fields of `Fit` of Python.
+inline nb::tuple fields_of(Fit&& fit) {
+    const size_t rows = fit.error.size(), columns = fit.parameters.size();
+    return nb::make_tuple(to_numpy<1>(std::move(fit.parameters), {columns}),
+                          to_numpy<1>(std::move(fit.error), {rows}),
+                          to_numpy<2>(std::move(fit.jacobian.numbers), {rows, columns}),
+                          fit.iterations);
+}
+
+}  // namespace plate

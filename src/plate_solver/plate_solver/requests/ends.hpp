@@ -1,0 +1,65 @@
+// What it costs where parts are not where they are to be: kernels of ends.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include <plate/view.hpp>
+
+namespace plate {
+
+// So far beyond a wall a metre counts twice as much on average [m]: else many parts on their way
+// push one that is at home over the edge.
+constexpr double STEEP_M = 0.01;
+
+// What is asked of the ends (C,) of M parts: as `Ends` in ends.py.
+struct Ends {
+    View<const double, 1> low, high, weight, edge_low, edge_high;
+    View<const int64_t, 2> pair;
+    View<const double, 1> clear;
+    int parts;
+};
+
+// Errors (R,) of ends (C,) [m, rad], and minus their derivatives (R, C): first those of the
+// coordinates, then of pairs that are too near.
+inline void end_errors(const std::vector<double>& place, const Ends& ends,
+                       std::vector<double>& error, Matrix& slope) {
+    const int size = place.size(), count = ends.parts, pairs = ends.pair.size(0);
+    error.assign(size + pairs, 0.0);
+    slope.resize(size + pairs, size);
+    std::fill_n(slope[0], (size + pairs) * size, 0.0);
+    for (int j = 0; j < size; j++) {
+        const double at = place[j];
+        if (at < ends.low(j) || at > ends.high(j)) {
+            const double nearest = at < ends.low(j) ? ends.low(j) : ends.high(j);
+            error[j] += ends.weight(j) * (nearest - at);
+            slope[j][j] += ends.weight(j);
+        }
+        if (at < ends.edge_low(j)) {
+            const double beyond = ends.edge_low(j) - at;
+            error[j] += beyond + beyond * beyond / STEEP_M;
+            slope[j][j] += 1 + 2 * beyond / STEEP_M;
+        } else if (at > ends.edge_high(j)) {
+            const double beyond = at - ends.edge_high(j);
+            error[j] -= beyond + beyond * beyond / STEEP_M;
+            slope[j][j] += 1 + 2 * beyond / STEEP_M;
+        }
+    }
+    int rows = size;
+    for (int k = 0; k < pairs; k++) {
+        const int a = ends.pair(k, 0), b = ends.pair(k, 1);
+        const double dx = place[b] - place[a], dy = place[count + b] - place[count + a];
+        const double distance = std::max(std::sqrt(dx * dx + dy * dy), 1e-9);
+        if (distance < ends.clear(k)) {
+            error[rows] = ends.clear(k) - distance;
+            slope[rows][b] = dx / distance, slope[rows][a] = -dx / distance;
+            slope[rows][count + b] = dy / distance, slope[rows][count + a] = -dy / distance;
+            rows++;
+        }
+    }
+    error.resize(rows);
+    slope.rows = rows;
+}
+
+}  // namespace plate

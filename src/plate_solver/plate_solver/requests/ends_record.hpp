@@ -1,0 +1,43 @@
+// `Ends` of Python, as kernels take it: for bindings.
+#pragma once
+#include "records.hpp"
+#include "requests/ends.hpp"
+
+namespace plate {
+
+// Keeps the arrays of a named tuple `Ends` while views of them are used; checked for `size` ends.
+class EndsRecord {
+public:
+    EndsRecord(const nb::tuple& record, size_t size)
+        : low(numbers(record, 0)), high(numbers(record, 1)), weight(numbers(record, 2)),
+          edge_low(numbers(record, 3)), edge_high(numbers(record, 4)),
+          pair(nb::cast<Array<const int64_t, 2>>(record[5])), clear(numbers(record, 6)),
+          parts(nb::cast<int>(record[7])) {
+        for (const Numbers* each : {&low, &high, &weight, &edge_low, &edge_high})
+            check("an array of ends", *each, {size});
+        check("pair", pair, {clear.size(), 2});
+        if (parts < 0 || size < 2 * static_cast<size_t>(parts))
+            throw nb::value_error("there are more parts than ends");
+        for (size_t k = 0; k < pair.size(); k++)
+            if (pair.data()[k] < 0 || pair.data()[k] >= parts)
+                throw nb::value_error("a pair names a part that there is not");
+    }
+
+    Ends view() const {
+        using plate::view;
+        return {view(low), view(high), view(weight), view(edge_low), view(edge_high),
+                view(pair), view(clear), parts};
+    }
+
+private:
+    Numbers low, high, weight, edge_low, edge_high;
+    Array<const int64_t, 2> pair;
+    Numbers clear;
+    int parts;
+
+    static Numbers numbers(const nb::tuple& record, int at) {
+        return nb::cast<Numbers>(record[at]);
+    }
+};
+
+}  // namespace plate

@@ -1,0 +1,43 @@
+// What kind of request it is: kernels of request.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include <plate/view.hpp>
+
+namespace plate {
+
+// As in request.py.
+constexpr double FARTHEST_M = 1e3, FASTEST_MPS = 1e3;
+
+// As `RequestFlags` in request.py.
+struct RequestFlags {
+    bool sound = true, moving = false, curled = false, slack = false, within = true;
+    double loaded = 0;
+};
+
+// Of position, force, velocity, tolerance (M, 2) and curl (M,).
+inline RequestFlags request_flags(View<const double, 2> position, View<const double, 2> force,
+                                  View<const double, 2> velocity, View<const double, 1> curl,
+                                  View<const double, 2> tolerance) {
+    RequestFlags flags;
+    for (int i = 0; i < force.size(0); i++) {
+        flags.curled |= !std::isnan(curl(i));
+        flags.sound &= !std::isinf(curl(i));
+        double least = 0;
+        for (int axis = 0; axis < 2; axis++) {
+            const double wanted = std::abs(force(i, axis)), free = tolerance(i, axis);
+            flags.sound &= std::abs(position(i, axis)) <= FARTHEST_M;
+            flags.sound &= std::abs(velocity(i, axis)) <= FASTEST_MPS;
+            flags.sound &= std::isfinite(wanted) && free >= 0;
+            flags.moving |= velocity(i, axis) != 0;
+            flags.slack |= free != 0;
+            flags.within &= wanted <= free;
+            least = std::hypot(least, std::max(wanted - free, 0.0));
+        }
+        flags.loaded = std::max(flags.loaded, least);
+    }
+    return flags;
+}
+
+}  // namespace plate

@@ -1,0 +1,193 @@
+// Sequences of rotations on the averaged map: kernels of average.py.
+//
+// The derivatives are those of sequence.hpp and of the mean over steps, taken together: what a step
+// of the motion does to all forces goes straight to the knots of its segment.
+#pragma once
+#include "fit/levenberg_marquardt.hpp"
+#include "maps/mean_force.hpp"
+#include "rotations/family.hpp"
+
+namespace plate::rotations {
+
+// Given up sooner, forces are missed that can be had.
+constexpr Damping PATIENT = [] {
+    Damping damping = DAMPING;
+    damping.stall_steps = 10, damping.stall_fraction = 0.9;
+    return damping;
+}();
+
+// What is asked of sequences on the averaged map: `SequenceForces` of average.py.
+struct SequenceForces {
+    Sequences family;
+    View<const double, 2> position, velocity;  // (M, 2)
+    std::vector<int> asked;                    // rows of force x, force y and curl of each part
+    View<const double, 1> wanted, scale;       // (R,)
+};
+
+// What is missed (R,) over steps dt (n,) of twists (n, 3).
+inline void missed(const SequenceForces& problem, View<const double, 2> twist, const double* dt,
+                   std::vector<double>& error) {
+    const int count = problem.position.size(0);
+    Matrix mean(count, 3);
+    step_forces(problem.position, problem.velocity, twist, dt, {mean[0], {count, 3}});
+    error.resize(problem.asked.size());
+    for (size_t r = 0; r < error.size(); r++)
+        error[r] = (problem.wanted(r) - mean[0][problem.asked[r]]) * problem.scale(r);
+}
+
+// Parts of a problem, a quantity after the other.
+struct Parts {
+    std::vector<double> x, y, vx, vy;
+
+    Parts(View<const double, 2> position, View<const double, 2> velocity) {
+        for (int i = 0; i < position.size(0); i++) {
+            x.push_back(position(i, 0)), y.push_back(position(i, 1));
+            vx.push_back(velocity(i, 0)), vy.push_back(velocity(i, 1));
+        }
+    }
+};
+
+// Rows of `value` in `directions`: force x by u and v, force y by v, both by spin; curl by u, v and
+// spin, where curls are asked for.
+enum Row { XX, XY, YY, X_SPIN, Y_SPIN, CURL_U, CURL_V, CURL_SPIN };
+
+// Writes the derivatives (8, M) of each part's force and curl by a twist, in a step of `fraction`
+// of the period; adds force and curl to `way` (3, M).
+template <bool TURNING>
+[[gnu::always_inline]] inline void directions(const double (&twist)[3], const Parts& parts,
+                                              double fraction, Matrix& value, Matrix& way) {
+    const int count = value.columns;
+    const double u = twist[0], v = twist[1], spin = twist[2];
+    const double *__restrict px = parts.x.data(), *__restrict py = parts.y.data();
+    const double *__restrict vx = parts.vx.data(), *__restrict vy = parts.vy.data();
+    double *__restrict by_xx = value[XX], *__restrict by_xy = value[XY];
+    double* __restrict by_yy = value[YY];
+    double *__restrict x_spin = value[X_SPIN], *__restrict y_spin = value[Y_SPIN];
+    double *__restrict curl_u = value[CURL_U], *__restrict curl_v = value[CURL_V];
+    double* __restrict curl_spin = value[CURL_SPIN];
+    double *__restrict fx = way[0], *__restrict fy = way[1], *__restrict curls = way[2];
+#pragma omp simd
+    for (int i = 0; i < count; i++) {
+        const double x = px[i], y = py[i];
+        const double dx = u - spin * y - vx[i], dy = v + spin * x - vy[i];
+        const double square = dx * dx + dy * dy;
+        const double inverse = 1 / std::sqrt(std::max(square, TINY_SQUARE));
+        const double a = dx * inverse, b = dy * inverse;
+        const double own = square > TINY_SQUARE ? fraction * inverse : 0.0;
+        const double xx = own * (1 - a * a), xy = -own * a * b, yy = own * (1 - b * b);
+        by_xx[i] = xx, by_xy[i] = xy, by_yy[i] = yy;
+        x_spin[i] = x * xy - y * xx, y_spin[i] = x * yy - y * xy;
+        fx[i] += a;
+        fy[i] += b;
+        if constexpr (TURNING) {
+            const double curl = spin * inverse, gx = -own * a * curl, gy = -own * b * curl;
+            curl_u[i] = gx, curl_v[i] = gy, curl_spin[i] = x * gy - y * gx + own;
+            curls[i] += curl;
+        }
+    }
+}
+
+// Adds what the steps of segment k do to its knots: `total` (5, 8 M) by where in it they are, and
+// `way` (3, M). Results are force x of all parts, force y of all, and curls.
+inline void to_knots(int k, double steps_period, const double* gap, const Matrix& total,
+                     const Matrix& way, ByKnots& by) {
+    constexpr int ROW[3][3] = {{XX, XY, X_SPIN}, {XY, YY, Y_SPIN}, {CURL_U, CURL_V, CURL_SPIN}};
+    const int count = way.columns, last = by.time.rows - 1;
+    for (int axis = 0; axis * count < by.results(); axis++) {
+        double *__restrict time = by.time[k] + axis * count;
+        double *__restrict next_time = by.time[k + 1] + axis * count;
+        for (int i = 0; i < count; i++) {
+            const double longer = way[axis][i] / steps_period;
+            time[i] -= longer;
+            next_time[i] += longer;
+        }
+        for (int c = 0; c < 3; c++) {
+            const int first = ROW[axis][c] * count;
+            double* __restrict from = by.knot[3 * k + c] + axis * count;
+            double* __restrict to = by.knot[3 * (k + 1) + c] + axis * count;
+            double* __restrict end = by.corner[3 * last + c] + axis * count;
+            for (int i = 0; i < count; i++) {
+                from[i] += total[0][first + i];
+                to[i] += total[1][first + i];
+                end[i] -= total[2][first + i];
+                time[i] -= gap[c] * total[3][first + i];
+                next_time[i] -= gap[c] * total[4][first + i];
+            }
+        }
+    }
+}
+
+// The derivatives by knots of force x of all parts, force y of all, and, if TURNING, of curls.
+template <bool TURNING>
+[[gnu::always_inline]] inline ByKnots forces_back(const Sequences& family, const Line& line,
+                                                  const Parts& parts) {
+    constexpr int WEIGHTS = 5, ROWS = TURNING ? 8 : 5;
+    const int count = static_cast<int>(parts.x.size()), segments = line.segments();
+    const double period = line.times.back();
+    const Matrix corners = knot_poses(line);
+    const double* gap = corners[segments];
+    ByKnots by(line, (TURNING ? 3 : 2) * count);
+    Matrix value(8, count), way(3, count), total(WEIGHTS, ROWS * count);
+    for (int k = 0; k < segments; k++) {
+        const int steps = family.steps[k % 2];
+        const double fraction = (line.times[k + 1] - line.times[k]) / (steps * period);
+        const double *from = line.knots[k], *to = line.knots[k + 1];
+        std::fill(total.numbers.begin(), total.numbers.end(), 0.0);
+        std::fill(way.numbers.begin(), way.numbers.end(), 0.0);
+        for (int part = 0; part < steps; part++) {
+            const Place at(line, k, part, steps);
+            const double x = at.x, s = x * x * (3 - 2 * x);
+            const double weight[WEIGHTS] = {1 - s, s, at.rate, at.accel * (1 - x), at.accel * x};
+            double twist[3];
+            for (int c = 0; c < 3; c++) twist[c] = from[c] * (1 - s) + to[c] * s - gap[c] * at.rate;
+            directions<TURNING>(twist, parts, fraction, value, way);
+            const double* __restrict flat = value[0];
+            for (int w = 0; w < WEIGHTS; w++) {
+                double* __restrict sum = total[w];
+#pragma omp simd
+                for (int i = 0; i < ROWS * count; i++) sum[i] += weight[w] * flat[i];
+            }
+        }
+        to_knots(k, steps * period, gap, total, way, by);
+    }
+    corners_back(line, by);
+    return by;
+}
+
+// Derivatives (R, P) of `step_forces`, of the rows asked for, at parameters whose knots are `line`.
+PLATE_WIDE inline void force_slopes(const Parameters& theta, const Sequences& family,
+                                    const Line& line, View<const double, 2> position,
+                                    View<const double, 2> velocity, const std::vector<int>& asked,
+                                    Matrix& jacobian) {
+    const int count = position.size(0);
+    const Parts parts(position, velocity);
+    bool turning = false;
+    std::vector<int> results;  // where `forces_back` has each of the rows
+    for (int row : asked) {
+        results.push_back(row % 3 * count + row / 3);
+        turning = turning || row % 3 == 2;
+    }
+    const ByKnots by =
+        turning ? forces_back<true>(family, line, parts) : forces_back<false>(family, line, parts);
+    parameters_back(theta, family, by, results, jacobian);
+}
+
+// Corrects a sequence until its average forces are as asked.
+inline Fit descend(const SequenceForces& problem, Parameters theta, double tolerance,
+                   int iterations) {
+    Run run;
+    const auto evaluate = [&](Parameters& trial, std::vector<double>& error) {
+        run = runnable(std::move(trial), problem.family);
+        trial = run.theta;
+        missed(problem, view_of(run.moved.twist), run.moved.dt.data(), error);
+    };
+    const auto slopes = [&](Matrix& jacobian) {
+        force_slopes(run.theta, problem.family, run.line, problem.position, problem.velocity,
+                     problem.asked, jacobian);
+        for (int r = 0; r < jacobian.rows; r++)
+            for (int p = 0; p < jacobian.columns; p++) jacobian[r][p] *= problem.scale(r);
+    };
+    return levenberg_marquardt(evaluate, slopes, std::move(theta), PATIENT, tolerance, iterations);
+}
+
+}  // namespace plate::rotations

@@ -1,0 +1,118 @@
+// Sequences of rotations as a family of motions: kernels of family.py.
+#pragma once
+#include "limits.hpp"
+#include "rotations/sequence.hpp"
+
+namespace plate::rotations {
+
+// Least length of a rotation and greatest speed, in units of their usual values; greatest fraction
+// of the period that ramps may take.
+constexpr double SHORTEST = 0.02, FASTEST = 2.5, MOST_RAMPS = 0.9;
+
+// A family of sequences of J rotations: `Sequences` of family.py.
+struct Sequences {
+    View<const double, 3> basis;  // (J, F, 3)
+    double hold_scale, period, accel, blend;
+    View<const double, 2> loads;  // (m, 3)
+    std::array<int, 2> steps;
+    Limits limits;
+
+    int count() const { return basis.size(0); }
+    int own() const { return basis.size(1); }
+    int parameters() const { return count() + 1 + count() * own(); }
+};
+
+using Parameters = std::vector<double>;
+
+// Relative lengths (J + 1,) of parameters.
+inline std::vector<double> holds_of(const Parameters& theta, const Sequences& family) {
+    std::vector<double> holds(theta.begin(), theta.begin() + family.count() + 1);
+    for (double& hold : holds) hold *= family.hold_scale;
+    return holds;
+}
+
+// Twists (J, 3) of parameters.
+inline Matrix twists_of(const Parameters& theta, const Sequences& family) {
+    Matrix twists(family.count(), 3);
+    for (int j = 0; j < family.count(); j++)
+        for (int q = 0; q < family.own(); q++) {
+            const double value = theta[family.count() + 1 + j * family.own() + q];
+            for (int c = 0; c < 3; c++) twists[j][c] += value * family.basis(j, q, c);
+        }
+    return twists;
+}
+
+inline Ramps ramps_of(const Parameters& theta, const Sequences& family) {
+    const Matrix twists = twists_of(theta, family);
+    return ramps(view_of(twists), family.limits.half, family.loads, family.accel, family.blend);
+}
+
+// Knot times and twists there, as `timeline`.
+inline Line line_of(const Parameters& theta, const Sequences& family) {
+    const Matrix twists = twists_of(theta, family);
+    return timeline(holds_of(theta, family), view_of(twists), ramps_of(theta, family).length,
+                    family.period);
+}
+
+// Parameters, the knots of their motion, and its samples.
+struct Run {
+    Parameters theta;
+    Line line;
+    Moved moved;
+};
+
+// Keeps lengths positive, and the motion within the limits.
+inline Run runnable(Parameters theta, const Sequences& family) {
+    const int count = family.count(), own = family.own();
+    for (int j = 0; j <= count; j++) theta[j] = std::max(theta[j], SHORTEST);
+    double* speeds = theta.data() + count + 1;
+    const auto slow_down = [&](double factor) {
+        for (int p = 0; p < count * own; p++) speeds[p] /= factor;
+    };
+    for (int j = 0; j < count; j++) {
+        double square = 0;
+        for (int q = j * own; q < (j + 1) * own; q++) square += speeds[q] * speeds[q];
+        const double factor = std::max(std::sqrt(square) / FASTEST, 1.0);
+        for (int q = j * own; q < (j + 1) * own; q++) speeds[q] /= factor;
+    }
+    for (int attempt = 0; attempt < 8; attempt++) {
+        const double filled = sum(ramps_of(theta, family).length) / (MOST_RAMPS * family.period);
+        if (filled > 1) slow_down(1.001 * filled);
+        Line line = line_of(theta, family);
+        Moved moved = motion(line, family.steps);
+        const int n = moved.pose.rows;
+        const Samples pose{moved.pose[0], n, 3, 1}, twist{moved.twist[0], n, 3, 1};
+        const View<const double, 1> dt{moved.dt.data(), {n}};
+        const double used =
+            limit_use(pose, twist, {moved.accel[0], n, 3, 1}, dt, family.limits, true);
+        if (used <= 1) return {std::move(theta), std::move(line), std::move(moved)};
+        slow_down(1.01 * used);
+    }
+    Line line = line_of(theta, family);
+    Moved moved = motion(line, family.steps);
+    return {std::move(theta), std::move(line), std::move(moved)};
+}
+
+// Turns derivatives of R results by knots into ones by parameters: row r of `jacobian` is that of
+// results[r].
+inline void parameters_back(const Parameters& theta, const Sequences& family, const ByKnots& by,
+                            const std::vector<int>& results, Matrix& jacobian) {
+    const ByRotations found = timeline_back(holds_of(theta, family), ramps_of(theta, family),
+                                            family.period, by);
+    const int count = family.count(), own = family.own();
+    jacobian.resize(static_cast<int>(results.size()), family.parameters());
+    for (int row = 0; row < jacobian.rows; row++) {
+        const int r = results[row];
+        for (int j = 0; j <= count; j++)
+            jacobian[row][j] = found.hold[j][r] * family.hold_scale;
+        for (int j = 0; j < count; j++)
+            for (int q = 0; q < own; q++) {
+                double along = 0;
+                for (int c = 0; c < 3; c++)
+                    along += found.twist[3 * j + c][r] * family.basis(j, q, c);
+                jacobian[row][count + 1 + j * own + q] = along;
+            }
+    }
+}
+
+}  // namespace plate::rotations

@@ -1,0 +1,205 @@
+// Fractions of time, by the revised simplex method: kernels of simplex.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include <plate/products.hpp>
+#include <plate/view.hpp>
+
+namespace plate::rotations {
+
+// Gain per unit below which a column counts as of no use, in units of cost.
+constexpr double OPTIMAL = 1e-9;
+
+// Least size of a pivot; and of 1 over the greatest entry of an inverse.
+constexpr double PIVOT = 1e-9;
+
+// Pivots after which the inverse of the basis is computed anew.
+constexpr int REFRESH = 40;
+
+using Basis = View<int64_t, 1>;
+
+// The columns (R, R) of a basis of a matrix (R, K): K + r takes what row r misses, K + R + r what
+// it gets too much.
+inline void columns_of(View<const double, 2> matrix, View<const int64_t, 1> basis,
+                       View<double, 2> chosen) {
+    const int rows = matrix.size(0), count = matrix.size(1);
+    std::fill_n(chosen[0], rows * rows, 0.0);
+    for (int j = 0; j < rows; j++) {
+        const int q = static_cast<int>(basis(j));
+        if (q < count)
+            for (int i = 0; i < rows; i++) chosen(i, j) = matrix(i, q);
+        else if (q < count + rows)
+            chosen(q - count, j) = 1;
+        else
+            chosen(q - count - rows, j) = -1;
+    }
+}
+
+// Inverts a matrix by Gauss and Jordan's method with the greatest pivot of each column; whether it
+// is regular.
+PLATE_WIDE inline bool invert_matrix(Matrix& matrix, Matrix& inverse) {
+    const int rows = matrix.rows;
+    inverse.resize(rows, rows);
+    std::fill_n(inverse[0], rows * rows, 0.0);
+    for (int i = 0; i < rows; i++) inverse[i][i] = 1;
+    for (int j = 0; j < rows; j++) {
+        int pivot = j;
+        for (int i = j + 1; i < rows; i++)
+            if (std::abs(matrix[i][j]) > std::abs(matrix[pivot][j])) pivot = i;
+        if (!(std::abs(matrix[pivot][j]) > 0)) return false;
+        double *__restrict own = matrix[j], *__restrict own_inverse = inverse[j];
+        if (pivot != j) {
+            std::swap_ranges(own, own + rows, matrix[pivot]);
+            std::swap_ranges(own_inverse, own_inverse + rows, inverse[pivot]);
+        }
+        const double first = own[j];
+        for (int c = j; c < rows; c++) own[c] /= first;
+        for (int c = 0; c < rows; c++) own_inverse[c] /= first;
+        for (int i = 0; i < rows; i++) {
+            const double part = matrix[i][j];
+            if (i == j || part == 0) continue;
+            double *__restrict row = matrix[i], *__restrict row_inverse = inverse[i];
+#pragma omp simd
+            for (int c = j; c < rows; c++) row[c] -= part * own[c];
+#pragma omp simd
+            for (int c = 0; c < rows; c++) row_inverse[c] -= part * own_inverse[c];
+        }
+    }
+    return true;
+}
+
+// The product of a matrix with a vector, whose entries are `stride` numbers apart.
+inline void times_vector(const Matrix& matrix, const double* vector, int stride, double* result) {
+    for (int i = 0; i < matrix.rows; i++) {
+        const double* row = matrix[i];
+        double total = 0;
+        for (int c = 0; c < matrix.columns; c++) total += row[c] * vector[c * stride];
+        result[i] = total;
+    }
+}
+
+struct Entering {
+    int column;
+    double sense, gain;
+};
+
+// A linear programme, and where the method stands: amounts (R,) of a basis' columns.
+struct Programme {
+    View<const double, 2> matrix;          // (R, K)
+    View<const double, 1> wanted, price;   // (R,), (K + 2 R,)
+    Basis basis;                           // (R,)
+    View<double, 1> sense;                 // (R,)
+    Matrix chosen, inverse;
+    std::vector<double> amount, dual, value, column;
+
+    int rows() const { return matrix.size(0); }
+    int count() const { return matrix.size(1); }
+    int simplex(int pivots);
+
+private:
+    bool restart();
+    Entering best_column();
+    void find_column(int q, double way);
+    void pivot_on(int leave, double amount_in);
+};
+
+// Inverse and amounts (not negative) of the basis, and whether it serves; fills `sense`. What would
+// be negative turns the other way: a rotation changes its sense, a miss its side.
+inline bool Programme::restart() {
+    chosen.resize(rows(), rows());
+    columns_of(matrix, {basis.data, basis.shape}, {chosen[0], {rows(), rows()}});
+    if (!invert_matrix(chosen, inverse)) return false;
+    double most = 0;
+    for (int i = 0; i < rows() * rows(); i++) most = std::max(most, std::abs(inverse[0][i]));
+    times_vector(inverse, wanted.data, 1, amount.data());
+    for (int i = 0; i < rows(); i++) {
+        sense(i) = 1;
+        if (!(amount[i] < 0)) continue;
+        amount[i] = -amount[i];
+        for (int c = 0; c < rows(); c++) inverse[i][c] = -inverse[i][c];
+        if (basis(i) < count())
+            sense(i) = -1;
+        else
+            basis(i) += basis(i) < count() + rows() ? rows() : -rows();
+    }
+    return most * PIVOT < 1;
+}
+
+// The column that pays most, its sense, and what it pays per unit.
+inline Entering Programme::best_column() {
+    for (int c = 0; c < rows(); c++) dual[c] = 0;
+    for (int i = 0; i < rows(); i++) {
+        const double each = price(basis(i));
+        for (int c = 0; c < rows(); c++) dual[c] += each * inverse[i][c];
+    }
+    product(dual.data(), 1, matrix.data, count(), rows(), 1, count(), value.data(), count());
+    int best = -1;
+    double gain = 0;
+    for (int j = 0; j < count(); j++) {
+        const double pays = std::abs(value[j]) - price(j);
+        if (pays > gain) best = j, gain = pays;
+    }
+    double sense = best < 0 || value[best] > 0 ? 1 : -1;
+    for (int i = 0; i < rows(); i++) {
+        const int over = count() + i, under = count() + rows() + i;
+        if (dual[i] - price(over) > gain) best = over, gain = dual[i] - price(over), sense = 1;
+        if (-dual[i] - price(under) > gain) best = under, gain = -dual[i] - price(under), sense = 1;
+    }
+    return {best, sense, gain};
+}
+
+// Column q, in the sense `way`, by the columns of the basis.
+inline void Programme::find_column(int q, double way) {
+    if (q < count()) {
+        times_vector(inverse, matrix.data + q, count(), column.data());
+        for (double& entry : column) entry *= way;
+    } else {
+        const bool over = q < count() + rows();
+        const int c = over ? q - count() : q - count() - rows();
+        for (int i = 0; i < rows(); i++) column[i] = over ? inverse[i][c] : -inverse[i][c];
+    }
+}
+
+// Puts so much of the column into the basis, where another leaves.
+inline void Programme::pivot_on(int leave, double amount_in) {
+    double* __restrict own = inverse[leave];
+    for (int i = 0; i < rows(); i++) {
+        if (i == leave) continue;
+        amount[i] = std::max(amount[i] - amount_in * column[i], 0.0);
+        const double part = column[i] / column[leave];
+        if (part == 0) continue;
+        double* __restrict row = inverse[i];
+        for (int c = 0; c < rows(); c++) row[c] -= part * own[c];
+    }
+    for (int c = 0; c < rows(); c++) own[c] /= column[leave];
+    amount[leave] = amount_in;
+}
+
+// Improves basis and senses in place; returns the pivots made, -1 if the basis does not serve.
+inline int Programme::simplex(int pivots) {
+    amount.resize(rows()), dual.resize(rows()), value.resize(count()), column.resize(rows());
+    bool fits = restart();
+    for (int done = 0; done < pivots; done++) {
+        if (done % REFRESH == REFRESH - 1) fits = restart();
+        if (!fits) return -1;
+        const Entering entering = best_column();
+        if (entering.gain <= OPTIMAL) return done;
+        find_column(entering.column, entering.sense);
+        int leave = -1;
+        double amount_in = std::numeric_limits<double>::infinity();
+        for (int i = 0; i < rows(); i++)
+            if (column[i] > PIVOT && amount[i] < amount_in * column[i])
+                amount_in = amount[i] / column[i], leave = i;
+        if (leave < 0) return done;  // unbounded: not with costs and prices as they may be
+        pivot_on(leave, amount_in);
+        basis(leave) = entering.column;
+        sense(leave) = entering.sense;
+    }
+    return pivots;
+}
+
+}  // namespace plate::rotations

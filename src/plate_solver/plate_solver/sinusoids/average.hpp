@@ -1,0 +1,305 @@
+// Method B's inversion of the averaged map, from first guess to finished spline: kernels of
+// average.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include <plate/products.hpp>
+#include <plate/view.hpp>
+
+#include "fit/basin_hopping.hpp"
+#include "fit/levenberg_marquardt.hpp"
+#include "limits.hpp"
+#include "maps/sinusoid_force.hpp"
+#include "sinusoids/limits.hpp"
+
+namespace plate::averages {
+
+using namespace sinusoids;
+
+// Damping from a fresh guess, and where a solution is near.
+constexpr Damping AFRESH{1.25e-3, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
+constexpr Damping NEAR{1.25e-5, 1e-9, 1e2, 8.0, 6.0, 6, 0.7};
+
+// Disturbances in a row that may fail to better a round's motion, and their size relative to it.
+constexpr int HOPS = 12;
+constexpr double HOP = 0.15;
+
+constexpr double SURE = 0.7;  // of the allowed error, that a motion may miss uncorrected
+
+// Equal legs in which a fresh guess is led to a request that others have not reached; steps for a
+// leg, and the error that is left behind, over the size of the request.
+constexpr int LEGS = 3, LEG_STEPS = 8;
+constexpr double LEG_ERROR = 0.03;
+
+// A basis of h sinusoidal motions of N harmonics.
+struct Motions {
+    Matrix waves, taylor;  // of the rules
+    int few, pieces;
+    Matrix span;                // (2 N, h)
+    Looks steps, knots, hull;   // at equal steps; at the knots of a finished cycle; control points
+    Matrix spline;              // (h, 6 k): powers of the time since the knot
+    std::vector<double> times;  // (k + 1,): knots [s]
+    Limits limits;              // MARGIN of the rig's
+    int candidates;             // random motions that are tried for each fresh guess
+
+    int size() const { return span.columns; }
+
+    // Nodes of the averages.
+    Rules rules() const {
+        return {{waves[0], {waves.rows, waves.columns}}, few,
+                {taylor[0], {taylor.rows, taylor.columns}}, pieces};
+    }
+};
+
+// What is asked for.
+struct Request {
+    View<const double, 2> position, velocity, force;  // parts (M, 2) [m], [m/s], [mu m g]
+    double tolerance;                                 // greatest error that is allowed [mu m g]
+    int iterations, tries;                            // most steps of one start, and most starts
+};
+
+// A finished motion: pose, twist and acceleration (3, k + 1) at its knots, a spline (k, 6, 3), and
+// its errors (M, 2) [mu m g].
+struct Found {
+    std::vector<double> theta;  // parameters (3 h,), at full amplitude
+    Looked knots;
+    std::vector<double> spline, error;
+    double worst, condition;
+    int iterations, tries;
+};
+
+class Inversion {
+public:
+    // `pool` (S, 3 h) has random motions.
+    Inversion(const Motions& motions, View<const double, 2> pool, const Request& request)
+        : motions(motions), rules(motions.rules()), pool(pool), request(request),
+          size(motions.size()),
+          parts(request.position.size(0)), slip_rows(motions.span.rows + 1, 2),
+          samples_of(5, motions.waves.columns), gradient(3, motions.span.rows), own(size, 3),
+          coefficients(motions.span.rows, 3), by_span(3, size) {
+        const double* velocity = request.velocity.data;
+        moving = std::any_of(velocity, velocity + 2 * parts, [](double v) { return v != 0; });
+        wanted.assign(request.force.data, request.force.data + 2 * parts);
+    }
+
+    // Finds a motion with the wanted average forces; `warm` (3 h,) is the last solution, or null.
+    Found invert(const double* warm) {
+        is_warm = warm;
+        auto [fit, done, tried] =
+            search(warm ? std::vector<double>(warm, warm + 3 * size) : fresh(FIRST));
+        Found found = finished(fit, done, tried);
+        if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
+            fit = descend(PANELS, wanted, fit.parameters, NEAR, request.tolerance / 3,
+                          request.iterations);
+            done += fit.iterations;
+            found = finished(fit, done, tried);
+        }
+        if (found.worst > request.tolerance && worst(fit.error) <= request.tolerance) {
+            is_warm = false, backwards = true;  // from other starts
+            const auto [other, more, others] = search(fresh(FIRST));
+            found = finished(other, done + more, tried + others);
+        }
+        return found;
+    }
+
+private:
+    const Motions& motions;
+    const Rules rules;
+    const View<const double, 2> pool;
+    const Request request;
+    const int size, parts;
+    bool moving, is_warm = false, backwards = false;  // whether the pool is taken from its end
+    std::vector<double> wanted;
+    Matrix slip_rows, samples_of, gradient, own, coefficients, by_span, now;  // room
+    Looked looked;
+
+    const double* random(int number) const {
+        return pool[backwards ? pool.size(0) - 1 - number : number];
+    }
+
+    Searched<Fit> search(std::vector<double> begin) {
+        const auto propose = [&](int number, const Fit& near, bool afresh) {
+            return afresh ? led(number) : disturbed(number, near.parameters);
+        };
+        const auto attempt = [&](const std::vector<double>& start, int number, double least) {
+            return attempted(start, number, least);
+        };
+        return basin_hopping<Fit>(propose, attempt, begin, request.tries, HOPS, true, 0);
+    }
+
+    // Descends from a start; what is good by equal steps is corrected where these miss dips.
+    Attempted<Fit> attempted(const std::vector<double>& start, int number, double least) {
+        const double tolerance = request.tolerance;
+        const bool known = number == FIRST && is_warm;
+        Fit fit = descend(known ? ADAPTIVE : USUAL, wanted, start, known ? NEAR : AFRESH,
+                          tolerance / 3, request.iterations);
+        int done = fit.iterations;
+        double cost = squared(fit.error), greatest = worst(fit.error);
+        if (greatest <= tolerance || cost < least) {
+            cost = force_error(ADAPTIVE, wanted, fit.parameters, fit.error, nullptr);
+            if (greatest <= 30 * tolerance && worst(fit.error) > SURE * tolerance) {
+                fit = descend(ADAPTIVE, wanted, fit.parameters, NEAR, tolerance / 3,
+                              request.iterations);
+                done += fit.iterations;
+                cost = squared(fit.error);
+            }
+        }
+        greatest = worst(fit.error);
+        return {std::move(fit), cost, done, greatest <= tolerance};
+    }
+
+    std::vector<double> disturbed(int number, std::vector<double> theta) const {
+        const double hop = HOP * std::sqrt(squared(theta) / static_cast<double>(theta.size()));
+        const double* way = random(number % pool.size(0));
+        for (int p = 0; p < 3 * size; p++) theta[p] += hop * way[p];
+        return theta;
+    }
+
+    // A fresh start, led towards the request.
+    std::vector<double> led(int number) {
+        std::vector<double> theta = fresh(number), part = wanted;
+        const double left = LEG_ERROR * std::sqrt(squared(wanted) / (2 * parts));
+        for (int leg = 1; leg < LEGS; leg++) {
+            for (int r = 0; r < 2 * parts; r++) part[r] = wanted[r] * leg / LEGS;
+            theta = descend(USUAL, part, theta, AFRESH, left, LEG_STEPS).parameters;
+        }
+        return theta;
+    }
+
+    // The next random motion, or its opposite, that does most of what is asked.
+    std::vector<double> fresh(int number) {
+        const int count = pool.size(0), most = motions.candidates;
+        const int first = number / (HOPS + 1) * most % count;  // another for every fresh start
+        double least = 1e300, sign = 1;
+        int index = first;
+        std::vector<double> error;
+        for (int i = first; i < std::min(first + most, count); i++) {
+            std::vector<double> theta(random(i), random(i) + 3 * size);
+            if (moving) to_full_amplitude(theta);
+            const double cost = force_error(FEW, wanted, theta, error, nullptr);
+            if (cost < least) least = cost, index = i, sign = 1;
+            // With g = f - error the force got, |f + g|^2 = |f - g|^2 + 4 f.g
+            double opposite = cost;
+            for (int r = 0; r < 2 * parts; r++) opposite += 4 * wanted[r] * (wanted[r] - error[r]);
+            if (opposite < least) least = opposite, index = i, sign = -1;
+        }
+        std::vector<double> theta(random(index), random(index) + 3 * size);
+        for (double& value : theta) value *= sign;
+        return theta;
+    }
+
+    // Corrects a motion until its forces on a grid are those of `force` (2 M,).
+    Fit descend(int grid, const std::vector<double>& force, std::vector<double> theta,
+                const Damping& damping, double tolerance, int iterations) {
+        const auto evaluate = [&](std::vector<double>& trial, std::vector<double>& error) {
+            if (moving) to_full_amplitude(trial);
+            force_error(grid, force, trial, error, &now);  // slopes share most of the work
+        };
+        const auto slopes = [&](Matrix& jacobian) { std::swap(jacobian, now); };
+        return levenberg_marquardt(evaluate, slopes, std::move(theta), damping, tolerance,
+                                   iterations);
+    }
+
+    // Coefficients (h, 3) of parameters (3 h,).
+    void set_coefficients(const std::vector<double>& theta) {
+        std::copy(theta.begin(), theta.end(), own[0]);
+        for (int h = 0; h < size; h++) own[h][2] /= motions.limits.arm_m;
+    }
+
+    // Scales parameters so that the samples just reach the first of the limits.
+    void to_full_amplitude(std::vector<double>& theta) {
+        set_coefficients(theta);
+        const double used = use_of(motions.steps, weights(EQUAL_WEIGHT), true);
+        if (used > 0)
+            for (double& value : theta) value /= used;
+    }
+
+    double use_of(const Looks& basis, View<const double, 1> weight, bool linear) {
+        look(own[0], basis, looked);
+        return limit_use(samples(looked.pose), samples(looked.twist), samples(looked.accel),
+                         weight, motions.limits, linear);
+    }
+
+    // Request minus average force (2 M,), and d force / d theta (2 M, 3 h) unless that is null;
+    // returns the squared error.
+    double force_error(int grid, const std::vector<double>& force,
+                       const std::vector<double>& theta, std::vector<double>& error,
+                       Matrix* jacobian) {
+        const Matrix& span = motions.span;
+        const int waves = span.rows;
+        const double turn = 1 / motions.limits.arm_m;
+        set_coefficients(theta);
+        for (int j = 0; j < waves; j++)
+            for (int c = 0; c < 3; c++) {
+                double total = 0;
+                for (int h = 0; h < size; h++) total += span[j][h] * own[h][c];
+                coefficients[j][c] = total;
+            }
+        const View<double, 2> slip{slip_rows[0], {waves + 1, 2}};
+        const View<double, 2> work{samples_of[0], {5, samples_of.columns}};
+        const View<double, 2> by_slip{gradient[0], {jacobian ? 3 : 0, waves}};
+        error.resize(2 * parts);
+        if (jacobian) jacobian->resize(2 * parts, 3 * size);
+        double cost = 0;
+        for (int i = 0; i < parts; i++) {
+            const double *place = request.position[i], *velocity = request.velocity[i];
+            slip_at({coefficients[0], {waves, 3}}, place[0], place[1], velocity[0], velocity[1],
+                    slip);
+            const Force got = force_of({slip.data, slip.shape}, rules, grid, work, by_slip);
+            error[2 * i] = force[2 * i] - got.x, error[2 * i + 1] = force[2 * i + 1] - got.y;
+            cost += error[2 * i] * error[2 * i] + error[2 * i + 1] * error[2 * i + 1];
+            if (!jacobian) continue;
+            for (int row = 0; row < 3; row++) {
+                double* __restrict sum = by_span[row];
+                std::fill_n(sum, size, 0.0);
+                for (int j = 0; j < waves; j++) {
+                    const double each = gradient[row][j], *__restrict basis = span[j];
+                    for (int h = 0; h < size; h++) sum[h] += each * basis[h];
+                }
+            }
+            for (int axis = 0; axis < 2; axis++) {
+                const double *by_x = by_span[axis], *by_y = by_span[axis + 1];
+                double* row = (*jacobian)[2 * i + axis];
+                for (int h = 0; h < size; h++) {
+                    row[3 * h] = by_x[h];
+                    row[3 * h + 1] = by_y[h];
+                    row[3 * h + 2] = (place[0] * by_y[h] - place[1] * by_x[h]) * turn;
+                }
+            }
+        }
+        return cost;
+    }
+
+    // Makes parameters a spline within the limits, and judges it.
+    Found finished(const Fit& fit, int iterations, int tries) {
+        Found found{.theta = fit.parameters, .iterations = iterations, .tries = tries};
+        to_full_amplitude(found.theta);
+        set_coefficients(found.theta);
+        for (int round = 0; round < 4; round++) {  // turning enters with its square: nearly linear
+            const double used = MARGIN * use_of(motions.hull, weights(HULL_WEIGHT), false);
+            if (used <= CERTAIN) break;
+            const double factor = 0.9999 * CERTAIN / used;
+            for (int k = 0; k < 3 * size; k++) own[0][k] *= factor;
+        }
+        look(own[0], motions.knots, found.knots);
+        const int powers = motions.spline.columns, pieces = powers / 6;
+        Matrix spline;
+        combine(own[0], motions.spline, spline);
+        found.spline.resize(3 * powers);
+        for (int k = 0; k < powers; k++)
+            for (int c = 0; c < 3; c++) found.spline[3 * k + c] = spline[c][k];
+        Matrix force(parts, 2);
+        spline_force(motions.times.data(), {found.spline.data(), {pieces, 6, 3}},
+                     request.position, request.velocity, {force[0], {parts, 2}});
+        found.error.resize(2 * parts);
+        for (int r = 0; r < 2 * parts; r++) found.error[r] = wanted[r] - force[0][r];
+        found.worst = worst(found.error);
+        found.condition = condition_of(fit.jacobian);
+        return found;
+    }
+};
+
+}  // namespace plate::averages

@@ -1,0 +1,109 @@
+// What Python sees of the kernels of limits.hpp and descent.hpp.
+#include "records.hpp"
+#include "requests/ends_record.hpp"
+#include "sinusoids/descent.hpp"
+
+namespace plate {
+
+using namespace sinusoids;
+using descent::Motions;
+using descent::Problem;
+
+static Matrix matrix_of(const Table& array) {
+    Matrix result(array.shape(0), array.shape(1));
+    std::copy_n(array.data(), array.size(), result[0]);
+    return result;
+}
+
+static Matrix transposed(const Table& array) {
+    Matrix result;
+    transpose(matrix_of(array), result);
+    return result;
+}
+
+// Of bases (n, h) at the instants looked at.
+static Looks looks_of(const Table& pose, const Table& twist, const Table& accel) {
+    check("twist", twist, {pose.shape(0), pose.shape(1)});
+    check("accel", accel, {pose.shape(0), pose.shape(1)});
+    return {transposed(pose), transposed(twist), transposed(accel),
+            matrix_of(pose),  matrix_of(twist),  matrix_of(accel)};
+}
+
+// Values (K,) and slopes (K, h, 3) of what `add` finds of a motion (h, 3).
+template <class Add>
+static nb::tuple found_by(const Table& coefficients, const Looks& basis, int most, Add add) {
+    const size_t size = basis.size();
+    check("coefficients", coefficients, {size, 3});
+    static thread_local Looked at;
+    static thread_local Excess found;
+    look(coefficients.data(), basis, at);
+    found.begin(most, 3 * size);
+    add(at, found);
+    const size_t rows = found.found;
+    const double *value = found.value.data(), *slope = found.slope[0];
+    return nb::make_tuple(to_numpy<1>({value, value + rows}, {rows}),
+                          to_numpy<3>({slope, slope + rows * 3 * size}, {rows, size, 3}));
+}
+
+static Motions motions_of(Table pose, Table twist, Table pose_bins, Table twist_bins,
+                          Table look_pose, Table look_twist, Table look_accel, Numbers scale,
+                          double dt, nb::tuple limits) {
+    const size_t size = pose.shape(1), bins = pose_bins.shape(0);
+    check("twist", twist, {pose.shape(0), size});
+    check("pose_bins", pose_bins, {bins, size});
+    check("twist_bins", twist_bins, {bins, size});
+    check("looks", look_pose, {look_pose.shape(0), size});
+    check("scale", scale, {3});
+    if (bins == 0 || pose.shape(0) % bins)
+        throw nb::value_error("the steps are no multiple of the bins");
+    return {transposed(pose), transposed(twist), matrix_of(pose_bins), matrix_of(twist_bins),
+            looks_of(look_pose, look_twist, look_accel), {scale(0), scale(1), scale(2)}, dt,
+            limits_of(limits)};
+}
+
+static nb::tuple descend(const Motions& motions, Table start, nb::tuple ends_record, double coast,
+                         double most, Numbers theta, double tolerance, int iterations) {
+    const bool turning = start.shape(1) == TURNING_STATE;
+    const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
+    const EndsRecord record(ends_record, ends);
+    const Problem problem{motions, view(start), record.view(), coast, most};
+    if (!turning) check("start", start, {start.shape(0), STATE});
+    const size_t parts = problem.ends.parts;
+    if (ends != axes * parts || start.shape(0) * LANES < parts)
+        throw nb::value_error("the numbers of parts, blocks and ends do not belong together");
+    check("theta", theta, {3 * static_cast<size_t>(motions.size())});
+    Fit fit;
+    {
+        nb::gil_scoped_release others_may_run;
+        static thread_local descent::Room room;
+        fit = descent::descend(problem, {theta.data(), theta.data() + theta.size()}, tolerance,
+                               iterations, room);
+    }
+    return fields_of(std::move(fit));
+}
+
+void bind_sinusoids(nb::module_& m) {
+    m.attr("EXCESS_M") = EXCESS_M, m.attr("AIM") = AIM;
+    m.def("excess", [](Table own, Table pose, Table twist, Table accel, nb::tuple record) {
+        const Looks basis = looks_of(pose, twist, accel);
+        const Limits limits = limits_of(record);
+        const int most = most_excesses(basis.count());
+        return found_by(own, basis, most, [&](const Looked& at, Excess& found) {
+            Matrix used;
+            excess(at, basis, limits, used, found);
+        });
+    });
+    m.def("force_excess", [](Table own, Table pose, Table twist, Table accel, nb::tuple record) {
+        const Looks basis = looks_of(pose, twist, accel);
+        const Limits limits = limits_of(record);
+        const int most = most_force_excesses(basis.count());
+        return found_by(own, basis, most, [&](const Looked& at, Excess& found) {
+            force_excess(at, basis, limits, found);
+        });
+    });
+    nb::class_<Motions>(m, "Motions");
+    m.def("motions_of", motions_of);
+    m.def("descend", descend);
+}
+
+}  // namespace plate

@@ -1,0 +1,176 @@
+// By how much a sinusoidal motion exceeds the rig's limits, and the slopes: kernels of limits.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <plate/products.hpp>
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+#include "limits.hpp"
+
+namespace plate::sinusoids {
+
+// As in limits.py.
+constexpr double EXCESS_M = 2e-3, AIM = 0.95;
+
+// A basis of one degree of freedom at the instants that are looked at: (h, n) each, and the same
+// instant by instant, (n, h).
+struct Looks {
+    Matrix pose, twist, accel, pose_at, twist_at, accel_at;
+
+    int size() const { return pose.rows; }
+    int count() const { return pose.columns; }
+};
+
+// Samples (3, n) of a motion: x of all instants, y of all, theta of all.
+struct Looked {
+    Matrix pose, twist, accel;
+};
+
+// Excesses (K,) as fractions of a limit, and their derivatives (K, 3 h) by coefficients (h, 3).
+struct Excess {
+    std::vector<double> value;
+    Matrix slope;
+    int found = 0;
+
+    // Forgets what was found; there may be up to so many.
+    void begin(int most, int columns) {
+        found = 0;
+        if (value.size() < static_cast<size_t>(most)) value.resize(most);
+        slope.resize(most, columns);
+    }
+};
+
+inline Samples samples(const Matrix& path) { return {path[0], path.columns, 1, path.columns}; }
+
+// path (3, n) = the motion that coefficients (h, 3) make of a basis (h, n).
+inline void combine(const double* coefficients, const Matrix& basis, Matrix& path) {
+    path.resize(3, basis.columns);
+    product(coefficients, 3, basis[0], basis.columns, basis.rows, 3, basis.columns, path[0],
+            basis.columns);
+}
+
+inline void look(const double* coefficients, const Looks& basis, Looked& at) {
+    combine(coefficients, basis.pose, at.pose);
+    combine(coefficients, basis.twist, at.twist);
+    combine(coefficients, basis.accel, at.accel);
+}
+
+// Most excesses of `excess`, and of `force_excess`.
+inline int most_excesses(int looks) { return looks * (2 * MOTORS + 4); }
+inline int most_force_excesses(int looks) { return (looks + 1) * MOTORS; }
+
+// Adds the excess above AIM of motors' strokes and speeds, and of corners' accelerations. `used` is
+// room.
+PLATE_WIDE inline void excess(const Looked& at, const Looks& basis, const Limits& limits,
+                              Matrix& used, Excess& result) {
+    const int n = basis.count(), size = basis.size();
+    used.resize(2 * MOTORS + 4, n);
+    for (int i = 0; i < MOTORS; i++)
+        for (int order = 0; order < 2; order++) {
+            const Matrix& state = order ? at.twist : at.pose;
+            const double limit = order ? limits.speed : limits.stroke_m;
+            const double *__restrict x = state[0], *__restrict y = state[1];
+            const double *__restrict angle = state[2], *lever = limits.levers[i];
+            double* __restrict out = used[2 * i + order];
+#pragma omp simd
+            for (int k = 0; k < n; k++)
+                out[k] = std::abs(lever[0] * x[k] + lever[1] * y[k] + lever[2] * angle[k]) / limit;
+        }
+    const double *__restrict ax = at.accel[0], *__restrict ay = at.accel[1];
+    const double *__restrict aw = at.accel[2], *__restrict spin = at.twist[2];
+    for (int corner = 0; corner < 4; corner++) {
+        const double cx = corner & 1 ? limits.half[0] : -limits.half[0];
+        const double cy = corner & 2 ? limits.half[1] : -limits.half[1];
+        double* __restrict out = used[2 * MOTORS + corner];
+#pragma omp simd
+        for (int k = 0; k < n; k++) {
+            const double bx = ax[k] - aw[k] * cy - spin[k] * spin[k] * cx;
+            const double by = ay[k] + aw[k] * cx - spin[k] * spin[k] * cy;
+            out[k] = std::sqrt(bx * bx + by * by);
+        }
+    }
+    for (int k = 0; k < n; k++) {
+        for (int i = 0; i < MOTORS; i++)
+            for (int order = 0; order < 2; order++) {
+                const double share = used[2 * i + order][k];
+                if (!(share > AIM)) continue;
+                const Matrix& state = order ? at.twist : at.pose;
+                const double* by = order ? basis.twist_at[k] : basis.pose_at[k];
+                const double limit = order ? limits.speed : limits.stroke_m;
+                const double* lever = limits.levers[i];
+                const double q = lever[0] * state[0][k] + lever[1] * state[1][k] +
+                                 lever[2] * state[2][k];
+                double* slope = result.slope[result.found];
+                for (int h = 0; h < size; h++) {
+                    const double each = (q > 0 ? by[h] : -by[h]) / limit;
+                    for (int d = 0; d < 3; d++) slope[3 * h + d] = each * lever[d];
+                }
+                result.value[result.found++] = share - AIM;
+            }
+        for (int corner = 0; corner < 4; corner++) {
+            const double length = used[2 * MOTORS + corner][k];
+            if (!(length > AIM * limits.accel)) continue;
+            const double cx = corner & 1 ? limits.half[0] : -limits.half[0];
+            const double cy = corner & 2 ? limits.half[1] : -limits.half[1];
+            const double bx = ax[k] - aw[k] * cy - spin[k] * spin[k] * cx;
+            const double by = ay[k] + aw[k] * cx - spin[k] * spin[k] * cy;
+            const double ux = bx / length / limits.accel, uy = by / length / limits.accel;
+            const double turn = uy * cx - ux * cy, rate = -2 * spin[k] * (ux * cx + uy * cy);
+            const double *by_twist = basis.twist_at[k], *by_accel = basis.accel_at[k];
+            double* slope = result.slope[result.found];
+            for (int h = 0; h < size; h++) {
+                slope[3 * h] = ux * by_accel[h];
+                slope[3 * h + 1] = uy * by_accel[h];
+                slope[3 * h + 2] = turn * by_accel[h] + rate * by_twist[h];
+            }
+            result.value[result.found++] = length / limits.accel - AIM;
+        }
+    }
+}
+
+// Adds an excess whose slopes are `factor` times rows (3, h).
+[[gnu::always_inline]] inline void add(double value, const Matrix& rows, double factor,
+                                       Excess& result) {
+    double* slope = result.slope[result.found];
+    for (int h = 0; h < rows.columns; h++)
+        for (int d = 0; d < 3; d++) slope[3 * h + d] = factor * rows[d][h];
+    result.value[result.found++] = value;
+}
+
+// Adds the same of motors' peak forces, and of their root mean squares.
+PLATE_WIDE inline void force_excess(const Looked& at, const Looks& basis, const Limits& limits,
+                                    Excess& result) {
+    const int looks = basis.count(), size = basis.size();
+    Matrix each(3, size), by_own(3, size);
+    for (int i = 0; i < MOTORS; i++) {
+        const double *on_pose = limits.loads[0][i], *on_twist = limits.loads[1][i];
+        const double* on_accel = limits.loads[2][i];
+        double square = 0;
+        std::fill_n(by_own[0], 3 * size, 0.0);
+        for (int k = 0; k < looks; k++) {
+            const double *__restrict pose = basis.pose_at[k], *__restrict twist = basis.twist_at[k];
+            const double* __restrict accel = basis.accel_at[k];
+            double force = 0;
+            for (int d = 0; d < 3; d++)
+                force += on_pose[d] * at.pose[d][k] + on_twist[d] * at.twist[d][k] +
+                         on_accel[d] * at.accel[d][k];
+            square += force * force / looks;
+            for (int d = 0; d < 3; d++) {
+                double *__restrict own = each[d], *__restrict sum = by_own[d];
+#pragma omp simd
+                for (int h = 0; h < size; h++) {
+                    own[h] = on_pose[d] * pose[h] + on_twist[d] * twist[h] + on_accel[d] * accel[h];
+                    sum[h] += force * own[h] / looks;
+                }
+            }
+            if (std::abs(force) > AIM) add(std::abs(force) - AIM, each, force > 0 ? 1 : -1, result);
+        }
+        const double heat = limits.heat * std::sqrt(square);
+        if (heat > AIM) add(heat - AIM, by_own, limits.heat * limits.heat / heat, result);
+    }
+}
+
+}  // namespace plate::sinusoids

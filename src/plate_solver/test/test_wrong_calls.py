@@ -1,0 +1,103 @@
+"""Kernels refuse arrays whose sizes, axes or types do not belong together."""
+
+import numpy as np
+import pytest
+
+from plate_core import load_rig
+from plate_solver import _kernels
+from plate_solver.limits import Limits
+from plate_solver.maps import LANES, TRACE, TURNING_TRACE, blocks_of, turning_blocks_of
+from plate_solver.requests import Ends
+from plate_solver.sinusoids import sinusoid_basis
+from plate_solver.sinusoids.descent import Motions
+
+PARTS, STEPS, BINS = 3, 8, 2
+LIMITS = Limits.of(load_rig())
+RNG = np.random.default_rng(0)
+BASIS = sinusoid_basis(4, 0.1, True, 256)
+MOTIONS = Motions.of(BASIS, LIMITS).basis
+
+
+def random(*shape):
+    return RNG.uniform(0.1, 1.0, shape)
+
+
+MOTION = random(STEPS, 3), random(STEPS, 3)
+POINTS = random(PARTS, 2), random(PARTS, 2)
+SPINS = random(PARTS), random(PARTS, 3)
+STATE = blocks_of(*POINTS, np.ones(PARTS), 1e-3)
+TURNING = turning_blocks_of(*POINTS, np.ones(PARTS), 1e-3, *SPINS)
+BY = random(BINS, 1, 2, 3 * LANES), random(BINS, 1, 2, 2 * LANES)
+BY_TURNING = random(BINS, 1, 3, 3 * LANES), random(BINS, 1, 3, 2 * LANES)
+LOOKS = random(5, 4), random(5, 4), random(5, 4)
+ENDS = Ends(*random(5, 2 * PARTS), np.array([[0, 1], [1, 2]]), random(2), PARTS)
+CALLS = {
+    "limit_use": (*MOTION, random(STEPS, 3), random(2), LIMITS, True),
+    "least_norm_step": (random(3, 4), random(3), 0.1),
+    "end_state": (*POINTS, *MOTION, random(STEPS), random(PARTS)),
+    "end_state_gradient": (*POINTS, *MOTION, random(STEPS), random(PARTS), 0.1),
+    "end_turning": (*POINTS, *SPINS, *MOTION, random(STEPS), random(PARTS)),
+    "end_turning_gradient": (*POINTS, *SPINS, *MOTION, random(STEPS), random(PARTS), 0.1),
+    "trace": (STATE, *MOTION, 1e-3, random(STEPS, 1, TRACE)),
+    "adjoint": (random(STEPS, 1, TRACE), MOTION[1], 1e-3, 0.1, *BY),
+    "trace_turning": (TURNING, *MOTION, 1e-3, random(STEPS, 1, TURNING_TRACE)),
+    "adjoint_turning": (random(STEPS, 1, TURNING_TRACE), MOTION[1], 1e-3, 0.1, *BY_TURNING),
+    "end_errors": (random(2 * PARTS), ENDS),
+    "request_flags": (*POINTS, random(PARTS, 2), random(PARTS), random(PARTS, 2)),
+    "excess": (random(4, 3), *LOOKS, LIMITS),
+    "force_excess": (random(4, 3), *LOOKS, LIMITS),
+    "descend": (MOTIONS, STATE, ENDS, 0.1, 1.3, random(3 * BASIS.size), 1e-3, 2),
+}
+
+
+def spoilt(array):
+    """Arrays that cannot stand for this one: of other sizes, axes and types."""
+    for axis in range(array.ndim):
+        yield np.repeat(array, 2, axis=axis)
+    yield array[None]
+    yield array.astype(complex)
+    yield None
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_arrays_that_do_not_belong_together_are_refused(name):
+    kernel, right = getattr(_kernels, name), CALLS[name]
+    kernel(*right)
+    free = {("limit_use", 3, 0), ("end_state", 5, 0), ("end_state_gradient", 5, 0)}
+    free |= {("end_turning", 7, 0), ("end_turning_gradient", 7, 0), ("descend", 1, 0)}
+    free |= {("least_norm_step", 0, 1)}
+    for at, argument in enumerate(right):
+        if isinstance(argument, np.ndarray):
+            for number, wrong in enumerate(spoilt(argument)):
+                if (name, at, number) not in free:  # which may be longer
+                    with pytest.raises((TypeError, ValueError)):
+                        kernel(*right[:at], wrong, *right[at + 1 :])
+        if isinstance(argument, tuple):
+            for field, value in enumerate(argument):
+                if isinstance(value, np.ndarray):
+                    for wrong in spoilt(value):
+                        record = argument._replace(**{argument._fields[field]: wrong})
+                        with pytest.raises((TypeError, ValueError, RuntimeError)):
+                            kernel(*right[:at], record, *right[at + 1 :])
+
+
+def test_pairs_of_parts_that_there_are_not_are_refused():
+    for part in (-1, PARTS):
+        wrong = ENDS._replace(pair=np.array([[0, 1], [1, part]]))
+        with pytest.raises(ValueError, match="pair"):
+            _kernels.end_errors(random(2 * PARTS), wrong)
+    with pytest.raises(ValueError, match="parts"):
+        _kernels.end_errors(random(2 * PARTS), ENDS._replace(parts=PARTS + 1))
+
+
+@pytest.mark.parametrize("name", ["trace", "adjoint", "trace_turning", "adjoint_turning"])
+def test_what_is_written_is_written_in_place(name):
+    """A copy that is written in vain would be no error that anybody sees."""
+    right = CALLS[name]
+    written = (0, 4) if "trace" in name else (4, 5)
+    for at in written:
+        for wrong in (right[at].astype(np.float32), np.asfortranarray(right[at])):
+            if wrong.flags.c_contiguous and wrong.dtype == float:
+                continue  # one block: the same in either order
+            with pytest.raises(TypeError):
+                getattr(_kernels, name)(*right[:at], wrong, *right[at + 1 :])

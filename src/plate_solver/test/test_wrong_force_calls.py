@@ -1,0 +1,112 @@
+"""Kernels of averaged forces and of rotations refuse arrays that do not belong together."""
+
+import numpy as np
+import pytest
+
+from plate_core import load_rig
+from plate_solver import _kernels
+from plate_solver.analysis.unreachable import _cells, _circles
+from plate_solver.limits import Limits
+from plate_solver.maps import force_rules, intervals
+from plate_solver.rotations.average import SequenceForces
+from plate_solver.rotations.family import RotationFamily, line_of
+from plate_solver.sinusoids import sinusoid_basis
+from plate_solver.sinusoids.average import motions_of
+
+PARTS, STEPS, NUMBER, ROWS = 3, 8, 2, 4
+LIMITS = Limits.of(load_rig())
+RNG = np.random.default_rng(0)
+
+
+def random(*shape):
+    return RNG.uniform(0.1, 1.0, shape)
+
+
+PLACES = random(PARTS, 2), random(PARTS, 2)
+RULES, BASIS = force_rules(NUMBER), sinusoid_basis(NUMBER, 0.05, False)
+SLIP, WORK = random(2 * NUMBER + 1, 2), random(5, RULES.waves.shape[1])
+MOTIONS = motions_of(NUMBER, BASIS, LIMITS)
+START = random(1, 3 * BASIS.size)
+HALF, LOADS = random(2), random(4, 3)
+FAMILY = RotationFamily(random(2, 3), LIMITS, 0.1, 0.25, steps=(2, 3)).plain
+THETA = random(9)
+LINE = line_of(THETA, FAMILY)
+COUNT = 15  # of steps, in three ramps and three holds
+ASKED = np.ones(3 * PARTS, bool)
+FORCES = SequenceForces(FAMILY, *PLACES, ASKED, random(3 * PARTS), random(3 * PARTS))
+PROGRAMME = random(ROWS, 6), random(ROWS), random(6 + 2 * ROWS)
+UNIT = np.arange(6, 6 + ROWS)
+CASES = random(PARTS, 2 * NUMBER, 3)
+CALLS = {
+    "spline_force": (random(5), random(4, 6, 3), *PLACES),
+    "step_forces": (*PLACES, random(STEPS, 3), random(STEPS)),
+    "step_force_gradient": (*PLACES, random(STEPS, 3), random(STEPS)),
+    "find_dips": (random(STEPS), STEPS, random(STEPS)),
+    "branch_point": (SLIP, 1.0, 0.0, 0.1),
+    "slip_at": (random(2 * NUMBER, 3), 0.1, 0.2, 0.0, 0.0, SLIP),
+    "force_of": (SLIP, RULES, 1, WORK, random(3, 2 * NUMBER)),
+    "sinusoid_forces": (CASES, *PLACES, RULES),
+    "triangular_forces": (CASES, PLACES[0], *intervals(NUMBER)),
+    "invert": (START, random(5, 3 * BASIS.size), *PLACES, PLACES[1], MOTIONS, 1e-3, 2, 2),
+    "ramps": (random(2, 3), HALF, LOADS, 10.0, 0.0),
+    "timeline": (random(3), random(2, 3), random(3), 9.0),
+    "knot_poses": LINE,
+    "motion": (*LINE, (2, 3)),
+    "line_of": (THETA, FAMILY),
+    "runnable": (THETA, FAMILY),
+    "pull_back": (THETA, FAMILY, random(3, COUNT, 2), random(3, COUNT, 2), random(COUNT, 2)),
+    "gap_slopes": (THETA, FAMILY),
+    "force_slopes": (THETA, FAMILY, *LINE, *PLACES, ASKED),
+    "fit_mean_force": (FORCES, THETA, 1e-3, 2),
+    "mean_force_error": (FORCES, random(STEPS, 3), random(STEPS)),
+    "columns_of": (PROGRAMME[0], UNIT),
+    "simplex": (*PROGRAMME, UNIT, np.ones(ROWS), 9),
+    "short_tour": (random(4, 3), HALF),
+    "unit_slips": (_circles(_cells()[:2]), PLACES[0], 0.2),
+    "best_triple": (random(2, 48),),
+    "proves": (_cells()[:2], PLACES[0], 0.2, random(2 * PARTS), 9.0),
+}
+MAY_BE_LONGER = {
+    ("invert", 0, 0), ("invert", 1, 0), ("ramps", 0, 0), ("ramps", 2, 0), ("columns_of", 0, 1),
+    ("unit_slips", 0, 0), ("unit_slips", 0, 1), ("unit_slips", 1, 0), ("best_triple", 0, 0),
+    ("best_triple", 0, 1), ("short_tour", 0, 0), ("proves", 0, 0), ("sinusoid_forces", "waves", 1),
+}  # fmt: skip
+
+
+def spoilt(array):
+    """Arrays that cannot stand for this one: of other sizes, axes and types."""
+    for axis in range(array.ndim):
+        yield np.repeat(array, 2, axis=axis)
+    yield array[None]
+    yield array.astype(complex)
+    yield None
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_arrays_that_do_not_belong_together_are_refused(name):
+    kernel, right = getattr(_kernels, name), CALLS[name]
+    kernel(*right)
+    for at, argument in enumerate(right):
+        if isinstance(argument, np.ndarray):
+            for number, wrong in enumerate(spoilt(argument)):
+                if (name, at, number) not in MAY_BE_LONGER:
+                    with pytest.raises((TypeError, ValueError)):
+                        kernel(*right[:at], wrong, *right[at + 1 :])
+        elif isinstance(argument, tuple) and hasattr(argument, "_fields"):
+            for field, value in argument._asdict().items():
+                if isinstance(value, np.ndarray):
+                    for number, wrong in enumerate(spoilt(value)):
+                        if field == "loads" or (name, field, number) in MAY_BE_LONGER:
+                            continue
+                        record = argument._replace(**{field: wrong})
+                        with pytest.raises((TypeError, ValueError, RuntimeError)):
+                            kernel(*right[:at], record, *right[at + 1 :])
+
+
+@pytest.mark.parametrize("column", [-1, 6 + 2 * ROWS])
+def test_columns_that_there_are_not_are_refused(column):
+    wrong = np.array([6, 7, 8, column])
+    with pytest.raises(ValueError, match="column"):
+        _kernels.columns_of(PROGRAMME[0], wrong)
+    with pytest.raises(ValueError, match="column"):
+        _kernels.simplex(*PROGRAMME, wrong, np.ones(ROWS), 9)
