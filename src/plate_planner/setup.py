@@ -2,19 +2,23 @@
 
 from setuptools import find_packages, setup
 
+from plate_native import CompileKernels, kernels
+
 NAME = "plate_planner"
 
 setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "*.pyi"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
     install_requires=["plate_core", "numpy", "scipy"],
     extras_require={"test": ["pytest"]},
+    ext_modules=[kernels(NAME)],
+    cmdclass={"build_ext": CompileKernels},
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

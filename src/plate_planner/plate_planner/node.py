@@ -30,7 +30,6 @@ from plate_core.ros import (
     NEWEST,
     NodeOptions,
     SafeLifecycleNode,
-    compiling,
     forces_to_msg,
     goal_to_scenario,
     msg_to_cycle,
@@ -216,11 +215,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         )
 
     def configure(self) -> None:
-        """Compile the motion model, and offer the actions."""
+        """Read the rig, and offer the actions."""
         options = self.options
         self._rig = load_rig(options.rig_file)
-        with compiling(self):
-            warm_up(self._rig)
+        warm_up(self._rig)
         self._forces = self.managed_publisher(PartForces, "part_forces", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
         self._statuses = self.managed_publisher(TaskStatus, "task_status", LATCHED)
@@ -438,9 +436,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = self._wake()
         for report in msg_to_reports(msg):
-            self._inputs = self._inputs.heard_node(
-                now, report.node, report.level, report.message, report.compiles
-            )
+            self._inputs = self._inputs.heard_node(now, report.node, report.level, report.message)
 
     # Whether the task can go on
 
@@ -556,8 +552,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             text = f"{running.name} is running: cancel it first, or set the parameter preempt"
             return Failure(Reason.BUSY, text)
         problem = (
-            self._inputs.compiling(now)
-            or self._rivals()
+            self._rivals()
             or self._inputs.driver_problem(now)
             or self._inputs.parts_problem(now, self._publisher_count)
             or self._inputs.starts_problem(now)

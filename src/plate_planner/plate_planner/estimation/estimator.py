@@ -478,7 +478,7 @@ class Estimator:
 
 
 def warm_up(rig: Rig) -> None:
-    """Compile the motion model before the first image comes."""
+    """Follow a part once: what the first step loads is there when the first image comes."""
     part = Parts.make(("part_1",), np.zeros((1, 2)))
     estimator = Estimator.of(rig, 0.1, None).update(part, 0.0).hear(PlateCycle.rest(0.1), 0.0)
     estimator.update(part, 0.1).predict(part)

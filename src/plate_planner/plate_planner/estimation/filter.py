@@ -13,13 +13,12 @@ Everything is done for A hypotheses side by side, of how old an image is at its 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
 
 from plate_core import Parts, PlateCycle
-from plate_core.kernels import kernel
 
+from .. import _kernels
 from .cycle_log import CycleLog
 
 STEP_S = 0.25e-3
@@ -42,9 +41,6 @@ FIRST_SEEN = np.array([0.02e-3, 0.02e-3, 0.02, 0.02, 0.15])
 PUSHED_SIGMA = 6.0
 """A part this many standard deviations from its prediction was pushed by something that the model
 does not know: it is taken to be where it is seen, at any speed."""
-
-TINY = 1e-300
-"""Keeps a state that does not move in a step from a division by zero."""
 
 FRICTION_RANGE = np.log(3.0)
 """Friction is looked for between a third and three times that of the part's type [log]."""
@@ -318,7 +314,7 @@ def propagate(
     bound = friction_accel * np.exp(state[:, 4])
     for cycle, start, a, b in log.between(float(begin.min()), float(end.max())):
         pose, twist, dt = _sampled(cycle, a, b)
-        _stick_slip(state, bound, pose, twist, begin - start - a, end - start - a, dt)
+        _kernels.stick_slip(state, bound, pose, twist, begin - start - a, end - start - a, dt)
     return state
 
 
@@ -327,38 +323,3 @@ def _sampled(cycle: PlateCycle, a: float, b: float) -> tuple[np.ndarray, np.ndar
     dt = (b - a) / steps
     t = a + (np.arange(steps) + 0.5) * dt
     return cycle.pose(t), cycle.twist(t), dt
-
-
-@kernel(error_model="numpy")
-def _stick_slip(
-    state: np.ndarray,
-    bound: np.ndarray,
-    pose: np.ndarray,
-    twist: np.ndarray,
-    begin: np.ndarray,
-    end: np.ndarray,
-    dt: float,
-) -> None:
-    """Propagate states (K, 5), in place, through a sampled motion: the implicit Coulomb step.
-
-    `bound` (K,) is mu g [m/s2], not 0; pose and twist (n, 3) are the plate's at the middles of n
-    steps of dt [s]; each state moves from its `begin` to its `end` (K,) [s since the first step]
-    only. States side by side within a step: the processor takes several at once, 10 to 20 times as
-    fast as one after the other.
-    """
-    x, y, vx, vy = state[:, 0].copy(), state[:, 1].copy(), state[:, 2].copy(), state[:, 3].copy()
-    for k in range(len(twist)):
-        along, across, turn = twist[k, 0], twist[k, 1], twist[k, 2]
-        centre_x, centre_y = pose[k, 0], pose[k, 1]
-        first, last = k * dt, (k + 1) * dt
-        for i in range(len(x)):
-            h = max(min(last, end[i]) - max(first, begin[i]), 0.0)
-            most = bound[i] * h
-            dx = along - turn * (y[i] - centre_y) - vx[i]
-            dy = across + turn * (x[i] - centre_x) - vy[i]
-            fraction = most / max(sqrt(dx * dx + dy * dy), most + TINY)
-            vx[i] += fraction * dx
-            vy[i] += fraction * dy
-            x[i] += h * vx[i]
-            y[i] += h * vy[i]
-    state[:, 0], state[:, 1], state[:, 2], state[:, 3] = x, y, vx, vy

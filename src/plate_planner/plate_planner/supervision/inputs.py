@@ -6,7 +6,7 @@ still can make an input look fresh.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from plate_core.driver_status import DriverState, DriverStatus
@@ -41,13 +41,11 @@ each 0.5 s, beyond which what nodes behind them miss is no reason of its own."""
 
 @dataclass(frozen=True)
 class Report:
-    """The newest diagnostics of a node: when they came, their level and message, and whether it
-    compiles."""
+    """The newest diagnostics of a node: when they came, their level and message."""
 
     at: float
     level: Level
     message: str
-    compiles: bool
 
 
 @dataclass(frozen=True)
@@ -142,13 +140,11 @@ class Inputs:
             enabled_again=now if again else self.enabled_again,
         )
 
-    def heard_node(
-        self, now: float, name: str, level: Level, message: str, compiles: bool
-    ) -> Inputs:
+    def heard_node(self, now: float, name: str, level: Level, message: str) -> Inputs:
         """Take in diagnostics of a node; those of nodes outside the loop do not count."""
         if name not in LOOP:
             return self
-        return replace(self, reports={**self.reports, name: Report(now, level, message, compiles)})
+        return replace(self, reports={**self.reports, name: Report(now, level, message)})
 
     # What follows
 
@@ -168,14 +164,6 @@ class Inputs:
         if self.driver_status is None:
             return f"no driver_status yet: {self.driver.question}"
         return "" if self._driver_ready else self._driver_text
-
-    def compiling(self, now: float, names: Sequence[str] = LOOP) -> str:
-        """Say that one of these nodes compiles, so that no task can be started yet; or nothing."""
-        for name in names:
-            report = self.reports.get(name)
-            if report and report.compiles and now - report.at <= REPORT_TIMEOUT_S:
-                return f"the {name} is {report.message}"
-        return ""
 
     @property
     def _driver_text(self) -> str:
@@ -330,9 +318,6 @@ class Inputs:
         self, topic: str, node: str, question: str, now: float, publishers: Callable[[str], int]
     ) -> str:
         """Say why nothing comes on a topic of a node, or ask a question if it is not known."""
-        before = (node, "device", "simulator") if node == "detector" else (node,)
-        if busy := self.compiling(now, before):
-            return busy
         if not publishers(topic):
             return f"nobody publishes them, does the {node} run?"
         report = self.reports.get(node)

@@ -1,0 +1,57 @@
+// What is believed of parts, propagated: kernel of filter.py.
+#pragma once
+#include <algorithm>
+#include <cmath>
+
+#include <plate/view.hpp>
+#include <plate/wide.hpp>
+
+namespace plate {
+
+// Keeps a state that does not move in a step from a division by zero.
+constexpr double TINY = 1e-300;
+
+// States are propagated side by side, a multiple of so many: what is over does not move.
+constexpr int LANES = 8;
+
+// Propagates states (K, 5) in place: x, y [m], vx, vy [m/s] of each, by implicit Coulomb steps.
+//
+// `bound` (K,) is mu g [m/s2], not 0; pose and twist (n, 3) are the plate's at the middles of n
+// steps of dt [s]; each state moves from its `begin` to its `end` (K,) [s since the first step]
+// only.
+PLATE_WIDE inline void stick_slip(View<double, 2> state, const double* bound, Samples pose,
+                                  Samples twist, const double* begin, const double* end,
+                                  double dt) {
+    const int count = state.size(0), lanes = (count + LANES - 1) / LANES * LANES;
+    Matrix own(7, lanes);
+    for (int i = 0; i < count; i++) {
+        for (int c = 0; c < 4; c++) own[c][i] = state(i, c);
+        own[4][i] = bound[i], own[5][i] = begin[i], own[6][i] = end[i];
+    }
+    double *__restrict x = own[0], *__restrict y = own[1];
+    double *__restrict vx = own[2], *__restrict vy = own[3];
+    const double *__restrict most_accel = own[4], *__restrict from = own[5];
+    const double* __restrict to = own[6];
+    for (int k = 0; k < twist.count; k++) {
+        const double along = twist(k, 0), across = twist(k, 1), turn = twist(k, 2);
+        const double centre_x = pose(k, 0), centre_y = pose(k, 1);
+        const double first = k * dt, last = (k + 1) * dt;
+        for (int block = 0; block < lanes; block += LANES)
+#pragma omp simd
+            for (int i = block; i < block + LANES; i++) {
+                const double h = std::max(std::min(last, to[i]) - std::max(first, from[i]), 0.0);
+                const double most = most_accel[i] * h;
+                const double dx = along - turn * (y[i] - centre_y) - vx[i];
+                const double dy = across + turn * (x[i] - centre_x) - vy[i];
+                const double fraction = most / std::max(std::sqrt(dx * dx + dy * dy), most + TINY);
+                vx[i] += fraction * dx;
+                vy[i] += fraction * dy;
+                x[i] += h * vx[i];
+                y[i] += h * vy[i];
+            }
+    }
+    for (int i = 0; i < count; i++)
+        for (int c = 0; c < 4; c++) state(i, c) = own[c][i];
+}
+
+}  // namespace plate
