@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
-.PHONY: help setup cli demo play test test-tools lint format bench charts docs clean workspace
+.PHONY: help setup cli demo play test test-tools lint format bench charts docs clean workspace checks
 
 # A mistyped name would be ignored without a word.
 NAMES := ARGS METHOD PYTHON RIG SCENARIO SOURCES TRANSPORT WORKERS
@@ -25,6 +25,9 @@ cli: workspace ## Install the `ros2` command line, where there is no ROS: [SOURC
 workspace:
 	@tools/setup.sh --quiet
 
+checks:
+	@tools/setup.sh --quiet --checks
+
 # What is set after `make` reaches the shell as a variable of the environment, whatever is in it.
 demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial]
 	@$(ENTER) exec python tools/demo.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
@@ -37,30 +40,30 @@ play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play]
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
-test-tools: workspace ## Install what some tests need beyond set-up: [SOURCES=https://github.com]
+test-tools: checks ## Install what some tests need beyond set-up: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
-test: workspace ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
+test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
 	@$(if $(ARGS),,echo "About 10 minutes on two cores; some tests: make test ARGS='-k name'";) \
-	    $(ENTER) python tools/needs.py && python tools/kernels.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
+	    $(ENTER) python tools/needs.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
-lint: workspace ## Check style and types
+lint: checks ## Check style and types
 	@$(ENTER) ruff check . && ruff format --check . && exec mypy $(TYPED)
 
-format: workspace ## Put the code into the project's format
+format: checks ## Put the code into the project's format
 	@$(ENTER) ruff check --fix . && exec ruff format .
 
 bench: workspace ## Measure: out/bench/NAME.json [ARGS=...]
 	@$(ENTER) exec python bench/run.py $(ARGS)
 
 charts: workspace ## Measure and draw: out/report/index.html, docs/results.md [ARGS='--quick' or '--draw']
-	@$(ENTER) python -m pip --disable-pip-version-check install -q -r requirements-bench.txt && \
+	@$(ENTER) python tools/install.py -r requirements-bench.txt && \
 	    exec python bench/charts.py $(ARGS)
 
 docs: workspace ## Build the site, guide and API: out/site/docs/index.html
-	@$(ENTER) python -m pip --disable-pip-version-check install -q -r requirements-docs.txt && \
+	@$(ENTER) python tools/install.py -r requirements-docs.txt && \
 	    python -m sphinx -q -W --keep-going -c docs . out/site && echo out/site/docs/index.html
 
 clean: ## Remove everything that set-up made; results in out/ stay
-	rm -rf .venv build install log .numba_cache .matplotlib_cache .mypy_cache .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv build install log .matplotlib_cache .mypy_cache .pytest_cache .ruff_cache *.egg-info

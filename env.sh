@@ -24,8 +24,7 @@ if [ -f "$_plate_root/.venv/bin/activate" ] && [ -f "$_plate_root/install/setup.
         *) export PATH="$_plate_root/install/plate_client/lib/plate_client:$_plate_root/install/plate_core/lib/plate_core:$_plate_root/install/plate_solver/lib/plate_solver:$PATH" ;;
     esac
 
-    # Numerics: keep what numba compiled; the matrices are small, so threads would only get in each other's way
-    export NUMBA_CACHE_DIR="${NUMBA_CACHE_DIR:-$_plate_root/.numba_cache}"
+    # Numerics: the matrices are small, so threads would only get in each other's way
     export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
     export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}"
     unset _plate_root _plate_shell

