@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
 from record.bag import Recorder
 from record.judge import judge, summary
+from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import GraphError, RunOptions, load_graph
 from plate_core import PlateError, Rig, did_you_mean, load_rig
@@ -249,7 +251,7 @@ def run(plan: Plan) -> int:
                     else:
                         graph.begin(line.show)
                         line.end()
-                        watch(plan, graph.observer)
+                        watch(plan, graph.observer, began)
             except (Interrupted, PlateError) as stopped:
                 problem = stopped
             ended = True
@@ -338,8 +340,8 @@ def recording(plan: Plan, observer: Observer) -> Iterator[None]:
             print(f"\n  {plan.out / BAG}", flush=True)
 
 
-def watch(plan: Plan, observer: Observer) -> None:
-    """Show how the task gets on until it is over.
+def watch(plan: Plan, observer: Observer, began: float) -> None:
+    """Show how the task gets on until it is over, and when the plate began to move.
 
     Raises
     ------
@@ -350,9 +352,13 @@ def watch(plan: Plan, observer: Observer) -> None:
     record = observer.record
     allowed = plan.scenario.time_limit_s * (LOCKSTEP_SLOWER if plan.options.lockstep else 1)
     end = time.monotonic() + allowed + EXTRA_S
-    count, news = 0, time.monotonic()
+    count, news, seen, moving = 0, time.monotonic(), 0, False
     while not record.ended:
         observer.until(lambda: record.ended, line.PERIOD_S)
+        if not moving:
+            moving, seen = any(map(moves, record.tables[seen:])), len(record.tables)
+            if moving:
+                line.end(f"The plate moves {time.monotonic() - began:.1f} s after the start.")
         line.show(progress.text(record))
         now = time.monotonic()
         if len(record.reports["planner"]) > count:
@@ -364,6 +370,12 @@ def watch(plan: Plan, observer: Observer) -> None:
     over = record.states[-1]
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress.text(record))
+
+
+def moves(table: bytes) -> bool:
+    """Whether a motor table moves the plate."""
+    points = deserialize_message(table, JointTrajectory).points
+    return any(point.positions != points[0].positions for point in points)
 
 
 def feed(plan: Plan, observer: Observer, grips: list[Grip]) -> None:

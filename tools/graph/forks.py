@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 AT_LOADING = (
-    "AMENT_", "GLIBC_", "LD_", "NPY_", "NUMBA_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
+    "AMENT_", "GLIBC_", "LD_", "NPY_", "OMP_", "OPENBLAS_", "OPENCV_", "PYTHONHOME",
     "PYTHONOPTIMIZE", "PYTHONPATH", "PYTHONWARNINGS", "ROS_PYTHON_",
 )  # fmt: skip
 """Beginnings of variables that may be read when code is loaded: a server is for one set of them."""

@@ -25,7 +25,7 @@ from plate_bringup import GraphError
 from plate_client import PlateClient, Task
 from plate_core import PlateError
 from plate_core.ros import CAMERA, LATCHED, msg_to_reports, nanoseconds
-from plate_core.status import COMPILING, Level
+from plate_core.status import Level
 from plate_core.tasks import Scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
 
@@ -45,7 +45,7 @@ LOOK_S = 0.25
 """Between two looks why there is no answer yet [s]."""
 
 ANSWERED_S = 15.0
-"""Longest wait for the first answer once all nodes have told how they are, none compiling [s]."""
+"""Longest wait for the first answer once all nodes have told how they are [s]."""
 
 FRESH_S = 2.5
 """What a node has said counts for so long [s]: it says something each second."""
@@ -91,18 +91,11 @@ class Thinned:
 
 @dataclass(frozen=True)
 class Health:
-    """What a node said of itself last: level and message of its diagnostics, when they came, and
-    whether it compiled."""
+    """What a node said of itself last: level and message of its diagnostics, and when they came."""
 
     level: Level
     message: str
     at: float
-    compiled: bool
-
-    @property
-    def compiles(self) -> bool:
-        """Whether it compiles, and so cannot answer yet."""
-        return self.compiled and time.monotonic() - self.at < FRESH_S
 
 
 @dataclass
@@ -244,12 +237,10 @@ class Observer:
     def _on_report(self, msg: DiagnosticArray) -> None:
         stamp = nanoseconds(msg.header.stamp)
         for report in msg_to_reports(msg):
-            if report.values and not report.compiles:
+            if report.values:
                 values = {"message": report.message, **report.values}
                 self.record.reports[report.node].append((stamp, values))
-            self.record.health[report.node] = Health(
-                report.level, report.message, time.monotonic(), report.compiles
-            )
+            self.record.health[report.node] = Health(report.level, report.message, time.monotonic())
 
     def until(self, true: Callable[[], bool], timeout_s: float) -> bool:
         """Listen until the condition holds; False if it does not within the time [s]."""
@@ -322,8 +313,7 @@ class Observer:
         names: Iterable[str] = (),
         waiting: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Wait until images are answered as far as the solver; time in which a node says that it
-        compiles does not count.
+        """Wait until images are answered as far as the solver.
 
         Parameters
         ----------
@@ -340,23 +330,15 @@ class Observer:
             If that does not happen: what the nodes say.
         """
         health, names = self.record.health, list(names)
-        began = since = time.monotonic()
+        began, allowed_s = time.monotonic(), timeout_s
         while not self.until(lambda: self.record.answers > 0, LOOK_S):
-            now = time.monotonic()
-            busy = [name for name, said in health.items() if said.compiles]
-            if busy:
-                since = now
-                waiting(
-                    f"{COMPILING}, at the first start a minute or two: {', '.join(busy)}"
-                    f" | {now - began:.0f} s"
-                )
-            else:
-                waiting(f"waiting for the answer to the first image | {now - began:.0f} s")
-            told = bool(names) and all(name in health for name in names)
-            allowed_s = min(timeout_s, ANSWERED_S) if told else timeout_s
-            if now - since > allowed_s:
+            waited_s = time.monotonic() - began
+            waiting(f"waiting for the answer to the first image | {waited_s:.0f} s")
+            if names and all(name in health for name in names):
+                allowed_s = min(allowed_s, waited_s + ANSWERED_S)
+            if waited_s > allowed_s:
                 raise GraphError(
-                    f"images are not answered within {allowed_s:g} s: {self.blame()} "
+                    f"images are not answered within {allowed_s:.0f} s: {self.blame()} "
                     f"({self.record.images.count} images seen)"
                 )
 

@@ -20,7 +20,7 @@ KILL_S = 3.0
 """Time for the system to end a node that must [s]."""
 
 STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, KILL_S))
-"""Signals that stop a node, and how long each may take [s]; a node in a compiler needs a while."""
+"""Signals that stop a node, and how long each may take [s]."""
 
 TAIL_LINES = 12
 """Last lines of a log that are shown when a node has failed."""

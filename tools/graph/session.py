@@ -19,7 +19,7 @@ START_S = 180.0
 """Longest wait for the nodes [s]: a busy machine may take long to load them."""
 
 ANSWER_S = 180.0
-"""Longest wait for the answer to the first image [s], from when no node compiles any more."""
+"""Longest wait for the answer to the first image [s]."""
 
 PAGE_S = 10.0
 """Longest wait for the page, when all others answer [s]."""
