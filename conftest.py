@@ -7,13 +7,11 @@ which is not here are left out; with NO_SKIP in the environment no other test ma
 import gc
 import os
 import time
-from pathlib import Path
 
 import pytest
 from graph.domains import own_domain
 from needs import missing
 
-BEGAN = time.time()
 LEFT_OUT = {need: f"{need} is missing: make test-tools" for need in missing()}
 SETUP = pytest.StashKey[float]()
 REAL_S = 2.0
@@ -68,12 +66,3 @@ def pytest_configure(config):
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.__enter__())
     config.add_cleanup(lambda: domain.__exit__(None, None, None))
-
-
-def pytest_terminal_summary(terminalreporter):
-    """Tell what tools/kernels.py has not compiled before."""
-    kept = Path(os.environ.get("NUMBA_CACHE_DIR", "nowhere")).rglob("*.nbi")
-    new = [path.name.rsplit("-", 1)[0] for path in kept if path.stat().st_mtime > BEGAN]
-    if new:
-        text = f"{len(new)} kernels were compiled meanwhile: {', '.join(sorted(new))}"
-        terminalreporter.write_line(text)

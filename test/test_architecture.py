@@ -19,7 +19,6 @@ ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ame
 LIBRARIES = {
     "cv2": "python3-opencv",
     "matplotlib": "python3-matplotlib",
-    "numba": "python3-numba",
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
     "serial": "python3-serial",

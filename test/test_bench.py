@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 import run
 import yaml
-from numba import njit
 from short_task import short_task
 
 from harness import MEASUREMENTS, of_median, of_share, share
 from harness.measurements import MOST_CORES, busy_cores
-from plate_bringup import loop
-from plate_core import PlateError, load_rig
+from plate_core import load_rig
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 TIMINGS = {
@@ -89,17 +87,6 @@ def scheduler():
 
 def without_timings(rows):
     return [{key: row[key] for key in row if key not in TIMINGS} for row in rows]
-
-
-def test_a_run_that_waits_for_kernels_says_so(monkeypatch, capsys):
-    def compiles(*_):
-        njit(lambda x: x + 1)(1)
-        raise PlateError("that was all")
-
-    monkeypatch.setattr(loop, "run", compiles)
-    with pytest.raises(PlateError, match="that was all"):
-        loop.summary(loop.Setup("sort_4"), load_rig())
-    assert capsys.readouterr().err.startswith("compiling kernels (at the first start")
 
 
 def test_closed_loop_writes_a_row_for_each_run(runs):
@@ -192,6 +179,7 @@ def test_every_measurement_has_its_name(chapter):
     assert modules == {name for name, (module, _) in MEASUREMENTS.items() if chapter in module}
 
 
+@pytest.mark.needs("numba")
 def test_a_measurement_writes_its_table_and_prints_it(tmp_path):
     done = bench("run.py", "force_map", "--quick", "--out", tmp_path)
     assert done.returncode == 0, done.stderr

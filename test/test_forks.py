@@ -92,5 +92,5 @@ def test_what_is_no_python_script_or_wants_other_code_is_not_forked(tmp_path):
     assert Fork.start([str(shell)], os.environ, tmp_path / "log", []) is None
     assert Fork.start(["nowhere"], os.environ, tmp_path / "log", []) is None
     assert Fork.start([str(python)], os.environ, tmp_path / "log", []).wait(30) == 0
-    other = os.environ | {"NUMBA_CPU_NAME": "generic"}
+    other = os.environ | {"OPENBLAS_CORETYPE": "Prescott"}
     assert Fork.start([str(python)], other, tmp_path / "log", []) is None

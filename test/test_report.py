@@ -22,7 +22,7 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 CHROMIUM = program("chromium")
 QUICK = "force_map"
 
-pytestmark = pytest.mark.needs("plotly", "kaleido", "pandas", "tabulate")
+pytestmark = pytest.mark.needs("plotly", "kaleido", "pandas", "tabulate", "numba")
 browses = pytest.mark.needs("chromium")
 
 BEFORE = """<script>

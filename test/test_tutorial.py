@@ -15,17 +15,14 @@ from pathlib import Path
 import pytest
 from shown_text import differs
 
-from plate_core.status import COMPILING
-
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/tutorial.md"
 
 BLOCK = re.compile(r"(?:^<!-- (.+?) -->\n)?^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"# (\S*my/\S+)")
 LONGEST_S = 300
-NOISE = ("RTPS_TRANSPORT_SHM", COMPILING)
-"""What the network layer says of processes that were killed before, of whatever run; and what
-tools/kernels.py has left out."""
+NOISE = "RTPS_TRANSPORT_SHM"
+"""What the network layer says of processes that were killed before, of whatever run."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ def printed_by(process):
     """All that a command prints; it is ended if it takes too long."""
     try:
         lines = process.communicate(timeout=LONGEST_S)[0].splitlines()
-        return "\n".join(line for line in lines if not any(word in line for word in NOISE))
+        return "\n".join(line for line in lines if NOISE not in line)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)

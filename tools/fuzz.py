@@ -266,7 +266,7 @@ def fuzz(name: str, count: int, seed: int) -> Verdict:
             except Exception as error:  # whatever it is, it would have ended the node
                 verdict.crashes += 1
                 verdict.first = verdict.first or f"{topic}: {error!r}"
-            if k > WARM * count:  # by then everything is compiled
+            if k > WARM * count:  # by then everything is loaded
                 verdict.slowest_ms = max(verdict.slowest_ms, 1e3 * (time.thread_time() - sent))
             if k % TICK == 0:
                 judge.tick()

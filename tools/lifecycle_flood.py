@@ -135,7 +135,7 @@ def cycled(name: str, cycles: int, folder: Path) -> Verdict:
     verdict = Verdict(name)
     try:
         with running(name, folder) as (processes, observer, domain):
-            observer.change_state(name, "configure")  # kernels are compiled
+            observer.change_state(name, "configure")
             observer.change_state(name, "cleanup")
             with Flood(domain, name, verdict):
                 for _ in range(cycles):

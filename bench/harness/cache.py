@@ -13,8 +13,8 @@ from typing import Any
 from harness.result import ROOT
 
 PACKAGES = (
-    "plate_bringup", "plate_core", "plate_driver", "plate_feeder", "plate_planner", "plate_sim",
-    "plate_solver", "plate_vision",
+    "plate_bringup", "plate_core", "plate_driver", "plate_feeder", "plate_native", "plate_planner",
+    "plate_sim", "plate_solver", "plate_vision",
 )  # fmt: skip
 """What every measurement depends on, as it is installed."""
 
@@ -60,8 +60,8 @@ class Cache:
 def code_of(module: str) -> str:
     """Return a digest of all that a module of this folder depends on.
 
-    That is `config`, our packages as they are installed, and the files of this folder that the
-    module imports, itself among them.
+    That is `config`, our packages as they are installed, the sources of their kernels, and the
+    files of this folder that the module imports, itself among them.
     """
     digest = hashlib.sha256(code_of_packages().encode())
     for path in sorted(own_files(module)):
@@ -73,7 +73,7 @@ def code_of(module: str) -> str:
 def code_of_packages() -> str:
     """Return a digest of `config` and of our packages."""
     digest = hashlib.sha256()
-    files = sorted((ROOT / "config").rglob("*.yaml"))
+    files = sorted([*(ROOT / "config").rglob("*.yaml"), *(ROOT / "src").rglob("*.[ch]pp")])
     for name in PACKAGES:
         spec = find_spec(name)
         if spec is None or spec.origin is None:

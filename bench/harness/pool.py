@@ -28,7 +28,7 @@ from plate_core import PlateError
 CONNECT_S = 5.0
 """How long a scheduler may take to answer, and to find its first worker [s]."""
 
-LIBRARIES = ("numba", "numpy", "scipy")
+LIBRARIES = ("numpy", "scipy")
 """What decides a run's numbers besides our own sources."""
 
 

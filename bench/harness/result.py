@@ -19,7 +19,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 
-PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pymunk", "mujoco")
+PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "pymunk", "mujoco")
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from math import cos, hypot, pi, sin
 from typing import Any
 
 import numpy as np
+from numba import njit
 from scipy.integrate import quad
 
 from harness import Result, Table, race
 from plate_core import PlateCycle, load_rig
-from plate_core.kernels import kernel
 from plate_solver import Limits, average_force
 from plate_solver.maps import (
     force_rules,
@@ -91,7 +91,7 @@ def random_motion(basis: SinusoidBasis, rng: np.random.Generator, limits: Limits
     return family.coefficients(family.random(rng))
 
 
-@kernel(fastmath=True)
+@njit(cache=True, fastmath=True)
 def plain_forces(coefficients: np.ndarray, position: np.ndarray, waves: np.ndarray) -> np.ndarray:
     """Return average forces (C, 2) by equal steps: what one would write first."""
     force = np.empty((len(coefficients), 2))
@@ -250,7 +250,7 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray, np.ndarr
             samples[key] = sinusoid_basis(NUMBER, PERIOD, False, n).twist @ coefficients
         return samples[key]
 
-    def compiled(n: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    def stepwise(n: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         equal = np.ones(n)
         return lambda c, position: step_forces(
             position, np.zeros_like(position), twist(c, n), equal
@@ -270,9 +270,9 @@ def evaluators(basis: SinusoidBasis) -> dict[str, Callable[[np.ndarray, np.ndarr
 
     return {
         OURS: whole,
-        "step_forces, n = 128": compiled(128),
-        "step_forces, n = 512": compiled(512),
-        "step_forces, n = 1024": compiled(1024),
+        "step_forces, n = 128": stepwise(128),
+        "step_forces, n = 512": stepwise(512),
+        "step_forces, n = 1024": stepwise(1024),
         "numpy, n = 256": plain,
         "quad (scipy)": adaptive_all,
     }

@@ -172,7 +172,7 @@ def race_with_scipy(rig: Rig, count: int) -> list[dict[str, Any]]:
             began = cpu_time()
             answer = solver.solve(position, force)
             seconds = cpu_time() - began
-            if not index:  # the first one compiles
+            if not index:  # the first one warms up
                 continue
             times[name].append(1e3 * seconds)
             cycle = (

@@ -118,7 +118,7 @@ def realised_row(
     rng = np.random.default_rng(parts)
     solver = METHODS[method](rig, restarts=RESTARTS[parts])
     asked, missed, predicted, ms, solutions = [], [], [], [], []
-    for number in range(count + 1):  # the first one compiles and makes tables
+    for number in range(count + 1):  # the first one warms up
         position = scatter(rig, parts, rng)
         force = rng.uniform(-size, size, (parts, 2))
         solver.reset()

@@ -164,7 +164,7 @@ def kind_rows(kind: Kind, count: int) -> list[dict[str, Any]]:
         }
         for name, find in finders.items():
             if not times[name]:
-                find()  # compiles
+                find()  # warms up
             began = cpu_time()
             found = find()
             times[name].append(cpu_time() - began)

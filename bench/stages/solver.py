@@ -113,7 +113,7 @@ def solve_all(rig: Rig, parts: int, count: int) -> list[dict[str, Any]]:
             began = cpu_time()
             answer = solver.solve(position, force)
             seconds = cpu_time() - began
-            if not index:  # the first one compiles and makes tables
+            if not index:  # the first one warms up
                 continue
             t = (np.arange(JUDGE_SAMPLES) + 0.5) / JUDGE_SAMPLES
             if isinstance(answer, np.ndarray):

@@ -65,7 +65,7 @@ def scenes_row(rig: Rig, controller: Controller, parts: int, count: int) -> dict
     """Run some scenes with one number of parts."""
     rng = np.random.default_rng(parts)
     cold, warm, missed, asked, predicted, period = [], [], [], [], [], 0.0
-    for index in range(-1, count):  # the first one compiles and makes tables
+    for index in range(-1, count):  # the first one warms up
         milliseconds, miss, own, ask, period = scene(rig, controller, scatter(rig, parts, rng), rng)
         if index >= 0:
             cold.append(milliseconds[0])

@@ -1,9 +1,8 @@
 """One seed, one answer: what changes a run of the closed loop, to the last bit, and in which piece.
 
-Every variation runs in fresh processes and is compared with a quiet one that finds its kernels
-compiled, and in which BLAS and numpy take the code of AVX2 (`ALIKE`). Another processor is stood in
-for by the code that libraries would choose for it. Some 1500 runs, and all kernels compiled five
-times: two hours.
+Every variation runs in fresh processes and is compared with a quiet one in which BLAS and numpy
+take the code of AVX2 (`ALIKE`). Another processor is stood in for by the code that libraries would
+choose for it; which code of our kernels runs, the processor alone decides. Some 1000 runs.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -53,33 +51,18 @@ class Variation:
         Variables of the environment.
     workers, busy : int
         Processes that share the runs, and loops that only take time.
-    fresh : bool
-        Whether no kernel is compiled yet.
     """
 
     settings: Mapping[str, str] = field(default_factory=dict)
     workers: int = 1
     busy: int = 0
-    fresh: bool = False
-
-
-def kernels_for(cpu: str) -> Variation:
-    """Return kernels that are compiled for another processor."""
-    return Variation({"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": ""}, fresh=True)
 
 
 VARIATIONS = {
     "once more": Variation(),
     "loaded": Variation(busy=BUSY),
     "four workers": Variation(workers=4),
-    "no kernel compiled yet": Variation(fresh=True),
-    "four threads": Variation(
-        {"OPENBLAS_NUM_THREADS": "4", "OMP_NUM_THREADS": "4", "NUMBA_NUM_THREADS": "2"}
-    ),
-    "kernels for any x86-64": kernels_for("x86-64"),
-    "kernels for Haswell": kernels_for("haswell"),
-    "kernels for Skylake with AVX-512": kernels_for("skylake-avx512"),
-    "kernels for Zen 3": kernels_for("znver3"),
+    "four threads": Variation({"OPENBLAS_NUM_THREADS": "4", "OMP_NUM_THREADS": "4"}),
     "libraries' own choice": Variation(dict.fromkeys(ALIKE, "")),
     "BLAS for SSE3": Variation({"OPENBLAS_CORETYPE": "Prescott"}),
     "BLAS for Skylake with AVX-512": Variation({"OPENBLAS_CORETYPE": "SkylakeX"}),
@@ -94,13 +77,11 @@ VARIATIONS = {
 
 
 def measure(quick: bool) -> Result:
-    """Run all variations; quick: two seeds of them that need no kernel compiled."""
+    """Run all variations; quick: two seeds."""
     cache, seeds = Cache.of(__name__), SEEDS[:2] if quick else SEEDS
     reference = traces("quiet", Variation(), seeds, cache)
     rows: list[dict[str, Any]] = []
     for name, variation in VARIATIONS.items():
-        if quick and variation.fresh:
-            continue
         found = traces(name, variation, seeds, cache)
         settings = " ".join(f"{key}='{value}'" for key, value in variation.settings.items())
         for scenario in SCENARIOS:
@@ -109,8 +90,7 @@ def measure(quick: bool) -> Result:
             rows.append(row | compared(pairs))
     note = (
         "Compared are all places of parts, images, sightings, requests and plate cycles. Quiet: "
-        "one process alone, kernels compiled before, "
-        + " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
+        "one process alone, " + " ".join(f"{key}='{value}'" for key, value in ALIKE.items())
     )
     title = f"Runs that are the same to the last bit as the quiet one, {len(seeds)} seeds each"
     return Result([Table("sameness", title, COLUMNS, rows, note)], sentences(rows))
@@ -165,8 +145,6 @@ def surroundings(variation: Variation) -> Iterator[None]:
         stack.callback(os.environ.update, before)
         stack.callback(os.environ.clear)
         os.environ.update({**ALIKE, **variation.settings})
-        if variation.fresh:
-            os.environ["NUMBA_CACHE_DIR"] = stack.enter_context(TemporaryDirectory())
         for _ in range(variation.busy):
             loop = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
             stack.callback(loop.kill)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -30,8 +29,6 @@ from plate_core import (
     load_rig,
 )
 from plate_core.files import check_file
-from plate_core.kernels import when_compiling
-from plate_core.status import COMPILING
 from plate_core.tasks import (
     AssembleTask,
     FeedOrder,
@@ -549,11 +546,6 @@ def as_asked(task: Task, rig: Rig, moment: Moment, error: np.ndarray) -> bool:
     return there
 
 
-def _say_compiling() -> None:
-    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
-
-
-@when_compiling(_say_compiling)
 def summary(setup: Setup, rig: Rig) -> dict[str, object]:
     """Run the loop and return the row that `bench/closed_loop.py` prints."""
     solve_s, step_s, errors, misses, asks = [], [], [], [], []

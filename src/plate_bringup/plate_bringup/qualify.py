@@ -17,9 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from plate_core import MOST_PARTS, PlateError, Rig, load_rig
-from plate_core.kernels import when_compiling
 from plate_core.rig import rig_names, rig_path
-from plate_core.status import COMPILING
 from plate_core.tasks import Scenario, load_scenario
 
 from .loop import Setup
@@ -231,13 +229,8 @@ def main() -> None:
         rows = []
         for fill in args.fill:
             tell = Progress(fill, args.seeds, 60 * args.minutes)
-            with when_compiling(_say_compiling):
-                rows.append(
-                    qualified(
-                        recipe, rig, fill, args.robot_cycle, 60 * args.minutes,
-                        range(args.seeds), tell,
-                    )
-                )  # fmt: skip
+            seeds, length_s = range(args.seeds), 60 * args.minutes
+            rows.append(qualified(recipe, rig, fill, args.robot_cycle, length_s, seeds, tell))
             tell.done(rows[-1])
         if args.page is not None:
             page(args.page, f"Feeder: {recipe.name}", about, rows)
@@ -250,10 +243,6 @@ def main() -> None:
     if args.page is not None:
         print(args.page)
     sys.exit(0 if best(rows) else 1)
-
-
-def _say_compiling() -> None:
-    print(f"{COMPILING} (at the first start: a minute or two)", file=sys.stderr, flush=True)
 
 
 class Progress:

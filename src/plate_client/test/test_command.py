@@ -12,7 +12,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.client import Client  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
@@ -20,7 +20,6 @@ from stepped_clock import SteppedExecutor  # noqa: E402
 
 from plate_client.command import main  # noqa: E402
 from plate_client.ros import services  # noqa: E402
-from plate_client.ros.client import TaskError  # noqa: E402
 from plate_client.ros.graph import Graph  # noqa: E402
 from plate_client.ros.services import domains_in_use, nobody  # noqa: E402
 from plate_core import PlateError  # noqa: E402
@@ -153,42 +152,33 @@ def test_enable_waits_until_the_motors_are_ready(make, view, clock, ends):
 
 
 @pytest.fixture
-def compiling(make, clock):
-    """A node `solver` that says that it compiles, and a node `mute` that says nothing yet."""
+def starting(make, clock):
+    """A node `solver` that says how it is, and a node `mute` that says nothing yet."""
     solver, mute = make("solver"), make("mute")
     publisher = solver.create_publisher(DiagnosticArray, "diagnostics", DATA)
     mute.create_publisher(DiagnosticArray, "diagnostics", DATA)
-    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="solver", message="compiling")
-    status.values = [KeyValue(key="compiling_s", value="4")]
+    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="solver", message="waiting")
     msg = DiagnosticArray(status=[status])
     solver.create_timer(0.1, lambda: publisher.publish(msg), clock=clock.clock)
 
 
-def test_state_while_nodes_start(graph, compiling):
+def test_state_while_nodes_start(graph, starting):
     assert asked(graph, "state").splitlines()[2:] == [
         "not all nodes are ready yet: what others miss may be because of that",
         "  mute: nothing heard: it starts, or hangs",
-        "  solver: WARN, compiling",
+        "  solver: WARN, waiting",
     ]
 
 
-def test_a_goal_waits_for_nodes_that_compile_and_says_so(graph, compiling, monkeypatch, capsys):
-    """The planner refuses a goal until they have; other refusals end it."""
-    refusals = [TaskStatus.NOT_READY, TaskStatus.NOT_READY, TaskStatus.INVALID_GOAL]
-
+def test_what_a_goal_waits_for_is_told(graph, clock, capsys):
     class Plate:
         def start(self, scenario, waiting):
-            graph._until(lambda: False, 0.5)
-            status = TaskStatus(reason=refusals.pop(0), text="sort is not started")
-            waiting(status.text)
-            raise TaskError(status)
+            for why in ("soon", "no parts yet", "again"):
+                waiting(why)
+                graph._until(lambda: False, 2.0)
 
-    monkeypatch.setattr("plate_client.ros.graph.AT_FIRST_S", 0.0)
-    with pytest.raises(TaskError):
-        graph._start(Plate(), None)
-    assert refusals == []
-    said = "s: compiling kernels, at the first start a minute or two: solver"
-    assert said in capsys.readouterr().out
+    graph._start(Plate(), None)
+    assert capsys.readouterr().out == "  2 s: no parts yet\n"
 
 
 def test_parameters(graph):
@@ -309,7 +299,7 @@ from plate_client.command import main
 try:
     main()
 finally:
-    print({"scipy", "numba", "plate_core.ros", "plate_core.tasks", "rclpy.action"} & {*sys.modules})
+    print({"scipy", "plate_core.ros", "plate_core.tasks", "rclpy.action"} & {*sys.modules})
 """
     returned, output, errors = program(text, command, stdout=subprocess.PIPE)
     assert returned == code

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 __all__ = [
-    "COMPILING",
     "INPUT_TIMEOUT_S",
     "Finding",
     "Input",
@@ -33,9 +32,6 @@ short enough for a task to end within 2 s of the fault."""
 LATENCY_S, MOST_AGE_S = 0.2, 0.6
 """What vision, planner and solver may take on a slow computer, and the greatest age of an image
 that a moving cycle answers, unless a period is longer [s]."""
-
-COMPILING = "compiling kernels"
-"""What a node does that cannot answer yet, in words."""
 
 
 class Level(IntEnum):

@@ -1,24 +1,19 @@
 """Diagnostics come by the steady clock, whatever comes in and whatever ROS time does."""
 
-import re
-import sys
-import time
-
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
-from stepped_clock import LONGEST_S, SteppedExecutor  # noqa: E402
+from stepped_clock import SteppedExecutor  # noqa: E402
 
 from plate_core.ros import (  # noqa: E402
     DATA,
     DIAGNOSTICS_PERIOD_S,
     Diagnostics,
-    compiling,
     msg_to_reports,
 )
-from plate_core.status import COMPILING, Finding, Level  # noqa: E402
+from plate_core.status import Finding, Level  # noqa: E402
 
 
 @pytest.fixture
@@ -83,30 +78,3 @@ def test_that_the_level_has_become_worse_is_told_at_once_and_only_once(talker):
             assert len(heard) == before + 1
     level[0] = Level.OK
     executor.until(lambda: heard[-1].status[0].level == b"\x00")
-
-
-def test_a_node_that_compiles_says_so(talker, monkeypatch, capfd):
-    node, heard, executor = talker
-    module = sys.modules[compiling.__module__]
-    monkeypatch.setattr(module, "QUIET_S", 0.05)
-    monkeypatch.setattr(module, "TELL_S", 0.05)
-    with compiling(node):
-        end = time.monotonic() + LONGEST_S
-        while len(heard) < 3 and time.monotonic() < end:  # they come of a thread
-            executor.settle()
-            time.sleep(0.01)
-    (status,) = heard[-1].status
-    assert (status.name, int.from_bytes(status.level)) == ("/diagnostics_test/talker", Level.WARN)
-    assert re.match(f"{COMPILING} for [0-9]+ s ", status.message)
-    (report,) = msg_to_reports(heard[-1])
-    assert report.compiles
-    log = capfd.readouterr().err
-    assert log.count(COMPILING) == 1  # diagnostics each second, the log not as often
-    assert "compiled within" in log
-
-
-def test_a_node_that_has_compiled_before_says_nothing(talker, capfd):
-    node, _, _ = talker
-    with compiling(node):
-        pass
-    assert "compil" not in capfd.readouterr().err

@@ -9,20 +9,24 @@ from typing import Any
 
 import yaml
 from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from plate_core import PlateError, did_you_mean
-from plate_core.ros import ACTIONS, LATCHED
-from plate_core.status import COMPILING
+from plate_core.ros import ACTIONS, DATA, LATCHED, Report, msg_to_reports
 from plate_core.tasks import Scenario, load_scenario
 from plate_interfaces.msg import DriverStatus, TaskStatus
 
 from .client import PlateClient, Task, TaskError
-from .services import NOBODY_S, Services, compiling, nobody
+from .services import NOBODY_S, Services, nobody
 
 PROGRESS_S, WAITING_S = 2.0, 5.0
 """Between two lines on how a task gets on, and on what it waits for [s]."""
+
+REPORT_S, LATE_S = 2.0, 2.0
+"""What nodes say of themselves once a second is listened to for so long, until all are found, and
+for so much longer where some of them have said nothing yet [s]."""
 
 AT_FIRST_S = 0.5
 """A wait that is shorter is not worth a line [s]."""
@@ -93,7 +97,7 @@ class Graph(Services):
         return str(status.text)
 
     def _start(self, plate: PlateClient, scenario: Scenario) -> Task:
-        """Send the goal of a task, again as long as nodes compile, and say what is waited for."""
+        """Send the goal of a task, and say what is waited for."""
         began, next_s = time.monotonic(), AT_FIRST_S
 
         def waiting(why: str) -> None:
@@ -101,20 +105,9 @@ class Graph(Services):
             waited_s = time.monotonic() - began
             if waited_s >= next_s:
                 next_s = waited_s + WAITING_S
-                busy = ", ".join(report.node for report in compiling(said))
-                why = f"{COMPILING}, at the first start a minute or two: {busy}" if busy else why
                 print(f"  {waited_s:.0f} s: {why}", flush=True)
 
-        with self._listening() as said:
-            while True:
-                try:
-                    return plate.start(scenario, waiting=waiting)
-                except PlateError as refusal:
-                    last = isinstance(refusal, TaskError) and (
-                        refusal.status.reason != TaskStatus.NOT_READY
-                    )
-                    if last or not compiling(said):
-                        raise
+        return plate.start(scenario, waiting=waiting)
 
     def _cancel_all(self) -> str:
         """Cancel what runs; the zero id and stamp stand for every goal (action_msgs/CancelGoal)."""
@@ -132,19 +125,31 @@ class Graph(Services):
         topics = {"driver_status": DriverStatus, "task_status": TaskStatus}
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._on_text(topic), LATCHED)
-        self._until(lambda: bool(self._seen()), NOBODY_S)
-        with self._listening() as said:
-            if self._seen():
-                self._hear_all(said)
-            silent = self._silent(said)
+        said: dict[str, Report] = {}
+
+        def on_report(msg: DiagnosticArray) -> None:
+            said.update((report.node, report) for report in msg_to_reports(msg))
+
+        self.node.create_subscription(DiagnosticArray, "diagnostics", on_report, DATA)
+        if self._until(lambda: bool(self._seen()), NOBODY_S):
+            self._until(lambda: False, REPORT_S)
+            self._until(lambda: not self._silent(said), LATE_S)
+        silent = self._silent(said)
         if not self._seen() and not self._said:
             raise PlateError(nobody())
         lines = [f"{topic}: {self._said.get(topic, 'nothing heard')}" for topic in topics]
-        nodes = {name: f"{each.level.name}, {each.message}" for name, (_, each) in said.items()}
+        nodes = {name: f"{each.level.name}, {each.message}" for name, each in said.items()}
         nodes |= dict.fromkeys(silent, "nothing heard: it starts, or hangs")
-        if compiling(said) or silent:
+        if silent:
             lines.append("not all nodes are ready yet: what others miss may be because of that")
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in sorted(nodes.items()))])
+
+    def _silent(self, said: dict[str, Report]) -> list[str]:
+        """Return the nodes that have diagnostics, but have said nothing yet: they start, or
+        hang."""
+        topic = self.node.resolve_topic_name("diagnostics")
+        there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
+        return sorted(there & set(self._seen()) - said.keys())
 
     def _on_text(self, topic: str) -> Callable[[Any], None]:
         def on_message(msg: Any) -> None:

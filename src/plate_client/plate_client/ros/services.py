@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rclpy
 from rclpy.node import Node
@@ -21,12 +19,6 @@ from plate_core import PlateError, choose_network, ros_domain
 
 from ..messages import spin_until
 
-if TYPE_CHECKING:
-    from plate_core.ros import Report
-
-    Said = dict[str, tuple[float, Report]]
-    """When each node said what of itself last [s, steady clock]."""
-
 NOBODY_S, FOUND_S, ANSWER_S, READY_S = 1.0, 3.0, 15.0, 15.0
 """Longest waits: for any node to be seen, for a service to be found, for its answer, and for motors
 that are being enabled [s]."""
@@ -37,13 +29,6 @@ URGENT = ("emergency_stop", "cut_power", "disable")
 ONCE, AGAIN_S = ("enable", "home", "calibrate"), 0.5
 """Services of which each call counts; all others are called again after so long without an answer
 [s]: DDS may lose the first one of a service that was just found."""
-
-REPORT_S, LATE_S = 2.0, 2.0
-"""What nodes say of themselves once a second is listened to for so long, until all are found, and
-for so much longer where some of them have said nothing yet [s]."""
-
-FRESH_S = 2.5
-"""What a node has said counts for so long [s]."""
 
 CALLS = QoSProfile(depth=1000)
 """As in plate_core.ros, which takes too long to import."""
@@ -168,12 +153,7 @@ class Services:
     def _missing(self, service: str) -> str:
         """Say why there is no such service."""
         here = self._seen()
-        if not here:
-            return f"no service {service}: {nobody()}"
-        with self._listening() as said:
-            self._hear_all(said)
-            busy = [f"{report.node} is {report.message}" for report in compiling(said)]
-        return f"no service {service}: {'; '.join(busy) or 'nodes here: ' + ', '.join(here)}"
+        return f"no service {service}: {'nodes here: ' + ', '.join(here) if here else nobody()}"
 
     def _find_nodes(self) -> None:
         """Wait until a node of our namespace is seen.
@@ -185,35 +165,6 @@ class Services:
         """
         if not self._until(lambda: bool(self._seen()), NOBODY_S):
             raise PlateError(nobody())
-
-    @contextmanager
-    def _listening(self) -> Iterator[Said]:
-        """Listen to what nodes say of themselves."""
-        from diagnostic_msgs.msg import DiagnosticArray
-
-        from plate_core.ros import DATA, msg_to_reports
-
-        said: Said = {}
-
-        def on_message(msg: DiagnosticArray) -> None:
-            for report in msg_to_reports(msg):
-                said[report.node] = time.monotonic(), report
-
-        heard = self.node.create_subscription(DiagnosticArray, "diagnostics", on_message, DATA)
-        yield said
-        self.node.destroy_subscription(heard)
-
-    def _hear_all(self, said: Said) -> None:
-        """Wait until all nodes have said how they are, but for those that do not."""
-        self._until(lambda: False, REPORT_S)
-        self._until(lambda: not self._silent(said), LATE_S)
-
-    def _silent(self, said: Said) -> list[str]:
-        """Return the nodes that have diagnostics, but have said nothing yet: they start, or
-        hang."""
-        topic = self.node.resolve_topic_name("diagnostics")
-        there = {each.node_name for each in self.node.get_publishers_info_by_topic(topic)}
-        return sorted(there & set(self._seen()) - said.keys())
 
     def _seen(self) -> list[str]:
         """Return the names of the nodes of our namespace."""
@@ -229,12 +180,6 @@ class Services:
         return spin_until(
             lambda wait_s: rclpy.spin_once(self.node, timeout_sec=wait_s), true, timeout_s
         )
-
-
-def compiling(said: Said) -> list[Report]:
-    """Return what the nodes say that compile."""
-    now = time.monotonic()
-    return [report for at, report in said.values() if report.compiles and now - at < FRESH_S]
 
 
 def nobody() -> str:

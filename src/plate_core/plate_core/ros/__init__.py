@@ -3,7 +3,6 @@
 Nothing else outside the nodes imports ROS.
 """
 
-from .compiling import compiling
 from .convert import (
     array_to_image,
     camera_to_info,
@@ -67,7 +66,6 @@ __all__ = [
     "camera_to_info",
     "camera_to_msg",
     "centres_to_msg",
-    "compiling",
     "cycle_to_msg",
     "declare",
     "deserialized",

@@ -17,9 +17,6 @@ from .qos import DATA
 DIAGNOSTICS_PERIOD_S = 1.0
 """Time between diagnostics [s]: a node that has said nothing for longer is dead or frozen."""
 
-COMPILING_S = "compiling_s"
-"""The value of a node that compiles: for how long it has [s]."""
-
 LOOK_PERIOD_S = 0.1
 """Time between looks at the level [s]: a level that has become worse is published at once."""
 
@@ -31,11 +28,6 @@ class Report(NamedTuple):
     level: Level
     message: str
     values: dict[str, str]
-
-    @property
-    def compiles(self) -> bool:
-        """Whether it cannot answer yet, since it compiles."""
-        return COMPILING_S in self.values
 
 
 def msg_to_reports(msg: DiagnosticArray) -> Iterator[Report]:

@@ -88,7 +88,7 @@ class SafeLifecycleNode(LifecycleNode, Generic[Options]):
     options : Options
     active : bool
     configuring : bool
-        Whether it is being configured, which may take long: kernels are compiled.
+        Whether it is being configured, which may take long.
     failure : Exception, optional
         Why the last transition failed.
     """

@@ -19,8 +19,8 @@ from .asked import Asked
 ANSWER_S = 5.0
 """Longest wait for the answer of a service [s]."""
 
-LIMITS_S = {**dict.fromkeys(URGENT, 1.0), "teach": 60.0}
-"""The same for some commands [s]: the first part that is taught may have to wait for a compiler."""
+URGENT_S = 1.0
+"""The same for what is urgent [s]."""
 
 AGAIN_S = 0.25
 """Time after which a stop that is not answered is asked for again [s]."""
@@ -73,8 +73,9 @@ class Caller:
         begun.
         """
         client = self.client(kind, name)
-        end = time.monotonic() + LIMITS_S.get(asked.command.name, ANSWER_S)
-        again_s = AGAIN_S if asked.command.name in URGENT else math.inf
+        urgent = asked.command.name in URGENT
+        end = time.monotonic() + (URGENT_S if urgent else ANSWER_S)
+        again_s = AGAIN_S if urgent else math.inf
         sent: list[Any] = []
         last = 0.0
 

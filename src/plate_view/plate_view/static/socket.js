@@ -3,7 +3,6 @@
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
 const ANSWER_MS = 7000; // the server itself waits up to 5 s for a node
-const LONGER_MS = { teach: 62000 }; // and longer where a node may have to compile first
 const SILENT_MS = 2500; // the server says something at least each second
 const FULL_BYTES = 8192; // with more than this unsent, what is sent often has to wait
 
@@ -34,7 +33,7 @@ export class Connection {
         this.waiting.delete(number);
         resolve(answer);
       };
-      const timer = setTimeout(() => end({ ok: false, text: "no answer" }), LONGER_MS[command.do] ?? ANSWER_MS);
+      const timer = setTimeout(() => end({ ok: false, text: "no answer" }), ANSWER_MS);
       this.waiting.set(number, end);
       this.socket.send(JSON.stringify({ ...command, number }));
     });
