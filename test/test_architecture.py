@@ -22,6 +22,7 @@ LIBRARIES = {
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
     "serial": "python3-serial",
+    "setuptools": "python3-setuptools",
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }

@@ -6,6 +6,7 @@ is no network. Its settings are those of pip, which does it where uv cannot.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import os
 import subprocess
@@ -56,4 +57,6 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    usage = "%(prog)s [what `pip install` takes]"
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], usage=usage)
+    sys.exit(main(parser.parse_known_args()[1]))

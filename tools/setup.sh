@@ -175,7 +175,7 @@ prepare_environment() {
             "or newer and Python 3.11 or 3.12; elsewhere install ROS 2 Jazzy and source it first." \
             "The same command again goes on where this one stopped."
     fi
-    [ "$ros" = jazzy ] || { write_underlay; step "compiling messages"; add_tf2_msgs; }
+    [ "$ros" = jazzy ] || { write_underlay; step "compiling a message that has no wheel"; add_tf2_msgs; }
     rm -f install/.built # what was compiled may not suit what is installed now
     requirements_key > "$venv/.ready"
 }
@@ -202,8 +202,15 @@ changed_packages() { # reads the differing "hash  path" lines
     sed -E 's|^[^ ]* +||; s|^src/([^/]*)/.*|\1|; s|^config/.*|plate_core|' | sort -u
 }
 
+run_colcon() { # packages; the rest is build_packages'
+    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build \
+        --base-paths "$place/src" --build-base "$place/build" --packages-select "$@" \
+        --cmake-args "${options[@]}" -DPython3_EXECUTABLE="$venv/bin/python" > "$log" 2>&1 ||
+        { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
+}
+
 build_packages() {
-    local inputs changed package packages=() place=. options=(-DBUILD_TESTING=OFF)
+    local inputs changed package packages=() messages="" place=. options=(-DBUILD_TESTING=OFF)
     inputs=$(build_inputs)
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
@@ -215,23 +222,28 @@ build_packages() {
     for package in $changed; do
         # From nothing, as a file that is gone from src would live on there; but kernels stay compiled.
         rm -rf build/"$package"/build/lib* "install/$package"
-        [ ! -f "src/$package/package.xml" ] || packages+=("$package")
+        if [ "$package" = plate_interfaces ]; then
+            messages=yes
+        elif [ -f "src/$package/package.xml" ]; then
+            packages+=("$package")
+        fi
     done
-    case " ${packages[*]} " in *" plate_interfaces "*) rm -rf build/plate_interfaces ;; esac
     need_compiler
-    step "building ${packages[*]}"
     set +u; . "$venv/bin/activate"; [ "$ros" = jazzy ] || . "$venv/local_setup.sh"; set -u
     # What only C++ nodes need takes as long again to compile as what ours need.
     [ "$ros" = jazzy ] || { options+=(-DWITHOUT_CPP=ON); export CMAKE_GENERATOR=Ninja; }
-    wait # for kernels; colcon says what is wrong with them
     # A program whose first line names a Python in a path with a space does not start; env.sh has it on the PATH.
     printf '[build_scripts]\nexecutable = /usr/bin/env python3\n' > log/scripts.cfg
     # The generators of messages read no path with other letters than ASCII; then all is built elsewhere.
     case "$root" in *[!\ -~]*) cp -rL src "$scratch"; place=$scratch ;; esac
-    env -u PYTHONDONTWRITEBYTECODE DIST_EXTRA_CONFIG="$root/log/scripts.cfg" python -m colcon build \
-        --base-paths "$place/src" --build-base "$place/build" --packages-select "${packages[@]}" \
-        --cmake-args "${options[@]}" -DPython3_EXECUTABLE="$venv/bin/python" > "$log" 2>&1 ||
-        { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
+    if [ -n "$messages" ]; then
+        step "compiling the messages of the nodes"
+        rm -rf build/plate_interfaces
+        run_colcon plate_interfaces
+    fi
+    wait # for kernels; colcon says what is wrong with them
+    [ ${#packages[@]} = 0 ] || step "building ${packages[*]}"
+    [ ${#packages[@]} = 0 ] || run_colcon "${packages[@]}"
     # What colcon writes calls its Python without quotes, which ends at a space in the path.
     sed -i -E 's|\$\((\$_colcon_python_executable) |$("\1" |' install/local_setup.*sh
     echo "$inputs" > install/.built
