@@ -195,7 +195,7 @@ def test_an_interrupt_while_the_nodes_stop_keeps_the_results(tmp_path, monkeypat
 
     monkeypatch.setattr(module, "running", running)
     monkeypatch.setattr(module, "recording", lambda plan, observer: nullcontext())
-    monkeypatch.setattr(module, "watch", lambda plan, observer: None)
+    monkeypatch.setattr(module, "watch", lambda plan, observer, began: None)
     monkeypatch.setattr(
         module,
         "conclude",

@@ -97,11 +97,15 @@ def test_the_loop_swings_up_from_the_predicted_latency_on(rig):
         assert observed == pytest.approx(margin, rel=0.4)
 
 
-def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig):
-    linear = latency.LinearLoop(rig)
-    assert linear.response(1.0, 1.0)[0, 0] == pytest.approx(1.0, abs=0.1)
-    assert linear.growth(1.0, 0.0) < 0.6
-    assert linear.growth(1.0, 1.0) > 1
+def test_the_linear_loop_does_as_asked_where_all_is_as_believed(rig, monkeypatch):
+    growth = []
+    for seed in range(5):  # one draw of motions may give a tenth more
+        monkeypatch.setattr(latency, "SEED", seed)
+        linear = latency.LinearLoop(rig)
+        assert linear.response(1.0, 1.0)[0, 0] == pytest.approx(1.0, abs=0.1)
+        assert linear.growth(1.0, 1.0) > 1
+        growth.append(linear.growth(1.0, 0.0))
+    assert np.median(growth) < 0.5
 
 
 @pytest.mark.parametrize(("method", "parts"), [("sinusoids", 2), ("rotations", 6)])

@@ -137,7 +137,7 @@ def test_family_slopes_agree_with_differences(rig, free):
 
 
 @BOTH
-def test_compiled_force_slopes_agree_with_differences(rig, free):
+def test_force_slopes_agree_with_differences(rig, free):
     sequence = family(rig, free, (7, 4))
     parameters = sequence.parameters(0.9 * HOLDS[:4] / HOLDS.sum())
     rng = np.random.default_rng(3)

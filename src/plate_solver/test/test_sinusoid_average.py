@@ -1,4 +1,4 @@
-"""The compiled search: finished cycles, warm starts, and far requests."""
+"""The averaged search: finished cycles, warm starts, and far requests."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from plate_solver import SinusoidSolver, average_force
 
 
 def test_found_cycles_are_those_of_the_family(rig, scene):
-    # Knots and spline come from compiled products: they must be a cycle's own.
+    # Knots and spline come from the search's products: they must be a cycle's own.
     rng, position = scene(3, 2)
     answer = SinusoidSolver(rig, harmonics=2).solve(position, rng.uniform(-0.1, 0.1, (2, 2)))
     cycle = answer.cycle
