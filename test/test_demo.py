@@ -32,10 +32,10 @@ MARK = "PLATE_TEST_RUN"
 NODES = {"simulator", "detector", "planner", "solver", "driver"}
 
 
-def demo(*words, mark="", **options):
+def demo(*words, mark="", env=(), **options):
     return subprocess.Popen(
         [sys.executable, str(ROOT / "tools" / "demo.py"), *words],
-        env=os.environ | {MARK: mark},
+        env=os.environ | {MARK: mark} | dict(env),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -148,6 +148,33 @@ def test_a_run_leaves_results_and_pictures(tmp_path):
     assert (tmp_path / "demo.gif").stat().st_size < 6e6
     if records:
         check_bag(tmp_path / "bag", result)
+
+
+TOLD_WHEN_LOADED = """
+import os, sys, time
+def tell(event, arguments):
+    if event == "import":
+        with open(os.environ["LOADED"], "a") as file:
+            file.write(f"{time.monotonic()} {os.getpid()} {arguments[0]}\\n")
+sys.addaudithook(tell)
+"""
+
+
+def test_a_node_loads_no_code_once_the_plate_moves(tmp_path):
+    """An answer would be late by that."""
+    (tmp_path / "sitecustomize.py").write_text(TOLD_WHEN_LOADED)
+    env = {
+        "PYTHONPATH": f"{tmp_path}:{os.environ['PYTHONPATH']}",
+        "LOADED": str(tmp_path / "loaded"),
+    }
+    words = ["--scenario", "sort_4", "--lockstep", "--no-pictures", "--out", str(tmp_path / "out")]
+    with demo(*words, env=env) as process:
+        moves = [time.monotonic() for line in process.stdout if "The plate moves" in line]
+    assert process.returncode == 0
+    loaded = [line.split() for line in (tmp_path / "loaded").read_text().splitlines()]
+    assert len({pid for _, pid, _ in loaded}) > 6  # we heard of the nodes
+    late = [(pid, name) for at, pid, name in loaded if float(at) > moves[0]]
+    assert [name for pid, name in late if pid != str(process.pid)] == []
 
 
 def check_bag(folder, result):
