@@ -19,6 +19,14 @@ def main() -> int:
     args = arguments()
     # Until there is something to stop, Ctrl-C simply ends us, also in the middle of an import.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from plate_core import PlateError, load_rig
+    from plate_core.tasks import load_scenario
+
+    try:  # a name that is mistyped is told before all the rest is loaded
+        load_rig(args.rig or load_scenario(args.scenario).rig)
+    except PlateError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2
     from graph.demo import demo
 
     return demo(args)

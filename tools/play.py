@@ -78,16 +78,19 @@ def checked(args: argparse.Namespace):
     PlateError
         Names the argument, its value and what is allowed.
     """
+    from plate_core import PlateError, load_rig
+    from plate_core.tasks import load_scenario, start_positions
+
+    scenario = load_scenario(args.scenario)
+    rig = args.rig or scenario.rig
+    known = load_rig(rig)  # a name that is mistyped is told before all the rest is loaded
+
     import numpy as np
     from graph.demo import absolute
 
     from plate_bringup import RunOptions
-    from plate_core import PlateError, load_rig
-    from plate_core.tasks import load_scenario, start_positions
     from plate_solver import METHODS
 
-    scenario = load_scenario(args.scenario)
-    rig = args.rig or scenario.rig
     if args.method not in METHODS:
         allowed = ", ".join(sorted(METHODS))
         raise PlateError(f"method is {args.method!r}, allowed: {allowed}")
@@ -97,7 +100,7 @@ def checked(args: argparse.Namespace):
         raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
     if args.bag and not Path(args.bag).is_dir():
         raise PlateError(f"bag is {args.bag!r}, allowed: the folder of a recorded run")
-    start_positions(scenario, load_rig(rig), np.random.default_rng(args.seed))
+    start_positions(scenario, known, np.random.default_rng(args.seed))
     return RunOptions(
         scenario=absolute(args.scenario), method=METHODS[args.method], seed=args.seed,
         rig_file=absolute(rig), simulated_time=args.simulated_time, view=True,

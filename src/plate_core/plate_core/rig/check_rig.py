@@ -52,7 +52,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     found = doubts(rig)
-    print(report(rig, path.name, found))
+    print(report(rig, path.name, found), flush=True)  # a drawing takes longer
     drawing = args.drawing or Path(f"{path.stem if args.rig else 'default'}_rig.svg")
     try:
         from .drawing import draw  # what it draws with may be missing
