@@ -26,7 +26,7 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
     for name in ("src", "config"):
         skip = shutil.ignore_patterns("test", "__pycache__", "build", "*.egg-info")
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=skip)
-    for name in ("pyproject.toml", "setup.py", "README.md"):
+    for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, source)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-q"]
     subprocess.run(

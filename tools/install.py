@@ -20,22 +20,27 @@ FROM_PIP = {
     "extra-index-url": "UV_INDEX",
     "find-links": "UV_FIND_LINKS",
     "constraint": "UV_CONSTRAINT",
+    "no-index": "UV_NO_INDEX",
     "cert": "SSL_CERT_FILE",
     "proxy": "ALL_PROXY",
 }
 """uv's variables of the environment for settings of pip."""
+
+ELSEWHERE = ("UV_PREFIX", "UV_PYTHON", "UV_SYSTEM_PYTHON", "UV_TARGET")
+"""Variables that would have uv install into another place than .venv."""
 
 
 def settings() -> dict[str, str]:
     """Return pip's settings as uv's; like pip, without folders that are not there."""
     said = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
     found = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # all indexes count alike
-    for line in said.stdout.splitlines():  # a later line, of the environment, wins
+    for line in said.stdout.splitlines():  # those of the environment, which win, come first
         name, _, value = line.partition("=")
-        if name.rpartition(".")[2] in FROM_PIP:
+        key = name.rpartition(".")[2]
+        if key in FROM_PIP:
             words = str(ast.literal_eval(value)).split()
             there = [word for word in words if not _is_missing(word.removeprefix("file://"))]
-            found[FROM_PIP[name.rpartition(".")[2]]] = " ".join(there)
+            found.setdefault(FROM_PIP[key], ("," if key == "find-links" else " ").join(there))
     return found
 
 
@@ -46,9 +51,10 @@ def _is_missing(place: str) -> bool:
 def main(arguments: list[str]) -> int:
     """Install; returns the exit code."""
     if find_spec("uv"):
-        uv = [sys.executable, "-m", "uv", "pip", "install", "-q", *arguments]
+        uv = [sys.executable, "-m", "uv", "pip", "install", "-q", "--python", sys.executable]
+        own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):
-            words, env = [*uv, *where], {**settings(), **os.environ}
+            words, env = [*uv, *where, *arguments], {**settings(), **own}
             done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
             if done.returncode == 0:
                 return 0

@@ -12,7 +12,8 @@ cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 root="$PWD"
 venv="$root/.venv"
 log="$root/log/setup.log"
-busy=""
+kept="$root/build/kept"
+busy="" compiling=""
 
 say() { echo "set-up: $*"; }
 step() { say "[$SECONDS s] $*"; busy=yes; }
@@ -71,7 +72,8 @@ choose_python() {
 # --- the compiler, for messages and kernels -------------------------------------------------------
 
 header() { "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include") + "/Python.h")'; }
-can_compile() { command -v "${CXX:-g++}" > /dev/null && [ -f "$(header)" ]; }
+first_word() { printf '%s' "${1%% *}"; }
+can_compile() { command -v $(first_word "${CXX:-g++}") > /dev/null && [ -f "$(header)" ]; }
 
 need_compiler() {
     local packages=(g++ "python$(version_of "$venv/bin/python")-dev") lacking=""
@@ -82,7 +84,7 @@ need_compiler() {
             > "$log" 2>&1 < /dev/null || tail -n 3 "$log" >&2
         ! can_compile || return 0
     fi
-    command -v "${CXX:-g++}" > /dev/null || lacking="the compiler ${CXX:-g++}"
+    command -v $(first_word "${CXX:-g++}") > /dev/null || lacking="the compiler ${CXX:-g++}"
     [ -f "$(header)" ] || lacking+="${lacking:+, }$(header)"
     fail "To compile messages and kernels this is missing: $lacking." "On Debian or Ubuntu: sudo apt install ${packages[*]}"
 }
@@ -111,11 +113,12 @@ pinned() { grep "^$1==" requirements.txt; }
 # Before colcon builds the packages, which then finds the kernels compiled.
 compile_kernels() {
     local package
-    for package in $(grep -l CompileKernels src/*/setup.py | xargs -n1 dirname); do
-        (cd "$package" && PYTHONPATH="$root/src/plate_native" "$venv/bin/python" setup.py -q build \
-            --build-base "$root/build/${package#src/}/build" build_ext) || return
+    for package in $(packages_with_kernels); do
+        (cd "src/$package" && PYTHONPATH="$root/src/plate_native" "$venv/bin/python" setup.py -q build \
+            --build-base "$root/build/$package/build" build_ext) || return
     done > log/kernels.log 2>&1
 }
+packages_with_kernels() { grep -l CompileKernels src/*/setup.py | xargs -n1 dirname | xargs -n1 basename; }
 
 install_requirements() {
     local install=("$venv/bin/python" tools/install.py)
@@ -127,7 +130,10 @@ install_requirements() {
         step "installing what compiles the kernels; they are compiled meanwhile (all in all about a minute)"
         "${install[@]}" "$(pinned uv)" > "$log" 2>&1 || return
         "${install[@]}" "$(pinned nanobind)" "$(pinned setuptools)" "$(pinned wheel)" > "$log" 2>&1 || return
+        set -m # a group of its own, which ends with us
         compile_kernels &
+        compiling=$!
+        set +m
         step "installing ROS 2 and the Python packages (700 MB on disk; longer on a slow line)"
         "${install[@]}" -r requirements.txt > "$log" 2>&1 || return
         # The message packages name a folder of the machine they were built on, which cmake would look for here.
@@ -194,7 +200,7 @@ add_checks() {
 
 # What the build reads, as "hash  path" lines; tests are not installed, so they do not count.
 build_inputs() {
-    find src config \( -name test -o -name __pycache__ -o -name build -o -name '*.egg-info' \) -prune -o -type f -print0 |
+    find src config \( -name test -o -name __pycache__ -o -name build -o -name '*.egg-info' -o -name '*.so' \) -prune -o -type f -print0 |
         xargs -0 sha256sum | sort
 }
 
@@ -215,13 +221,18 @@ build_packages() {
     [ -f install/.built ] && [ "$inputs" = "$(cat install/.built)" ] && return
     if [ -f install/.built ]; then
         changed=$(comm -3 --output-delimiter= install/.built <(echo "$inputs") | changed_packages)
+        # What it changes is compiled into kernels, which say themselves whether that is so.
+        case "$changed" in *plate_native*) changed=$(printf '%s\n' "$changed" $(packages_with_kernels) | sort -u) ;; esac
     else
         rm -rf install
         changed=$(ls src)
     fi
+    # Until all is built, what was built before is kept aside, and comes back if that fails.
+    rm -rf "$kept"
+    mkdir -p "$kept"
+    [ ! -f install/.built ] || mv install/.built "$kept"
     for package in $changed; do
-        # From nothing, as a file that is gone from src would live on there; but kernels stay compiled.
-        rm -rf build/"$package"/build/lib* "install/$package"
+        [ ! -d "install/$package" ] || mv "install/$package" "$kept"
         if [ "$package" = plate_interfaces ]; then
             messages=yes
         elif [ -f "src/$package/package.xml" ]; then
@@ -242,11 +253,25 @@ build_packages() {
         run_colcon plate_interfaces
     fi
     wait # for kernels; colcon says what is wrong with them
+    compiling=""
+    # From nothing, as a file that is gone from src would live on there; but kernels stay compiled.
+    for package in "${packages[@]}"; do rm -rf build/"$package"/build/lib*; done
     [ ${#packages[@]} = 0 ] || step "building ${packages[*]}"
     [ ${#packages[@]} = 0 ] || run_colcon "${packages[@]}"
     # What colcon writes calls its Python without quotes, which ends at a space in the path.
     sed -i -E 's|\$\((\$_colcon_python_executable) |$("\1" |' install/local_setup.*sh
     echo "$inputs" > install/.built
+    rm -rf "$kept"
+}
+
+put_back() {
+    local old
+    [ -f "$kept/.built" ] || return 0
+    for old in "$kept"/*; do
+        [ ! -d "$old" ] || { rm -rf "install/${old##*/}"; mv "$old" install; }
+    done
+    mv "$kept/.built" install
+    say "what was built before is still there"
 }
 
 exec 9< tools/setup.sh
@@ -254,8 +279,9 @@ flock -n 9 || { say "waiting for another set-up of this folder to end"; flock 9;
 mkdir -p log
 touch log/COLCON_IGNORE
 scratch=$(mktemp -d)
-trap 'rm -rf "$scratch"' EXIT
+trap '[ -z "$compiling" ] || kill -- "-$compiling" 2> /dev/null; rm -rf "$scratch"; put_back' EXIT
 choose_ros
+put_back # of a set-up that was killed
 prepare_environment
 build_packages
 add_checks

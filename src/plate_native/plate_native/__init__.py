@@ -9,10 +9,14 @@ of vectors (`PLATE_WIDE`) return the same to the last bit.
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import re
+import shutil
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -24,27 +28,14 @@ __all__ = ["CompileKernels", "kernels"]
 OPTIONS = (
     "-std=c++20", "-O3", "-g0", "-fno-lto", "-fPIC", "-fvisibility=hidden",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd",
-    "-fno-stack-protector",
+    "-fno-stack-protector", "-DNDEBUG", "-DNB_COMPACT_ASSERTIONS",
 )  # fmt: skip
 WARNINGS = ("-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Wno-unknown-pragmas")
 
 
-def kernels(package: str, folder: str | Path = ".") -> Extension:
-    """Return the compiled module of a package, whose Python files are in `folder`/`package`."""
-    nanobind = _nanobind()
-    return Extension(
-        f"{package}._kernels",
-        sorted(str(path) for path in Path(folder, package).rglob("*.cpp")),
-        include_dirs=[
-            str(Path(folder, package)),
-            str(Path(__file__).parent / "include"),
-            str(nanobind / "include"),
-            str(nanobind / "ext/robin_map/include"),
-        ],
-        define_macros=[("NDEBUG", None), ("NB_COMPACT_ASSERTIONS", None)],
-        extra_compile_args=list(OPTIONS),
-        language="c++",
-    )
+def kernels(package: str) -> Extension:
+    """Return the compiled module of a package, for its setup.py."""
+    return Extension(f"{package}._kernels", [f"{package}/kernels.cpp"], language="c++")
 
 
 def _nanobind() -> Path:
@@ -58,42 +49,61 @@ def _nanobind() -> Path:
 
 
 class CompileKernels(build_ext):
-    """Compiles what has changed, several files at a time."""
+    """Compiles what has changed of all `.cpp` files beside a module's first one and below it,
+    several at a time. The module is put beside them, too, for who runs the sources."""
 
     def build_extension(self, extension: Extension) -> None:
         """Compile a module's sources, then link them."""
-        sources = [*extension.sources, str(_nanobind() / "src/nb_combined.cpp")]
+        package, nanobind = Path(extension.sources[0]).parent, _nanobind()
+        sources = [*sorted(package.rglob("*.cpp")), nanobind / "src/nb_combined.cpp"]
+        include = [
+            package, Path(__file__).parent / "include",
+            nanobind / "include", nanobind / "ext/robin_map/include", *self.compiler.include_dirs,
+        ]  # fmt: skip
         jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         with ThreadPoolExecutor(jobs) as pool:
-            objects = list(pool.map(partial(self._object, extension), sources))
+            objects = list(pool.map(partial(self._object, [f"-I{i}" for i in include]), sources))
         made = Path(self.get_ext_fullpath(extension.name))
         made.parent.mkdir(parents=True, exist_ok=True)
-        if not _is_newer(made, map(Path, objects)):
-            self.compiler.link_shared_object(objects, str(made), target_lang="c++")
+        with _whole(made) as part:
+            self.compiler.link_shared_object(objects, str(part), target_lang="c++")
+        if made.resolve() != (package / made.name).resolve():
+            with _whole(package / made.name) as part:
+                shutil.copy2(made, part)
 
-    def _object(self, extension: Extension, source: str) -> str:
-        made = Path(self.build_temp, re.sub(r"[^\w]+", "_", source)).with_suffix(".o")
-        rules = made.with_suffix(".d")  # which headers it was made of, as the compiler writes it
-        if rules.exists() and _is_newer(made, _prerequisites(rules)):
+    def _object(self, include: list[str], source: Path) -> str:
+        made = Path(self.build_temp, re.sub(r"[^\w]+", "_", str(source))).with_suffix(".o")
+        rules = made.with_suffix(".d")  # which files it was made of, as the compiler writes it
+        stamp = made.with_suffix(".of")
+        compiler = os.environ.get("CXX", "c++").split()
+        own = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
+        options = [*OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split(), *include]
+        words = [*compiler, *options, "-MMD", "-MF", str(rules), "-c", str(source), "-o"]
+        if stamp.exists() and stamp.read_text() == _digest(words, rules):
             return str(made)
         made.parent.mkdir(parents=True, exist_ok=True)
-        include = [f"-I{place}" for place in (*extension.include_dirs, *self.compiler.include_dirs)]
-        macros = [f"-D{name}" for name, _ in extension.define_macros]
-        compiler = os.environ.get("CXX", "c++").split()
-        own = ("-Os", "-w") if source.endswith("nb_combined.cpp") else WARNINGS
-        options = [*extension.extra_compile_args, *own, *os.environ.get("CXXFLAGS", "").split()]
-        options += [*macros, *include]
-        self.spawn([*compiler, *options, "-MMD", "-MF", str(rules), "-c", source, "-o", str(made)])
+        stamp.unlink(missing_ok=True)
+        with _whole(made) as part:
+            self.spawn([*words, str(part)])
+        stamp.write_text(_digest(words, rules))
         return str(made)
 
 
-def _prerequisites(rules: Path) -> list[Path]:
-    text = rules.read_text(encoding="utf-8").replace("\\\n", " ").split(":", 1)[1]
-    return [Path(word.replace("\\ ", " ")) for word in re.findall(r"(?:\\ |\S)+", text)]
-
-
-def _is_newer(made: Path, sources) -> bool:
+def _digest(words: list[str], rules: Path) -> str:
+    """Of a command and of what is in all files that the compiler has read."""
+    digest = hashlib.sha256(" ".join(words).encode())
     try:
-        return made.stat().st_mtime_ns > max(path.stat().st_mtime_ns for path in sources)
+        text = rules.read_text(encoding="utf-8").replace("\\\n", " ").partition(":")[2]
+        for word in re.findall(r"(?:\\ |\S)+", text):
+            digest.update(Path(word.replace("\\ ", " ")).read_bytes())
     except FileNotFoundError:
-        return False
+        return ""
+    return digest.hexdigest()
+
+
+@contextmanager
+def _whole(made: Path) -> Iterator[Path]:
+    """A file to write in place of this one, which is there in whole or not at all."""
+    part = made.with_name(f"part-{made.name}")
+    yield part
+    part.replace(made)

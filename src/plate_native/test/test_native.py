@@ -35,7 +35,10 @@ def build():
     command.inplace, command.build_temp = True, "made"
     command.finalize_options()
     compiled, spawn = [], command.spawn
-    command.spawn = lambda words: (compiled.append(Path(words[-3]).name), spawn(words))
+    command.spawn = lambda words: (
+        compiled.append(Path(words[-3]).name) if "-c" in words else None,
+        spawn(words),
+    )
     command.run()
     spec = importlib.util.spec_from_file_location("_kernels", *Path("some").glob("_kernels*.so"))
     code = "import importlib.util as u; s = u.spec_from_file_location('_kernels', {!r}); "
