@@ -13,7 +13,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=["nanobind", "setuptools"],
+    install_requires=[],
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",

@@ -23,14 +23,19 @@ from pathlib import Path
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
 
-__all__ = ["CompileKernels", "kernels"]
+__all__ = ["OPTIONS", "CompileKernels", "kernels"]
 
 OPTIONS = (
     "-std=c++20", "-O3", "-g0", "-fno-lto", "-fPIC", "-fvisibility=hidden",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd",
     "-fno-stack-protector", "-DNDEBUG", "-DNB_COMPACT_ASSERTIONS",
 )  # fmt: skip
+"""Of the compiler, for all kernels."""
+
 WARNINGS = ("-Wall", "-Wextra", "-Wno-missing-field-initializers", "-Wno-unknown-pragmas")
+
+DEBIAN = Path("/usr/share/nanobind")
+"""Where the package nanobind-dev of Debian and Ubuntu has it."""
 
 
 def kernels(package: str) -> Extension:
@@ -42,7 +47,7 @@ def _nanobind() -> Path:
     """Where nanobind's sources are: pip's, or those of Debian and Ubuntu."""
     found = importlib.util.find_spec("nanobind")
     places = list(found.submodule_search_locations or ()) if found else []
-    for place in map(Path, [*places, "/usr/share/nanobind"]):
+    for place in map(Path, [*places, DEBIAN]):
         if (place / "src/nb_combined.cpp").exists():
             return place
     raise FileNotFoundError("nanobind is missing: pip install nanobind (or apt: nanobind-dev)")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from setuptools import Distribution
 
+import plate_native
 from plate_native import CompileKernels, kernels
 
 MODULE = """
@@ -59,11 +60,11 @@ def test_only_what_has_changed_is_compiled(package, capfd):
     assert "nothing" in capfd.readouterr().err
 
 
-def test_nanobind_that_is_missing_is_named(monkeypatch):
+def test_nanobind_that_is_missing_is_named(package, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(Path, "exists", lambda path: False)
+    monkeypatch.setattr(plate_native, "DEBIAN", Path("nowhere"))
     with pytest.raises(FileNotFoundError, match="pip install nanobind"):
-        kernels("plate_solver")
+        build()
 
 
 @pytest.mark.skipif(shutil.which("objdump") is None, reason="objdump, of g++, is missing")

@@ -48,15 +48,15 @@ void read(const char* name, nb::handle array, Room& room) {
 // `Limits` of Python.
 inline Limits limits_of(const nb::tuple& record) {
     Limits limits{
-        .stroke_m = nb::cast<double>(record[2]),
-        .speed = nb::cast<double>(record[3]),
-        .accel = nb::cast<double>(record[4]),
-        .arm_m = nb::cast<double>(record[5]),
-        .heat = nb::cast<double>(record[8]),
-        .forceful = nb::cast<bool>(record[9]),
+        .stroke_m = nb::cast<double>(field(record, 2)),
+        .speed = nb::cast<double>(field(record, 3)),
+        .accel = nb::cast<double>(field(record, 4)),
+        .arm_m = nb::cast<double>(field(record, 5)),
+        .heat = nb::cast<double>(field(record, 8)),
+        .forceful = nb::cast<bool>(field(record, 9)),
     };
-    read("motors", record[0], limits.motors), read("half", record[1], limits.half);
-    read("levers", record[6], limits.levers), read("loads", record[7], limits.loads);
+    read("motors", field(record, 0), limits.motors), read("half", field(record, 1), limits.half);
+    read("levers", field(record, 6), limits.levers), read("loads", field(record, 7), limits.loads);
     return limits;
 }
 

@@ -1,5 +1,7 @@
 // What Python sees of the kernels of friction.
 #include <nanobind/stl/pair.h>
+#include <cmath>
+
 #include <plate/bind.hpp>
 
 #include "friction/disc.hpp"
@@ -31,6 +33,9 @@ void bind_friction(nb::module_& m) {
             require(table.shape(0) > 0 && scales.shape(0) == 8 && checked.shape(0) == count,
                     "run_points: shapes differ, allowed: table (K, 24), scales (8,), checked (M,)");
             require(cycles > 0, "run_points: no cycles, allowed: at least 1");
+            require(tolerance > 0, "run_points: tolerance is not above 0");
+            for (size_t k = 0; k < table.size(); k++)
+                require(std::isfinite(table.data()[k]), "run_points: table is not finite");
             const Table pieces = records<Piece>("table", table);
             nb::gil_scoped_release others_may_run;
             return sliding::run_points(pieces, *reinterpret_cast<const Scales*>(scales.data()),

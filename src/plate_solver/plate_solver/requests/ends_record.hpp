@@ -11,8 +11,8 @@ public:
     EndsRecord(const nb::tuple& record, size_t size)
         : low(numbers(record, 0)), high(numbers(record, 1)), weight(numbers(record, 2)),
           edge_low(numbers(record, 3)), edge_high(numbers(record, 4)),
-          pair(nb::cast<Array<const int64_t, 2>>(record[5])), clear(numbers(record, 6)),
-          parts(nb::cast<int>(record[7])) {
+          pair(nb::cast<Array<const int64_t, 2>>(field(record, 5))), clear(numbers(record, 6)),
+          parts(nb::cast<int>(field(record, 7))) {
         for (const Numbers* each : {&low, &high, &weight, &edge_low, &edge_high})
             check("an array of ends", *each, {size});
         check("pair", pair, {clear.size(), 2});
@@ -36,7 +36,7 @@ private:
     int parts;
 
     static Numbers numbers(const nb::tuple& record, int at) {
-        return nb::cast<Numbers>(record[at]);
+        return nb::cast<Numbers>(field(record, at));
     }
 };
 

@@ -29,19 +29,19 @@ static std::vector<double> copied(const Numbers& array) {
 class SequencesRecord {
 public:
     explicit SequencesRecord(const nb::tuple& record)
-        : basis(nb::cast<Box>(record[0])), loads(nb::cast<Table>(record[5])) {
+        : basis(nb::cast<Box>(field(record, 0))), loads(nb::cast<Table>(field(record, 5))) {
         check("basis", basis, {basis.shape(0), basis.shape(1), 3});
         check("loads", loads, {loads.shape(0), 3});
-        const nb::tuple steps = nb::cast<nb::tuple>(record[6]);
+        const nb::tuple steps = nb::cast<nb::tuple>(field(record, 6));
         family = {
             .basis = view(basis),
-            .hold_scale = nb::cast<double>(record[1]),
-            .period = nb::cast<double>(record[2]),
-            .accel = nb::cast<double>(record[3]),
-            .blend = nb::cast<double>(record[4]),
+            .hold_scale = nb::cast<double>(field(record, 1)),
+            .period = nb::cast<double>(field(record, 2)),
+            .accel = nb::cast<double>(field(record, 3)),
+            .blend = nb::cast<double>(field(record, 4)),
             .loads = view(loads),
             .steps = steps_from(steps),
-            .limits = limits_of(nb::cast<nb::tuple>(record[7])),
+            .limits = limits_of(nb::cast<nb::tuple>(field(record, 7))),
         };
         if (family.count() < 1) throw nb::value_error("there are no rotations");
     }
@@ -55,7 +55,7 @@ public:
     }
 
     static std::array<int, 2> steps_from(const nb::tuple& pair) {
-        const std::array<int, 2> steps{nb::cast<int>(pair[0]), nb::cast<int>(pair[1])};
+        const std::array<int, 2> steps{nb::cast<int>(field(pair, 0)), nb::cast<int>(field(pair, 1))};
         if (steps[0] < 1 || steps[1] < 1) throw nb::value_error("a segment has at least one step");
         return steps;
     }
@@ -145,12 +145,12 @@ static nb::object slopes_of_forces(Numbers theta, nb::tuple record, Numbers time
 class ForcesRecord {
 public:
     explicit ForcesRecord(const nb::tuple& record)
-        : family(nb::cast<nb::tuple>(record[0])), position(nb::cast<Table>(record[1])),
-          velocity(nb::cast<Table>(record[2])), wanted(nb::cast<Numbers>(record[4])),
-          scale(nb::cast<Numbers>(record[5])) {
+        : family(nb::cast<nb::tuple>(field(record, 0))), position(nb::cast<Table>(field(record, 1))),
+          velocity(nb::cast<Table>(field(record, 2))), wanted(nb::cast<Numbers>(field(record, 4))),
+          scale(nb::cast<Numbers>(field(record, 5))) {
         const size_t parts = position.shape(0);
         check("position", position, {parts, 2}), check("velocity", velocity, {parts, 2});
-        std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(record[3]), parts);
+        std::vector<int> rows = rows_of(nb::cast<Array<const bool, 1>>(field(record, 3)), parts);
         check("wanted", wanted, {rows.size()}), check("scale", scale, {rows.size()});
         problem = {*family,      view(position), view(velocity), std::move(rows),
                    view(wanted), view(scale)};

@@ -119,6 +119,7 @@ void bind_discs(nb::module_& m) {
     }, arg(), arg(), arg(), arg(), arg(), arg(), arg().noconvert());
     m.def("find_peaks", [](In<float, 2> votes, int x0, int y0, In<bool, 2> merged,
                            std::array<int, 3> grid, double radius) {
+        require(radius > 0, "radius is not above 0");
         std::vector<double> found;
         {
             nb::gil_scoped_release others_may_run;

@@ -113,6 +113,7 @@ void bind_outlines(nb::module_& m) {
                          bool turns, int steps, double hopeless, double gate) {
         require_edges(edges);
         require(points.shape(1) >= 2 && pose.shape(0) >= 3, "shapes: points (n, 2), pose (3,)");
+        require(steps >= 0 && steps <= 1000, "steps is not in 0 to 1000");
         PoseFit fit;
         {
             nb::gil_scoped_release others_may_run;
@@ -226,6 +227,8 @@ void bind_segmentation(nb::module_& m) {
     m.def("find_basins", [](In<float, 2> depth, double neck, double least_drop, int levels,
                             Array<int32_t, 2> labels) {
         require(same_pixels(depth, labels), "shapes: depth and labels (h, w)");
+        require(levels >= 1, "levels is not at least 1");
+        std::fill_n(labels.data(), labels.size(), 0);
         Basins found;
         {
             nb::gil_scoped_release others_may_run;

@@ -3,6 +3,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <climits>
 #include <utility>
 #include <vector>
 
@@ -22,6 +23,8 @@ struct Viewed {
 
     template <class T, int N>
     operator View<T, N>() const {
+        if (array.size() > INT_MAX)
+            throw nb::value_error("an array has more numbers than allowed: 2^31 - 1");
         View<T, N> result{array.data(), {}};
         for (int axis = 0; axis < N; axis++) result.shape[axis] = static_cast<int>(array.shape(axis));
         return result;
@@ -31,6 +34,12 @@ struct Viewed {
 template <class Source>
 Viewed<Source> view(const Source& array) {
     return {array};
+}
+
+// A field of a named tuple.
+inline nb::object field(const nb::tuple& record, size_t at) {
+    if (at >= record.size()) throw nb::value_error("a record has too few fields");
+    return nb::borrow(record[at]);
 }
 
 // Samples (n, 3).
