@@ -47,7 +47,7 @@ def _nanobind() -> Path:
     """Where nanobind's sources are: pip's, or those of Debian and Ubuntu."""
     found = importlib.util.find_spec("nanobind")
     places = list(found.submodule_search_locations or ()) if found else []
-    for place in map(Path, [*places, DEBIAN]):
+    for place in [*map(Path, places), DEBIAN]:
         if (place / "src/nb_combined.cpp").exists():
             return place
     raise FileNotFoundError("nanobind is missing: pip install nanobind (or apt: nanobind-dev)")
