@@ -82,14 +82,15 @@ class CompileKernels(build_ext):
         stamp = made.with_suffix(".of")
         compiler = os.environ.get("CXX", "c++").split()
         own = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
-        options = [*OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split(), *include]
-        words = [*compiler, *options, "-MMD", "-MF", str(rules), "-c", str(source), "-o"]
+        words = [*compiler, *OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split()]
         if stamp.exists() and stamp.read_text() == _digest(words, rules):
             return str(made)
         made.parent.mkdir(parents=True, exist_ok=True)
         stamp.unlink(missing_ok=True)
         with _whole(made) as part:
-            self.spawn([*words, str(part)])
+            self.spawn(
+                [*words, *include, "-MMD", "-MF", str(rules), "-c", str(source), "-o", str(part)]
+            )
         stamp.write_text(_digest(words, rules))
         return str(made)
 
