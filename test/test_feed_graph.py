@@ -20,7 +20,7 @@ PICKS = 6
 
 @pytest.fixture(name="graph", scope="module")
 def _graph(tmp_path_factory):
-    options = RunOptions(scenario="feed", seed=1, autostart=False, robot_port=0)
+    options = RunOptions(scenario="feed", seed=1, autostart=False, robot_port=0, rate=0.5)
     with session(options, tmp_path_factory.mktemp("feed"), pictures=False) as graph:
         graph.free()
         graph.observer.await_ready()

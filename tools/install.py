@@ -52,6 +52,8 @@ def main(arguments: list[str]) -> int:
     """Install; returns the exit code."""
     if find_spec("uv"):
         uv = [sys.executable, "-m", "uv", "pip", "install", "-q", "--python", sys.executable]
+        if sys.dont_write_bytecode:  # else each module is compiled where it is imported first
+            uv.append("--compile-bytecode")
         own = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}
         for where in (["--offline"], []):
             words, env = [*uv, *where, *arguments], {**settings(), **own}
