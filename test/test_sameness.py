@@ -50,7 +50,7 @@ def test_a_kernel_sums_in_order_and_rounds_each_product(tmp_path, processor):
     code, library = tmp_path / "product.cpp", tmp_path / "product.so"
     code.write_text(PRODUCT, encoding="utf-8")
     options = [*plate_native.OPTIONS, f"-I{Path(plate_native.__file__).parent / 'include'}"]
-    # Without that name a function is not compiled for all processors, but for the one that is told.
+    # Without that name a function is compiled for the processor named in -march only.
     words = ["-shared", "-fvisibility=default", f"-march={processor}", "-U__gnu_linux__"]
     compiler = os.environ.get("CXX", "c++").split()
     subprocess.run([*compiler, *options, *words, str(code), "-o", str(library)], check=True)

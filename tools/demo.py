@@ -22,7 +22,7 @@ def main() -> int:
     from plate_core import PlateError, load_rig
     from plate_core.tasks import load_scenario
 
-    try:  # a name that is mistyped is told before all the rest is loaded
+    try:  # a mistyped name is reported before the slow imports
         load_rig(args.rig or load_scenario(args.scenario).rig)
     except PlateError as error:
         print(f"demo: {error}", file=sys.stderr)

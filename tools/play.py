@@ -83,7 +83,7 @@ def checked(args: argparse.Namespace):
 
     scenario = load_scenario(args.scenario)
     rig = args.rig or scenario.rig
-    known = load_rig(rig)  # a name that is mistyped is told before all the rest is loaded
+    known = load_rig(rig)  # a mistyped name is reported before the slow imports
 
     import numpy as np
     from graph.demo import absolute

@@ -70,7 +70,7 @@ def test_nanobind_that_is_missing_is_named(package, monkeypatch):
 @pytest.mark.skipif(shutil.which("objdump") is None, reason="objdump, of g++, is missing")
 @pytest.mark.parametrize("package", ["plate_sim", "plate_solver", "plate_vision"])
 def test_no_product_is_fused_with_a_sum(package):
-    """It is where GCC makes one instruction of two, whatever it is told: then numbers differ."""
+    """GCC may do so in spite of its options; then numbers differ between processors."""
     module = importlib.util.find_spec(f"{package}._kernels").origin
     words = ["objdump", "-d", "--no-show-raw-insn", module]
     code = subprocess.run(words, capture_output=True, text=True, check=True).stdout

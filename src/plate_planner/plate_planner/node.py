@@ -370,8 +370,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
         self._shown = {part.id: part for part in msg.parts}
-        if run is None:
-            if seconds(stamp) != self._idle.stamp:  # in lockstep an image may come again
+        # In lockstep an image may come again, also after a goal: the task begins with the next one.
+        again = self.options.lockstep and seconds(stamp) == self._idle.stamp
+        if run is None or again:
+            if not again:
                 self._idle = self._idle.update(parts, seconds(stamp))
             self._ask(wanted_to_msg(NOTHING, stamp))
             return
