@@ -510,6 +510,18 @@ def test_in_lockstep_the_task_begins_with_the_second_image(graph):
     assert msg_to_wanted(graph.forces[-1]).parts.ids == IDS
 
 
+def test_in_lockstep_an_image_that_comes_again_after_the_goal_is_not_planned(graph):
+    """Whether one does is chance; the run must be the same."""
+    graph = graph(lockstep=True)
+    graph.image(1.0, APART)
+    graph.until(lambda: not graph.planner._open)
+    graph.report()
+    graph.send()
+    graph.until(lambda: graph.planner._run is not None)
+    assert graph.image(1.0, APART).parts.ids == ()
+    assert graph.image(1.1, APART).parts.ids == IDS
+
+
 def test_in_lockstep_a_solver_that_does_not_answer_ends_the_task(graph):
     graph = graph(lockstep=True, input_timeout_s=0.5)
     graph.begin()
