@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,7 +46,7 @@ swing the right way are further than they look."""
 
 EFFORT: dict[str, dict[str, Any]] = {
     "rotations": {"iterations": 20, "restarts": 1},
-    "sinusoids": {"iterations": 24, "restarts": 7},
+    "sinusoids": {"iterations": 24, "restarts": 40},
 }
 """Most iterations from one start and most further starts: what suits a loop. More take longer, and
 buy little: see docs/results.md."""
@@ -95,8 +96,8 @@ class Controller:
         Seed of the solvers' restarts.
     centres : (N, 2), optional
         Centres of rotation of Method A [m], plate_home; as `RotationSolver` if left out.
-    deadline : float
-        Of `SinusoidOptions`: part of a cycle, in real time; 0: none.
+    threads : int
+        Cores that a search may use.
     **effort
         `iterations`, `restarts` of the solvers, where those of `EFFORT` are not wanted.
     """
@@ -107,14 +108,14 @@ class Controller:
         method: str = "sinusoids",
         seed: int = 0,
         centres: np.ndarray | None = None,
-        deadline: float = 0.0,
+        threads: int = 1,
         **effort: int,
     ) -> None:
         if method not in METHODS:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
         self._sinusoids = SinusoidSolver(
-            rig, seed=seed, deadline=deadline, **EFFORT["sinusoids"] | effort
+            rig, seed=seed, threads=threads, **EFFORT["sinusoids"] | effort
         )
         self._solvers: dict[str, MotionSolver] = {
             "rotations": RotationSolver(rig, centres, seed=seed, **EFFORT["rotations"] | effort),
@@ -137,7 +138,7 @@ class Controller:
         for solver in self._solvers.values():
             solver.reset()
 
-    def answer(self, wanted: Wanted, running: PlateCycle | None) -> Answer:
+    def answer(self, wanted: Wanted, running: PlateCycle | None, until: float = math.inf) -> Answer:
         """Return the cycle to run after the one that is running now.
 
         Parameters
@@ -146,6 +147,8 @@ class Controller:
             What is wanted of parts, as the camera saw them at the start of the running cycle.
         running : PlateCycle, optional
             The cycle that runs now; None if the plate is at rest.
+        until : float
+            Of `MotionSolver.steer`.
         """
         parts = wanted.parts
         if not len(parts):
@@ -170,7 +173,7 @@ class Controller:
         for fraction in FRACTIONS:
             part = goal.times(fraction)
             good = max(missable * fraction * asked, DRIFT_TOLERANCE * period)
-            solution = solver.steer(part, DRIFT_TOLERANCE * period, good)
+            solution = solver.steer(part, DRIFT_TOLERANCE * period, good, until)
             end = np.asarray(solution.predicted)
             if not self._leaves_plate(parts.ids, goal, end):
                 break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
@@ -182,7 +183,9 @@ class MotionSolver(ABC):
         """Do as `solve`, for a request that is checked."""
 
     @abstractmethod
-    def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
+    def steer(
+        self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
+    ) -> Solution:
         """Find a motion from rest to rest that moves parts as asked, on the cycle map.
 
         Parameters
@@ -193,6 +196,9 @@ class MotionSolver(ABC):
             Greatest error at which to stop [m].
         good_enough : float
             Root mean square error [m] above which other starts are tried.
+        until : float
+            When the answer is to be there, by `time.monotonic` [s]: then the search ends sooner,
+            and what it finds depends on the computer.
 
         Returns
         -------

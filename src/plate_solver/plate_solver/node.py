@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -56,13 +58,18 @@ class Options(NodeOptions):
     )
     seed: int = parameter(0, "Seed of the solver's restarts.", 0, 2**31 - 1)
     restarts: int = parameter(
-        0, "Further starts of each search; 0: what suits the method (7 and more for sinusoids). "
-        "60 sort ten parts 20 % sooner, in 80 ms an answer.", 0, 1000,
+        0, "Most further starts of each search; 0: what suits the method (40 for sinusoids).",
+        0, 1000,
     )  # fmt: skip
-    deadline: float = parameter(
-        0.5, "Part of a cycle after which a search of sinusoids begins no further start, so that "
-        "the answer is there in time; 0: none. Not in simulated time, where a seed gives the same "
-        "cycles on any computer.", 0.0, 1.0,
+    threads: int = parameter(
+        0, "Cores that a search may use, the answers are the same; 0: all that there are.",
+        0, 1024,
+    )  # fmt: skip
+    handover_s: float = parameter(
+        0.02, "A search begins no further start when its answer would come later than this before "
+        "its cycle begins [s]: driver and line need it; with a serial line 0.06. 0: it takes the "
+        "time it needs, as in simulated time, where a seed gives the same cycles on any computer.",
+        0.0, 1.0,
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
@@ -115,10 +122,10 @@ class SolverNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
-        deadline = 0.0 if self.get_parameter("use_sim_time").value else options.deadline
-        self._controller = Controller(
-            rig, options.method, options.seed, deadline=deadline, **effort
-        )
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        self._handover_s = 0.0 if simulated else options.handover_s
+        threads = options.threads or len(os.sched_getaffinity(0))
+        self._controller = Controller(rig, options.method, options.seed, threads=threads, **effort)
         warm_up(self._controller, rig.plate.half)
         self._cycles = self.managed_publisher(JointTrajectory, "plate_cycle", DATA)
         self._markers = self.managed_publisher(MarkerArray, "markers", DATA)
@@ -163,7 +170,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         elif newest == stamp_ns:
             cycle = self._sent[-1].cycle
         else:
-            cycle = self._answer(wanted, stamp_ns)
+            cycle = self._answer(wanted, stamp_ns, nanoseconds(msg.start))
         self._send(cycle, msg.header.stamp)
         if newest != stamp_ns:
             self._sent.append(Sent(stamp_ns, self._now_ns(stamp_ns), cycle))
@@ -180,10 +187,14 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._tally.why = text
         self.get_logger().warning(text, throttle_duration_sec=QUIET_S)
 
-    def _answer(self, wanted: Wanted, stamp_ns: int) -> PlateCycle:
-        began = time.monotonic()
+    def _answer(self, wanted: Wanted, stamp_ns: int, start_ns: int) -> PlateCycle:
+        began, running = time.monotonic(), self._running(stamp_ns)
+        if not start_ns:
+            start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_PERIOD))
+        left_s = 1e-9 * (start_ns - self._now_ns(stamp_ns)) - self._handover_s
         try:
-            answer = self._controller.answer(wanted, self._running(stamp_ns))
+            until = began + left_s if self._handover_s else math.inf
+            answer = self._controller.answer(wanted, running, until)
         except (PlateError, np.linalg.LinAlgError) as error:
             return self._rest(str(error))
         took = time.monotonic() - began

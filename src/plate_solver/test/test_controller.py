@@ -1,6 +1,7 @@
 """The controller in a small closed loop: the simulator moves the parts, one cycle ahead."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -270,26 +271,55 @@ def test_a_deadline_ends_a_hard_search_and_is_told(rig):
     parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)
     aim = np.full((100, 2), 0.1)
     wanted = Wanted.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
-    controller = Controller(rig, restarts=1000, deadline=0.01)
-    hard = controller.answer(wanted, None)
+    controller = Controller(rig, restarts=1000)
+    hard = controller.answer(wanted, None, time.monotonic() + 0.01)
     assert usage(rig, hard.cycle).worst <= 1
     assert hard.solution.iterations < 24 * 100
     assert controller.cut_short == 1
 
 
-def test_a_deadline_lets_as_many_descents_begin_as_the_clock_allows(rig):
-    """Two parts that exclude each other: no descent is ever good enough. Each look at the clock
-    takes a tenth of a cycle."""
+def exclusive() -> Goal:
+    """Two parts that exclude each other: no descent is ever good enough."""
     place = np.array([[0.0, 0.0], [0.001, 0.0]])
-    goal = Goal(place, 0 * place, np.array([[0.03, 0.0], [-0.03, 0.0]]), 0 * place, np.full(2, 2.0))
+    aim = np.array([[0.03, 0.0], [-0.03, 0.0]])
+    return Goal(place, 0 * place, aim, 0 * place, np.full(2, 2.0))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_deadline_lets_as_many_descents_begin_as_the_clock_allows(rig, threads):
+    """Each look at the clock takes 10 ms."""
     iterations = []
-    for deadline in (0.0, 0.35, 0.65):
+    for until in (0.035, 0.065, np.inf):
         ticks = itertools.count()
         steering = SinusoidSteering(
-            Limits.of(rig), 5, 9, deadline, clock=lambda ticks=ticks: 0.01 * next(ticks)
+            Limits.of(rig), 5, 9, threads, clock=lambda ticks=ticks: 0.01 * next(ticks)
         )
-        _, steps, _ = steering.steer(goal, 4, 0.1, 0.0, 1e-9, np.random.default_rng(0))
-        assert steering.cut_short == (deadline > 0)
-        assert next(ticks) == {0.0: 0, 0.35: 5, 0.65: 8}[deadline]
+        steps = steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, np.random.default_rng(0), until)[1]
+        assert steering.cut_short == (until < np.inf)
+        assert next(ticks) == {0.035: 7, 0.065: 10, np.inf: 2}[until]
         iterations.append(steps)
-    assert iterations[1] < iterations[2] < iterations[0]
+    assert iterations[0] < iterations[1] < iterations[2]
+
+
+def test_a_search_ends_so_early_that_its_answer_is_there_in_time(rig):
+    """What came after the last search took a look of 10 ms: the next one ends a look earlier."""
+    ticks = itertools.count()
+    steering = SinusoidSteering(Limits.of(rig), 5, 9, clock=lambda: 0.01 * next(ticks))
+    looks = []
+    for _ in range(2):
+        began = next(ticks)
+        until, rng = 0.01 * began + 0.045, np.random.default_rng(0)
+        steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng, until)
+        looks.append(next(ticks) - began)
+    assert looks[1] == looks[0] - 1
+
+
+def test_threads_change_no_answer(rig):
+    cycles = []
+    for threads in (1, 2, 4):
+        steering = SinusoidSteering(Limits.of(rig), 5, 9, threads)
+        rng = np.random.default_rng(0)
+        found = [steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng)[0] for _ in range(3)]
+        cycles.append(np.stack([cycle.knot_pose for cycle in found]))
+    assert np.array_equal(cycles[0], cycles[1])
+    assert np.array_equal(cycles[0], cycles[2])

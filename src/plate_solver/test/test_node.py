@@ -31,7 +31,7 @@ class Peer:
     """A solver and a node that listens to it."""
 
     def __init__(self, clock) -> None:
-        words = ["-r", "__ns:=/solver_test", "-p", "deadline:=0.0"]
+        words = ["-r", "__ns:=/solver_test", "-p", "handover_s:=0.0"]
         rclpy.init(args=["--ros-args", *words])
         self.node, self.solver = rclpy.create_node("peer"), SolverNode()
         self.executor = SteppedExecutor(clock)

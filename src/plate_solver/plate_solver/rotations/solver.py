@@ -7,6 +7,7 @@ map or on the cycle map.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -215,7 +216,9 @@ class RotationSolver(MotionSolver):
         error[np.flatnonzero(request.rows) % 3 < 2] = true.ravel()
         return cycle, error
 
-    def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
+    def steer(
+        self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
+    ) -> Solution:
         options, enough = self.options, good_enough**2 * goal.asked
         period = self.steering_period(len(goal.position))
         if self._warm is not None and self._warm.family.period != period:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -51,9 +52,8 @@ class SinusoidOptions:
         Most steps from one start.
     restarts : int
         Most further starts when the first fails; `STARTS` times as many for averages.
-    deadline : float
-        Part of a cycle after which `steer` begins no further start, by the clock: only for answers
-        in real time, as they then depend on the computer; 0: none.
+    threads : int
+        Cores that `steer` may use; its answers are the same.
     seed : int
         Seed of the further starts.
     """
@@ -64,7 +64,7 @@ class SinusoidOptions:
     tolerance: float = 1e-4
     iterations: int = 40
     restarts: int = 100
-    deadline: float = 0.0
+    threads: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class SinusoidOptions:
             tolerance=(0.0, 1.0),
             iterations=(1, 10_000),
             restarts=(0, 10_000),
-            deadline=(0.0, 1.0),
+            threads=(1, 1024),
             seed=(0, 2**31 - 1),
         )
         if self.at_rest and self.harmonics == 1:
@@ -102,7 +102,7 @@ class SinusoidSolver(MotionSolver):
             self._limits,
             self.options.iterations,
             self.options.restarts,
-            self.options.deadline,
+            self.options.threads,
         )
 
     @property
@@ -192,10 +192,12 @@ class SinusoidSolver(MotionSolver):
             request, error, cycle, tolerance, iterations + best.iterations, best.condition
         )
 
-    def steer(self, goal: Goal, tolerance: float, good_enough: float) -> Solution:
+    def steer(
+        self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
+    ) -> Solution:
         number, period, _ = self._key(goal.asked, True, goal.lasting)
         cycle, iterations, condition = self._steering.steer(
-            goal, number, period, tolerance, good_enough, self._rng
+            goal, number, period, tolerance, good_enough, self._rng, until
         )
         cycle = within_limits(cycle, self._full)
         return goal_solution(goal, cycle, good_enough, iterations, condition)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 
@@ -28,8 +31,9 @@ BEYOND = 1.3
 FRESH = 3
 """Further motions drawn at random where a search knows of none to begin with."""
 
-CROWD = 10
-"""Parts; with more of them further descents gain more."""
+AT_ONCE = 4
+"""Descents that may run at the same time: each starts near the best of all but those that run, on
+however many cores, so that a seed gives the same motions."""
 
 SPREAD = 0.15
 """Size of a disturbance of the best motion so far, over that of this motion."""
@@ -37,8 +41,6 @@ SPREAD = 0.15
 AIMS, CORRECTIONS = 2, 8
 """Times that the best motion is corrected within the limits for what finer steps show, and most
 steps of each."""
-
-Descend = Callable[[Goal, np.ndarray, float, int], Fit]
 
 
 class SinusoidSteering:
@@ -50,11 +52,9 @@ class SinusoidSteering:
     iterations : int
         Most steps of a descent.
     restarts : int
-        Most further descents; `FRESH` more without a motion to begin with, and in proportion more
-        for the progress of over `CROWD` parts.
-    deadline : float
-        Part of a cycle after which no further descent begins, by the clock; 0: none, so that a
-        seed gives the same motions on any computer.
+        Most further descents; `FRESH` more without a motion to begin with.
+    threads : int
+        Cores that they may use, at most `AT_ONCE`.
     clock : callable
         Time [s].
 
@@ -69,13 +69,15 @@ class SinusoidSteering:
         limits: Limits,
         iterations: int,
         restarts: int,
-        deadline: float = 0.0,
+        threads: int = 1,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._limits = limits
         self._iterations, self._restarts = iterations, restarts
-        self._deadline, self._clock = deadline, clock
+        self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
+        self._clock = clock
         self.cut_short = 0
+        self._finishing = 0.0  # how long the last answer took after its search [s]
         self._warm: dict[tuple[int, float], np.ndarray] = {}
         self._motions: dict[tuple[int, float, float], Motions] = {}
 
@@ -91,6 +93,7 @@ class SinusoidSteering:
         tolerance: float,
         good_enough: float,
         rng: np.random.Generator,
+        until: float = math.inf,
     ) -> tuple[PlateCycle, int, float]:
         """Find a motion with `number` harmonics.
 
@@ -99,56 +102,80 @@ class SinusoidSteering:
 
         Descents begin at the last solution, or else at some motions drawn at random, and then at
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
-        square].
+        square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        until = self._clock() + self._deadline * period if self._deadline else math.inf
         step = ROUGH_STEP if goal.lasting else STEP
         family = limited_sinusoids(number, period, self._limits, BEYOND, step)
-        to = self._descend(number, period, step, tolerance)
-        known, enough = self._warm.get((number, period)), good_enough**2 * goal.asked
-        start = family.random(rng) if known is None else known
-        best = to(goal, start, BEYOND, self._iterations)
-        iterations = best.iterations
-        crowd = max(1.0, len(goal.position) / CROWD) if goal.lasting else 1.0
-        for index in range(round(crowd * self._restarts) + (FRESH if known is None else 0)):
-            if best.cost <= enough:
-                break
-            if until < math.inf and self._clock() > until:
-                self.cut_short += 1
-                break
-            if known is None and index < FRESH:
-                start = family.random(rng)
-            else:
-                size = SPREAD * np.sqrt(np.mean(best.parameters**2))
-                start = best.parameters + size * rng.normal(size=len(best.parameters))
-            found = to(goal, start, BEYOND, self._iterations)
-            iterations += found.iterations
-            best = found if found.cost < best.cost else best
-        last = to(goal, best.parameters, 1.0, CORRECTIONS)
+        motions = self._motions_of(number, period, step)
+        known = self._warm.get((number, period))
+        fresh = FRESH if known is None else 0
+        problem = Problem.of(goal, motions, BEYOND)
+
+        def start(index: int, near: Fit) -> np.ndarray:
+            if index < fresh:
+                return family.random(rng)
+            size = SPREAD * np.sqrt(np.mean(near.parameters**2))
+            return near.parameters + size * rng.normal(size=len(near.parameters))
+
+        def improved(start: np.ndarray) -> Fit:
+            return descend(problem, start, tolerance, self._iterations)
+
+        begin = family.random(rng) if known is None else known
+        enough, most = good_enough**2 * goal.asked, self._restarts + fresh
+        best, iterations = self._search(improved, start, begin, most, enough, until)
+        began = self._clock()
+        last = self._within(goal, motions, best.parameters, tolerance)
         strict = limited_sinusoids(number, period, self._limits, 1.0, step)
-        aim = goal
         for _ in range(AIMS):
             fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
             off = fine - goal.end(*strict.samples(last.parameters))
-            aim = goal.shifted(-off)
-            last = to(aim, last.parameters, 1.0, CORRECTIONS)
+            last = self._within(goal.shifted(-off), motions, last.parameters, tolerance)
             iterations += last.iterations
         self._warm[number, period] = last.parameters
         asked = last.jacobian[: goal.rows]
         asked = asked[np.any(asked != 0, axis=1)]
         condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
+        self._finishing = self._clock() - began
         return strict.cycle(last.parameters), iterations, condition
 
-    def _descend(self, number: int, period: float, step: float, tolerance: float) -> Descend:
-        """Return what improves a motion."""
+    def _search(
+        self,
+        improved: Callable[[np.ndarray], Fit],
+        start: Callable[[int, Fit], np.ndarray],
+        begin: np.ndarray,
+        most: int,
+        enough: float,
+        until: float,
+    ) -> tuple[Fit, int]:
+        """Return the best of all descents, and their iterations."""
+        best = improved(begin)
+        iterations, index = best.iterations, 0
+        running: deque[Callable[[], Fit]] = deque()
+        while best.cost > enough and (running or index < most):
+            if index < most and until < math.inf and self._clock() + self._finishing > until:
+                self.cut_short += 1
+                most = index
+            while index < most and len(running) < AT_ONCE:
+                work = partial(improved, start(index, best))
+                running.append(self._threads.submit(work).result if self._threads else work)
+                index += 1
+            if running:
+                found = running.popleft()()
+                iterations += found.iterations
+                best = found if found.cost < best.cost else best
+        return best, iterations
+
+    def _within(self, goal: Goal, motions: Motions, start: np.ndarray, tolerance: float) -> Fit:
+        """Correct a motion within the limits."""
+        return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
+
+    def _motions_of(self, number: int, period: float, step: float) -> Motions:
+        """Return the motions that descents are made of, as kernels keep them."""
         key = number, period, step
         if key not in self._motions:
             basis = limited_sinusoids(number, period, self._limits, 1.0, step).basis
             self._motions[key] = Motions.of(basis, self._limits)
-        motions = self._motions[key]
-        return lambda aim, start, most, iterations: descend(
-            Problem.of(aim, motions, most), start, tolerance, iterations
-        )
+        return self._motions[key]
 
 
 def limited_sinusoids(
