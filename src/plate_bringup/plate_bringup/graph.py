@@ -31,8 +31,9 @@ UNTIMED_S = 30.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
 
 
-SERIAL_ANSWER_S = 0.09
-"""The planner's answer_s with a serial line, on which a table takes its time [s]."""
+SERIAL_ANSWER_S, SERIAL_HANDOVER_S = 0.12, 0.06
+"""The planner's answer_s, and the solver's handover_s, with a serial line, on which a table takes
+its time [s]."""
 
 
 class GraphError(PlateError):
@@ -223,6 +224,8 @@ class RunOptions:
             values["camera_triggered"] = False
             if self.transport == "serial":
                 values["answer_s"] = SERIAL_ANSWER_S
+        if node.name == "solver" and serial:
+            values["handover_s"] = SERIAL_HANDOVER_S
         if self.rig_file:
             values["rig_file"] = self.rig_file
         if self.lockstep or self.rate != 1 or self.simulated_time:

@@ -3,7 +3,7 @@
 import pytest
 
 from plate_bringup import GraphError, RunOptions, load_graph
-from plate_bringup.graph import SERIAL_ANSWER_S
+from plate_bringup.graph import SERIAL_ANSWER_S, SERIAL_HANDOVER_S
 from plate_core import PlateError
 
 NAMES = ["simulator", "detector", "planner", "solver", "driver"]
@@ -61,6 +61,8 @@ def test_a_camera_may_run_free_and_over_a_serial_line_starts_are_reported():
     assert planner(transport="serial") == {
         "camera_triggered": False, "answer_s": SERIAL_ANSWER_S, "lockstep": False,
     }  # fmt: skip
+    solver = RunOptions(transport="serial").parameters(GRAPH["solver"])
+    assert solver["handover_s"] == SERIAL_HANDOVER_S
     assert RunOptions(image_rate=30.0).parameters(GRAPH["simulator"])["image_rate"] == 30
 
 

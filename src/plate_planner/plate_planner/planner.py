@@ -83,7 +83,7 @@ class PlannerOptions(TaskOptions):
     start_timeout_s: float = 10.0
     unseen_timeout_s: float = 1.0
     stuck_timeout_s: float = 30.0
-    answer_s: float = 0.05
+    answer_s: float = 0.08
     image_age_s: float | None = None
 
 
