@@ -114,12 +114,11 @@ class Controller:
         if method not in METHODS:
             raise PlateError(f"method is {method!r}, allowed: {', '.join(METHODS)}")
         self._rig = rig
-        self._sinusoids = SinusoidSolver(
-            rig, seed=seed, threads=threads, **EFFORT["sinusoids"] | effort
-        )
         self._solvers: dict[str, MotionSolver] = {
             "rotations": RotationSolver(rig, centres, seed=seed, **EFFORT["rotations"] | effort),
-            "sinusoids": self._sinusoids,
+            "sinusoids": SinusoidSolver(
+                rig, seed=seed, threads=threads, **EFFORT["sinusoids"] | effort
+            ),
         }
         self._velocity: dict[str, np.ndarray] = {}
         self._spin: dict[str, float] = {}
@@ -128,8 +127,8 @@ class Controller:
 
     @property
     def cut_short(self) -> int:
-        """Searches that the deadline has ended so far."""
-        return self._sinusoids.cut_short
+        """Searches that were ended by the time so far."""
+        return sum(solver.cut_short for solver in self._solvers.values())
 
     def reset(self) -> None:
         """Forget all parts and solutions."""

@@ -58,7 +58,13 @@ def check_options(options: object, **ranges: tuple[float, float]) -> None:
 
 
 class MotionSolver(ABC):
-    """Finds closed plate motions; remembers the last one as a start for the next."""
+    """Finds closed plate motions; remembers the last one as a start for the next.
+
+    Attributes
+    ----------
+    cut_short : int
+        Searches of `steer` that were ended by the time.
+    """
 
     options: Any
 
@@ -68,6 +74,7 @@ class MotionSolver(ABC):
         self._limits, self._full = Limits.of(rig), Limits.of(rig, 1.0)
         self._seed = seed
         self._rng = np.random.default_rng(seed)
+        self.cut_short = 0
 
     def reset(self) -> None:
         """Forget the last solution and start the random numbers anew."""

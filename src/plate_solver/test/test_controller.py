@@ -265,13 +265,14 @@ def test_any_number_of_parts_is_answered(rig, method, count):
         assert np.all(np.isfinite(answer.solution.residual))
 
 
-def test_a_deadline_ends_a_hard_search_and_is_told(rig):
+@METHOD
+def test_a_deadline_ends_a_hard_search_and_is_told(rig, method):
     """A hundred parts on one spot, to keep a metre apart: beyond all use, and still answered."""
     position = np.full((100, 2), 0.01)
     parts = Parts.make(tuple(f"a_{i}" for i in range(100)), position)
     aim = np.full((100, 2), 0.1)
     wanted = Wanted.make(parts, targets=Targets(aim, aim, np.ones((100, 2)), 1.0))
-    controller = Controller(rig, restarts=1000)
+    controller = Controller(rig, method, restarts=1000)
     hard = controller.answer(wanted, None, time.monotonic() + 0.01)
     assert usage(rig, hard.cycle).worst <= 1
     assert hard.solution.iterations < 24 * 100

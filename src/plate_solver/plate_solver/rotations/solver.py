@@ -8,6 +8,7 @@ map or on the cycle map.
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -225,12 +226,19 @@ class RotationSolver(MotionSolver):
             self._warm = None  # other parts
         warm = self._warm is not None
 
-        def attempt(_: None, start: Start, n: int, ___: float) -> tuple[Try, float, int, bool]:
+        def attempt(
+            _: None, start: Start | Try, n: int, ___: float
+        ) -> tuple[Try, float, int, bool]:
+            if isinstance(start, Try):
+                return start, start.fit.cost, 0, True
             most = options.iterations if warm and n == 0 else 2 * options.iterations
             found = fit_goal(goal, *start, tolerance, most)
             return Try(start.family, found), found.cost, found.iterations, found.cost <= enough
 
-        def propose(_: None, number: int, near: Try, fresh: bool) -> Start:
+        def propose(_: None, number: int, near: Try, fresh: bool) -> Start | Try:
+            if time.monotonic() > until:
+                self.cut_short += 1
+                return near
             return self.planned(goal, spread=number > warm) if fresh else self._shaken(near)
 
         begin, tries = self._warm or self.planned(goal), 1 + options.restarts + warm

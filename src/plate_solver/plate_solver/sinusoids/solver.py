@@ -105,11 +105,6 @@ class SinusoidSolver(MotionSolver):
             self.options.threads,
         )
 
-    @property
-    def cut_short(self) -> int:
-        """Searches of `steer` that the deadline has ended."""
-        return self._steering.cut_short
-
     def forget(self) -> None:
         self._warm.clear()
         self._steering.forget()
@@ -199,6 +194,7 @@ class SinusoidSolver(MotionSolver):
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng, until
         )
+        self.cut_short = self._steering.cut_short
         cycle = within_limits(cycle, self._full)
         return goal_solution(goal, cycle, good_enough, iterations, condition)
 
