@@ -9,19 +9,24 @@ of vectors (`PLATE_WIDE`) return the same to the last bit.
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
+import math
 import os
 import re
 import shutil
+import sys
+import sysconfig
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 from setuptools import Extension
 from setuptools.command.build_ext import build_ext
+
+from . import cache
 
 __all__ = ["OPTIONS", "CompileKernels", "kernels"]
 
@@ -61,13 +66,16 @@ class CompileKernels(build_ext):
         """Compile a module's sources, then link them."""
         package, nanobind = Path(extension.sources[0]).parent, _nanobind()
         sources = [*sorted(package.rglob("*.cpp")), nanobind / "src/nb_combined.cpp"]
+        shared = Path(__file__).parent / "include"
         include = [
-            package, Path(__file__).parent / "include",
-            nanobind / "include", nanobind / "ext/robin_map/include", *self.compiler.include_dirs,
+            package, shared, nanobind / "include", nanobind / "ext/robin_map/include",
+            *self.compiler.include_dirs,
         ]  # fmt: skip
+        places = {"package": package, "shared": shared, "nanobind": nanobind, "": Path("/")}
+        compile_one = partial(self._object, [f"-I{i}" for i in include], places)
         jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         with ThreadPoolExecutor(jobs) as pool:
-            objects = list(pool.map(partial(self._object, [f"-I{i}" for i in include]), sources))
+            objects = list(pool.map(compile_one, sources))
         made = Path(self.get_ext_fullpath(extension.name))
         made.parent.mkdir(parents=True, exist_ok=True)
         with _whole(made) as part:
@@ -76,35 +84,63 @@ class CompileKernels(build_ext):
             with _whole(package / made.name) as part:
                 shutil.copy2(made, part)
 
-    def _object(self, include: list[str], source: Path) -> str:
+    def _object(self, include: list[str], places: dict[str, Path], source: Path) -> str:
         made = Path(self.build_temp, re.sub(r"[^\w]+", "_", str(source))).with_suffix(".o")
-        rules = made.with_suffix(".d")  # which files it was made of, as the compiler writes it
-        stamp = made.with_suffix(".of")
-        compiler = os.environ.get("CXX", "c++").split()
         own = ("-Os", "-w") if source.name == "nb_combined.cpp" else WARNINGS
+        compiler = os.environ.get("CXX", "c++").split()
         words = [*compiler, *OPTIONS, *own, *os.environ.get("CXXFLAGS", "").split()]
-        if stamp.exists() and stamp.read_text() == _digest(words, rules):
-            return str(made)
+        python = [sys.version, sysconfig.get_path("include")]
+        first = cache.key_of(*words, *python, _compiler(*words), _named(str(source), places))
+        folders = [Path(self.build_temp, "kept"), cache.of_user()]
         made.parent.mkdir(parents=True, exist_ok=True)
-        stamp.unlink(missing_ok=True)
+        for folder in folders:  # first which files it was made of, then what of these very files
+            read = cache.take(folder, first)
+            content = read and cache.take(folder, _key(first, read, places))
+            if content:
+                made.write_bytes(content)
+                return str(made)
+        rules, begun = made.with_suffix(".d"), time.time()
         with _whole(made) as part:
             self.spawn(
                 [*words, *include, "-MMD", "-MF", str(rules), "-c", str(source), "-o", str(part)]
             )
-        stamp.write_text(_digest(words, rules))
+        read = _files_read(rules, places)
+        key = _key(first, read, places, since=begun)
+        for folder in folders:
+            cache.keep(folder, first, read)
+            cache.keep(folder, key, made.read_bytes())
         return str(made)
 
 
-def _digest(words: list[str], rules: Path) -> str:
-    """Of a command and of what is in all files that the compiler has read."""
-    digest = hashlib.sha256(" ".join(words).encode())
+_compiler = lru_cache(lambda *words: cache.compiler(list(words)))
+
+
+def _named(path: str, places: dict[str, Path]) -> str:
+    """A path without what differs between clones: the name of a place, and what is below."""
+    for name, place in places.items():
+        if path.startswith(f"{place}/"):
+            return f"{name}//{path[len(f'{place}/') :]}"
+    return f"/{os.path.abspath(path)}"
+
+
+def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
+    """The files that a compiler has read, as it writes them in a rule of make; each in a line."""
+    text = rules.read_text(encoding="utf-8").replace("\\\n", " ").partition(":")[2]
+    words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
+    return "\n".join(_named(word, places) for word in words).encode()
+
+
+def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
+    """Of an object: what `first` is of, and what is in all files that were read. Empty where one is
+    gone, or was written `since` then: nobody knows what the compiler has read of it."""
+    lines = (line.partition("//") for line in read.decode().split("\n"))
+    files = [Path(places[at], name) for at, _, name in lines]
     try:
-        text = rules.read_text(encoding="utf-8").replace("\\\n", " ").partition(":")[2]
-        for word in re.findall(r"(?:\\ |\S)+", text):
-            digest.update(Path(word.replace("\\ ", " ")).read_bytes())
+        if any(since < file.stat().st_mtime <= time.time() for file in files):
+            return ""
+        return cache.key_of(first, *(file.read_bytes() for file in files))
     except FileNotFoundError:
         return ""
-    return digest.hexdigest()
 
 
 @contextmanager

@@ -1,6 +1,7 @@
-"""Kernels: compiled when what they include has changed, without instructions that fuse."""
+"""Kernels: compiled when what they include has changed, and once for all clones; none is fused."""
 
 import importlib.util
+import os
 import re
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 from setuptools import Distribution
 
 import plate_native
-from plate_native import CompileKernels, kernels
+from plate_native import CompileKernels, cache, kernels
 
 MODULE = """
 #include <plate/bind.hpp>
@@ -20,10 +21,14 @@ NB_MODULE(_kernels, m) { m.def("value", [] { return VALUE; }); }
 """
 
 
+ALL = ["kernels.cpp", "nb_combined.cpp"]
+
+
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package with one kernel, in the folder that a set-up works in."""
+    """A package with one kernel, in the folder that a set-up works in; nothing compiled before."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "some").mkdir()
     (tmp_path / "some/kernels.cpp").write_text(MODULE)
     (tmp_path / "some/value.hpp").write_text("constexpr int VALUE = 1;\n")
@@ -50,7 +55,7 @@ def build():
 
 
 def test_only_what_has_changed_is_compiled(package, capfd):
-    assert build() == (["kernels.cpp", "nb_combined.cpp"], 1)
+    assert build() == (ALL, 1)
     assert build() == ([], 1)
     (package / "some/value.hpp").write_text("constexpr int VALUE = 2;\n")
     assert build() == (["kernels.cpp"], 2)
@@ -58,6 +63,95 @@ def test_only_what_has_changed_is_compiled(package, capfd):
     with pytest.raises(Exception, match="failed"):
         build()
     assert "nothing" in capfd.readouterr().err
+
+
+def as_in_another_clone():
+    """Leave of what was compiled only what the user has."""
+    shutil.rmtree("made")
+    next(Path("some").glob("_kernels*.so")).unlink()
+
+
+def test_another_clone_takes_what_was_compiled(package, monkeypatch):
+    assert build() == (ALL, 1)
+    as_in_another_clone()
+    assert build() == ([], 1)
+    (package / "some/value.hpp").write_text("constexpr int VALUE = 2;\n")
+    as_in_another_clone()
+    assert build() == (["kernels.cpp"], 2)
+    monkeypatch.setenv("CXXFLAGS", "-DOTHER")
+    as_in_another_clone()
+    assert build() == (ALL, 2)
+
+
+def damage(entry):
+    content = bytearray(entry.read_bytes())
+    content[len(content) // 2] ^= 1
+    entry.write_bytes(content)
+
+
+@pytest.mark.parametrize("spoil", [damage, lambda entry: os.truncate(entry, 40), Path.unlink])
+def test_what_is_damaged_is_compiled_again(package, spoil):
+    build()
+    as_in_another_clone()
+    for entry in cache.of_user().iterdir():
+        spoil(entry)
+    assert build() == (ALL, 1)
+    as_in_another_clone()
+    assert build() == ([], 1)
+
+
+@pytest.mark.parametrize("place", ["/dev/null", "/proc", "not/absolute"])
+def test_nothing_is_kept_where_nothing_can_be_written(package, monkeypatch, place):
+    monkeypatch.setenv("XDG_CACHE_HOME", place)
+    assert build() == (ALL, 1)
+    assert build() == ([], 1)
+    assert not Path("not").exists()
+
+
+def test_a_file_that_is_edited_while_it_is_compiled_is_compiled_again(package, monkeypatch):
+    (package / "compiler").write_text(
+        f'#!/bin/sh\nc++ "$@" && case "$*" in *some/kernels.cpp*) sleep 0.1; '
+        f"echo 'constexpr int VALUE = 2;' > {package}/some/value.hpp;; esac\n"
+    )
+    (package / "compiler").chmod(0o755)
+    monkeypatch.setenv("CXX", str(package / "compiler"))
+    assert build() == (ALL, 1)
+    assert build() == (["kernels.cpp"], 2)
+
+
+def test_the_oldest_entries_go(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "MOST_BYTES", 3 * 132)
+    for number in range(4):
+        cache.keep(tmp_path, str(number), bytes(100))
+        os.utime(tmp_path / str(number), (number, number))
+    cache.keep(tmp_path, "last", bytes(100))
+    assert {entry.name for entry in tmp_path.iterdir()} == {"2", "3", "last"}
+
+
+MESSAGES = Path(__file__).parents[2] / "plate_interfaces"
+
+
+def test_messages_of_another_clone_name_this_one(package):
+    """Texts do, as they have the path of the clone; what is compiled stays as it is."""
+    first, second = package / "first", package / "second"
+    for clone in (first, second):
+        shutil.copytree(MESSAGES, clone / "messages")
+    (first / "built/lib").mkdir(parents=True)
+    (first / "built/setup.sh").write_text(f"prefix={first}/built\n")
+    (first / "built/lib/some.so").write_bytes(bytes(8) + str(first).encode())
+    os.utime(first / "built/setup.sh", (1e9, 1e9))
+
+    def call(action, clone):
+        return cache.main(action, str(clone / "messages"), str(clone / "built"), str(clone))
+
+    assert call("take", second) == 1
+    assert call("keep", first) == 0
+    assert call("take", second) == 0
+    assert (second / "built/setup.sh").read_text() == f"prefix={second}/built\n"
+    assert (second / "built/setup.sh").stat().st_mtime == 1e9  # by which Python knows its bytecode
+    assert (second / "built/lib/some.so").read_bytes() == bytes(8) + str(first).encode()
+    (second / "messages/msg/Part.msg").write_text("float64 x\n")
+    assert call("take", second) == 1
 
 
 def test_nanobind_that_is_missing_is_named(package, monkeypatch):

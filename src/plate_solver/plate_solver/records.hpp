@@ -7,7 +7,6 @@
 
 #include <plate/bind.hpp>
 
-#include "fit/levenberg_marquardt.hpp"
 #include "limits.hpp"
 
 namespace plate {
@@ -58,15 +57,6 @@ inline Limits limits_of(const nb::tuple& record) {
     read("motors", field(record, 0), limits.motors), read("half", field(record, 1), limits.half);
     read("levers", field(record, 6), limits.levers), read("loads", field(record, 7), limits.loads);
     return limits;
-}
-
-// The fields of `Fit` of Python.
-inline nb::tuple fields_of(Fit&& fit) {
-    const size_t rows = fit.error.size(), columns = fit.parameters.size();
-    return nb::make_tuple(to_numpy<1>(std::move(fit.parameters), {columns}),
-                          to_numpy<1>(std::move(fit.error), {rows}),
-                          to_numpy<2>(std::move(fit.jacobian.numbers), {rows, columns}),
-                          fit.iterations);
 }
 
 }  // namespace plate

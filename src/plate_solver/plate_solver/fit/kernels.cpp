@@ -1,7 +1,6 @@
 // What Python sees of the kernels of this chapter.
 #include "fit/basin_hopping.hpp"
-#include "fit/levenberg_marquardt.hpp"
-#include "records.hpp"
+#include "fit/fit_record.hpp"
 
 namespace plate {
 

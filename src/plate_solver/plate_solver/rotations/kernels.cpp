@@ -1,6 +1,7 @@
 // What Python sees of the kernels of rotations.
 #include <stdexcept>
 
+#include "fit/fit_record.hpp"
 #include "records.hpp"
 #include "rotations/average.hpp"
 #include "rotations/plan.hpp"

@@ -1,4 +1,5 @@
 // What Python sees of the kernels of limits.hpp and descent.hpp.
+#include "fit/fit_record.hpp"
 #include "records.hpp"
 #include "requests/ends_record.hpp"
 #include "sinusoids/descent.hpp"

@@ -1,0 +1,132 @@
+"""What a user compiled before, in any clone: python cache.py take|keep PACKAGE BUILT ROOT
+
+Entries of a folder are found by a digest of all that they were made of. One that is damaged counts
+as none, and where nothing can be written nothing is kept. As a program it takes or keeps the folder
+BUILT, a package of messages that was built of the folder PACKAGE; both are below the folder ROOT,
+whose path is put in place of that of another clone. It fails where there is no such entry.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import subprocess
+import sys
+import sysconfig
+import tarfile
+from contextlib import suppress
+from pathlib import Path
+
+MOST_BYTES = 100_000_000
+"""Of all entries; those that were not used for longest go."""
+
+ROOT = b"@the root of the clone@"
+"""In place of its path, in packages that are kept."""
+
+TOOLS = ("ros_", "catkin", "cmake", "empy", "lark", "numpy")
+"""How the names of Python packages begin that a package of messages depends on."""
+
+
+def of_user() -> Path:
+    """Return the folder of the user who runs this."""
+    place = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(place if os.path.isabs(place) else os.devnull, "vibrating-plate")
+
+
+def key_of(*made_of: str | bytes) -> str:
+    """Return the name of what was made of these."""
+    digest = hashlib.sha256()
+    for part in made_of:
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(b"%d " % len(content) + content)
+    return digest.hexdigest()
+
+
+def take(folder: Path, key: str) -> bytes | None:
+    """Return an entry, or None."""
+    with suppress(OSError):
+        data = (folder / key).read_bytes()
+        if hashlib.sha256(data[32:]).digest() == data[:32]:
+            with suppress(OSError):
+                os.utime(folder / key)
+            return data[32:]
+    return None
+
+
+def keep(folder: Path, key: str, content: bytes) -> None:
+    """Make an entry, in whole or not at all."""
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        part = folder / f"{key}-{os.getpid()}"
+        try:
+            part.write_bytes(hashlib.sha256(content).digest() + content)
+            part.replace(folder / key)
+        finally:
+            part.unlink(missing_ok=True)
+        left = MOST_BYTES
+        for entry in sorted(folder.iterdir(), key=lambda e: e.stat().st_mtime, reverse=True):
+            left -= entry.stat().st_size
+            if left < 0:
+                entry.unlink()
+
+
+def compiler(words: list[str]) -> bytes:
+    """Return what a command for C++ stands for: version, target, where headers are looked for."""
+    asked = [*words, "-v", "-E", "-x", "c++", os.devnull]
+    return subprocess.run(asked, capture_output=True, check=False).stderr
+
+
+def _key_of_messages(package: Path) -> str:
+    files = [path for path in sorted(package.rglob("*")) if path.is_file()]
+    records = Path(sysconfig.get_path("purelib")).glob("*.dist-info/RECORD")  # digests of files
+    tools = [p for p in sorted(records) if p.parent.name.startswith(TOOLS)]
+    env = [os.environ.get(name, "") for name in ("CFLAGS", "CXXFLAGS", "LDFLAGS")]
+    compilers = [os.environ.get("CC", "cc"), os.environ.get("CXX", "c++")]
+    return key_of(
+        sys.base_prefix, sys.version, *env, Path(__file__).read_bytes(),
+        *[compiler(words.split()) for words in compilers],
+        *[line for p in tools for line in p.read_text().splitlines() if "/bin/" not in line],
+        *[part for p in files for part in (str(p.relative_to(package)), p.read_bytes())],
+    )  # fmt: skip
+
+
+def _moved(content: bytes, here: bytes, there: bytes) -> bytes:
+    return content if b"\0" in content else content.replace(here, there)
+
+
+def _packed(built: Path, root: str) -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz", compresslevel=1) as archive:
+        for path in [path for path in sorted(built.rglob("*")) if path.is_file()]:
+            content = _moved(path.read_bytes(), os.fsencode(root), ROOT)
+            info = tarfile.TarInfo(str(path.relative_to(built)))
+            info.size, info.mtime = len(content), int(path.stat().st_mtime)  # known to bytecode
+            archive.addfile(info, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def _unpack(packed: bytes, built: Path, root: str) -> None:
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        for info in archive:
+            path = built / info.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(_moved(archive.extractfile(info).read(), ROOT, os.fsencode(root)))
+            os.utime(path, (info.mtime, info.mtime))
+
+
+def main(action: str, package: str, built: str, root: str) -> int:
+    """Take or keep a package; returns the exit code."""
+    key = _key_of_messages(Path(package))
+    if action == "keep":
+        if root == os.path.realpath(root):  # else tools may have written the one path or the other
+            keep(of_user(), key, _packed(Path(built), root))
+        return 0
+    if (packed := take(of_user(), key)) is None:
+        return 1
+    _unpack(packed, Path(built), root)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
