@@ -13,10 +13,22 @@ root="$PWD"
 venv="$root/.venv"
 log="$root/log/setup.log"
 kept="$root/build/kept"
-busy="" compiling=""
+busy="" compiling="" telling="" counted=""
+for_all_clones="${XDG_CACHE_HOME:-${HOME:-/dev/null}/.cache}/vibrating-plate" # of this user
 
 say() { echo "set-up: $*"; }
-step() { say "[$SECONDS s] $*"; busy=yes; }
+step() { # says what is done, then every 15 s how far that is, by the log of ninja that is named by `counted`
+    say "[$SECONDS s] $*"; busy=yes
+    end_group "$telling"
+    set -m
+    while sleep 15 && kill -0 $$; do
+        say "[$SECONDS s] still ${1%% *} $(grep -oE '^\[[0-9]+/[0-9]+\]' "${counted:-$log}" | tail -n 1)"
+    done 2> /dev/null 9<&- &
+    telling=$!
+    disown
+    set +m
+}
+end_group() { [ -z "$1" ] || kill -- "-$1" 2> /dev/null || true; }
 fail() { printf 'set-up: %s\n' "$@" >&2; exit 1; }
 trap 'echo "set-up: interrupted; the same command again goes on from here" >&2; exit 130' INT
 quiet="" checks=""
@@ -128,7 +140,12 @@ install_requirements() {
         [ ${#missing[@]} = 0 ] || "${install[@]}" --only-binary :all: --no-binary empy "${missing[@]}" > "$log" 2>&1
     else
         step "installing what compiles the kernels; they are compiled meanwhile (all in all about a minute)"
-        "${install[@]}" "$(pinned uv)" > "$log" 2>&1 || return
+        # Its wheel is kept, as what it installs is kept by uv itself: then set-up needs no network.
+        uv=("$(pinned uv)" --find-links "$for_all_clones/wheels")
+        "${install[@]}" --no-index "${uv[@]}" > "$log" 2>&1 || {
+            "$venv/bin/python" -m pip -q download --no-deps -d "$for_all_clones/wheels" "${uv[0]}" || true
+            "${install[@]}" "${uv[@]}"
+        } > "$log" 2>&1 || return
         "${install[@]}" "$(pinned nanobind)" "$(pinned setuptools)" "$(pinned wheel)" > "$log" 2>&1 || return
         set -m # a group of its own, which ends with us
         compile_kernels &
@@ -215,6 +232,11 @@ run_colcon() { # packages; the rest is build_packages'
         { cat "$log" >&2; fail "colcon could not build the packages (its message is above)."; }
 }
 
+# Messages that this user compiled, in whichever clone
+cache() {
+    "$venv/bin/python" src/plate_native/plate_native/cache.py "$1" src/plate_interfaces install/plate_interfaces "$root"
+}
+
 build_packages() {
     local inputs changed package packages=() messages="" place=. options=(-DBUILD_TESTING=OFF)
     inputs=$(build_inputs)
@@ -248,12 +270,23 @@ build_packages() {
     # The generators of messages read no path with other letters than ASCII; then all is built elsewhere.
     case "$root" in *[!\ -~]*) cp -rL src "$scratch"; place=$scratch ;; esac
     if [ -n "$messages" ]; then
-        step "compiling the messages of the nodes"
         rm -rf build/plate_interfaces
-        run_colcon plate_interfaces
+        if [ "$ros" = wheels ] && cache take; then
+            mkdir -p build/plate_interfaces # which `colcon test` looks for
+        else
+            counted=log/latest_build/plate_interfaces/stdout.log
+            step "compiling the messages of the nodes"
+            run_colcon plate_interfaces
+            [ "$ros" = jazzy ] || cache keep || true
+        fi
     fi
-    wait # for kernels; colcon says what is wrong with them
-    compiling=""
+    if [ -n "$compiling" ]; then
+        counted=log/kernels.log
+        ! kill -0 "$compiling" 2> /dev/null || step "compiling the kernels"
+        wait "$compiling" || true # colcon says what is wrong with them
+        compiling=""
+    fi
+    counted=""
     # From nothing, as a file that is gone from src would live on there; but kernels stay compiled.
     for package in "${packages[@]}"; do rm -rf build/"$package"/build/lib*; done
     [ ${#packages[@]} = 0 ] || step "building ${packages[*]}"
@@ -279,7 +312,7 @@ flock -n 9 || { say "waiting for another set-up of this folder to end"; flock 9;
 mkdir -p log
 touch log/COLCON_IGNORE
 scratch=$(mktemp -d)
-trap '[ -z "$compiling" ] || kill -- "-$compiling" 2> /dev/null; rm -rf "$scratch"; put_back' EXIT
+trap 'end_group "$compiling"; end_group "$telling"; rm -rf "$scratch"; put_back' EXIT
 choose_ros
 put_back # of a set-up that was killed
 prepare_environment

@@ -31,7 +31,7 @@ TOOLS = ("ros_", "catkin", "cmake", "empy", "lark", "numpy")
 def of_user() -> Path:
     """Return the folder of the user who runs this."""
     place = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(place if os.path.isabs(place) else os.devnull, "vibrating-plate")
+    return Path(place if os.path.isabs(place) else os.devnull, "vibrating-plate/compiled")
 
 
 def key_of(*made_of: str | bytes) -> str:
@@ -74,17 +74,21 @@ def keep(folder: Path, key: str, content: bytes) -> None:
 def compiler(words: list[str]) -> bytes:
     """Return what a command for C++ stands for: version, target, where headers are looked for."""
     asked = [*words, "-v", "-E", "-x", "c++", os.devnull]
-    return subprocess.run(asked, capture_output=True, check=False).stderr
+    try:
+        return subprocess.run(asked, capture_output=True, check=False).stderr
+    except FileNotFoundError:  # as who calls it to compile will find
+        return b""
 
 
-def _key_of_messages(package: Path) -> str:
+def _key_of_messages(package: Path, root: str) -> str:
     files = [path for path in sorted(package.rglob("*")) if path.is_file()]
+    scripts = [path.read_bytes() for path in sorted(Path(root, "tools").glob("*.sh"))]
     records = Path(sysconfig.get_path("purelib")).glob("*.dist-info/RECORD")  # digests of files
     tools = [p for p in sorted(records) if p.parent.name.startswith(TOOLS)]
     env = [os.environ.get(name, "") for name in ("CFLAGS", "CXXFLAGS", "LDFLAGS")]
     compilers = [os.environ.get("CC", "cc"), os.environ.get("CXX", "c++")]
     return key_of(
-        sys.base_prefix, sys.version, *env, Path(__file__).read_bytes(),
+        sys.base_prefix, sys.version, *env, Path(__file__).read_bytes(), *scripts,
         *[compiler(words.split()) for words in compilers],
         *[line for p in tools for line in p.read_text().splitlines() if "/bin/" not in line],
         *[part for p in files for part in (str(p.relative_to(package)), p.read_bytes())],
@@ -117,7 +121,7 @@ def _unpack(packed: bytes, built: Path, root: str) -> None:
 
 def main(action: str, package: str, built: str, root: str) -> int:
     """Take or keep a package; returns the exit code."""
-    key = _key_of_messages(Path(package))
+    key = _key_of_messages(Path(package), root)
     if action == "keep":
         if root == os.path.realpath(root):  # else tools may have written the one path or the other
             keep(of_user(), key, _packed(Path(built), root))

@@ -15,20 +15,28 @@ import plate_native
 from plate_native import CompileKernels, cache, kernels
 
 MODULE = """
-#include <plate/bind.hpp>
+#include <Python.h>
 #include "value.hpp"
-NB_MODULE(_kernels, m) { m.def("value", [] { return VALUE; }); }
+static PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", nullptr, -1};
+PyMODINIT_FUNC PyInit__kernels() {
+    PyObject* m = PyModule_Create(&definition);
+    PyModule_AddIntConstant(m, "value", VALUE);
+    return m;
+}
 """
-
-
 ALL = ["kernels.cpp", "nb_combined.cpp"]
 
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package with one kernel, in the folder that a set-up works in; nothing compiled before."""
+    """A package with one kernel, in the folder that a set-up works in; nothing compiled before, and
+    little to compile in place of nanobind."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(plate_native, "DEBIAN", tmp_path / "nanobind")
+    (tmp_path / "nanobind/src").mkdir(parents=True)
+    (tmp_path / "nanobind/src/nb_combined.cpp").write_text("int nothing;\n")
     (tmp_path / "some").mkdir()
     (tmp_path / "some/kernels.cpp").write_text(MODULE)
     (tmp_path / "some/value.hpp").write_text("constexpr int VALUE = 1;\n")
@@ -48,7 +56,7 @@ def build():
     command.run()
     spec = importlib.util.spec_from_file_location("_kernels", *Path("some").glob("_kernels*.so"))
     code = "import importlib.util as u; s = u.spec_from_file_location('_kernels', {!r}); "
-    code += "m = u.module_from_spec(s); s.loader.exec_module(m); print(m.value())"
+    code += "m = u.module_from_spec(s); s.loader.exec_module(m); print(m.value)"
     words = [sys.executable, "-c", code.format(spec.origin)]
     said = subprocess.run(words, capture_output=True, text=True, check=True)
     return sorted(compiled), int(said.stdout)
@@ -155,7 +163,6 @@ def test_messages_of_another_clone_name_this_one(package):
 
 
 def test_nanobind_that_is_missing_is_named(package, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(plate_native, "DEBIAN", Path("nowhere"))
     with pytest.raises(FileNotFoundError, match="pip install nanobind"):
         build()
