@@ -133,7 +133,7 @@ compile_kernels() {
 packages_with_kernels() { grep -l CompileKernels src/*/setup.py | xargs -n1 dirname | xargs -n1 basename; }
 
 install_requirements() {
-    local install=("$venv/bin/python" tools/install.py)
+    local install=("$venv/bin/python" tools/install.py) uv
     if [ "$ros" = jazzy ]; then
         mapfile -t missing < <(missing_requirements)
         [ ${#missing[@]} = 0 ] || step "adding to your ROS: ${missing[*]}"
