@@ -12,8 +12,8 @@ namespace plate {
 
 // Solve (a' a + damping mean(diag) 1) x = right in place, for a (terms, count), by Cholesky's
 // method. Of each pair of entries the one of the upper half is kept: then loops go along rows.
-PLATE_WIDE void solve_damped(const double* a, int terms, int count, double damping,
-                                    double* right, Matrix& square) {
+PLATE_WIDE void solve_damped(const double* a, int terms, int count, double damping, double* right,
+                             Matrix& square) {
     square.resize(count, count);
     square_product(a, count, terms, count, square[0]);
     double diagonal = 0;
@@ -53,8 +53,7 @@ const std::vector<double>& LeastNormStep::operator()(const Matrix& jacobian,
         add_rows(jacobian, weights);
     } else {
         add_rows(jacobian, error);
-        solve_damped(jacobian[0], jacobian.rows, jacobian.columns, damping, step.data(),
-                     square);
+        solve_damped(jacobian[0], jacobian.rows, jacobian.columns, damping, step.data(), square);
     }
     return step;
 }
