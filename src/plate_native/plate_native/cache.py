@@ -113,9 +113,10 @@ def _packed(built: Path, root: str) -> bytes:
 def _unpack(packed: bytes, built: Path, root: str) -> None:
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for info in archive:
-            path = built / info.name
+            path, content = built / info.name, archive.extractfile(info)
+            assert content is not None  # as all entries are files
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(_moved(archive.extractfile(info).read(), ROOT, os.fsencode(root)))
+            path.write_bytes(_moved(content.read(), ROOT, os.fsencode(root)))
             os.utime(path, (info.mtime, info.mtime))
 
 
