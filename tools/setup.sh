@@ -22,7 +22,7 @@ step() { # says what is done, then every 15 s how far that is, by the log of nin
     end_group "$telling"
     set -m
     while sleep 15 && kill -0 $$; do
-        say "[$SECONDS s] still ${1%% *} $(grep -oE '^\[[0-9]+/[0-9]+\]' "${counted:-$log}" | tail -n 1)"
+        say "[$SECONDS s] still ${1%% *}" $(grep -oE '^\[[0-9]+/[0-9]+\]' "${counted:-$log}" | tail -n 1)
     done 2> /dev/null 9<&- &
     telling=$!
     disown
