@@ -24,3 +24,20 @@ def test_a_set_up_that_waits_for_another_one_says_so(tmp_path):
     rest, errors = process.communicate(timeout=60)
     assert (said, rest) == ("set-up: waiting for another set-up of this folder to end\n", "")
     assert "ROS 'foxy' is sourced" in errors
+
+
+def test_it_tells_how_far_a_step_is(tmp_path):
+    script = (ROOT / "tools" / "setup.sh").read_text()
+    functions = script[script.index("say() {") : script.index("fail() {")]
+    (tmp_path / "log").write_text("[1/3] one\n[2/3] two\n-- no count\n")
+    words = "set -euo pipefail; busy= telling= counted= log=log; sleep() { command sleep 0.1; }; "
+    words += functions + 'step "compiling all"; read -r; end_group "$telling"'
+    process = subprocess.Popen(
+        ["bash", "-c", words], cwd=tmp_path, text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    said = [process.stdout.readline() for _ in range(3)]
+    errors = process.communicate("go on\n", timeout=60)[1]
+    assert said[0] == "set-up: [0 s] compiling all\n"
+    assert all(line.endswith(" s] still compiling [2/3]\n") for line in said[1:])
+    assert (process.returncode, errors) == (0, "")
