@@ -24,6 +24,7 @@ NB_MODULE(_kernels, m) { m.def("value", [] { return VALUE; }); }
 def package(tmp_path, monkeypatch):
     """A package with one kernel, in the folder that a set-up works in."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CXXFLAGS", "-O0")  # in less time
     (tmp_path / "some").mkdir()
     (tmp_path / "some/kernels.cpp").write_text(MODULE)
     (tmp_path / "some/value.hpp").write_text("constexpr int VALUE = 1;\n")

@@ -148,8 +148,8 @@ class Camera:
         self._places = self._pixel_places().reshape(height, width, 2)
         corners = np.array(rig.camera.corners_px)
         self._scale = float(np.linalg.norm(corners[1] - corners[0]) / rig.plate.length_m)
-        inside = np.min(rig.plate.half - np.abs(self._places), axis=2).ravel()
-        self._edge_distance = np.abs(inside)
+        inside = rig.plate.half - np.abs(self._places)
+        self._edge_distance = np.abs(np.minimum(inside[..., 0], inside[..., 1])).ravel()
         self._edge: dict[int, np.ndarray] = {}
         self._empty = np.empty((height, width), np.float32)
         self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
