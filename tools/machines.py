@@ -154,7 +154,7 @@ def intrude(machine: int) -> list[str]:
     found = [each.communicate()[0].split() for each in tries]
     if any(each.returncode for each in tries):
         raise PlateError("an intruder has ended with an error")
-    return sum(found, [])
+    return [name for each in found for name in each]
 
 
 def run(reach: str, scenario: str, eyes: int, logs: Path) -> dict[str, Any]:
