@@ -85,7 +85,7 @@ def test_latched_and_sensor_topics_are_kept_as_they_are_offered(tmp_path):
 
 
 OPTIONS = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
-CYCLES, FEWEST = 40, 8
+CYCLES, FEWEST = 20, 8
 """Cycles that are recorded, and that are compared at least."""
 
 KINDS = {

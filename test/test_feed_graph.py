@@ -32,7 +32,7 @@ def _robot(graph):
     observer = graph.observer
     assert observer.until(lambda: bool(observer.record.last("feeder", "port")), 10)
     port = int(observer.record.last("feeder", "port"))
-    with Robot(observer, "127.0.0.1", port, cycle_s=2.0) as robot:
+    with Robot(observer, "127.0.0.1", port, cycle_s=1.5) as robot:
         yield robot
 
 

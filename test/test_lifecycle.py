@@ -8,9 +8,10 @@ import pytest
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.clock import Clock  # noqa: E402
 from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from stepped_clock import SteppedClock, SteppedExecutor  # noqa: E402
 
 from plate_core.rig import default_rig_path  # noqa: E402
 from plate_core.ros import DATA  # noqa: E402
@@ -30,16 +31,21 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 class Managed:
     """A node, and its diagnostics."""
 
-    def __init__(self, name, tmp_path, **parameters):
+    def __init__(self, name, tmp_path, monkeypatch, **parameters):
         module, kind = NODES[name]
+        module = importlib.import_module(module)
+        clock = SteppedClock(monkeypatch)
+        if name == "driver":  # a thread of its own, which ends as time goes on
+            monkeypatch.setattr("plate_driver.safety.node.Clock", Clock)
         if name == "device":
             parameters["link"] = tmp_path / "port"
         words = ["--ros-args", "-r", f"__ns:=/lifecycle_{name}"]
         for each in parameters.items():
             words += ["-p", "{}:={}".format(*each)]
         rclpy.init(args=words)
-        self.node = getattr(importlib.import_module(module), kind)()
-        self.ear, self.executor = rclpy.create_node("ear"), SingleThreadedExecutor()
+        self.node = getattr(module, kind)()
+        self.ear, self.executor = rclpy.create_node("ear"), SteppedExecutor(clock)
+        self.until, self.spin_for = self.executor.until, self.executor.spin_for
         self.said = []
         topic = f"/lifecycle_{name}/diagnostics"
         self.ear.create_subscription(DiagnosticArray, topic, self._on_report, DATA)
@@ -48,13 +54,6 @@ class Managed:
 
     def _on_report(self, msg):
         self.said += [status.message for status in msg.status]
-
-    def spin(self, true=lambda: False, longest_s=60.0):
-        for _ in range(round(longest_s / 0.02)):
-            if true():
-                return True
-            self.executor.spin_once(timeout_sec=0.02)
-        return False
 
     def trigger(self, transition):
         return getattr(self.node, f"trigger_{transition}")()
@@ -76,44 +75,44 @@ class Managed:
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_every_transition_twice(name, tmp_path):
-    with Managed(name, tmp_path) as managed:
+def test_every_transition_twice(name, tmp_path, monkeypatch):
+    with Managed(name, tmp_path, monkeypatch) as managed:
         empty = managed.entities
         for _ in (1, 2):
             assert managed.trigger("configure") == SUCCESS
             for _ in (1, 2):
                 assert managed.trigger("activate") == SUCCESS
-                managed.spin(longest_s=0.3)
+                managed.spin_for(0.3)
                 assert managed.trigger("deactivate") == SUCCESS
-                managed.spin(longest_s=0.2)  # what was on its way does no harm
+                managed.spin_for(0.2)  # what was on its way does no harm
             assert managed.trigger("cleanup") == SUCCESS
-            managed.spin(longest_s=0.2)
+            managed.spin_for(0.2)
             assert managed.entities == empty
-        assert managed.spin(lambda: managed.said[-1].startswith("unconfigured"))
+        managed.until(lambda: managed.said[-1].startswith("unconfigured"))
         assert managed.trigger("configure") == SUCCESS
         assert managed.trigger("activate") == SUCCESS
         assert managed.trigger("shutdown") == SUCCESS
-        managed.spin(longest_s=0.2)
+        managed.spin_for(0.2)
         assert managed.entities == empty
     assert not list(tmp_path.iterdir())  # the device's port
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_transition_that_does_not_fit_changes_nothing(name, tmp_path):
+def test_a_transition_that_does_not_fit_changes_nothing(name, tmp_path, monkeypatch):
     """Through the service, as a manager asks."""
     from lifecycle_msgs.srv import ChangeState
 
-    with Managed(name, tmp_path) as managed:
+    with Managed(name, tmp_path, monkeypatch) as managed:
         client = managed.ear.create_client(
             ChangeState, f"{managed.node.get_fully_qualified_name()}/change_state"
         )
-        assert managed.spin(client.service_is_ready)
+        managed.until(client.service_is_ready)
 
         def change(label):
             request = ChangeState.Request()
             request.transition.label = label
             future = client.call_async(request)
-            assert managed.spin(future.done)
+            managed.until(future.done)
             return future.result().success
 
         order = ("configure", "activate", "deactivate", "cleanup")
@@ -126,10 +125,10 @@ def test_a_transition_that_does_not_fit_changes_nothing(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_path):
+def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_path, monkeypatch):
     rig = tmp_path / "rig.yaml"
     good = default_rig_path().read_text(encoding="utf-8")
-    with Managed(name, tmp_path, rig_file=rig) as managed:
+    with Managed(name, tmp_path, monkeypatch, rig_file=rig) as managed:
         empty = managed.entities
         for text in (None, good.replace("length_m", "lenght_m"), good):
             if text is not None:
@@ -141,7 +140,7 @@ def test_a_bad_rig_file_is_refused_and_read_again_when_it_is_mended(name, tmp_pa
             why = str(managed.node.failure)
             assert "rig.yaml: no such file" in why if text is None else "lenght_m" in why
             managed.said.clear()
-            assert managed.spin(lambda w=why: any(w in text for text in managed.said))
+            managed.until(lambda w=why: any(w in text for text in managed.said))
         assert managed.trigger("configure") == SUCCESS
         assert managed.trigger("activate") == SUCCESS
         (result,) = managed.node.set_parameters([Parameter("rig_file", value="")])

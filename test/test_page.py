@@ -83,6 +83,62 @@ def distance(part, x, y):
     return math.hypot(part["x"] - x, part["y"] - y)
 
 
+def kill_node(mark, name):
+    """Kill the node of this name that was started with this in its environment."""
+    killed = 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended, or is not ours
+            ours = mark.encode() in (folder / "environ").read_bytes()
+            if ours and (folder / "comm").read_text() == f"{name}\n":
+                os.kill(int(folder.name), signal.SIGKILL)
+                killed += 1
+    assert killed == 1
+
+
+async def opened_again(url):
+    """Open the page as a browser does that has lost it: again and again."""
+    port = int(url.rstrip("/").rpartition(":")[2])
+    for _ in range(round(TIMEOUT_S / 0.1)):
+        with contextlib.suppress(OSError):
+            socket.create_connection(("127.0.0.1", port)).close()
+            return await Browser.open(url)
+        await asyncio.sleep(0.1)
+    raise AssertionError(f"no page at {url}")
+
+
+def test_the_graph_outlives_its_page_which_comes_again():
+    """First in this file: as long as the graph of those below does not run yet."""
+    play = Path(__file__).resolve().parents[1] / "tools" / "play.py"
+    mark = f"PLATE_TEST_RUN={uuid.uuid4().hex}"
+    name, value = mark.split("=")
+
+    async def look(url):
+        browser = await opened_again(url)
+        await browser.until(lambda newest: newest.get("driver", {}).get("state") == "ready")
+        await browser.close()
+
+    with subprocess.Popen(
+        [sys.executable, str(play)],
+        env=os.environ | {name: value},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as run:
+        try:
+            url = next(line.split()[1] for line in run.stdout if line.startswith("Open http://"))
+            asyncio.run(look(url))
+            kill_node(mark, "page")
+            assert next(run.stderr) == "play: page was ended by SIGKILL\n"
+            assert any(line.startswith("It is started again") for line in run.stderr)
+            asyncio.run(look(url))
+            kill_node(mark, "planner")
+            _, said = run.communicate(timeout=TIMEOUT_S)
+        finally:
+            run.kill()
+    assert "planner was ended by SIGKILL" in said
+    assert run.returncode == 1
+
+
 def test_a_part_comes_to_where_its_target_is_dragged(url):
     async def drag():
         browser = await Browser.open(url)
@@ -260,64 +316,9 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
 def test_a_flood_of_commands_ends_no_node_and_every_stop_is_answered(graph):
     from page_flood import Verdict, flooded
 
-    verdict = Verdict(minutes=0.1, sockets=3)
+    verdict = Verdict(minutes=0.05, sockets=3)
     flooded(graph, verdict, seed=0)
     assert verdict.sent > 0
     assert verdict.stops > 0
     assert not verdict.ends
     assert not verdict.problems
-
-
-def kill_node(mark, name):
-    """Kill the node of this name that was started with this in its environment."""
-    killed = 0
-    for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended, or is not ours
-            ours = mark.encode() in (folder / "environ").read_bytes()
-            if ours and (folder / "comm").read_text() == f"{name}\n":
-                os.kill(int(folder.name), signal.SIGKILL)
-                killed += 1
-    assert killed == 1
-
-
-async def opened_again(url):
-    """Open the page as a browser does that has lost it: again and again."""
-    port = int(url.rstrip("/").rpartition(":")[2])
-    for _ in range(round(TIMEOUT_S / 0.1)):
-        with contextlib.suppress(OSError):
-            socket.create_connection(("127.0.0.1", port)).close()
-            return await Browser.open(url)
-        await asyncio.sleep(0.1)
-    raise AssertionError(f"no page at {url}")
-
-
-def test_the_graph_outlives_its_page_which_comes_again():
-    play = Path(__file__).resolve().parents[1] / "tools" / "play.py"
-    mark = f"PLATE_TEST_RUN={uuid.uuid4().hex}"
-    name, value = mark.split("=")
-
-    async def look(url):
-        browser = await opened_again(url)
-        await browser.until(lambda newest: newest.get("driver", {}).get("state") == "ready")
-        await browser.close()
-
-    with subprocess.Popen(
-        [sys.executable, str(play)],
-        env=os.environ | {name: value},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as run:
-        try:
-            url = next(line.split()[1] for line in run.stdout if line.startswith("Open http://"))
-            asyncio.run(look(url))
-            kill_node(mark, "page")
-            assert next(run.stderr) == "play: page was ended by SIGKILL\n"
-            assert any(line.startswith("It is started again") for line in run.stderr)
-            asyncio.run(look(url))
-            kill_node(mark, "planner")
-            _, said = run.communicate(timeout=TIMEOUT_S)
-        finally:
-            run.kill()
-    assert "planner was ended by SIGKILL" in said
-    assert run.returncode == 1

@@ -119,7 +119,7 @@ def work_again(
         graph.free()
         names, others = [*graph.processes.names], None
         if beside:
-            one_task(graph, hops, None, 0.0, 5.0)  # messages of their true size
+            one_task(graph, hops, None, 0.0, min(longest_s, 5.0))  # messages of their true size
             others = stack.enter_context(Hops(NAMESPACE))
             names += forward(graph, hops, others, logs)
         series, began = Series(), time.monotonic()

@@ -37,6 +37,7 @@ def package(tmp_path, monkeypatch):
     monkeypatch.setattr(plate_native, "DEBIAN", tmp_path / "nanobind")
     (tmp_path / "nanobind/src").mkdir(parents=True)
     (tmp_path / "nanobind/src/nb_combined.cpp").write_text("int nothing;\n")
+    monkeypatch.setenv("CXXFLAGS", "-O0")  # in less time
     (tmp_path / "some").mkdir()
     (tmp_path / "some/kernels.cpp").write_text(MODULE)
     (tmp_path / "some/value.hpp").write_text("constexpr int VALUE = 1;\n")

@@ -145,11 +145,11 @@ class Camera:
         self._to_image = homography(rig)
         height, width = rig.camera.height_px, rig.camera.width_px
         self._light = _light(width, height)
-        self._places = self._pixel_places().reshape(height, width, 2)
+        self._places = _pixel_places(rig)
         corners = np.array(rig.camera.corners_px)
         self._scale = float(np.linalg.norm(corners[1] - corners[0]) / rig.plate.length_m)
-        inside = np.min(rig.plate.half - np.abs(self._places), axis=2).ravel()
-        self._edge_distance = np.abs(inside)
+        inside = rig.plate.half - np.abs(self._places)
+        self._edge_distance = np.abs(np.minimum(inside[..., 0], inside[..., 1])).ravel()
         self._edge: dict[int, np.ndarray] = {}
         self._empty = np.empty((height, width), np.float32)
         self._paint_plate(self._empty, np.zeros((1, 3)), np.arange(width * height), 0.0)
@@ -232,15 +232,6 @@ class Camera:
             expose(canvas.ravel(), bank, self.noise, image.ravel())
             channels.append(image)
         return np.stack(channels, axis=2) if colour else channels[0]
-
-    def _pixel_places(self) -> np.ndarray:
-        """Return the places (n, 2) [m, plate_home] that the pixels look at, row by row."""
-        camera = self._rig.camera
-        v, u = np.mgrid[: camera.height_px, : camera.width_px].astype(float)
-        pixel = np.stack([u.ravel(), v.ravel()], axis=1)
-        if self._lens is not None:
-            pixel = self._lens.straighten(pixel)
-        return np.nan_to_num(project(np.linalg.inv(self._to_image), pixel), nan=FAR)
 
     def _path(self, position: np.ndarray, velocity: np.ndarray | None) -> np.ndarray:
         """Return positions (s, M, 2) [m], at least two, over the exposure."""
@@ -398,6 +389,19 @@ def _samples(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     if not np.all(np.isfinite(array)):
         raise PlateError(f"{name}: not all are finite, allowed: finite numbers")
     return array
+
+
+@lru_cache(maxsize=2)
+def _pixel_places(rig: Rig) -> np.ndarray:
+    """Return the places (height, width, 2) [m, plate_home] that the pixels look at."""
+    camera = rig.camera
+    v, u = np.mgrid[: camera.height_px, : camera.width_px].astype(float)
+    pixel = np.stack([u.ravel(), v.ravel()], axis=1)
+    if camera.lens is not None and camera.lens.bends:
+        pixel = camera.lens.straighten(pixel)
+    places = np.nan_to_num(project(np.linalg.inv(homography(rig)), pixel), nan=FAR)
+    places.flags.writeable = False
+    return places.reshape(*u.shape, 2)
 
 
 def _light(width: int, height: int) -> np.ndarray:
