@@ -11,7 +11,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -38,6 +38,12 @@ ALL = QoSProfile(depth=200)
 CALL_S, AGAIN_S = 10.0, 1.0
 """Longest wait for a service, and time after which one that may be called twice is [s]: DDS may
 lose the first answer of a service that was just found."""
+
+AFTER = {
+    "configure": "inactive", "activate": "active", "deactivate": "inactive",
+    "cleanup": "unconfigured",
+}  # fmt: skip
+"""States of a lifecycle after its transitions."""
 
 POLL_S = 0.05
 
@@ -363,7 +369,8 @@ class Observer:
             self.change_state("driver", transition)
 
     def change_state(self, node: str, transition: str) -> None:
-        """Have a node make a transition of its lifecycle.
+        """Have a node make a transition of its lifecycle. One that is made, but whose answer was
+        lost, is refused when it is asked for again.
 
         Raises
         ------
@@ -371,7 +378,10 @@ class Observer:
             If it refuses: why.
         """
         request = ChangeState.Request(transition=Transition(label=transition))
-        if self.call(ChangeState, f"{node}/change_state", request).success:
+        if self.call(ChangeState, f"{node}/change_state", request, AGAIN_S).success:
+            return
+        now = self.call(GetState, f"{node}/get_state", GetState.Request(), AGAIN_S)
+        if now.current_state.label == AFTER[transition]:
             return
         health, now = self.record.health, time.monotonic()
         self.until(lambda: node in health and health[node].at > now, FRESH_S)
