@@ -44,7 +44,7 @@ test-tools: checks ## Install what some tests need beyond set-up: [SOURCES=https
 	@$(ENTER) exec python tools/needs.py --install
 
 test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
-	@$(if $(ARGS),,echo "About 10 minutes on two cores; some tests: make test ARGS='-k name'";) \
+	@$(if $(ARGS),,echo "About 9 minutes on two cores; some tests: make test ARGS='-k name'";) \
 	    $(ENTER) python tools/needs.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
 	    exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
