@@ -381,7 +381,7 @@ class Observer:
         if self.call(ChangeState, f"{node}/change_state", request, AGAIN_S).success:
             return
         now = self.call(GetState, f"{node}/get_state", GetState.Request(), AGAIN_S)
-        if now.current_state.label == AFTER[transition]:
+        if now.current_state.label == AFTER.get(transition):
             return
         health, now = self.record.health, time.monotonic()
         self.until(lambda: node in health and health[node].at > now, FRESH_S)

@@ -125,18 +125,19 @@ def _named(path: str, places: dict[str, Path]) -> str:
 
 def _files_read(rules: Path, places: dict[str, Path]) -> bytes:
     """The files that a compiler has read, as it writes them in a rule of make; each in a line."""
-    text = rules.read_text(encoding="utf-8").replace("\\\n", " ").partition(":")[2]
+    text = os.fsdecode(rules.read_bytes()).replace("\\\n", " ").partition(":")[2]
     words = (word.replace("\\ ", " ") for word in re.findall(r"(?:\\ |\S)+", text))
-    return "\n".join(_named(word, places) for word in words).encode()
+    return os.fsencode("\n".join(_named(word, places) for word in words))
 
 
 def _key(first: str, read: bytes, places: dict[str, Path], since: float = math.inf) -> str:
     """Of an object: what `first` is of, and what is in all files that were read. Empty where one is
-    gone, or was written `since` then: nobody knows what the compiler has read of it."""
-    lines = (line.partition("//") for line in read.decode().split("\n"))
+    gone, or was put there `since` then: nobody knows what the compiler has read of it."""
+    lines = (line.partition("//") for line in os.fsdecode(read).split("\n"))
     files = [Path(places[at], name) for at, _, name in lines]
     try:
-        if any(since < file.stat().st_mtime <= time.time() for file in files):
+        states = [file.stat() for file in files]
+        if any(since < max(s.st_mtime, s.st_ctime) <= time.time() for s in states):
             return ""
         return cache.key_of(first, *(file.read_bytes() for file in files))
     except FileNotFoundError:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -46,7 +47,7 @@ def key_of(*made_of: str | bytes) -> str:
 def take(folder: Path, key: str) -> bytes | None:
     """Return an entry, or None."""
     with suppress(OSError):
-        data = (folder / key).read_bytes()
+        data = (folder / key).read_bytes() if (folder / key).is_file() else b""
         if hashlib.sha256(data[32:]).digest() == data[:32]:
             with suppress(OSError):
                 os.utime(folder / key)
@@ -99,10 +100,18 @@ def _moved(content: bytes, here: bytes, there: bytes) -> bytes:
     return content if b"\0" in content else content.replace(here, there)
 
 
+def _is_clear(content: bytes, root: bytes) -> bool:
+    """Whether the path stands in a text only where it is meant, not within other words."""
+    meant = re.findall(rb"(?<![\w.+-])" + re.escape(root) + rb"(?![\w.+-])", content)
+    return b"\0" in content or len(meant) == content.count(root)
+
+
 def _packed(built: Path, root: str) -> bytes:
     packed = io.BytesIO()
     with tarfile.open(fileobj=packed, mode="w:gz", compresslevel=1) as archive:
         for path in [path for path in sorted(built.rglob("*")) if path.is_file()]:
+            if not _is_clear(path.read_bytes(), os.fsencode(root)):
+                raise PermissionError(f"{root} is also a part of other words in {path}")
             content = _moved(path.read_bytes(), os.fsencode(root), ROOT)
             info = tarfile.TarInfo(str(path.relative_to(built)))
             info.size, info.mtime = len(content), int(path.stat().st_mtime)  # known to bytecode
@@ -125,7 +134,8 @@ def main(action: str, package: str, built: str, root: str) -> int:
     key = _key_of_messages(Path(package), root)
     if action == "keep":
         if root == os.path.realpath(root):  # else tools may have written the one path or the other
-            keep(of_user(), key, _packed(Path(built), root))
+            with suppress(PermissionError):
+                keep(of_user(), key, _packed(Path(built), root))
         return 0
     if (packed := take(of_user(), key)) is None:
         return 1

@@ -161,6 +161,9 @@ def test_messages_of_another_clone_name_this_one(package):
     assert (second / "built/lib/some.so").read_bytes() == bytes(8) + str(first).encode()
     (second / "messages/msg/Part.msg").write_text("float64 x\n")
     assert call("take", second) == 1
+    (second / "built/setup.sh").write_text(f"prefix=include{second}s\n")  # as of a clone at /p
+    assert call("keep", second) == 0
+    assert call("take", second) == 1
 
 
 def test_nanobind_that_is_missing_is_named(package, monkeypatch):
@@ -178,3 +181,35 @@ def test_no_product_is_fused_with_a_sum(package):
     code = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert "vsqrt" in code or "sqrt" in code  # there are kernels in it
     assert not re.findall(r"\bvfn?m(?:add|sub)\w*", code)
+
+
+GUARDED = """
+#include <sys/mman.h>
+#include <plate/products.hpp>
+// n numbers at the end of what may be read.
+double* guarded(size_t n) {
+    const size_t page = 4096, length = (8 * n + page - 1) / page * page;
+    void* all = mmap(nullptr, length + 64 * page, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    mprotect(all, length, PROT_READ | PROT_WRITE);
+    return reinterpret_cast<double*>(static_cast<char*>(all) + length) - n;
+}
+int main() {
+    for (int terms : {1, 2, 3, 7, 12, 30})
+        for (int high = 1; high <= 20; high++) {
+            for (int wide = 1; wide <= 20; wide++)
+                plate::product(guarded(terms * high), high, guarded(terms * wide), wide, terms,
+                               high, wide, guarded(high * wide), wide);
+            plate::square_product(guarded(terms * high), high, terms, high, guarded(high * high));
+        }
+}
+"""
+
+
+def test_products_read_nothing_beyond_their_matrices(tmp_path):
+    """GCC 12 does with vectors of 512 bits: the solver's threads died of it."""
+    (tmp_path / "guarded.cpp").write_text(GUARDED)
+    include = Path(plate_native.__file__).parent / "include"
+    compiler = os.environ.get("CXX", "c++").split()
+    words = [*compiler, *plate_native.OPTIONS, f"-I{include}", "guarded.cpp", "-o", "guarded"]
+    subprocess.run(words, cwd=tmp_path, check=True)
+    subprocess.run([tmp_path / "guarded"], check=True)

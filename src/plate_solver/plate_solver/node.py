@@ -42,6 +42,9 @@ QUIET_S = 2.0
 RESTART_NS = 1_000_000_000
 """A stamp this much older than the last means that the camera or simulator began anew [ns]."""
 
+LONGEST_S = 1.0
+"""Most that a search in real time may take, however far ahead its cycle is to begin [s]."""
+
 HANDOVER_NS = 4_000_000
 """Time from our publishing a cycle until the device has it [ns]: two hops and the driver."""
 
@@ -122,8 +125,6 @@ class SolverNode(SafeLifecycleNode[Options]):
             self.get_logger().warning(doubt.text)
         self._library = Library.around(rig.plate.half)
         effort: dict[str, Any] = {"restarts": options.restarts} if options.restarts else {}
-        simulated = bool(self.get_parameter("use_sim_time").value)
-        self._handover_s = 0.0 if simulated else options.handover_s
         threads = options.threads or len(os.sched_getaffinity(0))
         self._controller = Controller(rig, options.method, options.seed, threads=threads, **effort)
         warm_up(self._controller, rig.plate.half)
@@ -133,6 +134,8 @@ class SolverNode(SafeLifecycleNode[Options]):
 
     def begin(self) -> None:
         """Know nothing of what was before."""
+        simulated = bool(self.get_parameter("use_sim_time").value)
+        self._handover_s = 0.0 if simulated else self.options.handover_s
         self._controller.reset()
         self._sent: deque[Sent] = deque(maxlen=4)
         self._tally = Tally()
@@ -191,7 +194,7 @@ class SolverNode(SafeLifecycleNode[Options]):
         began, running = time.monotonic(), self._running(stamp_ns)
         if not start_ns:
             start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_PERIOD))
-        left_s = 1e-9 * (start_ns - self._now_ns(stamp_ns)) - self._handover_s
+        left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), LONGEST_S) - self._handover_s
         try:
             until = began + left_s if self._handover_s else math.inf
             answer = self._controller.answer(wanted, running, until)

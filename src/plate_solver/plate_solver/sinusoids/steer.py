@@ -148,19 +148,26 @@ class SinusoidSteering:
         until: float,
     ) -> tuple[Fit, int]:
         """Return the best of all descents, and their iterations."""
+        timed = until < math.inf
+        began = self._clock() if timed else 0.0
         best = improved(begin)
+        last = until - self._finishing - (self._clock() - began if timed else 0.0)
         iterations, index = best.iterations, 0
-        running: deque[Callable[[], Fit]] = deque()
+        running: deque[Callable[[], Fit | None]] = deque()
+
+        def in_time(start: np.ndarray) -> Fit | None:
+            return None if timed and self._clock() > last else improved(start)
+
         while best.cost > enough and (running or index < most):
-            if index < most and until < math.inf and self._clock() + self._finishing > until:
-                self.cut_short += 1
-                most = index
             while index < most and len(running) < AT_ONCE:
-                work = partial(improved, start(index, best))
+                work = partial(in_time, start(index, best))
                 running.append(self._threads.submit(work).result if self._threads else work)
                 index += 1
-            if running:
-                found = running.popleft()()
+            found = running.popleft()()
+            if found is None:
+                self.cut_short += most > 0  # once
+                most = 0
+            else:
                 iterations += found.iterations
                 best = found if found.cost < best.cost else best
         return best, iterations
