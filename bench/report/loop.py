@@ -104,8 +104,8 @@ def control(rows: list[Row]) -> Chart:
         "of the solver (restarts, iterations), several seeds. Hollow: not all runs ended well. "
         "Down and to the left is better.",
         f"Per cycle, our default: {told}.",
-        "Method B, at most 24 iterations and 7 restarts: paths gain nothing from more, sorting "
-        "gets quicker.",
+        "Method B, at most 24 iterations and 40 restarts: paths gain nothing from more, sorting "
+        "a little.",
         panels,
     )  # fmt: skip
 

@@ -109,7 +109,7 @@ def options(rows: list[Row]) -> Chart:
         f"{told('A', '1 restarts')}, scipy by its own differences "
         f"{told('scipy, own differences', '3 restarts')}.",
         "Method B: 3 restarts are near the front at every number of parts; in the loop, where it "
-        "starts from the last answer, it has 7, and what more effort buys there is shown in (e).",
+        "starts from the last answer, it has 40, and what more effort buys there is shown in (e).",
         panels,
     )  # fmt: skip
 
