@@ -294,7 +294,8 @@ def test_cycles_reach_the_board_and_telemetry_the_graph(bench):
     stamps = [nanoseconds(s.header.stamp) for s in bench.states]
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] * 1e-9 - time.time()) < 5
-    assert 5e-4 < board.travel < 2e-3
+    assert bench.until(lambda: board.travel > 5e-4)
+    assert board.travel < 2e-3
     # Starts of cycles: of rest before, one after the other, and of what was sent.
     assert bench.until(lambda: sum(msg_to_cycle(s).knot_pose.any() for s in bench.starts) > 1)
     begins = np.array([nanoseconds(s.header.stamp) for s in bench.starts])
