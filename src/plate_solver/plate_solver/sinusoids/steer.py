@@ -148,15 +148,14 @@ class SinusoidSteering:
         until: float,
     ) -> tuple[Fit, int]:
         """Return the best of all descents, and their iterations."""
-        timed = until < math.inf
-        began = self._clock() if timed else 0.0
+        began = self._clock()
         best = improved(begin)
-        last = until - self._finishing - (self._clock() - began if timed else 0.0)
+        last = until - self._finishing - (self._clock() - began)
         iterations, index = best.iterations, 0
         running: deque[Callable[[], Fit | None]] = deque()
 
         def in_time(start: np.ndarray) -> Fit | None:
-            return None if timed and self._clock() > last else improved(start)
+            return None if self._clock() > last else improved(start)
 
         while best.cost > enough and (running or index < most):
             while index < most and len(running) < AT_ONCE:
