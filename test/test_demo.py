@@ -21,7 +21,7 @@ pytest.importorskip("rclpy")
 
 import play
 from demo import arguments
-from graph.demo import LAST, clear, own_folder, rig_title
+from graph.demo import LAST, clear, own_folder, rig_title, watch
 from graph.demo import demo as run
 from graph.processes import Interrupted
 from PIL import Image
@@ -338,3 +338,17 @@ def test_a_node_that_dies_is_named_and_its_log_is_shown(tmp_path):
     assert "task sort: running" in errors
     assert "log: " in errors
     assert marked(mark) == []
+
+
+def test_why_a_task_failed_is_told_before_its_nodes_end(monkeypatch, capsys):
+    """One that is frozen is waited for then, for ten seconds."""
+    why = "aborted after 5.0 s: the solver is silent"
+    record = SimpleNamespace(ended=True, states=[why])
+    told = []
+    observer = SimpleNamespace(record=record, until=lambda *_: told.append(capsys.readouterr().out))
+    monkeypatch.setattr("graph.demo.Progress", lambda _: SimpleNamespace(text=lambda _: "progress"))
+    plan = SimpleNamespace(
+        scenario=SimpleNamespace(time_limit_s=1.0), options=SimpleNamespace(lockstep=False)
+    )
+    watch(plan, observer, 0.0)
+    assert why in told[0]

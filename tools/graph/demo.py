@@ -368,6 +368,8 @@ def watch(plan: Plan, observer: Observer, began: float) -> None:
         if now > end:
             raise GraphError(f"the task has not ended within {allowed + EXTRA_S:g} s")
     over = record.states[-1]
+    if not over.startswith("done"):  # at once: a node that is frozen is waited for at the end
+        line.end(f"Task {over}")
     observer.until(lambda: record.last("planner", "task_state") == over, 2.0)
     line.end(progress.text(record))
 
