@@ -225,3 +225,51 @@ def test_knots_cannot_be_changed():
     cycle = random_cycle(9)
     with pytest.raises(ValueError, match="read-only"):
         cycle.knot_pose[0, 0] = 1.0
+
+
+def test_a_knot_given_twice_is_where_the_tail_begins():
+    times = np.array([0.0, 0.05, 0.1, 0.1, 0.15])
+    rng = np.random.default_rng(5)
+    states = [rng.normal(size=(5, 3)) * size for size in (0.003, 0.3, 30)]
+    for state in states:
+        state[3], state[4] = state[2], 0.0
+    cycle = PlateCycle.from_knots(times, *states)
+    assert cycle.tail is not None
+    assert cycle.period == pytest.approx(0.1)
+    assert not cycle.starts_at_rest
+    assert not cycle.closes
+    assert cycle.tail.follows(cycle)
+    assert PlateCycle.rest(0.1).follows(cycle.tail)
+    assert not PlateCycle.rest(0.1).follows(cycle)
+    for mine, given in zip(cycle.knots, (times, *states), strict=True):
+        np.testing.assert_array_equal(mine, given)
+    again = PlateCycle.from_knots(*cycle.knots)
+    np.testing.assert_array_equal(again.coefficients, cycle.coefficients)
+    stopping = PlateCycle.stopping(cycle.state(-1), 0.05)
+    np.testing.assert_allclose(stopping.pose(0.0)[0], states[0][2])
+    assert np.all(stopping.state(-1) == 0)
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ([0, 0.05, 0.1, 0.1, 0.1, 0.15], "given twice"),
+        ([0, 0, 0.05, 0.1], "given twice"),
+        ([0, 0.05, 0.1, 0.1], "given twice"),
+    ],
+)
+def test_only_one_knot_inside_may_be_given_twice(times, message):
+    still = np.zeros((len(times), 3))
+    with pytest.raises(CycleError, match=message):
+        PlateCycle.from_knots(np.array(times), still, still, still)
+
+
+def test_a_tail_ends_at_rest_and_begins_where_the_cycle_ends():
+    times = np.array([0.0, 0.1, 0.1, 0.15])
+    pose = np.array([[0, 0, 0], [1e-3, 0, 0], [1e-3, 0, 0], [1e-4, 0, 0]])
+    still = np.zeros((4, 3))
+    with pytest.raises(CycleError, match="does not close"):
+        PlateCycle.from_knots(times, pose, still, still)
+    pose[2:] = [[2e-3, 0, 0], [0, 0, 0]]
+    with pytest.raises(CycleError, match="differ"):
+        PlateCycle.from_knots(times, pose, still, still)

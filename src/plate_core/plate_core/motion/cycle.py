@@ -1,8 +1,8 @@
-"""PlateCycle: one closed period of the plate's motion."""
+"""PlateCycle: the plate's motion from one cycle's beginning to the next one's."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import comb
 from typing import TYPE_CHECKING
@@ -24,10 +24,11 @@ PIECES = 4
 
 @dataclass(frozen=True)
 class PlateCycle:
-    """One closed motion of the plate in plate_home: knots, and quintic splines between them.
+    """One motion of the plate in plate_home: knots, and quintic splines between them.
 
     The spline takes on pose, twist and acceleration at every knot, so it has a continuous
-    acceleration; it is closed by construction: the last knot is the first.
+    acceleration. It ends as it began, or at rest at home, or in the middle of a motion: then it has
+    a tail, which brings the plate to rest where no cycle follows that begins in this state.
 
     Attributes
     ----------
@@ -35,6 +36,8 @@ class PlateCycle:
         Knot times [s], from 0 to the period.
     knot_pose, knot_twist, knot_accel : (k + 1, 3)
         x, y, theta: [m, m, rad] and their first and second derivatives in time.
+    tail : PlateCycle or None
+        From the state of the last knot to rest at home.
     """
 
     times: np.ndarray
@@ -42,11 +45,31 @@ class PlateCycle:
     knot_twist: np.ndarray
     knot_accel: np.ndarray
     _coefficients: np.ndarray  # (k, 6, 3), powers of the time since the knot
+    tail: PlateCycle | None = None
 
     @property
     def period(self) -> float:
-        """Length of one cycle [s]."""
+        """Length of one cycle [s]: then the next one may begin."""
         return float(self.times[-1])
+
+    @property
+    def parts(self) -> tuple[PlateCycle, ...]:
+        """Itself, and its tail if it has one."""
+        return (self,) if self.tail is None else (self, self.tail)
+
+    @property
+    def knots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What `from_knots` takes: times, pose, twist, accel, those of the tail with them."""
+        if self.tail is None:
+            return self.times, self.knot_pose, self.knot_twist, self.knot_accel
+        times, *states = self.tail.knots
+        own = self.knot_pose, self.knot_twist, self.knot_accel
+        pose, twist, accel = (np.concatenate(pair) for pair in zip(own, states, strict=True))
+        return np.concatenate([self.times, self.period + times]), pose, twist, accel
+
+    def state(self, knot: int) -> np.ndarray:
+        """Pose, twist and acceleration (3, 3) at a knot, by its number."""
+        return np.stack([self.knot_pose[knot], self.knot_twist[knot], self.knot_accel[knot]])
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -55,12 +78,17 @@ class PlateCycle:
 
     @property
     def starts_at_rest(self) -> bool:
-        """Whether the plate is at home and at rest where the cycle begins and ends."""
-        return bool(
-            np.all(np.abs(self.knot_pose[0]) <= REST_TOLERANCE)
-            and np.all(np.abs(self.knot_twist[0]) <= 100 * REST_TOLERANCE)
-            and np.all(np.abs(self.knot_accel[0]) <= 1e4 * REST_TOLERANCE)
-        )
+        """Whether the plate is at home and at rest where the cycle begins."""
+        return is_rest(self.state(0))
+
+    @property
+    def closes(self) -> bool:
+        """Whether it ends as it began, so that it may be played again."""
+        return is_rest(self.state(0) - self.state(-1))
+
+    def follows(self, before: PlateCycle) -> bool:
+        """Whether it begins in the state in which another cycle ends."""
+        return is_rest(self.state(0) - before.state(-1))
 
     @property
     def moves(self) -> bool:
@@ -125,12 +153,13 @@ class PlateCycle:
     def from_knots(
         cls, times: np.ndarray, pose: np.ndarray, twist: np.ndarray, accel: np.ndarray
     ) -> PlateCycle:
-        """Build a cycle from knots; the last must equal the first.
+        """Build a cycle from knots; the last must equal the first, or be at rest at home.
 
         Parameters
         ----------
         times : (k + 1,)
-            Knot times [s], rising, the first 0.
+            Knot times [s], rising, the first 0. A time that is given twice is where the next cycle
+            may begin: what comes after it is the tail.
         pose, twist, accel : (k + 1, 3)
             State of the plate at the knots.
 
@@ -138,7 +167,7 @@ class PlateCycle:
         ------
         CycleError
             If times do not rise from 0, a value is not finite or too large to compute with, or the
-            motion does not close.
+            motion ends neither as it began nor at rest.
         """
         times = np.array(times, dtype=float)
         states = [np.array(a, dtype=float) for a in (pose, twist, accel)]
@@ -149,17 +178,43 @@ class PlateCycle:
                 raise CycleError(f"{name} has shape {state.shape}, allowed: ({len(times)}, 3)")
             if not np.all(np.isfinite(state)):
                 raise CycleError(f"{name} has values that are not finite")
-        if not np.all(np.isfinite(times)) or times[0] != 0 or np.any(np.diff(times) <= 0):
-            raise CycleError("knot times must be finite, start at 0 and rise")
+        twice = np.flatnonzero(np.diff(times) == 0) + 1
+        rises = np.all(np.diff(np.delete(times, twice)) > 0)
+        inside = len(twice) == 0 or 1 < twice[0] < len(times) - 1
+        if not (np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside):
+            raise CycleError(
+                "knot times must be finite, start at 0 and rise; one inside may be given twice"
+            )
+        if len(twice):
+            k = int(twice[0])
+            if any(np.any(state[k] != state[k - 1]) for state in states):
+                raise CycleError(f"the knots given twice, at {times[k]:g} s, differ")
+            tail = cls._ending(times[k:] - times[k], [state[k:] for state in states])
+            return replace(cls._made(times[:k], [state[:k] for state in states]), tail=tail)
+        return cls._ending(times, states)
+
+    @classmethod
+    def _ending(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
+        """Return a motion that ends as it began or at rest, to the last bit."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
-        if gap[0] > size[0] or gap[1] > 1e2 * size[1] or gap[2] > 1e4 * size[2]:
+        if is_rest(np.stack([state[-1] for state in states])) and not is_rest(
+            np.stack([state[0] for state in states])
+        ):
+            for state in states:
+                state[-1] = 0
+        elif gap[0] > size[0] or gap[1] > 1e2 * size[1] or gap[2] > 1e4 * size[2]:
             raise CycleError(
                 f"motion does not close: end and start differ by {gap[0]:.3g} m or rad in pose, "
                 f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
             )
-        for state in states:
-            state[-1] = state[0]
+        else:
+            for state in states:
+                state[-1] = state[0]
+        return cls._made(times, states)
+
+    @classmethod
+    def _made(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
         for array in (times, *states):
             array.setflags(write=False)
         pose, twist, accel = states
@@ -220,9 +275,19 @@ class PlateCycle:
 
     def scaled(self, factor: float) -> PlateCycle:
         """Return the same motion with all amplitudes times `factor`, in the same time."""
-        return PlateCycle.from_knots(
-            self.times, factor * self.knot_pose, factor * self.knot_twist, factor * self.knot_accel
-        )
+        times, *states = self.knots
+        return PlateCycle.from_knots(times, *(factor * state for state in states))
+
+    @classmethod
+    def stopping(cls, state: np.ndarray, period: float) -> PlateCycle:
+        """Return the motion of one quintic from a state (3, 3), as `state` gives it, to rest."""
+        knots = np.stack([state, np.zeros((3, 3))], axis=1)
+        return cls.from_knots(np.array([0.0, period]), *knots)
+
+
+def is_rest(state: np.ndarray) -> bool:
+    """Whether pose, twist and acceleration (3, 3) are those of rest at home, within tolerances."""
+    return bool(np.all(np.abs(state) <= REST_TOLERANCE * np.array([[1.0], [100.0], [1e4]])))
 
 
 @lru_cache

@@ -62,26 +62,34 @@ class CycleUsage:
 
 
 def usage(rig: Rig, cycle: PlateCycle, thermal_load: np.ndarray | float = 1.0) -> CycleUsage:
-    """Return what a plate cycle uses, its motors on the quintics through the cycle's knots.
+    """Return what a plate cycle and its tail use, the motors on the quintics through the knots.
 
     Parameters
     ----------
     thermal_load : (4,) or float
         What is allowed of `CycleUsage.thermal_load`; more than 1 for motors that are cold.
     """
-    limits, steps = rig.limits, np.diff(cycle.times)
-    q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
-    travel = quintic_pieces(cycle.times, q, qd, qdd)
-    pushes = motor_force(rig, cycle)
+    limits, parts = rig.limits, cycle.parts
+    steps = np.concatenate([np.diff(part.times) for part in parts])
+    travel = np.concatenate([_travel(rig, part) for part in parts])
+    pushes = np.concatenate([motor_force(rig, part) for part in parts])
     moves = [travel, _padded(derivative(travel)), pushes]
     each = polynomial_peaks(np.concatenate(moves, axis=2), steps)
     stroke, speed, force = (float(np.max(most)) for most in np.split(each, 3))
-    accel = _corner_peak(rig, cycle)
-    load = mean_square(pushes, steps) / limits.continuous_force**2
+    accel = max(_corner_peak(rig, part) for part in parts)
+    # The tail is played once, or not at all.
+    load = np.maximum(*(mean_square(pushes[:k], steps[:k]) for k in (len(cycle.times) - 1, None)))
+    load = load / limits.continuous_force**2
     worst = max(stroke / limits.stroke_m, speed / limits.speed, accel / limits.accel)
     warmth = float(np.sqrt(np.max(load / thermal_load)))
     overall = max(worst, force / limits.force, warmth)
     return CycleUsage(stroke, speed, accel, force, load, worst, overall)
+
+
+def _travel(rig: Rig, cycle: PlateCycle) -> np.ndarray:
+    """Powers (k, 6, 4) of the time since the knot of the motors' travels [m]."""
+    motors = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
+    return quintic_pieces(cycle.times, *motors)
 
 
 def motor_force(rig: Rig, cycle: PlateCycle) -> np.ndarray:

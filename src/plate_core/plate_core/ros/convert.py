@@ -304,10 +304,9 @@ def _checked(
 
 
 def cycle_to_msg(cycle: PlateCycle, stamp: Time) -> JointTrajectory:
-    """Return a plate cycle as a message: its knots, the last of which is the first again."""
-    return trajectory_to_msg(
-        PLATE_JOINTS, cycle.times, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel, stamp
-    )
+    """Return a plate cycle as a message: its knots. Where one is given twice the next cycle may
+    begin, and what comes after it is the tail."""
+    return trajectory_to_msg(PLATE_JOINTS, *cycle.knots, stamp)
 
 
 def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
@@ -316,15 +315,17 @@ def msg_to_cycle(msg: JointTrajectory) -> PlateCycle:
     Raises
     ------
     CycleError
-        If joints, lengths or times are wrong, a value is not finite, or it does not close.
+        If joints, lengths or times are wrong, a value is not finite, or it ends neither as it
+        began nor at rest.
     """
     return PlateCycle.from_knots(*msg_to_knots(msg, PLATE_JOINTS))
 
 
 def motors_to_msg(rig: Rig, cycle: PlateCycle, stamp: Time) -> JointTrajectory:
     """Return the motors' motion that gives a plate cycle."""
-    q, qd, qdd = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
-    return trajectory_to_msg([motor.name for motor in rig.motors], cycle.times, q, qd, qdd, stamp)
+    times, *states = cycle.knots
+    joints = [motor.name for motor in rig.motors]
+    return trajectory_to_msg(joints, times, *motor_state(rig, *states), stamp)
 
 
 def msg_to_motors(rig: Rig, msg: JointTrajectory) -> PlateCycle:
