@@ -181,7 +181,9 @@ class PlateCycle:
         twice = np.flatnonzero(np.diff(times) == 0) + 1
         rises = np.all(np.diff(np.delete(times, twice)) > 0)
         inside = len(twice) == 0 or 1 < twice[0] < len(times) - 1
-        if not (np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside):
+        if not (
+            np.all(np.isfinite(times)) and times[0] == 0 and rises and len(twice) < 2 and inside
+        ):
             raise CycleError(
                 "knot times must be finite, start at 0 and rise; one inside may be given twice"
             )
