@@ -408,7 +408,7 @@ def run(
         world, now, at_work = simulation.state, line.now, cpu_time()
         if line.began > began:  # another cycle
             held, began, start = held + 1, line.began, world
-            state = planner.started(state, line.running, began) if free else state
+            state = planner.started(state, line.running, began, not free)
         new, stamp = None, now
         if cell is not None:
             cell.act(simulation, now)

@@ -144,6 +144,9 @@ class Wanted:
     targets : Targets or None
         Where the parts are to come: asked in place of the forces, which then say which way that
         leads them. None: forces are asked.
+    plate : (3, 3) or None
+        Pose, twist and acceleration of the plate when that cycle begins, as `PlateCycle.state`
+        gives them; None: not known for certain, and the cycle is to begin at rest at home.
     """
 
     parts: Parts
@@ -153,6 +156,7 @@ class Wanted:
     period: float
     start: np.ndarray | None = None
     targets: Targets | None = None
+    plate: np.ndarray | None = None
 
     @classmethod
     def make(
@@ -164,6 +168,7 @@ class Wanted:
         period: float = CYCLE_S,
         start: np.ndarray | None = None,
         targets: Targets | None = None,
+        plate: np.ndarray | None = None,
     ) -> Wanted:
         """Build it; what is missing is zero, but for the period.
 
@@ -181,6 +186,7 @@ class Wanted:
             period,
             None if start is None else _filled("start", start, (len(parts), 4)),
             targets,
+            plate,
         )
 
 

@@ -249,10 +249,14 @@ class Planner:
         """
         return replace(state, estimator=state.estimator.hear(cycle, arrival, asked))
 
-    def started(self, state: PlannerState, cycle: PlateCycle, begin: float) -> PlannerState:
-        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
+    def started(
+        self, state: PlannerState, cycle: PlateCycle, begin: float, triggered: bool = False
+    ) -> PlannerState:
+        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]; `triggered`
+        tells that images are taken at starts all the same."""
         due = begin + max(cycle.period - self.options.answer_s, 0.0)
-        return replace(state, estimator=state.estimator.started(cycle, begin), due=due)
+        estimator = state.estimator.started(cycle, begin, triggered)
+        return replace(state, estimator=estimator, due=due)
 
     def see(self, state: PlannerState, parts: Parts, t: float) -> PlannerState:
         """Take in the parts of one image, as vision saw them, and its stamp [s].
@@ -411,7 +415,9 @@ class Planner:
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
-        return state, Wanted.make(parts, force, tolerance, None, period, start, request.targets)
+        return state, Wanted.make(
+            parts, force, tolerance, None, period, start, request.targets, estimator.next_plate
+        )
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
         estimator, task = state.estimator, state.task

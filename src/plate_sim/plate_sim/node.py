@@ -442,7 +442,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
                 raise PlateError(rivals)
-            self._usage = check_table(self._rig, cycle)
+            self._usage = check_table(self._rig, cycle, self._playback.cycle)
             self._newest = cycle
         except PlateError as error:
             self._refuse(error)

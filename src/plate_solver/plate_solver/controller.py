@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig, Wanted, part_class
+from plate_core.motion import is_rest
 from plate_core.rig import PartType
 
 from .maps import after, end_turning, finely_sampled, room_spread
 from .motion_solver import MotionSolver
 from .requests import Goal, Solution, Status, Turns
 from .rotations.solver import RotationSolver
+from .sinusoids.basis import TAIL_S
 from .sinusoids.solver import SinusoidSolver
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
@@ -59,7 +61,8 @@ class Answer:
     Attributes
     ----------
     cycle : PlateCycle
-        Starts and ends at rest at home.
+        Starts and ends at rest at home, or, where the state of the plate is certain, goes on from
+        it, and has a tail.
     solution : Solution or None
         None where nothing was asked.
     message : str
@@ -159,8 +162,9 @@ class Controller:
         turning = wanted.torque if targets is None else np.zeros(0)
         if targets is not None and targets.angles is not None:
             turning = targets.angles.weight
+        goes_on = wanted.plate is not None and self.method == "sinusoids"
         period = solver.steering_period(
-            len(parts), int(np.count_nonzero(turning)), targets is not None
+            len(parts), int(np.count_nonzero(turning)), targets is not None, goes_on
         )
         goal = self._goal(wanted, running, period)
         asked = 0.0 if goal.lasting else goal.size
@@ -228,6 +232,12 @@ class Controller:
             position, velocity = after(running, parts.position, start, friction)
         if wanted.start is not None:
             position, velocity = wanted.start.reshape(-1, 2, 2).transpose(1, 0, 2)
+        plate = wanted.plate
+        if plate is not None and self.method == "rotations":  # it begins when the plate rests
+            if not is_rest(plate):
+                tail = PlateCycle.stopping(plate, TAIL_S)
+                position, velocity = after(tail, position, velocity, friction)
+            plate = None
         self._velocity = dict(zip(parts.ids, velocity, strict=True))
         self._spin = {} if turns is None else dict(zip(parts.ids, turns.spin.tolist(), strict=True))
         radius, half = np.array([t.reach_m for t in types]), self._rig.plate.half
@@ -250,6 +260,7 @@ class Controller:
                 edge=half - np.array([[self._rig.edge_margin(t.name).wall_m] for t in types]),
                 clear=radius[:, None] + radius + targets.gap_m,
                 coast=COAST_S,
+                plate=plate,
             )
         gain = wanted.period / np.array([[t.mass_kg] for t in types])
         displacement = (parts.velocity + gain * wanted.force) * period
@@ -265,6 +276,7 @@ class Controller:
             tolerance=(high - low) / 2,
             friction_accel=friction,
             turns=turns,
+            plate=plate,
         )
 
     def _type(self, name: str) -> PartType:

@@ -103,14 +103,31 @@ def limit_use(
     return _kernels.limit_use(pose, twist, accel, weight, limits, linear)
 
 
-def within_limits(cycle: PlateCycle, full: Limits) -> PlateCycle:
-    """Return the cycle, scaled down as a whole if its control points exceed the full limits."""
-    share = np.repeat(np.diff(cycle.times), 5 * PIECES)
-    share[::5] += np.roll(share[::5], 1)
-    for _ in range(4):  # turning enters with its square: nearly linear in the scale
-        pose, twist, accel = (cycle.control_points(order, PIECES) for order in range(3))
-        used = limit_use(pose, twist, accel, share, full, False)
+def within_limits(cycle: PlateCycle, full: Limits, rest: PlateCycle | None = None) -> PlateCycle:
+    """Return the cycle, brought nearer to another one of the same knots, to rest if that is left
+    out, as far as its control points exceed the full limits."""
+    used = _use(cycle, full)
+    if used <= CERTAIN:
+        return cycle
+    rest = cycle.scaled(0.0) if rest is None else rest
+    least = _use(rest, full)
+    for _ in range(4):  # turning enters with its square: nearly linear in the share
+        share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
+        times, *states = cycle.knots
+        nearer = [b + share * (a - b) for a, b in zip(states, rest.knots[1:], strict=True)]
+        cycle = PlateCycle.from_knots(times, *nearer)
+        used = _use(cycle, full)
         if used <= CERTAIN:
             break
-        cycle = cycle.scaled(0.9995 * CERTAIN / used)
     return cycle
+
+
+def _use(cycle: PlateCycle, full: Limits) -> float:
+    """Return the greatest fraction of a limit that the control points of a motion use."""
+    pose, twist, accel = (
+        np.vstack([part.control_points(order, PIECES) for part in cycle.parts])
+        for order in range(3)
+    )
+    share = np.repeat(np.concatenate([np.diff(part.times) for part in cycle.parts]), 5 * PIECES)
+    share[::5] += np.roll(share[::5], 1)
+    return limit_use(pose, twist, accel, share, full, False)

@@ -193,7 +193,7 @@ class MotionSolver(ABC):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        """Find a motion from rest to rest that moves parts as asked, on the cycle map.
+        """Find a motion that moves parts as asked, on the cycle map.
 
         Parameters
         ----------
@@ -214,6 +214,8 @@ class MotionSolver(ABC):
         """
 
     @abstractmethod
-    def steering_period(self, count: int, turns: int = 0, lasting: bool = False) -> float:
+    def steering_period(
+        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+    ) -> float:
         """Period [s] of the cycles that `steer` makes for `count` parts, so many of which turn;
-        lasting: as in `Goal`."""
+        lasting: as in `Goal`; goes_on: whether the state of the plate is given there."""

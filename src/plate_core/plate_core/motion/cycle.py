@@ -126,28 +126,8 @@ class PlateCycle:
         return pose, pose.derivative(), pose.derivative(2)
 
     def control_points(self, order: int, pieces: int = PIECES) -> np.ndarray:
-        """Bezier control points of the motion: a curve never leaves their hull.
-
-        Parameters
-        ----------
-        order : int
-            0: pose, 1: twist, 2: acceleration.
-        pieces : int
-            Equal pieces into which every knot interval is cut first; the points come closer to
-            the curve as 1/pieces**2.
-
-        Returns
-        -------
-        (k * pieces * 5, 3)
-            In order of time, for all orders at the same times. A piece's last point is the next
-            one's first, and is left out.
-        """
-        c = self._coefficients
-        for _ in range(order):
-            c = c[:, 1:] * np.arange(1, c.shape[1])[:, None]
-        degree = c.shape[1]
-        scaled = c * np.diff(self.times)[:, None, None] ** np.arange(degree)[:, None]
-        return np.asarray((_bezier(pieces)[:, :degree] @ scaled).reshape(-1, 3))
+        """Return what `control_points` does of the motion, its tail left out."""
+        return control_points(self.times, self._coefficients, order, pieces)
 
     @classmethod
     def from_knots(
@@ -310,6 +290,36 @@ def _bezier(pieces: int) -> np.ndarray:
         for i in range(5)
     ]
     return np.array(rows)
+
+
+def control_points(
+    times: np.ndarray, coefficients: np.ndarray, order: int, pieces: int = PIECES
+) -> np.ndarray:
+    """Bezier control points of a spline: it never leaves their hull.
+
+    Parameters
+    ----------
+    times : (k + 1,)
+        Knot times [s].
+    coefficients : (k, 6, m)
+        Powers of the time since the knot.
+    order : int
+        0: the spline itself, 1 and 2: its derivatives.
+    pieces : int
+        Equal pieces into which every knot interval is cut first; the points come closer to the
+        curve as 1/pieces**2.
+
+    Returns
+    -------
+    (k * pieces * 5, m)
+        In order of time, for all orders at the same times. A piece's last point is the next one's
+        first, and is left out.
+    """
+    for _ in range(order):
+        coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[:, None]
+    degree, columns = coefficients.shape[1:]
+    scaled = coefficients * np.diff(times)[:, None, None] ** np.arange(degree)[:, None]
+    return np.asarray((_bezier(pieces)[:, :degree] @ scaled).reshape(-1, columns))
 
 
 def quintic_pieces(

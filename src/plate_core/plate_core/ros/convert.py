@@ -152,6 +152,8 @@ def wanted_to_msg(wanted: Wanted, stamp: Time, start: Time | None = None) -> Par
         header=Header(stamp=stamp, frame_id=FRAME), start=start or Time(), at_start=at_start,
         period_s=float(wanted.period),
     )  # fmt: skip
+    if wanted.plate is not None:
+        msg.plate_known, msg.plate = True, wanted.plate.ravel()
     state = wanted.start
     if state is None:
         state = np.hstack([parts.position, np.zeros((len(parts), 2))])
@@ -192,6 +194,8 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
         `MOST` (the ends of an interval may be infinite), an interval ends before it begins, or the
         period is not above 0.
     """
+    if msg.plate_known and not np.all(np.abs(msg.plate) <= MOST):
+        raise PlateError(f"part_forces: plate is {list(msg.plate)}, allowed: up to {MOST:g}")
     if len(msg.forces) > MOST_PARTS:
         raise PlateError(f"part_forces: {len(msg.forces)} parts, allowed: at most {MOST_PARTS}")
     ids = tuple(force.id for force in msg.forces)
@@ -211,6 +215,7 @@ def msg_to_wanted(msg: PartForces) -> Wanted:
         float(msg.period_s),
         rows[:, [0, 1, 3, 4]] if msg.at_start else None,
         _targets(ids, msg) if msg.to_targets else None,
+        np.reshape(msg.plate, (3, 3)) if msg.plate_known else None,
     )
 
 

@@ -71,6 +71,8 @@ class CycleLog:
         reported.
     reported : bool
         Whether starts of cycles are reported; else images are taken at them.
+    certain : bool
+        Whether it has been told what has begun: by reports, or in spite of the images.
     delays : tuple of int
         By how many cycles the last answers began later than at the end of the cycle that they
         answer.
@@ -80,6 +82,7 @@ class CycleLog:
     sent: tuple[Sent, ...] = ()
     reported: bool = False
     delays: tuple[int, ...] = ()
+    certain: bool = False
 
     @property
     def known(self) -> bool:
@@ -103,6 +106,11 @@ class CycleLog:
         return self.runs[-1][1].period
 
     @property
+    def plate(self) -> np.ndarray:
+        """Pose, twist and acceleration (3, 3) of the plate at the end of the last run."""
+        return self.runs[-1][1].state(-1)
+
+    @property
     def resting_since(self) -> float:
         """Since when the plate has been at rest [s]; infinite while it moves."""
         since = math.inf
@@ -123,9 +131,17 @@ class CycleLog:
         sent before begin first."""
         log, before = self, [one.cycle for one in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest one last
-            cycle = before[k] if k < len(before) else log.runs[-1][1]
+            cycle = log.next(before[k] if k < len(before) else None)
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
+
+    def next(self, newest: PlateCycle | None) -> PlateCycle:
+        """Return what follows the last run: the newest cycle if it begins as that one ends, else
+        its tail, or the same again, or rest."""
+        last = self.runs[-1][1]
+        if newest is not None and newest.follows(last):
+            return newest
+        return last.tail or (last if last.closes else PlateCycle.rest(last.period))
 
     def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps].
@@ -139,12 +155,14 @@ class CycleLog:
         before = self.sent[-LATEST:] if self.reported else ()
         return replace(self, sent=(*before, Sent(arrival, cycle, asked)))
 
-    def started(self, cycle: PlateCycle, begin: float) -> CycleLog:
-        """Take in the report that the plate began a cycle at `begin` [s]."""
+    def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
+        """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
+        images are taken at starts all the same."""
         if cycle.period < SHORTEST_S:
             return self
+        reported = not triggered
         if self.runs and begin < self.begin - MEMORY_S:
-            return CycleLog(((begin, cycle),), (), True)  # time began anew
+            return CycleLog(((begin, cycle),), (), reported, certain=True)  # time began anew
         before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
         sent, delays = self.sent, self.delays
@@ -156,7 +174,7 @@ class CycleLog:
                     late = round((begin - one.asked) / cycle.period) - 1
                     delays = (*delays, max(late, 0))[-DELAYS_KEPT:]
                 break
-        return CycleLog((*kept, (begin, cycle)), sent, True, delays)
+        return CycleLog((*kept, (begin, cycle)), sent, reported, delays, True)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -167,19 +185,19 @@ class CycleLog:
         if self.reported:
             log = self
             while log.end <= t < log.end + MEMORY_S:
-                log = log._begin(log.end, log.runs[-1][1])
+                log = log._begin(log.end)
             return log
         log = self
-        if self.runs and t < self.runs[-1][0]:
+        if self.runs and t < self.begin - SNAP * self.period:
             log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
             log = CycleLog(sent=self.sent)  # nothing has been seen for long
         if not log.runs:
-            return log._begin(t, None)
+            return log._begin(t)
         while log.end <= t - SNAP * log.period:
-            log = log._begin(log.end, log.runs[-1][1])
+            log = log._begin(log.end)
         if log.end <= t + SNAP * log.period:
-            log = log._begin(t, log.runs[-1][1])
+            log = log._begin(t)
         kept = tuple(run for run in log.runs if run[0] + run[1].period > t - MEMORY_S)
         return replace(log, runs=kept)
 
@@ -197,15 +215,21 @@ class CycleLog:
                 return taken if cycle.knot_pose.any() else t
         return t
 
-    def _begin(self, t: float, same: PlateCycle | None) -> CycleLog:
+    def _begin(self, t: float) -> CycleLog:
+        """Return the log after the next cycle has begun at a time [s]."""
         came = [one for one in self.sent if one.arrival + HANDOVER_S <= t]
         if self.delay:
             turn = self.delay + 1 - SNAP
             came = [one for one in came if one.asked + turn * one.cycle.period <= t]
-        if came:  # the report of its start finds it still there
-            sent = self.sent if self.reported else ()
-            return replace(self, runs=(*self.runs, (t, came[-1].cycle)), sent=sent)
-        return self if same is None else replace(self, runs=(*self.runs, (t, same)))
+        newest = came[-1].cycle if came else None
+        cycle = self.next(newest) if self.runs else newest
+        # The report of its start finds it still there, and so does the end of a tail.
+        keeps = self.reported or (cycle is not newest and newest is not None)
+        return replace(
+            self,
+            runs=self.runs if cycle is None else (*self.runs, (t, cycle)),
+            sent=self.sent if keeps or newest is None else (),
+        )
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when

@@ -271,12 +271,13 @@ class Estimator:
         """Take in a cycle that was sent to the plate; as in `CycleLog.hear`."""
         return replace(self, log=self.log.hear(cycle, arrival, asked))
 
-    def started(self, cycle: PlateCycle, begin: float) -> Estimator:
-        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]."""
+    def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> Estimator:
+        """Take in that the plate began a cycle at `begin` [s, the time of the stamps]; as in
+        `CycleLog.started`."""
         latency = self.latency
         if self.rig.camera.trigger is not None and not self.log.reported:
             latency = LatencyHypotheses.of(0.0)  # from now on it is known when images are taken
-        return replace(self, log=self.log.started(cycle, begin), latency=latency)
+        return replace(self, log=self.log.started(cycle, begin, triggered), latency=latency)
 
     def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
@@ -435,6 +436,11 @@ class Estimator:
         time = self.latency.estimate.time[self.latency.best][row]
         log = self.log.until_answer
         return propagate(log, self.mean[row], time, log.end, self.friction_accel)[:, :4]
+
+    @property
+    def next_plate(self) -> np.ndarray | None:
+        """Pose, twist and acceleration (3, 3) of the plate then; None where it is not certain."""
+        return self.log.until_answer.plate if self.log.certain else None
 
     def as_asked(self, parts: Parts) -> np.ndarray:
         """Where parts would be (M, 2) [m] then, if they did as they were asked."""

@@ -16,11 +16,13 @@ PERIOD = (0.01, 10.0)
 
 @dataclass(frozen=True)
 class Playback:
-    """The table being played, how often it has been repeated, and whether it only fills time."""
+    """The table being played, how often it has been repeated, whether it only fills time, and the
+    table that waits for rest."""
 
     cycle: PlateCycle
     repeats: int = 0
     resting: bool = False
+    waiting: PlateCycle | None = None
 
 
 def next_playback(
@@ -28,28 +30,36 @@ def next_playback(
 ) -> Playback:
     """Return what is played after `current`.
 
-    The newest table if one has come; else the same again, at most `hold_cycles` times; then rest,
-    in cycles of `idle_period` [s], until one comes.
+    The newest table if one has come that begins as this one ends; else its tail, after which what
+    begins at rest may follow. Where it has none: the same again, at most `hold_cycles` times; then
+    rest, in cycles of `idle_period` [s], until one comes.
     """
-    if newest is not None:
+    newest = newest or current.waiting
+    if newest is not None and newest.follows(current.cycle):
         return Playback(newest)
-    if current.resting or current.repeats >= hold_cycles:
+    if current.cycle.tail is not None:
+        later = newest if newest is not None and newest.starts_at_rest else None
+        return Playback(current.cycle.tail, resting=True, waiting=later)
+    if current.resting or current.repeats >= hold_cycles or not current.cycle.closes:
         return Playback(PlateCycle.rest(idle_period), resting=True)
     return replace(current, repeats=current.repeats + 1)
 
 
-def check_table(rig: Rig, cycle: PlateCycle) -> CycleUsage:
+def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
     """Return a table's use of the rig's limits.
 
     Raises
     ------
     CycleError
-        If it does not start at rest at home, exceeds a limit, or is too short or too long.
+        If it starts neither at rest at home nor as the running one ends, exceeds a limit, or is too
+        short or too long.
     """
     if not PERIOD[0] <= cycle.period <= PERIOD[1]:
         raise CycleError(f"period is {cycle.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")
-    if not cycle.starts_at_rest:
-        raise CycleError("table begins off home or moving, allowed: at rest at home")
+    if not (cycle.starts_at_rest or cycle.follows(running)):
+        raise CycleError(
+            "table begins off home or moving, allowed: at rest at home, or as the running one ends"
+        )
     peaks = usage(rig, cycle)
     if not peaks.worst <= SLACK:
         raise CycleError(

@@ -93,6 +93,9 @@ class Goal:
         No two parts are to end with their centres nearer to each other [m].
     coast : float
         Where parts end counts as if they kept their last velocity and spin for so long [s].
+    plate : (3, 3), optional
+        State of the plate at the start, as `PlateCycle.state`: the cycle goes on from it, and need
+        not end at rest if the goal is lasting. None: from rest to rest.
     """
 
     position: np.ndarray
@@ -106,6 +109,7 @@ class Goal:
     edge: np.ndarray | float = np.inf
     clear: np.ndarray | float = 0.0
     coast: float = 0.0
+    plate: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         same = np.broadcast_to(self.friction_accel, len(self.position))

@@ -162,7 +162,9 @@ class RotationSolver(MotionSolver):
     def forget(self) -> None:
         self._warm = self._basis = self._last = None
 
-    def steering_period(self, count: int, turns: int = 0, lasting: bool = False) -> float:
+    def steering_period(
+        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+    ) -> float:
         return self.options.period * (0.5 if count <= FEW[0] else 0.75 if count <= FEW[1] else 1.0)
 
     def _solve(self, request: Request) -> Solution:

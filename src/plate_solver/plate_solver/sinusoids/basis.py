@@ -6,17 +6,21 @@ A free family has 2 N parameters for each degree of freedom. A family that start
 u(0) = 0 and u'(0) = 0 for each, which leaves 2 N - 2, and its poses are measured from where it
 starts: so the plate is at home, at rest and free of acceleration at the edge of each cycle, and any
 cycle may follow any other.
+
+A plate that need not rest at the edge has three functions more for each degree of freedom, which
+lead to the state in which the cycle ends, and after it to rest, in the cycle's tail. A cycle that
+begins in motion is that cycle's tail, and what the basis adds to it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from plate_core import PlateCycle
-from plate_core.motion import PIECES
+from plate_core.motion import PIECES, control_points, quintic_pieces
 
 from ..limits import EQUAL_WEIGHT, Limits, limit_use
 
@@ -25,6 +29,18 @@ STEPS_PER_HARMONIC = 26
 
 LONGEST_STEP = 0.4e-3
 """Longest step [s]: friction acts by first-order steps, which at 1 ms miss 10 % of a drift."""
+
+TAIL_S = 0.05
+"""Length of the way from any state to rest, one quintic, and of the way into a final state [s]."""
+
+END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
+"""Final pose [m], velocity [m/s] and acceleration [m/s2] for which that way's fastest is 1 m/s."""
+
+LOOKS_PER_HARMONIC = 8
+"""Instants per period of the highest harmonic at which limits are looked at."""
+
+TAIL_LOOKS = 12
+"""The same in a tail."""
 
 KNOTS_PER_HARMONIC = 8
 """Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
@@ -52,6 +68,15 @@ class SinusoidBasis:
         Powers of the time since the knot, as `PlateCycle.coefficients`.
     hull : (3 c, h)
         Control points of pose, twist and acceleration, as `PlateCycle.control_points`.
+    free_end : bool
+        Whether motions may end in any state; then they have a tail.
+    looks : tuple of (l, h)
+        The same basis (pose, twist, accel) where limits are looked at, also in the tail.
+    settling : tuple of (n, 3)
+        Pose, twist and acceleration, at the middles of steps, of a plate that begins with 1 m,
+        1 m/s or 1 m/s2, on its way to rest.
+    settling_knots, settling_looks : tuple of (k + 1, 3), (l, 3)
+        The same at the knots, and where limits are looked at.
     """
 
     period: float
@@ -64,30 +89,66 @@ class SinusoidBasis:
     knots: tuple[np.ndarray, np.ndarray, np.ndarray]
     spline: np.ndarray
     hull: np.ndarray
+    free_end: bool
+    looks: tuple[np.ndarray, np.ndarray, np.ndarray]
+    settling: tuple[np.ndarray, np.ndarray, np.ndarray]
+    settling_knots: tuple[np.ndarray, np.ndarray, np.ndarray]
+    settling_looks: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @property
     def dt(self) -> float:
         """Length of a step [s]."""
         return self.period / self.steps
 
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """From twists at the middles of steps to coefficients by least squares (h, n)."""
+        return np.linalg.pinv(self.twist)
+
     @property
     def size(self) -> int:
         """Parameters for each degree of freedom."""
         return self.twist.shape[1]
 
-    def cycle(self, coefficients: np.ndarray) -> PlateCycle:
-        """Return the motion of coefficients (h, 3) as a plate cycle."""
-        pose, twist, accel = (basis @ coefficients for basis in self.knots)
+    def cycle(self, coefficients: np.ndarray, plate: np.ndarray | None = None) -> PlateCycle:
+        """Return the motion of coefficients (h, 3) as a plate cycle; it begins in a state (3, 3) of
+        the plate, at rest if that is left out."""
+        states = [basis @ coefficients for basis in self.knots]
         spline = (self.spline @ coefficients).reshape(-1, 6, 3)
-        for array in (pose, twist, accel):
-            array[-1] = array[0]  # to the last bit
-            array.setflags(write=False)
-        return PlateCycle(self.times, pose, twist, accel, spline)
+        if plate is not None:
+            more = [matrix @ plate for matrix in self.settling_knots]
+            spline = spline + quintic_pieces(self.times, *more)
+            states = [state + own for state, own in zip(states, more, strict=True)]
+        tail = None
+        if self.free_end:
+            tail = PlateCycle.stopping(np.stack([state[-1] for state in states]), TAIL_S)
+        for state in states:
+            if not self.free_end:  # to the last bit
+                state[-1] = state[0] if plate is None else 0
+            state.setflags(write=False)
+        pose, twist, accel = states
+        return PlateCycle(self.times, pose, twist, accel, spline, tail)
+
+
+def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return pose, twist and acceleration (n, 3), at times t (n,) [s], on the way to rest from a
+    state of 1 m, 1 m/s or 1 m/s2."""
+    edge = np.stack([np.eye(3), np.zeros((3, 3))], axis=1)
+    powers, on_way = quintic_pieces(np.array([0.0, TAIL_S]), *edge)[0], t < TAIL_S
+    pose, twist, accel = (
+        np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyder(powers, order)).T
+        * on_way[:, None]
+        for order in range(3)
+    )
+    return pose, twist, accel
 
 
 @lru_cache(maxsize=32)
-def sinusoid_basis(number: int, period: float, at_rest: bool, steps: int = 0) -> SinusoidBasis:
-    """Return the family with `number` harmonics; at_rest tells whether it starts at rest.
+def sinusoid_basis(
+    number: int, period: float, at_rest: bool, steps: int = 0, free_end: bool = False
+) -> SinusoidBasis:
+    """Return the family with `number` harmonics; at_rest tells whether it starts at rest, free_end
+    whether it may then end in any state, and has a tail.
 
     `steps` is the number of samples; 0 takes enough to find a solution.
     """
@@ -108,29 +169,36 @@ def sinusoid_basis(number: int, period: float, at_rest: bool, steps: int = 0) ->
         pose = np.hstack([(offset - cos) / j, sin / j]) / omega
         twist = np.hstack([sin, cos])
         accel = np.hstack([cos * j, -sin * j]) * omega
-        pose, twist, accel = (
-            np.ascontiguousarray(matrix @ span) for matrix in (pose, twist, accel)
-        )
+        inside = (t <= period)[:, None]
+        matrices = [matrix @ span * inside for matrix in (pose, twist, accel)]
+        if free_end:  # the last TAIL_S are a tail backwards in time
+            before = (t < period)[:, None]
+            sign, back = np.where(before, [1.0, -1.0, 1.0], 1.0), np.where(before, -1.0, 1.0)
+            way = settling(np.abs(period - t))
+            matrices = [
+                np.hstack([matrix, END_UNITS * sign * turn * own])
+                for matrix, own, turn in zip(matrices, way, (1.0, back, 1.0), strict=True)
+            ]
+        pose, twist, accel = (np.ascontiguousarray(matrix) for matrix in matrices)
         return pose, twist, accel
 
-    pose, twist, accel = basis((np.arange(steps) + 0.5) / steps * period)
+    t = (np.arange(steps) + 0.5) / steps * period
+    pose, twist, accel = basis(t)
     times = np.arange(knots + 1) / knots * period
     times.setflags(write=False)
-    ends = basis(times % period)
+    ends = basis(times if free_end else times % period)
+    looks = t[:: max(1, steps // (LOOKS_PER_HARMONIC * number))]
+    if free_end:
+        looks = np.append(looks, period + TAIL_S * (np.arange(TAIL_LOOKS) + 0.5) / TAIL_LOOKS)
     # The spline is linear in the motion, so that of each coefficient alone gives all.
-    splines = [
-        PlateCycle.from_knots(times, *(np.outer(end[:, h], [1, 0, 0]) for end in ends))
-        for h in range(span.shape[1])
-    ]
-    spline = np.stack([one.coefficients[:, :, 0].ravel() for one in splines], axis=1)
+    spline = quintic_pieces(times, *ends).reshape(-1, ends[0].shape[1])
     pieces = 1 if number <= 2 else PIECES  # at 16 knots to a wave they come out 0.1 % too high
-    hull = np.vstack(
-        [
-            np.stack([one.control_points(order, pieces)[:, 0] for one in splines], axis=1)
-            for order in range(3)
-        ]
-    )
-    return SinusoidBasis(period, steps, twist, pose, accel, span, times, ends, spline, hull)
+    own = spline.reshape(knots, 6, -1)
+    hull = np.vstack([control_points(times, own, order, pieces) for order in range(3)])
+    return SinusoidBasis(
+        period, steps, twist, pose, accel, span, times, ends, spline, hull, free_end, basis(looks),
+        settling(t), settling(times), settling(looks),
+    )  # fmt: skip
 
 
 class SinusoidFamily:

@@ -34,9 +34,17 @@ struct Motions {
     int bins() const { return pose_bins.rows; }
 };
 
+// What the plate does without the basis: on its way to rest from the state in which it begins.
+struct Settling {
+    Matrix pose, twist;  // (3, n) at the middles of steps
+    Looked looked;       // where limits are looked at
+    bool moves;          // whether it does anything
+};
+
 // What a descent is to do.
 struct Problem {
     const Motions& motions;
+    const Settling& settling;
     View<const double, 2> start;  // parts in blocks, (b, STATE) or (b, TURNING_STATE)
     Ends ends;
     double coast;  // [s]
@@ -68,24 +76,26 @@ public:
         room.own.resize(3 * motions.size());
         room.place.resize(axes * problem.ends.parts);
         steps = {room.steps.data(), {motions.steps(), blocks, trace}};
+        if (problem.settling.moves) settling_use = use_of(problem.settling.looked);
     }
 
     // Scale a motion to what limits it may use; find its errors [m].
     void evaluate(std::vector<double>& theta, std::vector<double>& error) {
         const Limits& limits = motions.limits;
-        set_coefficients(theta);
-        look(room.own.data(), motions.looks, room.looked);
+        look_at(theta);
         const Looked& at = room.looked;
-        const double use = limit_use(samples(at.pose), samples(at.twist), samples(at.accel),
-                                     weights(EQUAL_WEIGHT), limits, true);
-        const double share = std::min(1.0, problem.most / std::max(use, 1e-300));
-        if (share < 1) {
-            for (double& value : theta) value *= share;
-            set_coefficients(theta);
-            look(room.own.data(), motions.looks, room.looked);
+        const double use = use_of(at);
+        if (use > problem.most) {
+            const double share = (problem.most - settling_use) / (use - settling_use);
+            for (double& value : theta) value *= std::max(share, 0.0);
+            look_at(theta);
         }
         combine(room.own.data(), motions.pose, room.pose);
         combine(room.own.data(), motions.twist, room.twist);
+        if (problem.settling.moves) {
+            add_to(room.pose, problem.settling.pose);
+            add_to(room.twist, problem.settling.twist);
+        }
         move_parts();
         end_errors(room.place, problem.ends, error, room.by_place);
         const int looks = motions.looks.count();
@@ -122,10 +132,27 @@ private:
     const Motions& motions;
     Room& room;
     int blocks, axes;
+    double settling_use = 0;  // fraction of the limits
     View<double, 3> steps;
 
-    void set_coefficients(const std::vector<double>& theta) {
+    double use_of(const Looked& at) const {
+        return limit_use(samples(at.pose), samples(at.twist), samples(at.accel),
+                         weights(EQUAL_WEIGHT), motions.limits, true);
+    }
+
+    // Finds the motion of parameters where limits are looked at.
+    void look_at(const std::vector<double>& theta) {
         for (size_t p = 0; p < theta.size(); p++) room.own[p] = theta[p] * motions.scale[p % 3];
+        look(room.own.data(), motions.looks, room.looked);
+        if (!problem.settling.moves) return;
+        add_to(room.looked.pose, problem.settling.looked.pose);
+        add_to(room.looked.twist, problem.settling.looked.twist);
+        add_to(room.looked.accel, problem.settling.looked.accel);
+    }
+
+    static void add_to(Matrix& path, const Matrix& more) {
+        for (int axis = 0; axis < path.rows; axis++)
+            for (int k = 0; k < path.columns; k++) path[axis][k] += more[axis][k];
     }
 
     // Where parts end, `coast` after the motion: x of all, y of all, turns of all.

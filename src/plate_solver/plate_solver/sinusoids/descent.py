@@ -16,7 +16,6 @@ from ..limits import Limits
 from ..maps import blocks_of, turning_blocks_of
 from ..requests import Ends, Goal
 from .basis import SinusoidBasis
-from .limits import LOOKS_PER_HARMONIC
 
 BIN = 4
 """Steps whose derivatives are summed before they meet the basis."""
@@ -27,28 +26,25 @@ class Motions(NamedTuple):
 
     Attributes
     ----------
-    basis : _kernels.Motions
+    basis : SinusoidBasis
+    kept : _kernels.Motions
         Both, as kernels keep them.
-    dt : float
-        Length of a step [s].
     """
 
-    basis: _kernels.Motions
-    dt: float
+    basis: SinusoidBasis
+    kept: _kernels.Motions
 
     @classmethod
     def of(cls, basis: SinusoidBasis, limits: Limits) -> Motions:
         """Take a basis whose number of steps is a multiple of `BIN`."""
-        every = max(1, basis.steps // (LOOKS_PER_HARMONIC * (basis.size // 2 + 1)))
         pose_bins, twist_bins = (
             matrix.reshape(-1, BIN, basis.size).mean(axis=1) for matrix in (basis.pose, basis.twist)
         )
-        looks = (matrix[::every] for matrix in (basis.pose, basis.twist, basis.accel))
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(
-            basis.pose, basis.twist, pose_bins, twist_bins, *looks, scale, basis.dt, limits
+            basis.pose, basis.twist, pose_bins, twist_bins, *basis.looks, scale, basis.dt, limits
         )
-        return cls(kept, basis.dt)
+        return cls(basis, kept)
 
 
 class Problem(NamedTuple):
@@ -57,6 +53,8 @@ class Problem(NamedTuple):
     Attributes
     ----------
     motions : Motions
+    settling : _kernels.Settling
+        What the plate does without them, from the state in which it begins.
     start : (b, STATE) or (b, TURNING_STATE)
         Parts at the start, in blocks.
     ends : Ends
@@ -67,6 +65,7 @@ class Problem(NamedTuple):
     """
 
     motions: Motions
+    settling: _kernels.Settling
     start: np.ndarray
     ends: Ends
     coast: float
@@ -75,12 +74,16 @@ class Problem(NamedTuple):
     @classmethod
     def of(cls, goal: Goal, motions: Motions, most: float) -> Problem:
         """Take a goal."""
-        state = goal.position, goal.velocity, goal.friction_accel, motions.dt
+        basis = motions.basis
+        state = goal.position, goal.velocity, goal.friction_accel, basis.dt
         if goal.turns is None:
             start = blocks_of(*state)
         else:
             start = turning_blocks_of(*state, goal.turns.spin, goal.turns.spread)
-        return cls(motions, start, goal.ends, goal.coast, most)
+        plate = np.zeros((3, 3)) if goal.plate is None else goal.plate
+        moved = (matrix @ plate for matrix in (*basis.settling[:2], *basis.settling_looks))
+        settling = _kernels.settling_of(*moved)
+        return cls(motions, settling, start, goal.ends, goal.coast, most)
 
 
 def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: int) -> Fit:
@@ -88,9 +91,9 @@ def descend(problem: Problem, theta: np.ndarray, tolerance: float, iterations: i
 
     The errors of the result are those of the ends, and then limits that are exceeded.
     """
-    motions, start, ends, coast, most = problem
+    motions, settling, start, ends, coast, most = problem
     return Fit(
         *_kernels.descend(
-            motions.basis, start, ends, coast, most, theta, float(tolerance), iterations
+            motions.kept, settling, start, ends, coast, most, theta, float(tolerance), iterations
         )
     )

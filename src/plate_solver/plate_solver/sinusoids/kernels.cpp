@@ -62,16 +62,31 @@ static Motions motions_of(Table pose, Table twist, Table pose_bins, Table twist_
             limits_of(limits)};
 }
 
-static nb::tuple descend(const Motions& motions, Table start, nb::tuple ends_record, double coast,
+// Of samples (n, 3) at the middles of steps, and where limits are looked at.
+static descent::Settling settling_of(Table pose, Table twist, Table look_pose, Table look_twist,
+                                     Table look_accel) {
+    for (const Table* each : {&pose, &twist}) check("settling", *each, {pose.shape(0), 3});
+    for (const Table* each : {&look_pose, &look_twist, &look_accel})
+        check("settling", *each, {look_pose.shape(0), 3});
+    const auto moves = [](double value) { return value != 0; };
+    return {transposed(pose), transposed(twist),
+            {transposed(look_pose), transposed(look_twist), transposed(look_accel)},
+            std::any_of(look_accel.data(), look_accel.data() + look_accel.size(), moves)};
+}
+
+static nb::tuple descend(const Motions& motions, const descent::Settling& settling, Table start, nb::tuple ends_record, double coast,
                          double most, Numbers theta, double tolerance, int iterations) {
     const bool turning = start.shape(1) == TURNING_STATE;
     const size_t ends = nb::cast<Numbers>(ends_record[0]).size(), axes = turning ? 3 : 2;
     const EndsRecord record(ends_record, ends);
-    const Problem problem{motions, view(start), record.view(), coast, most};
+    const Problem problem{motions, settling, view(start), record.view(), coast, most};
     if (!turning) check("start", start, {start.shape(0), STATE});
     const size_t parts = problem.ends.parts;
     if (ends != axes * parts || start.shape(0) * LANES < parts)
         throw nb::value_error("the numbers of parts, blocks and ends do not belong together");
+    if (settling.pose.columns != motions.steps() ||
+        settling.looked.pose.columns != motions.looks.count())
+        throw nb::value_error("settling and motions do not belong together");
     check("theta", theta, {3 * static_cast<size_t>(motions.size())});
     Fit fit;
     {
@@ -103,7 +118,9 @@ void bind_sinusoids(nb::module_& m) {
         });
     });
     nb::class_<Motions>(m, "Motions");
+    nb::class_<descent::Settling>(m, "Settling");
     m.def("motions_of", motions_of);
+    m.def("settling_of", settling_of);
     m.def("descend", descend);
 }
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from plate_core import PlateCycle
+
 from .. import _kernels
 from ..limits import Limits
 from .basis import SinusoidBasis, SinusoidFamily
@@ -18,9 +20,6 @@ EXCESS_M: float = _kernels.EXCESS_M
 
 AIM: float = _kernels.AIM
 """Fraction of a limit above which there is excess: what is found ends a little higher."""
-
-LOOKS_PER_HARMONIC = 8
-"""Instants per period of the highest harmonic at which limits are looked at."""
 
 
 class LimitedSinusoids(SinusoidFamily):
@@ -32,20 +31,35 @@ class LimitedSinusoids(SinusoidFamily):
     limits : Limits
     most : float
         1 keeps the limits.
+    plate : (3, 3), optional
+        State in which the plate begins, as `PlateCycle.state`; at rest if left out.
     """
 
-    def __init__(self, basis: SinusoidBasis, limits: Limits, most: float) -> None:
+    def __init__(
+        self, basis: SinusoidBasis, limits: Limits, most: float, plate: np.ndarray | None = None
+    ) -> None:
         super().__init__(basis, limits)
         self._most = most
-        every = max(1, basis.steps // (LOOKS_PER_HARMONIC * (basis.size // 2 + 1)))
-        self._looks = tuple(
-            np.ascontiguousarray(matrix[::every])
-            for matrix in (basis.pose, basis.twist, basis.accel)
-        )
+        self.plate = np.zeros((3, 3)) if plate is None else plate
+
+    def samples(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return pose and twist (n, 3) at the middles of steps (n,) [s], and these."""
+        pose, twist, dt = super().samples(parameters)
+        settling = self.basis.settling
+        return pose + settling[0] @ self.plate, twist + settling[1] @ self.plate, dt
+
+    def cycle(self, parameters: np.ndarray) -> PlateCycle:
+        """Return the motion as a plate cycle."""
+        return self.basis.cycle(self.coefficients(parameters), self.plate)
 
     def admissible(self, parameters: np.ndarray) -> np.ndarray:
         """Scale down what exceeds the limits by more than `most`."""
         return parameters * min(1.0, self._most / max(self.use(parameters), 1e-300))
+
+    def nearest(self, twist: np.ndarray) -> np.ndarray:
+        """Return the parameters whose twist is nearest to samples (n, 3), by least squares."""
+        own = self.basis.inverse @ (twist - self.basis.settling[1] @ self.plate)
+        return (own / self._scale).ravel()
 
     def penalty(self, parameters: np.ndarray) -> np.ndarray:
         """Return the excess over the limits (K,) [m], where there is any."""
@@ -57,7 +71,7 @@ class LimitedSinusoids(SinusoidFamily):
         return slopes.reshape(len(slopes), parameters.size)
 
     def _excess(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        pose, twist, accel = self._looks
+        pose, twist, accel = self.basis.looks
         own, limits = self.coefficients(parameters), self._limits
         value, slope = excess(own, pose, twist, accel, limits)
         if limits.forceful:

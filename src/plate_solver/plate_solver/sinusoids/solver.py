@@ -33,6 +33,10 @@ MOST_STARTS = 200
 """Random starts that are drawn; who wants more restarts meets them again."""
 
 
+GOING_ON = 8, 0.1
+"""Harmonics and period [s] of cycles that need not end at rest."""
+
+
 @dataclass(frozen=True)
 class SinusoidOptions:
     """Options of `SinusoidSolver`.
@@ -100,6 +104,7 @@ class SinusoidSolver(MotionSolver):
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
             self._limits,
+            self._full,
             self.options.iterations,
             self.options.restarts,
             self.options.threads,
@@ -190,16 +195,23 @@ class SinusoidSolver(MotionSolver):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        number, period, _ = self._key(goal.asked, True, goal.lasting)
+        number, period = self._steering_key(goal.asked, goal.lasting, goal.plate is not None)
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng, until
         )
         self.cut_short = self._steering.cut_short
-        cycle = within_limits(cycle, self._full)
         return goal_solution(goal, cycle, good_enough, iterations, condition)
 
-    def steering_period(self, count: int, turns: int = 0, lasting: bool = False) -> float:
-        return self._key(2 * count + turns, True, lasting)[1]
+    def steering_period(
+        self, count: int, turns: int = 0, lasting: bool = False, goes_on: bool = False
+    ) -> float:
+        return self._steering_key(2 * count + turns, lasting, goes_on)[1]
+
+    def _steering_key(self, constraints: int, lasting: bool, goes_on: bool) -> tuple[int, float]:
+        """Return harmonics and period of the cycles of `steer`."""
+        if lasting and goes_on and not self.options.harmonics:
+            return GOING_ON
+        return self._key(constraints, True, lasting)[:2]
 
     def harmonics(self, constraints: int) -> int:
         """How many harmonics the motions for so many forces on the averaged map have."""

@@ -14,7 +14,7 @@ import numpy as np
 from plate_core import PlateCycle
 
 from ..fit import Fit
-from ..limits import Limits
+from ..limits import Limits, within_limits
 from ..maps import finely_sampled
 from ..requests import Goal
 from .basis import STEPS_PER_HARMONIC, sinusoid_basis
@@ -44,11 +44,12 @@ steps of each."""
 
 
 class SinusoidSteering:
-    """Steers parts by sinusoids from rest; remembers the last motion as a start for the next.
+    """Steers parts by sinusoids; remembers the last motion as a start for the next.
 
     Parameters
     ----------
-    limits : Limits
+    limits, full : Limits
+        That a search keeps, and that the motion keeps.
     iterations : int
         Most steps of a descent.
     restarts : int
@@ -67,19 +68,20 @@ class SinusoidSteering:
     def __init__(
         self,
         limits: Limits,
+        full: Limits,
         iterations: int,
         restarts: int,
         threads: int = 1,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._limits = limits
+        self._limits, self._full = limits, full
         self._iterations, self._restarts = iterations, restarts
         self._threads = ThreadPoolExecutor(min(threads, AT_ONCE)) if threads > 1 else None
         self._clock = clock
         self.cut_short = 0
         self._finishing = 0.0  # how long the last answer took after its search [s]
-        self._warm: dict[tuple[int, float], np.ndarray] = {}
-        self._motions: dict[tuple[int, float, float], Motions] = {}
+        self._warm: dict[tuple[int, float, float, bool], np.ndarray] = {}  # twists
+        self._motions: dict[tuple[int, float, float, bool], Motions] = {}
 
     def forget(self) -> None:
         """Forget the last motions."""
@@ -104,10 +106,14 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        step = ROUGH_STEP if goal.lasting else STEP
-        family = limited_sinusoids(number, period, self._limits, BEYOND, step)
-        motions = self._motions_of(number, period, step)
-        known = self._warm.get((number, period))
+        step, free_end = (
+            ROUGH_STEP if goal.lasting else STEP,
+            goal.lasting and goal.plate is not None,
+        )
+        key = number, period, step, free_end
+        family = limited_sinusoids(*key, self._limits, BEYOND, goal.plate)
+        motions = self._motions_of(key)
+        known = self._warm.get(key)
         fresh = FRESH if known is None else 0
         problem = Problem.of(goal, motions, BEYOND)
 
@@ -120,23 +126,24 @@ class SinusoidSteering:
         def improved(start: np.ndarray) -> Fit:
             return descend(problem, start, tolerance, self._iterations)
 
-        begin = family.random(rng) if known is None else known
+        begin = family.random(rng) if known is None else family.nearest(known)
         enough, most = good_enough**2 * goal.asked, self._restarts + fresh
         best, iterations = self._search(improved, start, begin, most, enough, until)
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
-        strict = limited_sinusoids(number, period, self._limits, 1.0, step)
+        strict = limited_sinusoids(*key, self._limits, 1.0, goal.plate)
         for _ in range(AIMS):
             fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
             off = fine - goal.end(*strict.samples(last.parameters))
             last = self._within(goal.shifted(-off), motions, last.parameters, tolerance)
             iterations += last.iterations
-        self._warm[number, period] = last.parameters
+        self._warm[key] = strict.samples(last.parameters)[1]
         asked = last.jacobian[: goal.rows]
         asked = asked[np.any(asked != 0, axis=1)]
         condition = last._replace(jacobian=asked).condition if len(asked) else 1.0
         self._finishing = self._clock() - began
-        return strict.cycle(last.parameters), iterations, condition
+        cycle = within_limits(strict.cycle(last.parameters), self._full, strict.cycle(0 * begin))
+        return cycle, iterations, condition
 
     def _search(
         self,
@@ -175,19 +182,22 @@ class SinusoidSteering:
         """Correct a motion within the limits."""
         return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
 
-    def _motions_of(self, number: int, period: float, step: float) -> Motions:
+    def _motions_of(self, key: tuple[int, float, float, bool]) -> Motions:
         """Return the motions that descents are made of, as kernels keep them."""
-        key = number, period, step
         if key not in self._motions:
-            basis = limited_sinusoids(number, period, self._limits, 1.0, step).basis
-            self._motions[key] = Motions.of(basis, self._limits)
+            self._motions[key] = Motions.of(
+                limited_sinusoids(*key, self._limits, 1.0).basis, self._limits
+            )
         return self._motions[key]
 
 
 def limited_sinusoids(
-    number: int, period: float, limits: Limits, most: float, step: float = STEP
-) -> LimitedSinusoids:
-    """Return the family that starts and ends at rest, in steps of at most `step` [s]."""
+    number: int, period: float, step: float, free_end: bool, limits: Limits, most: float,
+    plate: np.ndarray | None = None,
+) -> LimitedSinusoids:  # fmt: skip
+    """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
+    at rest or, with `free_end`, in any state, in steps of at most `step` [s]."""
     steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / step))
     steps = -(-steps // BIN) * BIN
-    return LimitedSinusoids(sinusoid_basis(number, period, True, steps), limits, most)
+    basis = sinusoid_basis(number, period, True, steps, free_end)
+    return LimitedSinusoids(basis, limits, most, plate)
