@@ -296,7 +296,7 @@ def test_a_search_ends_so_early_that_its_answer_is_there_in_time(rig, monkeypatc
 
     descend = steer.descend
     monkeypatch.setattr(steer, "descend", slow)
-    steering = SinusoidSteering(Limits.of(rig), 5, 9, clock=lambda: now[0])
+    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 9, clock=lambda: now[0])
     steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, np.random.default_rng(0))
     assert now[0] == pytest.approx(
         0.03 * (1 + 9 + 3 + 3)
@@ -312,7 +312,7 @@ def test_a_search_ends_so_early_that_its_answer_is_there_in_time(rig, monkeypatc
 
 
 def test_threads_begin_nothing_too_late(rig):
-    steering = SinusoidSteering(Limits.of(rig), 5, 1000, 2)
+    steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 1000, 2)
     rng = np.random.default_rng(0)
     few = steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng, time.monotonic())[1]
     assert steering.cut_short == 1
@@ -322,7 +322,7 @@ def test_threads_begin_nothing_too_late(rig):
 def test_threads_change_no_answer(rig):
     cycles = []
     for threads in (1, 2, 4):
-        steering = SinusoidSteering(Limits.of(rig), 5, 9, threads)
+        steering = SinusoidSteering(Limits.of(rig), Limits.of(rig, 1.0), 5, 9, threads)
         rng = np.random.default_rng(0)
         found = [steering.steer(exclusive(), 4, 0.1, 0.0, 1e-9, rng)[0] for _ in range(3)]
         cycles.append(np.stack([cycle.knot_pose for cycle in found]))

@@ -3,12 +3,23 @@
 import numpy as np
 import pytest
 
-from plate_core.motion import usage
+from plate_core import PlateCycle
+from plate_core.motion import is_rest, usage
 from plate_sim import simulate
 from plate_solver import Goal, RotationSolver, SinusoidSolver
 from plate_solver.limits import Limits
-from plate_solver.maps import LANES, TRACE, adjoint, blocks_of, end_state, end_state_gradient, trace
+from plate_solver.maps import (
+    LANES,
+    TRACE,
+    adjoint,
+    blocks_of,
+    end_state,
+    end_state_gradient,
+    finely_sampled,
+    trace,
+)
 from plate_solver.sinusoids import limited_sinusoids
+from plate_solver.sinusoids.basis import TAIL_S
 from plate_solver.sinusoids.descent import Motions, Problem, descend
 
 BOTH = pytest.mark.parametrize("method", [SinusoidSolver, RotationSolver])
@@ -179,15 +190,22 @@ def test_blocks_do_as_the_cycle_map_and_so_do_their_derivatives(rig, scene, coun
         )
 
 
-def test_a_descents_slopes_agree_with_differences(rig, scene):
+PLATE = np.array([[1e-3, -5e-4, 0.01], [0.05, 0.1, -0.5], [5.0, -3.0, 20.0]])
+"""A state of the plate that is well within the limits."""
+
+
+@pytest.mark.parametrize("plate", [None, PLATE])
+def test_a_descents_slopes_agree_with_differences(rig, scene, plate):
     rng, position = scene(4, 3)
     goal = Goal(
         position, 0.02 * rng.normal(size=(3, 2)), 0.004 * rng.normal(size=(3, 2)),
         np.zeros((3, 2)), rig.friction.accel, edge=np.full(2, 0.05), clear=0.2, coast=0.03,
+        plate=plate,
     )  # fmt: skip
-    family = limited_sinusoids(4, 0.1, Limits.of(rig), 1.3)
+    free_end = plate is not None
+    family = limited_sinusoids(4, 0.1, Limits.of(rig), 1.3, free_end=free_end, plate=plate)
     problem = Problem.of(goal, Motions.of(family.basis, Limits.of(rig)), 1.3)
-    theta = 0.99 * family.random(rng)
+    theta = (1.2 if free_end else 0.99) * family.random(rng)
     found = descend(problem, theta, 0.0, 0)
     assert len(found.error) > 6 + 3  # places, pairs, and limits that are exceeded
     for k in rng.choice(len(theta), 8, replace=False):
@@ -198,6 +216,50 @@ def test_a_descents_slopes_agree_with_differences(rig, scene):
         size = np.max(np.abs(found.jacobian))
         # Bins of four steps stand for their mean: measured 6 % of the greatest at most.
         np.testing.assert_allclose(-slope, found.jacobian[:, k], atol=0.1 * size)
+
+
+def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(rig, scene):
+    solver = SinusoidSolver(rig, restarts=3)
+    rng, position = scene(2, 4)
+    velocity, before = 0.02 * rng.normal(size=(4, 2)), PlateCycle.rest(0.1)
+    aim = rng.uniform(-0.1, 0.1, (4, 2))
+    for k in range(6):
+        last = k == 5
+        goal = Goal(
+            position, velocity, 2e-3 * np.sign(aim - position) if last else aim - position,
+            np.zeros((4, 2)), rig.friction.accel, lasting=not last, coast=0.0 if last else 0.03,
+            plate=before.state(-1),
+        )  # fmt: skip
+        cycle = solver.steer(goal, 1e-5, 1e-4).cycle
+        assert cycle.follows(before)
+        assert (cycle.tail is None) == last  # an exact drift ends at rest
+        assert is_rest(cycle.parts[-1].state(-1))
+        assert usage(rig, cycle).worst <= 1
+        run = simulate(cycle, position, velocity, rig.friction.mu, rig.friction.gravity)
+        end = goal.end(*finely_sampled(cycle)).reshape(2, -1).T - goal.coast * run.velocity[-1]
+        np.testing.assert_allclose(run.position[-1], end, atol=3e-5)
+        position, velocity, before = run.position[-1], run.velocity[-1], cycle
+    assert np.any(goal.plate[1] != 0)
+
+
+def test_no_parameters_are_the_tail_and_nearest_ones_repeat_a_motion(rig):
+    limits, rng = Limits.of(rig), np.random.default_rng(0)
+    family = limited_sinusoids(8, 0.1, limits, 1.0, free_end=True, plate=PLATE)
+    nothing = family.cycle(np.zeros(3 * family.basis.size))
+    t = np.linspace(0, TAIL_S, 30)
+    np.testing.assert_allclose(
+        nothing.pose(t), PlateCycle.stopping(PLATE, TAIL_S).pose(t), atol=1e-12
+    )
+    assert is_rest(nothing.state(-1))
+    theta = family.random(rng)
+    np.testing.assert_allclose(family.nearest(family.samples(theta)[1]), theta, rtol=1e-6)
+    cycle = family.cycle(theta)
+    np.testing.assert_array_equal(cycle.state(0), PLATE)
+    np.testing.assert_allclose(cycle.tail.state(0), cycle.state(-1))
+    pose, twist, dt = family.samples(theta)
+    middle = np.cumsum(dt) - dt / 2
+    np.testing.assert_allclose(cycle.pose(middle), pose, atol=1e-6)
+    np.testing.assert_allclose(cycle.twist(middle), twist, atol=2e-3)
 
 
 @BOTH

@@ -15,7 +15,7 @@ PARTS, STEPS, BINS = 3, 8, 2
 LIMITS = Limits.of(load_rig())
 RNG = np.random.default_rng(0)
 BASIS = sinusoid_basis(4, 0.1, True, 256)
-MOTIONS = Motions.of(BASIS, LIMITS).basis
+MOTIONS = Motions.of(BASIS, LIMITS).kept
 
 
 def random(*shape):
@@ -31,6 +31,10 @@ BY = random(BINS, 1, 2, 3 * LANES), random(BINS, 1, 2, 2 * LANES)
 BY_TURNING = random(BINS, 1, 3, 3 * LANES), random(BINS, 1, 3, 2 * LANES)
 LOOKS = random(5, 4), random(5, 4), random(5, 4)
 ENDS = Ends(*random(5, 2 * PARTS), np.array([[0, 1], [1, 2]]), random(2), PARTS)
+SETTLING = (
+    *(random(256, 3) for _ in range(2)),
+    *(random(*BASIS.looks[0].shape[:1], 3) for _ in range(3)),
+)
 CALLS = {
     "limit_use": (*MOTION, random(STEPS, 3), random(2), LIMITS, True),
     "least_norm_step": (random(3, 4), random(3), 0.1),
@@ -46,7 +50,18 @@ CALLS = {
     "request_flags": (*POINTS, random(PARTS, 2), random(PARTS), random(PARTS, 2)),
     "excess": (random(4, 3), *LOOKS, LIMITS),
     "force_excess": (random(4, 3), *LOOKS, LIMITS),
-    "descend": (MOTIONS, STATE, ENDS, 0.1, 1.3, random(3 * BASIS.size), 1e-3, 2),
+    "settling_of": SETTLING,
+    "descend": (
+        MOTIONS,
+        _kernels.settling_of(*SETTLING),
+        STATE,
+        ENDS,
+        0.1,
+        1.3,
+        random(3 * BASIS.size),
+        1e-3,
+        2,
+    ),
 }
 
 
@@ -64,7 +79,7 @@ def test_arrays_that_do_not_belong_together_are_refused(name):
     kernel, right = getattr(_kernels, name), CALLS[name]
     kernel(*right)
     free = {("limit_use", 3, 0), ("end_state", 5, 0), ("end_state_gradient", 5, 0)}
-    free |= {("end_turning", 7, 0), ("end_turning_gradient", 7, 0), ("descend", 1, 0)}
+    free |= {("end_turning", 7, 0), ("end_turning_gradient", 7, 0), ("descend", 2, 0)}
     free |= {("least_norm_step", 0, 1)}
     for at, argument in enumerate(right):
         if isinstance(argument, np.ndarray):

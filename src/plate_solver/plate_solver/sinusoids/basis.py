@@ -119,11 +119,13 @@ class SinusoidBasis:
             more = [matrix @ plate for matrix in self.settling_knots]
             spline = spline + quintic_pieces(self.times, *more)
             states = [state + own for state, own in zip(states, more, strict=True)]
+            for state, first in zip(states, plate, strict=True):
+                state[0] = first  # to the last bit, as is the end
         tail = None
         if self.free_end:
             tail = PlateCycle.stopping(np.stack([state[-1] for state in states]), TAIL_S)
         for state in states:
-            if not self.free_end:  # to the last bit
+            if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
             state.setflags(write=False)
         pose, twist, accel = states

@@ -106,13 +106,16 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        step, free_end = (
-            ROUGH_STEP if goal.lasting else STEP,
-            goal.lasting and goal.plate is not None,
-        )
-        key = number, period, step, free_end
-        family = limited_sinusoids(*key, self._limits, BEYOND, goal.plate)
-        motions = self._motions_of(key)
+        step = ROUGH_STEP if goal.lasting else STEP
+        key = number, period, step, goal.lasting and goal.plate is not None
+
+        def family_of(most: float) -> LimitedSinusoids:
+            return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate)
+
+        family = family_of(BEYOND)
+        if key not in self._motions:
+            self._motions[key] = Motions.of(family.basis, self._limits)
+        motions = self._motions[key]
         known = self._warm.get(key)
         fresh = FRESH if known is None else 0
         problem = Problem.of(goal, motions, BEYOND)
@@ -131,7 +134,7 @@ class SinusoidSteering:
         best, iterations = self._search(improved, start, begin, most, enough, until)
         began = self._clock()
         last = self._within(goal, motions, best.parameters, tolerance)
-        strict = limited_sinusoids(*key, self._limits, 1.0, goal.plate)
+        strict = family_of(1.0)
         for _ in range(AIMS):
             fine = goal.end(*finely_sampled(strict.cycle(last.parameters)))
             off = fine - goal.end(*strict.samples(last.parameters))
@@ -182,18 +185,10 @@ class SinusoidSteering:
         """Correct a motion within the limits."""
         return descend(Problem.of(goal, motions, 1.0), start, tolerance, CORRECTIONS)
 
-    def _motions_of(self, key: tuple[int, float, float, bool]) -> Motions:
-        """Return the motions that descents are made of, as kernels keep them."""
-        if key not in self._motions:
-            self._motions[key] = Motions.of(
-                limited_sinusoids(*key, self._limits, 1.0).basis, self._limits
-            )
-        return self._motions[key]
-
 
 def limited_sinusoids(
-    number: int, period: float, step: float, free_end: bool, limits: Limits, most: float,
-    plate: np.ndarray | None = None,
+    number: int, period: float, limits: Limits, most: float, step: float = STEP,
+    free_end: bool = False, plate: np.ndarray | None = None,
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
     at rest or, with `free_end`, in any state, in steps of at most `step` [s]."""
