@@ -180,19 +180,14 @@ class PlateCycle:
         """Return a motion that ends as it began or at rest, to the last bit."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
-        if is_rest(np.stack([state[-1] for state in states])) and not is_rest(
-            np.stack([state[0] for state in states])
-        ):
-            for state in states:
-                state[-1] = 0
-        elif gap[0] > size[0] or gap[1] > 1e2 * size[1] or gap[2] > 1e4 * size[2]:
+        closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
+        if not (closes or is_rest(np.stack([state[-1] for state in states]))):
             raise CycleError(
                 f"motion does not close: end and start differ by {gap[0]:.3g} m or rad in pose, "
                 f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
             )
-        else:
-            for state in states:
-                state[-1] = state[0]
+        for state in states:
+            state[-1] = state[0] if closes else 0
         return cls._made(times, states)
 
     @classmethod
