@@ -6,7 +6,7 @@
 #include "frame.h"
 #include "message.h"
 
-/* Shortest table, or part of one up to its splice or from there on [TICK_S]: 10 ms, several ticks. */
+/* Shortest table, or part of one before or after its splice [TICK_S]: 10 ms, several ticks. */
 #define SHORTEST_TABLE 1000000u
 
 /* Longest piece of a stream [TICK_S]: 50 ms, so that times never wrap. */
@@ -152,7 +152,7 @@ static uint8_t check_order(const Table *table, int number)
     return knot_is_home(knot) ? STATUS_DONE : STATUS_JUMP;
 }
 
-/* Whether the motors bear the heat of what has been looked at, up to a time [TICK_S]. */
+/* Whether the motors bear the heat of what has been looked at, so long [TICK_S]. */
 static bool bear(const Check *check, const Limits *limits, uint32_t ticks)
 {
     float square = limits->continuous_force * limits->continuous_force;

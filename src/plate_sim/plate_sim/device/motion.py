@@ -187,7 +187,7 @@ class Motion:
         return self.time + dt + BRAKE_TICKS // 2 > stream.period_ticks
 
     def joins(self, table: Table) -> bool:
-        """Tell whether a table goes on where the one that plays is spliced, which is still ahead."""
+        """Tell whether a table goes on where the one that plays is spliced, and that is ahead."""
         playing = self.playing if self.state is State.PLAYING else None
         return playing is not None and self.time < playing.splice and table.follows(playing)
 

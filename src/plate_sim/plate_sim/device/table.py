@@ -24,7 +24,7 @@ REST_M, REST_SPEED = np.float32(2e-6), np.float32(2e-3)
 follows upon a splice begins in motion.)"""
 
 SHORTEST_TICKS = 1_000_000
-"""Shortest table, or part of one up to its splice or from there on [TICK_S]: 10 ms, several ticks."""
+"""Shortest table, or part of one before or after its splice [TICK_S]: 10 ms, several ticks."""
 
 MAX_KNOTS = 512
 """What a table or a stream can hold."""
@@ -323,7 +323,7 @@ class PendingTable:
 
 
 def bears(limits: DeviceLimits, heat: np.ndarray, ticks: int) -> bool:
-    """Tell whether the motors bear an integral of force squared (4,) [N2 s] up to a time [TICK_S]."""
+    """Tell whether motors bear an integral of force squared (4,) [N2 s] in a time [TICK_S]."""
     most = limits.continuous_square * (np.float32(ticks) * piece.TICK_S)
     return bool((heat <= most).all())
 
