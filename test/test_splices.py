@@ -305,7 +305,7 @@ def assert_smooth(done: Run, tables: list[Spliced]) -> None:
     assert np.max(np.abs(q)) <= STROKE_M * SLACK
     assert np.max(np.abs(v)) <= SPEED * SLACK
     assert np.max(np.abs(a)) <= ACCEL * 1.1
-    jerks = [np.max(np.abs(t.spline(np.arange(t.length) [:: 20_000] * 1e-8, nu=3))) for t in tables]
+    jerks = [np.max(np.abs(t.spline(np.arange(t.length)[::20_000] * 1e-8, nu=3))) for t in tables]
     jerk = 1.1 * max(jerks, default=0.0) + 3_000  # a brake: 12 v / Tb^2 and 2 rate rate' a
     dt = np.diff(done.times)[:, None]
     on_end = dt[:, 0] < 1.5e-3  # else current was off between them
@@ -462,7 +462,14 @@ def test_nothing_jumps_whatever_comes_and_when(program):
         done = heard(printed)
         seen += checked(story, done)
         assert done.state is State.OFF
-    wanted = ["joined", "brought home", "again", "PLAYING in a tail", "BRAKING in a tail", "BRAKING"]
+    wanted = [
+        "joined",
+        "brought home",
+        "again",
+        "PLAYING in a tail",
+        "BRAKING in a tail",
+        "BRAKING",
+    ]
     assert min(seen[what] for what in wanted) > 5, seen
     refused = [Status.JUMP, Status.LIMIT, Status.REPEATS, Status.WRONG_TIMES, Status.WRONG_STATE]
     assert min(seen[status.name] for status in refused) > 0, seen

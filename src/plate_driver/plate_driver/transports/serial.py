@@ -51,7 +51,7 @@ SENT_KEPT = 8
 """Tables that were sent and may play, or wait: a few."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
-"""Travel [m], speed [m/s] and acceleration [m/s2] no further apart are one state but for rounding."""
+"""States no further apart are one but for rounding: travel [m], speed [m/s], acceleration [m/s2]."""
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
@@ -642,7 +642,7 @@ def wired(table: MotorTable, before: Iterable[MotorTable]) -> tuple[tuple[Knot, 
         end = len(other.cycle.times) - 1
         splice = np.float32([other.q[end], other.qd[end], other.qdd[end]])
         if other.cycle.tail is not None and np.all(np.abs(splice - state) <= NEAR):
-            q, qd, qdd = map(tuple, splice.tolist())
+            q, qd, qdd = (tuple(row) for row in splice.tolist())
             first = Knot(first.ticks, q, qd, qdd)
             break
     if table.cycle.tail is None:
@@ -655,8 +655,8 @@ def tail_of(table: MotorTable) -> MotorTable:
     """Return a table's tail, as a table that begins in motion."""
     assert table.cycle.tail is not None
     own = slice(len(table.cycle.times), None)
-    motors = {"q": table.q[own], "qd": table.qd[own], "qdd": table.qdd[own]}
-    return replace(table, cycle=table.cycle.tail, **motors)
+    q, qd, qdd = table.q[own], table.qd[own], table.qdd[own]
+    return replace(table, cycle=table.cycle.tail, q=q, qd=qd, qdd=qdd)
 
 
 def named(faults: Fault) -> str:

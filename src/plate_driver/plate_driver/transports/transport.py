@@ -173,8 +173,8 @@ class Transport(Protocol):
         spliced.
 
         The motors take the newest at their next cycle boundary, play it `repeats` times unless
-        another one comes, and rest by themselves then. One with a tail is played once: at its splice
-        they take the newest if that begins there, and else play the tail.
+        another one comes, and rest by themselves then. One with a tail is played once: at its
+        splice they take the newest if that begins there, and else play the tail.
 
         Raises
         ------
