@@ -51,7 +51,7 @@ SENT_KEPT = 8
 """Tables that were sent and may play, or wait: a few."""
 
 NEAR = ((1e-6,), (1e-3,), (0.1,))
-"""States no further apart are one but for rounding: travel [m], speed [m/s], acceleration [m/s2]."""
+"""Rounding of a state is at most this: travel [m], speed [m/s], acceleration [m/s2]."""
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
@@ -640,7 +640,7 @@ def wired(table: MotorTable, before: Iterable[MotorTable]) -> tuple[tuple[Knot, 
     state = np.array([first.position, first.velocity, first.acceleration])
     for other in reversed(list(before)):
         end = len(other.cycle.times) - 1
-        splice = np.float32([other.q[end], other.qd[end], other.qdd[end]])
+        splice = np.array([other.q[end], other.qd[end], other.qdd[end]], np.float32)
         if other.cycle.tail is not None and np.all(np.abs(splice - state) <= NEAR):
             q, qd, qdd = (tuple(row) for row in splice.tolist())
             first = Knot(first.ticks, q, qd, qdd)
