@@ -157,12 +157,15 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
     Table *table = &c->tables[!c->playing];
     uint16_t id = get_u16(fields), count = get_u16(fields + 2);
     c->waiting = false;
+    uint32_t splice = get_u32(fields + 8);
     table->id = 0;
     if (id == 0 || count == 1)
         return STATUS_WRONG_TABLE;
     if (count > MAX_KNOTS)
         return STATUS_TOO_LONG;
-    table_open(table, id, count, get_u32(fields + 4));
+    if (count == 0 && splice)
+        return STATUS_WRONG_TIMES; /* a stream goes on without one */
+    table_open(table, id, count, get_u32(fields + 4), splice);
     return STATUS_DONE;
 }
 
@@ -252,7 +255,9 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
     }
     if (table->have < table->count)
         return STATUS_INCOMPLETE;
-    if (repeats > 1 && (uint64_t)repeats * table_period(table) > (uint64_t)HOLD_MS * TICKS_PER_MS)
+    bool closes = !table->splice && knot_is_home(table_knot(table, 0));
+    uint64_t held = (uint64_t)repeats * table_period(table);
+    if (repeats > 1 && (!closes || held > (uint64_t)HOLD_MS * TICKS_PER_MS))
         return STATUS_REPEATS;
     c->committing = true;
     c->commit_sequence = sequence;
@@ -279,9 +284,12 @@ static void look(Controller *c, int work)
     if (c->state != STATE_READY && c->state != STATE_PLAYING) {
         answer_commit(c, STATUS_WRONG_STATE);
     } else if (table_looked_at(table)) {
-        c->waiting = table->check.status == STATUS_DONE;
+        uint8_t status = table->check.status;
+        if (status == STATUS_DONE && !knot_is_home(table_knot(table, 0)) && !motion_joins(c))
+            status = STATUS_JUMP;
+        c->waiting = status == STATUS_DONE;
         table->repeats = c->commit_repeats;
-        answer_commit(c, table->check.status);
+        answer_commit(c, status);
     }
 }
 
@@ -361,7 +369,7 @@ static bool sound(uint8_t type, const uint8_t *fields, size_t size)
     case HOME: return size == 0;
     case STOP: return size == 1 && fields[0] <= 1;
     case TRIGGER: return size == 3 && fields[2] <= LONGEST_PULSE_MS;
-    case BEGIN: return size == 8;
+    case BEGIN: return size == 12;
     case COMMIT: return size == 4;
     case KNOTS: break;
     default: return false;
@@ -491,9 +499,10 @@ void controller_tick(Controller *c)
         c->commanded = at;
     }
     c->follows = moves;
-    bool plays = c->state == STATE_PLAYING && !c->tables[c->playing].streams;
-    hal_trigger(trigger_step(&c->trigger, c->now_us, plays ? motion_into(c) : 0,
-                             plays ? table_period(&c->tables[c->playing]) : 0));
+    const Table *table = &c->tables[c->playing];
+    bool plays = c->state == STATE_PLAYING && !table->streams;
+    uint32_t into = plays ? motion_into(c) : 0, part = plays ? table_part(table, &into) : 0;
+    hal_trigger(trigger_step(&c->trigger, c->now_us, into, part));
     uint32_t heat_us = passed < MOST_HEAT_US ? (uint32_t)passed : MOST_HEAT_US;
     if (!heat_step(c, heat_us, moves ? &at : NULL) && c->state != STATE_OFF)
         motion_brake(c, FAULT_HEAT);

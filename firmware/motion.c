@@ -32,9 +32,10 @@ void motion_brake(Controller *c, uint8_t faults)
     if (c->state == STATE_PLAYING) {
         const Table *table = &c->tables[c->playing];
         uint32_t period = table_period(table);
+        bool from_home = !table->streams && knot_is_home(table_knot(table, 0));
         c->state = STATE_BRAKING;
         c->brake = 0;
-        c->brake_length = period < BRAKE_TICKS && !table->streams ? period : BRAKE_TICKS;
+        c->brake_length = from_home && period < BRAKE_TICKS ? period : BRAKE_TICKS;
         c->waiting = false;
         c->stops++;
         c->faults |= faults;
@@ -86,27 +87,34 @@ static bool runs_dry(const Controller *c, uint32_t dt)
            motion_into(c) + dt + BRAKE_TICKS / 2 > table_period(table);
 }
 
-/* Let the table's time pass: take over, begin again or end where it is beyond the table's end.
-   A period is longer than any tick, so that this happens once at most. */
+bool motion_joins(const Controller *c)
+{
+    const Table *table = &c->tables[c->playing];
+    return c->state == STATE_PLAYING && motion_into(c) < table->splice &&
+           table_follows(&c->tables[!c->playing], table);
+}
+
+/* Let the table's time pass: take over at its splice or its end, begin again, or rest at its end.
+   Its cycle and its tail are longer than any tick, so that this happens once at most. */
 static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];
-    uint32_t left = table_period(table) - motion_into(c);
-    if (step < left) {
+    uint32_t into = motion_into(c), left = table_period(table) - into;
+    if (c->waiting && motion_joins(c) && step >= table->splice - into) {
+        step -= table->splice - into;
+        take_over(c);
+        c->time = step;
+    } else if (step < left) {
         c->time += step;
-    } else if (table->streams) { /* it ends at rest */
+    } else if (c->waiting) {
+        take_over(c);
+        c->time = step - left;
+    } else if (c->state == STATE_PLAYING && !table->streams && ++c->played < table->repeats) {
+        c->time = step - left;
+    } else {
         c->time += left;
         if (c->state == STATE_PLAYING)
             c->state = STATE_READY;
-    } else {
-        c->played++;
-        if (c->waiting) {
-            take_over(c);
-        } else if (c->state == STATE_PLAYING && c->played >= table->repeats) {
-            c->state = STATE_READY;
-            step = left; /* rest is at its beginning, too */
-        }
-        c->time = step - left;
     }
 }
 
@@ -136,8 +144,6 @@ static void play(Controller *c, uint32_t dt, Setpoint *at)
     }
     pass(c, step);
     table_at(&c->tables[c->playing], motion_into(c), at);
-    if (c->state == STATE_READY)
-        rate = 0;
     for (int m = 0; m < MOTORS; m++) {
         at->acceleration[m] = at->acceleration[m] * (rate * rate) + slowing * at->velocity[m];
         at->velocity[m] *= rate;

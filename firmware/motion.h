@@ -11,12 +11,16 @@
 /* Current off, for the reasons given: a stop, if current flowed and there are any. */
 void motion_off(Controller *c, uint8_t faults);
 
-/* Slow down along the table and go home; off at once where nothing plays. A stop, unless the plate
+/* Slow down along the table and its tail and go home; off at once where nothing plays. A stop, unless the plate
    brakes for these reasons already. */
 void motion_brake(Controller *c, uint8_t faults);
 
 /* Current on: find home if it is not known, then go there. */
 void motion_enable(Controller *c);
+
+/* Whether the table in the second buffer goes on where the one that plays is spliced, and that is
+   still ahead. */
+bool motion_joins(const Controller *c);
 
 /* How far into the table that plays it is [TICK_S]. */
 uint32_t motion_into(const Controller *c);

@@ -6,7 +6,7 @@
 #include "frame.h"
 #include "message.h"
 
-/* Shortest table [TICK_S]: 10 ms, several ticks. */
+/* Shortest table, or part of one before or after its splice [TICK_S]: 10 ms, several ticks. */
 #define SHORTEST_TABLE 1000000u
 
 /* Longest piece of a stream [TICK_S]: 50 ms, so that times never wrap. */
@@ -65,6 +65,22 @@ bool table_rests(const Table *table)
     return rests;
 }
 
+bool table_follows(const Table *table, const Table *before)
+{
+    const Knot *first = table_knot(table, 0), *splice = &before->knots[before->splice_knot];
+    return before->splice && !memcmp(first->position, splice->position, sizeof first->position) &&
+           !memcmp(first->velocity, splice->velocity, sizeof first->velocity) &&
+           !memcmp(first->acceleration, splice->acceleration, sizeof first->acceleration);
+}
+
+uint32_t table_part(const Table *table, uint32_t *into)
+{
+    if (*into < table->splice)
+        return table->splice;
+    *into -= table->splice;
+    return table_period(table) - table->splice;
+}
+
 /* Number of the piece that is played. */
 static int piece_number(const Table *table, uint32_t into)
 {
@@ -82,19 +98,27 @@ static int piece_number(const Table *table, uint32_t into)
 
 void table_at(const Table *table, uint32_t into, Setpoint *out)
 {
+    if (into == table_period(table)) {
+        *out = (Setpoint){0};
+        for (int m = 0; m < MOTORS; m++) /* no negative zero */
+            out->position[m] = table_knot(table, table->count - 1)->position[m] + 0.0f;
+        return;
+    }
     int number = piece_number(table, into);
     const Knot *a = table_knot(table, number);
     into -= a->ticks - table_knot(table, 0)->ticks;
     piece_at(a, table_knot(table, number + 1), into, out);
 }
 
-void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc)
+void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc, uint32_t splice)
 {
     memset(table->there, 0, sizeof table->there);
     memset(&table->check, 0, sizeof table->check);
     table->id = id;
     table->count = count;
     table->crc = crc;
+    table->splice = splice;
+    table->splice_knot = 0;
     table->streams = count == 0;
     table->first = table->next = table->have = 0;
 }
@@ -113,31 +137,38 @@ void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES])
     table->have++;
 }
 
-/* Whether a knot follows upon the one before, and is home where it has to be. */
+/* Whether a knot follows upon the one before; the last one, after a splice that there is, to rest. */
 static uint8_t check_order(const Table *table, int number)
 {
     const Knot *knot = &table->knots[number];
-    bool last = number == table->count - 1;
+    uint32_t splice = table->splice;
     if (number == 0 ? knot->ticks != 0 : knot->ticks <= knot[-1].ticks)
         return STATUS_WRONG_TIMES;
-    if (last && knot->ticks < SHORTEST_TABLE)
+    if (number < table->count - 1)
+        return STATUS_DONE;
+    if (table->knots[table->splice_knot].ticks != splice || (splice && splice < SHORTEST_TABLE) ||
+        knot->ticks - splice < SHORTEST_TABLE)
         return STATUS_WRONG_TIMES;
-    if ((number == 0 || last) && !knot_is_home(knot))
-        return STATUS_JUMP;
-    return STATUS_DONE;
+    return knot_is_home(knot) ? STATUS_DONE : STATUS_JUMP;
+}
+
+/* Whether the motors bear the heat of what has been looked at, so long [TICK_S]. */
+static bool bear(const Check *check, const Limits *limits, uint32_t ticks)
+{
+    float square = limits->continuous_force * limits->continuous_force;
+    float most = square * ((float)ticks * TICK_S);
+    bool bears = true;
+    for (int m = 0; m < MOTORS; m++)
+        bears = bears && check->heat[m] <= most;
+    return bears;
 }
 
 /* What only the whole table tells. */
 static uint8_t check_whole(const Table *table, const Limits *limits)
 {
-    float square = limits->continuous_force * limits->continuous_force;
-    float most = square * ((float)table_period(table) * TICK_S);
     if (table->check.crc != table->crc)
         return STATUS_INCOMPLETE;
-    for (int m = 0; m < MOTORS; m++)
-        if (!(table->check.heat[m] <= most))
-            return STATUS_LIMIT;
-    return STATUS_DONE;
+    return bear(&table->check, limits, table_period(table)) ? STATUS_DONE : STATUS_LIMIT;
 }
 
 bool table_looked_at(const Table *table)
@@ -156,11 +187,15 @@ void table_look(Table *table, const Limits *limits, int *work)
             check->status = check_order(table, check->knots);
             if (check->status != STATUS_DONE)
                 return;
+            if (knot->ticks == table->splice)
+                table->splice_knot = check->knots;
         }
         if (check->knots == 0)
             *work -= PIECE_WORK;
         else if (!piece_look(&check->look, knot - 1, knot, limits, work, check->heat, &keeps))
             return;
+        if (knot->ticks == table->splice)
+            keeps = keeps && bear(check, limits, knot->ticks);
         check->status = keeps ? STATUS_DONE : STATUS_LIMIT;
         check->knots++;
         if (keeps && check->knots == table->count)

@@ -9,7 +9,8 @@
 #endif
 #define KNOT_BYTES 52
 
-/* How far from rest at home a table may begin and end: f32 rounding, and no jolt. */
+/* How far from rest at home a table may begin and end: f32 rounding, and no jolt. (One that follows
+   upon a splice begins in motion.) */
 #define REST_M 2e-6f
 #define REST_SPEED 2e-3f /* [m/s] */
 
@@ -31,13 +32,15 @@ typedef struct {
     uint16_t next;  /* and the number of the one to come */
     uint16_t have;  /* different knots that have come, if it does not stream */
     uint32_t crc;   /* of the knots' bytes */
+    uint32_t splice; /* when the next table may take over, and else the tail begins [TICK_S]; 0: no tail */
+    uint16_t splice_knot; /* number of the knot there, once that has been looked at */
     Knot knots[MAX_KNOTS];
     uint8_t there[(MAX_KNOTS + 7) / 8];
     Check check;
 } Table;
 
 /* Make a table empty, to be filled. */
-void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc);
+void table_open(Table *table, uint16_t id, uint16_t count, uint32_t crc, uint32_t splice);
 
 /* Put a knot into its place; one that is there stays as it came first. */
 void table_put(Table *table, int number, const uint8_t bytes[KNOT_BYTES]);
@@ -63,10 +66,17 @@ bool knot_is_home(const Knot *knot);
 /* Whether the last knot has no speed and no acceleration. */
 bool table_rests(const Table *table);
 
+/* Whether it begins in the very state, bit by bit, in which another table is spliced. */
+bool table_follows(const Table *table, const Table *before);
+
 /* From the first to the last knot [TICK_S]. */
 uint32_t table_period(const Table *table);
 
-/* The setpoint `into` [TICK_S] the table, within its period. */
+/* Length of the part that is played `into` a table, its cycle or its tail [TICK_S]; *into becomes
+   the time into that part. */
+uint32_t table_part(const Table *table, uint32_t *into);
+
+/* The setpoint `into` [TICK_S] the table; at its end, rest. */
 void table_at(const Table *table, uint32_t into, Setpoint *out);
 
 #endif

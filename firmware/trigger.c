@@ -12,7 +12,7 @@ bool trigger_step(Trigger *t, uint64_t now_us, uint32_t into, uint32_t period)
         rises = now_us - t->rose_us >= REST_US;
         t->done = false;
     } else {
-        if (into < t->into) { /* another play: it was due between the last tick and the end */
+        if (into < t->into) { /* the next one: it was due between the last tick and the end */
             rises = !t->done;
             t->done = false;
         }

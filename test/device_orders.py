@@ -129,17 +129,21 @@ def wave(size: float, phase: float = 0.0) -> tuple[Knot, ...]:
     )
 
 
-def uploaded(table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50) -> list[bytes]:
+def uploaded(
+    table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50, splice_ticks: int = 0
+) -> list[bytes]:
     """All frames of a table, numbered from `first`; the last one is Commit."""
-    messages: list[Message] = [Begin(table, len(knots), table_crc(knots))]
+    messages: list[Message] = [Begin(table, len(knots), table_crc(knots), splice_ticks)]
     messages += [Knots(table, i, knots[i : i + 4]) for i in range(0, len(knots), 4)]
     messages.append(Commit(table, repeats))
     return [say(first + i, message) for i, message in enumerate(messages)]
 
 
-def upload(table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50) -> bytes:
+def upload(
+    table: int, knots: tuple[Knot, ...], first: int, repeats: int = 50, splice_ticks: int = 0
+) -> bytes:
     """The bytes of them."""
-    return b"".join(uploaded(table, knots, first, repeats))
+    return b"".join(uploaded(table, knots, first, repeats, splice_ticks))
 
 
 HELLO, ENABLE = say(99, Hello(VERSION, 77)), say(101, Enable(BOOT))

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -295,6 +296,31 @@ def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware, tmp_path)
         assert_moved_within_limits(board.record())
         assert host.now().faults is Fault.NONE
         assert host.refused == 0
+
+
+@emulated
+def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware, tmp_path):
+    knots, middle = wave(500, 0.9), 250
+    splice = knots[middle].ticks
+    rest = tuple(replace(knot, ticks=knot.ticks - splice) for knot in knots[middle:])
+    with EmulatedBoard(firmware, tmp_path) as board:
+        host = ready(board)
+        assert host.upload(1, knots, 1, splice) is Status.DONE
+        host.until(lambda: host.now().state is State.PLAYING)
+        first = len(host.telemetry)
+        before = board.record()
+        assert host.upload(2, rest) is Status.DONE
+        assert host.now().table == 1  # it waits for the splice
+        host.until(lambda: host.now().table == 2)
+        host.until(lambda: host.now().state is State.READY)
+        assert host.ticks_since(before, first).worst <= MOST
+        assert {m.table for m in host.telemetry[first:]} == {0, 1, 2}
+        assert_moved_within_limits(board.record())
+        # And where none does: along the tail.
+        assert host.upload(3, knots, 1, splice) is Status.DONE
+        host.until(lambda: host.now().ticks > splice)
+        host.until(lambda: host.now().state is State.READY)
+        assert host.now().faults is Fault.NONE
 
 
 @emulated

@@ -90,8 +90,10 @@ def hostile(rng: np.random.Generator, number: int) -> bytes:
     if kind < 0.6:
         knots = tuple(knot() for _ in range(int(rng.integers(1, 5))))
         return say(number, Knots(table, int(rng.choice([0, 1, 4, 511, 65535])), knots))
+    splice_ticks = int(rng.choice([0, 0, 0, 10**6, 2**32 - 1]))
+    crc, count = int(rng.integers(2**32)), int(rng.choice([0, 1, 2, 5, 512, 513, 65535]))
     messages = [
-        Begin(table, int(rng.choice([0, 1, 2, 5, 512, 513, 65535])), int(rng.integers(2**32))),
+        Begin(table, count, crc, splice_ticks),
         Commit(table, int(rng.integers(0, 4))),
         Home(),
         Heartbeat(2**64 - 1),
@@ -111,7 +113,8 @@ def short_table(rng: np.random.Generator, number: int) -> bytes:
         Knot(int(t), *(tuple(x) for x in np.float32(row).tolist()))
         for t, row in zip([0, *times], rows, strict=True)
     )
-    messages = [Begin(2, count, table_crc(knots)), Knots(2, 0, knots[:4])]
+    splice_ticks = knots[count - 2].ticks if rng.random() < 0.3 else 0
+    messages = [Begin(2, count, table_crc(knots), splice_ticks), Knots(2, 0, knots[:4])]
     messages += [Knots(2, 4, knots[4:])] if count > 4 else []
     messages.append(Commit(2, int(rng.integers(1, 5))))
     return b"".join(say(number + i, message) for i, message in enumerate(messages))

@@ -10,6 +10,7 @@ import numpy as np
 from emulated_board import RING_BYTES, EmulatedBoard, Record
 
 from plate_core.serial_protocol import (  # fmt: skip
+    VERSION,
     Acknowledgement,
     Begin,
     Commit,
@@ -56,9 +57,6 @@ PLAYED_TICKS = 300
 
 HOSTS = itertools.count(1)
 """Hosts so far."""
-
-VERSION = 4
-"""Of the protocol."""
 
 STROKE_M, SPEED, ACCEL = 0.010, 1.0, 100.0
 """Of config/rig.yaml."""
@@ -173,9 +171,11 @@ class Host:
         self.until(lambda: self.now().state is not State.HOMING)
         return status
 
-    def upload(self, table: int, knots: tuple[Knot, ...], repeats: int = 1) -> Status:
+    def upload(
+        self, table: int, knots: tuple[Knot, ...], repeats: int = 1, splice_ticks: int = 0
+    ) -> Status:
         """Send a whole table; returns the answer to its Commit."""
-        self.send(b"".join(self.numbered(m) for m in parts(table, knots)))
+        self.send(b"".join(self.numbered(m) for m in parts(table, knots, splice_ticks)))
         return self.ask(Commit(table, repeats))
 
     def again(self) -> bytes:
@@ -189,9 +189,9 @@ class Host:
         return Ticks(record.median(before), round(worst), record.step_m, record.most, record.late)
 
 
-def parts(table: int, knots: tuple[Knot, ...]) -> list[Message]:
+def parts(table: int, knots: tuple[Knot, ...], splice_ticks: int = 0) -> list[Message]:
     """Return a table's messages but for its Commit."""
-    begin: list[Message] = [Begin(table, len(knots), table_crc(knots))]
+    begin: list[Message] = [Begin(table, len(knots), table_crc(knots), splice_ticks)]
     return begin + [Knots(table, i, knots[i : i + 4]) for i in range(0, len(knots), 4)]
 
 

@@ -58,7 +58,7 @@ KNOTS = (
 SHAKEN = (KNOTS[1].position, KNOTS[1].acceleration)
 LIMITS = f32(0.01, 1.0, 100.0, 200.0, 60.0, 0.003)
 SAID = [
-    Packet(1, Hello(4, 0x12345678)),
+    Packet(1, Hello(5, 0x12345678)),
     Packet(2, Heartbeat(1_500_000_000)),
     Packet(3, Enable(0xCAFE)),
     Packet(4, Stop(0)),
@@ -68,7 +68,8 @@ SAID = [
     Packet(256, Begin(7, 3, table_crc(KNOTS))),
     Packet(257, Knots(7, 0, KNOTS)),
     Packet(258, Commit(7, 5)),
-    Packet(1, Capabilities(4, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
+    Packet(259, Begin(8, 66, 0x12345678, 10_000_000)),
+    Packet(1, Capabilities(5, 0x12345678, 0xCAFE, 4, 2048, 8, 250, *LIMITS, 10_000)),
     Packet(2, Acknowledgement(258, Status.DONE)),
     Packet(3, Acknowledgement(258, Status.JUMP)),
     Packet(4, Pulse(1_500_000_000, 2_000_000)),

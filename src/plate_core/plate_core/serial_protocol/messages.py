@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import FrameError
 
-VERSION = 4
+VERSION = 5
 MOTORS = 4
 TICK_S = 1e-8
 """Unit of a knot's time [s]: a table may last 42 s, and is hit within 5 ns."""
@@ -45,12 +45,14 @@ class Status(IntEnum):
     WRONG_STATE = 3
     WRONG_TABLE = 4  # another table is open, or the index is beyond its end
     INCOMPLETE = 5  # knots are missing or damaged
-    WRONG_TIMES = 6  # they do not begin at 0 or do not rise
+    WRONG_TIMES = 6  # they do not begin at 0 or do not rise; the splice is at none of them, or late
     LIMIT = 7  # stroke, speed, acceleration, force or heat; on the spline, not only at knots
-    JUMP = 8  # the table does not begin and end at rest at home
+    JUMP = (
+        8  # the table begins neither at rest at home nor at a splice ahead, or does not end there
+    )
     TOO_LONG = 9
     WRONG_STOP = 10  # Enable names a stop that is not the present one
-    REPEATS = 11  # none, or for longer than the device plays a table again
+    REPEATS = 11  # none, longer than the device plays a table again, or of one that does not close
 
 
 class Fault(IntFlag):
@@ -121,8 +123,8 @@ class Home:
 
 @dataclass(frozen=True)
 class Trigger:
-    """Host: give the camera a pulse at this phase of a table [1/65536 of its period], so long [ms];
-    0: none."""
+    """Host: give the camera a pulse at this phase of a cycle or tail [1/65536 of its period], so
+    long [ms]; 0: none."""
 
     phase: int = field(metadata=_wire("H"))
     pulse_ms: int = field(metadata=_wire("B", kind=tuple(range(LONGEST_PULSE_MS + 1))))
@@ -130,11 +132,13 @@ class Trigger:
 
 @dataclass(frozen=True)
 class Begin:
-    """Host: a table comes for the second buffer; its knots and their CRC-32."""
+    """Host: a table comes for the second buffer; its knots, their CRC-32, and the time of the knot
+    where the next table may take over and else the tail begins [TICK_S]; 0: it has no tail."""
 
     table: int = field(metadata=_wire("H"))
     knots: int = field(metadata=_wire("H"))
     crc: int = field(metadata=_wire("I"))
+    splice_ticks: int = field(default=0, metadata=_wire("I"))
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,10 @@ class Knots:
 
 @dataclass(frozen=True)
 class Commit:
-    """Host: take the table over at the next boundary; play it `repeats` times, then rest."""
+    """Host: take the table over at the next boundary; play it `repeats` times, then rest.
+
+    One with a tail, or that begins in motion, is played once.
+    """
 
     table: int = field(metadata=_wire("H"))
     repeats: int = field(metadata=_wire("H"))

@@ -87,8 +87,8 @@ class SetpointStream:
 
 
 def knots(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the knots of a motor table, as the device gets them."""
-    return _rounded(table.cycle.times, table.q, table.qd, table.qdd)
+    """Return the knots of a motor table, and of its tail, in the wire's precision."""
+    return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:

@@ -171,13 +171,17 @@ class Link:
 
     # What the host wants
 
-    def uploading(self, table: int, knots: Sequence[Knot], repeats: int) -> Link:
+    def uploading(
+        self, table: int, knots: Sequence[Knot], repeats: int, splice_ticks: int = 0
+    ) -> Link:
         """Return the link that sends a table, to be played so often unless another one comes.
+
+        It has a tail from `splice_ticks` on, unless that is 0.
 
         An upload that is under way is finished first, or a quick planner would never see one
         through; of those that wait, the newest counts.
         """
-        begin = Begin(table, len(knots), table_crc(knots))
+        begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
         return replace(self, next_table=(begin, *parts, Commit(table, repeats)), in_turn=False)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from plate_core.serial_protocol import (
     Enable,
     Fault,
     Home,
+    Knot,
     Packet,
     Reader,
     State,
@@ -47,6 +49,9 @@ REOPEN_S = (0.1, 0.2, 0.4, 0.8)
 
 SENT_KEPT = 8
 """Tables that were sent and may play, or wait: a few."""
+
+NEAR = ((1e-6,), (1e-3,), (0.1,))
+"""Rounding of a state is at most this: travel [m], speed [m/s], acceleration [m/s2]."""
 
 LEAD_S = 0.3
 """How far a stream is ahead of the device [s]: it brakes when 0.1 s are left."""
@@ -270,16 +275,17 @@ class SerialTransport:
         if report.condition is not Condition.READY:
             reason = f" ({report.text})" if report.text else ""
             raise CycleError(f"the device is {report.condition.value}{reason}, allowed: ready")
-        if len(table.q) > self.max_knots and not self._streams:
-            raise CycleError(
-                f"plate_cycle: {len(table.q)} knots, allowed by the device: {self.max_knots}"
-            )
         repeats = plays(repeats, self.hold_s, table.cycle.period)
         if not self._streams:
+            sent, splice_ticks = wired(table, self._sent.values())
+            if len(sent) > self.max_knots:
+                raise CycleError(
+                    f"plate_cycle: {len(sent)} knots, allowed by the device: {self.max_knots}"
+                )
             self._table = self._table % 65_535 + 1
             self._sent[self._table] = table
             self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
-            self._link = self._link.uploading(self._table, knots(table), repeats)
+            self._link = self._link.uploading(self._table, sent, repeats, splice_ticks)
         elif self._streamed is not None and not self._streamed.ended:
             self._streamed = self._streamed.followed_by(refined(table), repeats)
         else:
@@ -538,11 +544,16 @@ class SerialTransport:
     def _measured(self, telemetry: Telemetry, time: float, now: float) -> Measured:
         """Return what the sensors said at a time of ours [s]; a brake plays no whole cycle."""
         braking = telemetry.state is State.BRAKING
+        playing = None if braking else self._sent.get(telemetry.table)
+        ticks = telemetry.ticks
+        if playing is not None and playing.cycle.tail is not None:
+            splice_ticks = round(playing.cycle.period / TICK_S)
+            if ticks >= splice_ticks:
+                playing, ticks = tail_of(playing), ticks - splice_ticks
         return Measured(
             time, telemetry.device_us * 1e-6, telemetry.table,
-            telemetry.position, telemetry.acceleration,
-            None if braking else self._sent.get(telemetry.table),
-            time - telemetry.ticks * TICK_S, self._link.clock.doubt(now),
+            telemetry.position, telemetry.acceleration, playing,
+            time - ticks * TICK_S, self._link.clock.doubt(now),
         )  # fmt: skip
 
     def _following(self, telemetry: Telemetry) -> str:
@@ -617,6 +628,35 @@ class SerialTransport:
                 port.close()
             except OSError as error:
                 self._note(f"serial port: {error}")
+
+
+def wired(table: MotorTable, before: Iterable[MotorTable]) -> tuple[tuple[Knot, ...], int]:
+    """Return a table's knots as they are sent, and when it is spliced [TICK_S]; 0: it has no tail.
+
+    Its first knot is, to the last bit, the knot in which one of the tables sent before, the last
+    one first, is spliced, if they are alike but for rounding.
+    """
+    first, *rest = knots(table)
+    state = np.array([first.position, first.velocity, first.acceleration])
+    for other in reversed(list(before)):
+        end = len(other.cycle.times) - 1
+        splice = np.array([other.q[end], other.qd[end], other.qdd[end]], np.float32)
+        if other.cycle.tail is not None and np.all(np.abs(splice - state) <= NEAR):
+            q, qd, qdd = (tuple(row) for row in splice.tolist())
+            first = Knot(first.ticks, q, qd, qdd)
+            break
+    if table.cycle.tail is None:
+        return (first, *rest), 0
+    end = len(table.cycle.times) - 1  # of this knot there are two
+    return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks
+
+
+def tail_of(table: MotorTable) -> MotorTable:
+    """Return a table's tail, as a table that begins in motion."""
+    assert table.cycle.tail is not None
+    own = slice(len(table.cycle.times), None)
+    q, qd, qdd = table.q[own], table.qd[own], table.qdd[own]
+    return replace(table, cycle=table.cycle.tail, q=q, qd=qd, qdd=qdd)
 
 
 def named(faults: Fault) -> str:

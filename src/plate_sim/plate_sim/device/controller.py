@@ -286,9 +286,11 @@ class Device:
             return device._answered(self.committing, Status.WRONG_STATE)
         if not pending.decided:
             return device, b""
-        repeats = self.committing.repeats
-        motion = changed(self.motion, waiting=pending.made, next_repeats=repeats)
-        return changed(device, motion=motion)._answered(self.committing, pending.status)
+        status, made, motion = pending.status, pending.made, self.motion
+        if made is not None and not made.begins_home and not motion.joins(made):
+            status, made = Status.JUMP, None
+        motion = changed(motion, waiting=made, next_repeats=self.committing.repeats)
+        return changed(device, motion=motion)._answered(self.committing, status)
 
     def _answered(self, commit: Committing, status: Status) -> tuple[Device, bytes]:
         """Answer a Commit that waits for it."""
@@ -315,7 +317,7 @@ class Device:
         table = motion.playing if motion.state is State.PLAYING else None
         if table is None or isinstance(table, Stream):
             return self.trigger.stepped(self.now_us, 0, 0)
-        return self.trigger.stepped(self.now_us, motion.time, table.period_ticks)
+        return self.trigger.stepped(self.now_us, *table.part(motion.time))
 
     # What it sends
 
@@ -459,13 +461,14 @@ class Device:
         device = changed(self, motion=changed(self.motion, waiting=None), pending=None)
         if begin.table == 0 or begin.knots == 1:
             return device, Status.WRONG_TABLE
+        if begin.knots == 0 and begin.splice_ticks:
+            return device, Status.WRONG_TIMES  # a stream goes on without one
         if begin.knots == 0:
             return changed(device, pending=Stream.opened(begin.table)), Status.DONE
         if begin.knots > MAX_KNOTS:
             return device, Status.TOO_LONG
-        return changed(
-            device, pending=PendingTable(begin.table, begin.knots, begin.crc)
-        ), Status.DONE
+        pending = PendingTable(begin.table, begin.knots, begin.crc, begin.splice_ticks)
+        return changed(device, pending=pending), Status.DONE
 
     def _stream(self, table: int) -> Stream | None:
         """The stream with a number, while knots may be added to it."""
@@ -561,7 +564,7 @@ class Device:
         if len(pending.knots) < pending.count:
             return self, Status.INCOMPLETE
         held = commit.repeats * pending.period_ticks
-        if commit.repeats > 1 and held > HOLD_MS * TICKS_PER_MS:
+        if commit.repeats > 1 and not (pending.closes and held <= HOLD_MS * TICKS_PER_MS):
             return self, Status.REPEATS
         return changed(self, committing=Committing(number, commit.repeats)), Status.DONE
 

@@ -90,14 +90,14 @@ class Motion:
         )  # fmt: skip
 
     def braked(self, faults: Fault) -> Motion:
-        """Slow down along the table and go home; off at once where nothing plays.
+        """Slow down along the table and its tail and go home; off at once where nothing plays.
 
         A stop, unless the plate brakes for these reasons already.
         """
         stops = (self.stops + 1) % 2**16
         if self.state is State.PLAYING and self.playing is not None:
             length = BRAKE_TICKS
-            if not isinstance(self.playing, Stream):
+            if not isinstance(self.playing, Stream) and self.playing.begins_home:
                 length = min(self.playing.period_ticks, BRAKE_TICKS)
             return changed(
                 self, state=State.BRAKING, faults=self.faults | faults, waiting=None, stops=stops,
@@ -174,8 +174,6 @@ class Motion:
         motion = motion._passed(step)
         assert motion.playing is not None  # PLAYING and BRAKING always have one
         at = motion.playing.at(motion.time)
-        if motion.state is State.READY:
-            rate = ZERO[:1]
         if rate is not None:
             position, speed, accel = at
             at = np.stack([position, speed * rate, accel * (rate * rate) + slowing * speed])
@@ -188,25 +186,30 @@ class Motion:
             return False
         return self.time + dt + BRAKE_TICKS // 2 > stream.period_ticks
 
-    def _passed(self, step: int) -> Motion:
-        """Let the table's time pass: take over, begin again or end beyond its end.
+    def joins(self, table: Table) -> bool:
+        """Tell whether a table goes on where the one that plays is spliced, and that is ahead."""
+        playing = self.playing if self.state is State.PLAYING else None
+        return playing is not None and self.time < playing.splice and table.follows(playing)
 
-        A period is longer than any tick, so that this happens once at most.
+    def _passed(self, step: int) -> Motion:
+        """Let the table's time pass: take over at its splice or its end, begin again, or rest at
+        its end.
+
+        Its cycle and its tail are longer than any tick, so that this happens once at most.
         """
-        assert self.playing is not None
-        time = self.time + step
-        period = self.playing.period_ticks
+        playing, waiting = self.playing, self.waiting
+        assert playing is not None
+        time, period = self.time + step, playing.period_ticks
+        if waiting is not None and time >= playing.splice and self.joins(waiting):
+            return changed(self._taken_over(), time=time - playing.splice)
         if time < period:
             return changed(self, time=time)
-        rests = State.READY if self.state is State.PLAYING else self.state
-        if isinstance(self.playing, Stream):  # it ends at rest
-            return changed(self, time=period, state=rests)
-        motion = changed(self, time=time - period, played=self.played + 1)
-        if motion.waiting is not None:
-            return changed(motion._taken_over(), time=time - period)
-        if motion.state is State.PLAYING and motion.played >= motion.repeats:
-            return changed(motion, state=rests, time=0)  # rest is at its beginning, too
-        return motion
+        if waiting is not None:
+            return changed(self._taken_over(), time=time - period)
+        plays = self.state is State.PLAYING
+        if plays and not isinstance(playing, Stream) and self.played + 1 < self.repeats:
+            return changed(self, time=time - period, played=self.played + 1)
+        return changed(self, time=period, state=State.READY if plays else self.state)
 
     def _returned(self, return_us: int) -> tuple[Motion, np.ndarray | None]:
         """From where the plate stands to home, from rest to rest."""

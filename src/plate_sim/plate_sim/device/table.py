@@ -20,10 +20,11 @@ from .limits import DeviceLimits
 from .piece import PIECE_WORK, PieceCheck, check_pieces, coefficients, lengths, states_of
 
 REST_M, REST_SPEED = np.float32(2e-6), np.float32(2e-3)
-"""How far from rest at home a table may begin and end [m], [m/s]: rounding, and no jolt."""
+"""How far from rest at home a table may begin and end [m], [m/s]: rounding, and no jolt. (One that
+follows upon a splice begins in motion.)"""
 
 SHORTEST_TICKS = 1_000_000
-"""Shortest table [TICK_S]: 10 ms, several ticks."""
+"""Shortest table, or part of one before or after its splice [TICK_S]: 10 ms, several ticks."""
 
 MAX_KNOTS = 512
 """What a table or a stream can hold."""
@@ -57,11 +58,14 @@ class Table:
         Times of the knots, from 0 [TICK_S].
     states : (3, k + 1, 4)
         Position, speed and acceleration of the motors [m], [m/s], [m/s2], float32.
+    splice : int
+        When the next table may take over, and else its tail begins [TICK_S]; 0: it has none.
     """
 
     table: int
     ticks: np.ndarray
     states: np.ndarray
+    splice: int = 0
 
     @cached_property
     def times(self) -> np.ndarray:
@@ -83,6 +87,25 @@ class Table:
         """Its length [s]."""
         return float(self.times[-1])
 
+    @property
+    def begins_home(self) -> bool:
+        """Whether the first knot is at rest at home."""
+        return is_home(self.states[:2, 0])
+
+    def follows(self, before: Table) -> bool:
+        """Tell whether it begins in the very state, bit by bit, in which another is spliced."""
+        if not before.splice:
+            return False
+        splice = before.states[:, before.knot_ticks.index(before.splice)]
+        return self.states[:, 0].tobytes() == splice.tobytes()
+
+    def part(self, into: int) -> tuple[int, int]:
+        """Return the time into the part that is played at a time, its cycle or its tail, and that
+        part's length [TICK_S]."""
+        if into < self.splice:
+            return into, self.splice
+        return into - self.splice, self.period_ticks - self.splice
+
     @cached_property
     def coefficients(self) -> np.ndarray:
         """See `piece.coefficients`."""
@@ -99,7 +122,11 @@ class Table:
         return min(max(bisect_right(self.knot_ticks, into) - 1, 0), len(self.knot_ticks) - 2)
 
     def at(self, into: int) -> np.ndarray:
-        """Return position, speed and acceleration (3, 4) at a time [TICK_S] within the period."""
+        """Return position, speed and acceleration (3, 4) at a time [TICK_S]; at the end, rest."""
+        if into == self.period_ticks:
+            return np.stack(
+                [self.states[0, -1] + np.float32(0), *np.zeros((2, MOTORS), np.float32)]
+            )
         k, ticks = self.piece_at(into), self.knot_ticks
         s = np.float32(into - ticks[k]) / np.float32(ticks[k + 1] - ticks[k])
         powers = self.coefficients[:, k]
@@ -133,11 +160,6 @@ class Stream(Table):
     def rests(self) -> bool:
         """Whether the last knot is at rest."""
         return not np.any(self.states[1:, -1])
-
-    @property
-    def begins_home(self) -> bool:
-        """Whether the first knot is at rest at home."""
-        return is_home(self.states[:2, 0])
 
     def known(self, first: int) -> int | None:
         """Return how many of a message's knots, from number `first` on, are there already; None if
@@ -186,7 +208,7 @@ class PendingTable:
 
     Attributes
     ----------
-    table, count, crc : int
+    table, count, crc, splice : int
         As in Begin.
     knots : mapping of int to Knot
         Those that have come.
@@ -207,6 +229,7 @@ class PendingTable:
     table: int
     count: int
     crc: int
+    splice: int
     knots: Mapping[int, Knot] = field(default_factory=dict)
     number: int = 0
     status: Status = Status.DONE
@@ -219,6 +242,11 @@ class PendingTable:
     def period_ticks(self) -> int:
         """Time of the last knot, which must be there [TICK_S]."""
         return self.knots[self.count - 1].ticks
+
+    @property
+    def closes(self) -> bool:
+        """Whether it begins at rest at home, which must be known, and has no tail."""
+        return not self.splice and is_home(states_of([self.knots[0]])[:2, 0])
 
     @property
     def decided(self) -> bool:
@@ -250,26 +278,28 @@ class PendingTable:
             work -= done
             if left > done:
                 return changed(table, left=left - done)
+            heat, ticks = table.heat + check.heat, table.knots[table.number].ticks
+            keeps = check.keeps and (ticks != table.splice or bears(limits, heat, ticks))
             table = changed(
                 table, left=None, ahead=table.ahead[1:], number=table.number + 1,
-                heat=table.heat + check.heat, status=Status.DONE if check.keeps else Status.LIMIT,
+                heat=heat, status=Status.DONE if keeps else Status.LIMIT,
             )  # fmt: skip
-            if check.keeps and table.number == table.count:
+            if keeps and table.number == table.count:
                 table = table._whole(limits)
         return table
 
     def _order(self) -> Status:
-        """Whether the next knot follows upon the one before, and is home where it has to be."""
-        knot, last = self.knots[self.number], self.number == self.count - 1
+        """Whether the next knot follows upon the one before; the last one, after a splice that
+        there is, to rest."""
+        knot, splice = self.knots[self.number], self.splice
         if knot.ticks <= self.knots[self.number - 1].ticks if self.number else knot.ticks != 0:
             return Status.WRONG_TIMES
-        if last and knot.ticks < SHORTEST_TICKS:
+        if self.number < self.count - 1:
+            return Status.DONE
+        found = any(self.knots[k].ticks == splice for k in range(self.number))
+        if not found or 0 < splice < SHORTEST_TICKS or knot.ticks - splice < SHORTEST_TICKS:
             return Status.WRONG_TIMES
-        return (
-            Status.JUMP
-            if (last or not self.number) and not is_home(states_of([knot])[:2, 0])
-            else Status.DONE
-        )
+        return Status.DONE if is_home(states_of([knot])[:2, 0]) else Status.JUMP
 
     def _checks(self, limits: DeviceLimits) -> list[PieceCheck]:
         """Check all pieces from the next one on of which both ends are there, in order."""
@@ -285,11 +315,17 @@ class PendingTable:
         knots = [self.knots[k] for k in range(self.count)]
         if table_crc(knots) != self.crc:
             return changed(self, status=Status.INCOMPLETE)
-        most = limits.continuous_square * (np.float32(self.period_ticks) * piece.TICK_S)
-        if not (self.heat <= most).all():
+        if not bears(limits, self.heat, self.period_ticks):
             return changed(self, status=Status.LIMIT)
-        whole = Table(self.table, np.array([knot.ticks for knot in knots]), states_of(knots))
+        ticks = np.array([knot.ticks for knot in knots])
+        whole = Table(self.table, ticks, states_of(knots), self.splice)
         return changed(self, made=whole)
+
+
+def bears(limits: DeviceLimits, heat: np.ndarray, ticks: int) -> bool:
+    """Tell whether motors bear an integral of force squared (4,) [N2 s] in a time [TICK_S]."""
+    most = limits.continuous_square * (np.float32(ticks) * piece.TICK_S)
+    return bool((heat <= most).all())
 
 
 def is_home(state: np.ndarray) -> bool:

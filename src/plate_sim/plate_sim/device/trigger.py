@@ -19,9 +19,9 @@ class TriggerLine:
     phase, pulse_ms : int
         As in `Trigger`.
     done : bool
-        Whether this play of the table has had its pulse.
+        Whether this cycle or tail has had its pulse.
     into : int
-        The table, in the tick before [TICK_S].
+        It, in the tick before [TICK_S].
     rose_us : int
         When the last pulse began [us].
     high : bool
@@ -36,14 +36,15 @@ class TriggerLine:
     high: bool = False
 
     def stepped(self, now_us: int, into: int, period: int) -> TriggerLine:
-        """Return the line in a tick, `into` a table of `period` [TICK_S]; both 0: none plays."""
+        """Return the line in a tick, `into` a cycle or tail of `period`; both 0: none
+        plays [TICK_S]."""
         if not self.pulse_ms:
             return changed(self, high=False) if self.high else self
         done, rises = self.done, False
         if not period:
             done, rises = False, now_us - self.rose_us >= REST_US
         else:
-            if into < self.into:  # another play: it was due between the last tick and the end
+            if into < self.into:  # the next one: it was due between the last tick and the end
                 done, rises = False, not done
             if not done and into >= period * self.phase >> 16:
                 done = rises = True
