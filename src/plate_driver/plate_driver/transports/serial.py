@@ -32,7 +32,7 @@ from plate_core.serial_protocol import (
     parse,
 )
 
-from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays, refined
+from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays
 from .line import upload_s
 from .link import Link
 from .transport import Condition, Measured, Order, Report, TransportContext
@@ -214,7 +214,7 @@ class SerialTransport:
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
         self._stream_began: float | None = None  # on the device's clock [s]
-        self._next: tuple[MotorTable, int] | None = None  # begins the next stream
+        self._next: SetpointStream | None = None  # begins once that has ended
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
@@ -281,9 +281,9 @@ class SerialTransport:
             self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
             self._link = self._link.uploading(self._table, knots(table), repeats)
         elif self._streamed is not None and not self._streamed.ended:
-            self._streamed = self._streamed.followed_by(refined(table), repeats)
+            self._streamed = self._streamed.followed_by(table, repeats)
         else:
-            self._next = table, repeats
+            self._next = SetpointStream.of(table, repeats)
         self.poll()
 
     def poll(self) -> list[Measured]:
@@ -568,9 +568,9 @@ class SerialTransport:
             stream = self._streamed = None
         if stream is None:
             if self._next is not None and ready:
-                (table, repeats), self._next = self._next, None
                 self._table = self._table % 65_535 + 1
-                self._streamed, first = SetpointStream.of(refined(table), repeats).until(LEAD_S)
+                self._streamed, first = self._next.until(LEAD_S)
+                self._next = None
                 self._stream_began = None
                 self._link = self._link.streaming(self._table, first)
             return

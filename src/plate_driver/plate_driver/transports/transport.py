@@ -169,10 +169,13 @@ class Transport(Protocol):
         """Say what the motors do."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Hand over a table, which begins and ends at rest at home.
+        """Hand over a table, which ends at rest at home.
 
         The motors take the newest at their next cycle boundary, play it `repeats` times unless
-        another one comes, and rest by themselves then.
+        another one comes, and rest by themselves then. One with a tail is played once; where its
+        cycle ends (`table.cycle.period`) the newest takes over if it begins in that very state,
+        else its tail follows. A table that begins in motion is never played from anywhere else;
+        who cannot go on in motion refuses it, and plays `unspliced` cycles.
 
         Raises
         ------
