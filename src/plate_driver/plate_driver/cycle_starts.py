@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from .transports import Measured
 from .transports.device_clock import DRIFT
 
-__all__ = ["CycleStarts"]
+__all__ = ["CycleStarts", "of_part"]
 
 SAME_START = 0.5
 """Starts of a table less than this fraction of a cycle apart are one: clocks are not quite one."""
@@ -25,6 +25,16 @@ AHEAD_S = 0.1
 """How far ahead of our time telemetry may be [s]: the device's clock is known by round trips."""
 
 
+def of_part(new: Measured) -> Measured:
+    """Return telemetry of a table whose tail plays as telemetry of this tail, which began where the
+    table's cycle ended; any other as it is."""
+    tail = None if new.playing is None else new.playing.tail
+    if new.playing is None or tail is None:
+        return new
+    splice = new.began + new.playing.cycle.period
+    return replace(new, playing=tail, began=splice) if new.time >= splice else new
+
+
 @dataclass(frozen=True)
 class CycleStarts:
     """What is known of the cycle that runs. Times on the host's clock [s].
@@ -32,7 +42,7 @@ class CycleStarts:
     Attributes
     ----------
     until : float
-        When the cycle ends that was told last; before the first, now.
+        When the cycle that was told last ends, with its tail; before the first, now.
     began : float
         When it began.
     table : int
@@ -53,7 +63,7 @@ class CycleStarts:
     def heard(
         self, new: Measured, period: float, now: float
     ) -> tuple[CycleStarts, float | None, str]:
-        """Take in telemetry.
+        """Take in telemetry, as `of_part` returns it: a tail is a cycle of its own.
 
         Parameters
         ----------
@@ -84,10 +94,10 @@ class CycleStarts:
         same = new.table == self.table and new.began - self.began < SAME_START * period
         if problem or same:
             return seen, None, problem
-        return seen._told(new, new.began, period), new.began, ""
+        return seen._told(new, new.began, new.playing.length), new.began, ""
 
-    def _told(self, new: Measured, began: float, period: float) -> CycleStarts:
-        until = max(began + period, new.time)
+    def _told(self, new: Measured, began: float, length: float) -> CycleStarts:
+        until = max(began + length, new.time)
         return replace(self, table=new.table, began=began, until=until)
 
     def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:

@@ -42,7 +42,7 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding
 from plate_interfaces.msg import TaskStatus
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
-from .cycle_starts import CycleStarts
+from .cycle_starts import CycleStarts, of_part
 from .freshness import Freshness
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
@@ -505,15 +505,12 @@ class DriverNode(SafeLifecycleNode[Options]):
         transport = self._transport
         if not self.active or transport is None or not transport.calibrates:
             return
-        cycle, now = PlateCycle.rest(REST_CYCLE_S), time.monotonic()
-        if measured.table and measured.playing is not None:
-            table = measured.playing
-            cycle = self._motions.get(table.stamp_ns, table.cycle)
-            splice = measured.began + cycle.period
-            if cycle.tail is not None and measured.time >= splice:
-                measured = replace(measured, playing=table.tail, began=splice)
-                cycle = cycle.tail
-        self._cycle_starts, began, problem = self._cycle_starts.heard(measured, cycle.period, now)
+        cycle, now, part = PlateCycle.rest(REST_CYCLE_S), time.monotonic(), of_part(measured)
+        if part.table and part.playing is not None:
+            cycle = part.playing.cycle
+            if part is measured:  # else a tail, which is never corrected
+                cycle = self._motions.get(part.playing.stamp_ns, cycle)
+        self._cycle_starts, began, problem = self._cycle_starts.heard(part, cycle.period, now)
         if problem:
             self._guard = self._guard.noted(NO_START)
             text = f"{NO_START}: table {measured.table} {problem}"
