@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from .transports import Measured
 from .transports.device_clock import DRIFT
 
-__all__ = ["CycleStarts", "of_part"]
+__all__ = ["CycleStarts"]
 
 SAME_START = 0.5
 """Starts of a table less than this fraction of a cycle apart are one: clocks are not quite one."""
@@ -23,16 +23,6 @@ more than a table that begins at a tick of the device may be late."""
 
 AHEAD_S = 0.1
 """How far ahead of our time telemetry may be [s]: the device's clock is known by round trips."""
-
-
-def of_part(new: Measured) -> Measured:
-    """Return telemetry of a table whose tail plays as telemetry of this tail, which began where the
-    table's cycle ended; any other as it is."""
-    tail = None if new.playing is None else new.playing.tail
-    if new.playing is None or tail is None:
-        return new
-    splice = new.began + new.playing.cycle.period
-    return replace(new, playing=tail, began=splice) if new.time >= splice else new
 
 
 @dataclass(frozen=True)
@@ -63,7 +53,7 @@ class CycleStarts:
     def heard(
         self, new: Measured, period: float, now: float
     ) -> tuple[CycleStarts, float | None, str]:
-        """Take in telemetry, as `of_part` returns it: a tail is a cycle of its own.
+        """Take in telemetry; a tail is a cycle of its own.
 
         Parameters
         ----------

@@ -42,7 +42,7 @@ from plate_core.status import INPUT_TIMEOUT_S, Finding
 from plate_interfaces.msg import TaskStatus
 
 from .calibration import Calibration, Experiment, check_writable, save_response, saved_response
-from .cycle_starts import CycleStarts, of_part
+from .cycle_starts import CycleStarts
 from .freshness import Freshness
 from .raw_cycle import HEAD_BYTES, POINT_BYTES, check_length
 from .safety.node import FAREWELL_S, SafetyNode
@@ -226,7 +226,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._ready_since = self._now()
         self._freshness = Freshness()
         self._cycle_starts = CycleStarts(time.monotonic())
-        self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
+        self._motions: dict[int, PlateCycle] = {}  # of corrected tables, by their stamps
         if self._guard.correction is not None:
             self.get_logger().info(CORRECTED)
         transport = self._transport
@@ -463,7 +463,9 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._hear_tasks()  # last, for one may have ended that has asked for this cycle
                 guard = guard.lasting(time.monotonic() + self._left_s(cycle, stamp_ns))
             self._send(transport, guard, number)
-            self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
+            if guard.correction is not None:
+                motions = [*self._motions.items(), (stamp_ns, fit.cycle)]
+                self._motions = dict(motions[-MOTIONS_KEPT:])
         except PlateError as error:
             self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
@@ -505,12 +507,11 @@ class DriverNode(SafeLifecycleNode[Options]):
         transport = self._transport
         if not self.active or transport is None or not transport.calibrates:
             return
-        cycle, now, part = PlateCycle.rest(REST_CYCLE_S), time.monotonic(), of_part(measured)
-        if part.table and part.playing is not None:
-            cycle = part.playing.cycle
-            if part is measured:  # else a tail, which is never corrected
-                cycle = self._motions.get(part.playing.stamp_ns, cycle)
-        self._cycle_starts, began, problem = self._cycle_starts.heard(part, cycle.period, now)
+        cycle, now = PlateCycle.rest(REST_CYCLE_S), time.monotonic()
+        if measured.table and measured.playing is not None:
+            table = measured.playing
+            cycle = self._motions.get(table.stamp_ns, table.cycle)
+        self._cycle_starts, began, problem = self._cycle_starts.heard(measured, cycle.period, now)
         if problem:
             self._guard = self._guard.noted(NO_START)
             text = f"{NO_START}: table {measured.table} {problem}"

@@ -240,7 +240,9 @@ class Player:
     def poll(self):
         now, rest = self.clock() - 0.002, (0.0,) * 4
         for number, table, began in reversed(self.plan):
-            if began <= now < began + table.length:
+            if began + table.cycle.period <= now < began + table.length:
+                began, table = began + table.cycle.period, table.tail
+            if began <= now < began + table.cycle.period:
                 return [Measured(now, now, number, rest, rest, table, began)]
         return [Measured(now, now, 0, rest, rest)]
 

@@ -123,9 +123,8 @@ class SetpointStream:
 
 
 def knots(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the knots of a motor table, as the device gets them: with its tail, each once."""
-    once = np.append(True, np.diff(table.times) > 0)
-    return _rounded(table.times[once], table.q[once], table.qd[once], table.qdd[once])
+    """Return the knots of a motor table, and of its tail, in the wire's precision."""
+    return _rounded(table.cycle.knots[0], table.q, table.qd, table.qdd)
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:

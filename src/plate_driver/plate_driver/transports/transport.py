@@ -77,7 +77,7 @@ class Measured:
     position, acceleration : tuple of 4 float
         [m], [m/s2].
     playing : MotorTable or None
-        The table that plays, where it is known.
+        The table that plays, where it is known; where its tail plays, that alone.
     began : float
         When this play of it began, on the context's clock [s].
     doubt : str
@@ -169,13 +169,12 @@ class Transport(Protocol):
         """Say what the motors do."""
 
     def send(self, table: MotorTable, repeats: int) -> None:
-        """Hand over a table, which ends at rest at home.
+        """Hand over a table, which ends at rest at home, and begins there or where another one is
+        spliced.
 
         The motors take the newest at their next cycle boundary, play it `repeats` times unless
-        another one comes, and rest by themselves then. One with a tail is played once; where its
-        cycle ends (`table.cycle.period`) the newest takes over if it begins in that very state,
-        else its tail follows. A table that begins in motion is never played from anywhere else;
-        who cannot go on in motion refuses it, and plays `unspliced` cycles.
+        another one comes, and rest by themselves then. One with a tail is played once: at its
+        splice they take the newest if that begins there, and else play the tail.
 
         Raises
         ------
