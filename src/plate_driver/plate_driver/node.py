@@ -117,7 +117,7 @@ class Options(NodeOptions):
     )
     streams: bool = parameter(False, "Whether to stream setpoints, not to send whole cycles ahead.")
     hold_cycles: int = parameter(
-        2, "Periods that the plate goes on without a new cycle before it rests.", 1, 20
+        2, "Periods that a cycle from rest to rest is played without a new one.", 1, 20
     )
     repeats: int = parameter(
         1, "Times that a cycle which does not start at rest is played.", 1, 100, live=True

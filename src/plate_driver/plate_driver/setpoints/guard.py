@@ -99,7 +99,7 @@ class Guard:
     ----------
     rig : Rig
     hold_cycles, repeats : int
-        Periods that the plate goes on without a new cycle; see `with_fades`.
+        Periods that a cycle from rest to rest is played without a new one; see `with_fades`.
     correction : callable or None
         What was learned of the plate.
     hold_s : float
