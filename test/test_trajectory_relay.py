@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cuts import cut
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
@@ -125,11 +126,7 @@ def test_tables_are_played_and_rest_by_themselves(rig):
 
 
 def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
-    whole = shaking(0.001).cycle
-    times, *states = (values[:19] for values in whole.knots)
-    tail = PlateCycle.stopping(whole.state(18), 0.05)
-    joined = [np.concatenate(pair) for pair in zip(states, tail.knots[1:], strict=True)]
-    cycle = PlateCycle.from_knots(np.append(times, times[-1] + tail.times), *joined)
+    cycle = cut(shaking(0.001).cycle, 0, 18)
     rig.run(0.1)
     rig.relay.enable()
     rig.relay.send(MotorTable.of(RIG, cycle, 1), 1)
@@ -139,7 +136,7 @@ def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
     assert (moving[-1] - moving[0]) * TICK == pytest.approx(cycle.period + 0.05, abs=0.01)
     assert not np.any(rig.state)
     with pytest.raises(CycleError, match="begins in motion, allowed here: one that begins at rest"):
-        rig.relay.send(MotorTable.of(RIG, tail, 1), 1)
+        rig.relay.send(MotorTable.of(RIG, cycle.tail, 1), 1)
 
 
 def test_a_stop_brakes_along_the_path_and_latches(rig):

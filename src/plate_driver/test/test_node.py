@@ -18,6 +18,7 @@ from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
+from cuts import cut  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from driven import Driven, answered_once  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
@@ -92,17 +93,6 @@ def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
 
 
 GENTLE, CALM = shaking(0.0005), shaking(0.0005, 0.3)
-
-
-def cut(cycle: PlateCycle, begin: int, end: int, tail_s: float = 0.05) -> PlateCycle:
-    """What a cycle does between two of its knots, with a tail."""
-    tail = PlateCycle.stopping(cycle.state(end), tail_s)
-    times = cycle.times[begin : end + 1] - cycle.times[begin]
-    states = [
-        np.concatenate([state[begin : end + 1], last])
-        for state, last in zip(cycle.knots[1:], tail.knots[1:], strict=True)
-    ]
-    return PlateCycle.from_knots(np.append(times, times[-1] + tail.times), *states)
 
 
 FIRST, SECOND = cut(CALM, 0, 16), cut(CALM, 16, 32)
