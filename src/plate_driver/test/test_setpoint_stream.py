@@ -78,6 +78,16 @@ def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
     assert np.max(np.abs(way(t))) < 2e-4
 
 
+def test_what_is_at_rest_but_for_rounding_follows_what_is():
+    tables = []
+    for off in (9e-7, -9e-7):
+        pose = np.full((9, 3), off)
+        tables.append(MotorTable.of(RIG, PlateCycle.from_samples(0.2, pose), 1))
+    stream, _ = SetpointStream.of(tables[0], 1).until(0.1)
+    stream, _ = stream.followed_by(tables[1], 1).until(50.0)
+    assert abs(stream.time - (0.2 + 0.2 + 0.01)) < 1e-9
+
+
 def test_a_newer_cycle_begins_the_count_anew():
     first, second = (cycle(0.2, 9, seed) for seed in (2, 3))
     stream, _ = SetpointStream.of(first, 2).until(0.3)

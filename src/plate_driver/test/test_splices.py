@@ -408,7 +408,7 @@ def sender(rng, guard, last):
 def test_whatever_comes_through_the_guard_the_plate_never_jumps():
     totals, warmest = np.zeros(3, int), 0.0
     rig = replace(RIG, limits=replace(RIG.limits, continuous_force=4.0, thermal_time_s=2.0))
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         guard, player, last, refused = Guard(rig, hold_cycles=2), Player(), spliced(rng), 0
         for k in range(60):
@@ -430,7 +430,7 @@ def test_whatever_comes_through_the_guard_the_plate_never_jumps():
         judge(player.rows)
         totals += player.spliced, player.tails, refused
         warmest = max(warmest, heat(rig, player.rows))
-    assert np.min(totals) > 60, totals
+    assert np.min(totals) > 40, totals
     assert 0.5 < warmest <= 1.02
 
 
@@ -481,7 +481,7 @@ def test_a_stream_that_has_sent_beyond_the_splice_takes_nothing_back(pair, rng):
 
 def test_whatever_is_streamed_the_plate_never_jumps():
     totals = np.zeros(3, int)
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         guard, last, now = Guard(RIG), spliced(rng), 0.0
         stream, streams = SetpointStream.of(MotorTable.rest(RIG, PERIOD, 0), 1), [[]]
@@ -513,7 +513,7 @@ def test_whatever_is_streamed_the_plate_never_jumps():
             steps = np.diff([knot.ticks for knot in sent])
             assert np.all((steps > 0) & (steps <= 5_000_000))
             judge(sampled(sent))
-    assert np.min(totals) > 60, totals
+    assert np.min(totals) > 40, totals
 
 
 # What is told of it

@@ -112,8 +112,13 @@ class SetpointStream:
 
     def _after(self) -> SetpointStream | None:
         """Return the stream at the start of what comes after the end; None: rest."""
-        tail, begin = self.playing.tail, self.begin + self.knots[-1].ticks
-        if self.left and self.newest.cycle.follows(self.playing.cycle):
+        tail, begin, newest = (
+            self.playing.tail,
+            self.begin + self.knots[-1].ticks,
+            self.newest.cycle,
+        )
+        fits = newest.starts_at_rest if tail is None else newest.follows(self.playing.cycle)
+        if self.left and fits:
             table, left = self.newest, self.left - 1
         elif tail is not None:
             table, left = tail, self.left
