@@ -407,7 +407,7 @@ def sender(rng, guard, last):
 
 def test_whatever_comes_through_the_guard_the_plate_never_jumps():
     totals, warmest = np.zeros(3, int), 0.0
-    rig = replace(RIG, limits=replace(RIG.limits, continuous_force=4.0, thermal_time_s=2.0))
+    rig = replace(RIG, limits=replace(RIG.limits, continuous_force=1.0, thermal_time_s=3.0))
     for seed in range(8):
         rng = np.random.default_rng(seed)
         guard, player, last, refused = Guard(rig, hold_cycles=2), Player(), spliced(rng), 0
@@ -431,7 +431,7 @@ def test_whatever_comes_through_the_guard_the_plate_never_jumps():
         totals += player.spliced, player.tails, refused
         warmest = max(warmest, heat(rig, player.rows))
     assert np.min(totals) > 40, totals
-    assert 0.5 < warmest <= 1.02
+    assert 0.6 < warmest <= 1.02
 
 
 # Streams
