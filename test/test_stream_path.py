@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from cuts import cut
 
 from harness.serial import Judge, opened
-from plate_core import PlateCycle, load_rig
+from plate_core import CycleError, PlateCycle, load_rig
 from plate_core.serial_protocol import State
 from plate_driver.setpoints import MotorTable
 from plate_driver.transports import LEAD_S, Condition, SerialTransport
@@ -105,6 +106,34 @@ def test_a_host_that_is_held_up_costs_a_brake_and_is_told():
     assert bench.state is State.PLAYING
     assert np.nanmax(bench.travel[-400:]) == pytest.approx(0.008, rel=0.01)
     assert bench.transport.least_lead_s < 0.1
+    assert bench.judge.verdict().kept
+
+
+def test_a_stream_goes_on_in_motion_or_is_brought_to_rest():
+    """With cycles that are longer than the stream is ahead; a device in motion brakes if its stream
+    is broken off."""
+    times, *states = swing(0.004).cycle.knots
+    slow = [state * 0.25**order for order, state in enumerate(states)]
+    whole = PlateCycle.from_knots(4 * times, *slow)
+    first, second = (MotorTable.of(RIG, cut(whole, *k, 0.2), 1) for k in ((0, 18), (18, 30)))
+    bench = Bench(LineFaults())
+    bench.transport.send(first, 1)
+    bench.run(0.1)
+    bench.transport.send(second, 1)
+    bench.run(0.8)
+    assert bench.state is State.PLAYING  # 0.45 s and 0.3 s, and then 0.2 s of the tail
+    bench.run(0.4)
+    assert bench.state is State.READY
+    assert bench.travel[-1] == 0
+    bench.transport.send(first, 1)
+    bench.run(0.25)
+    with pytest.raises(CycleError, match="not where the setpoints end that are sent now"):
+        bench.transport.send(second, 1)
+    bench.run(1.0)
+    assert bench.state is State.READY
+    with pytest.raises(CycleError, match="the stream has ended at rest"):
+        bench.transport.send(second, 1)
+    assert bench.transport.troubles() == []
     assert bench.judge.verdict().kept
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cuts import cut
 from scipy.interpolate import BPoly
 
 from plate_core import CycleError, PlateCycle, load_rig
@@ -122,6 +123,20 @@ def test_tables_are_played_and_rest_by_themselves(rig):
     assert peaks[moving[0] + 350 :].max() < 0.6 * peaks.max()
     assert len(rig.published) == 2
     assert not np.any(rig.state)
+
+
+def test_a_cycle_with_a_tail_is_played_to_rest_and_none_in_motion(rig):
+    cycle = cut(shaking(0.001).cycle, 0, 18)
+    rig.run(0.1)
+    rig.relay.enable()
+    rig.relay.send(MotorTable.of(RIG, cycle, 1), 1)
+    rig.run(0.3)
+    check(rig)
+    moving = np.flatnonzero(np.max(np.abs(np.array(rig.rows)[:, 0]), axis=1) > 1e-9)
+    assert (moving[-1] - moving[0]) * TICK == pytest.approx(cycle.period + 0.05, abs=0.01)
+    assert not np.any(rig.state)
+    with pytest.raises(CycleError, match="begins in motion, allowed here: one that begins at rest"):
+        rig.relay.send(MotorTable.of(RIG, cycle.tail, 1), 1)
 
 
 def test_a_stop_brakes_along_the_path_and_latches(rig):

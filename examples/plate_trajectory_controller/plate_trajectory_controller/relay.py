@@ -1,8 +1,9 @@
 """The relay without ROS: which trajectory the controller gets next, and when.
 
 A joint_trajectory_controller follows the newest trajectory at once and holds its last point, so
-each table is handed over when the one before it ends. All tables begin and end at rest at home: one
-that is handed over late makes the plate rest a little longer, and nothing else.
+each table is handed over when the one before it ends. All begin and end at rest at home (a cycle is
+played with its tail, and one that begins in motion is refused): one that is handed over late makes
+the plate rest a little longer, and nothing else.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from plate_core import CycleError, Rig
 from plate_core.driver_status import DriverReason
 from plate_core.motion import motor_state
-from plate_driver.setpoints import MAX_KNOTS, MotorTable
+from plate_driver.setpoints import MAX_KNOTS, MotorTable, unspliced
 from plate_driver.transports import Condition, Measured, Order, Report
 
 SILENCE_S = 0.25
@@ -125,6 +126,9 @@ class Relay:
         """Keep the table until the one that plays has ended."""
         if self.report().condition is not Condition.READY:
             raise CycleError(f"plate_cycle: the motors are {self.report().condition.value}")
+        if not table.cycle.starts_at_rest:
+            raise CycleError("plate_cycle: begins in motion, allowed here: one that begins at rest")
+        table = MotorTable.of(self._rig, unspliced(table.cycle), table.stamp_ns)
         self._next = table, repeats
         self._publish(table)
         self.poll()

@@ -436,7 +436,7 @@ def run(
             solving = cpu_time()
             answer = controller.answer(wanted, line.running)
             solve_s = cpu_time() - solving
-            table, fitted = prepare(rig, answer.cycle, round(began * 1e9))
+            table, fitted = prepare(rig, answer.cycle, round(began * 1e9), before=line.running)
             line.send(table)
             state = planner.hear(state, answer.cycle, now)
             step_s = cpu_time() - at_work

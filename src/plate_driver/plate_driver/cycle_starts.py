@@ -32,7 +32,7 @@ class CycleStarts:
     Attributes
     ----------
     until : float
-        When the cycle ends that was told last; before the first, now.
+        When the cycle that was told last ends, with its tail; before the first, now.
     began : float
         When it began.
     table : int
@@ -53,7 +53,7 @@ class CycleStarts:
     def heard(
         self, new: Measured, period: float, now: float
     ) -> tuple[CycleStarts, float | None, str]:
-        """Take in telemetry.
+        """Take in telemetry; a tail is a cycle of its own.
 
         Parameters
         ----------
@@ -84,10 +84,10 @@ class CycleStarts:
         same = new.table == self.table and new.began - self.began < SAME_START * period
         if problem or same:
             return seen, None, problem
-        return seen._told(new, new.began, period), new.began, ""
+        return seen._told(new, new.began, new.playing.length), new.began, ""
 
-    def _told(self, new: Measured, began: float, period: float) -> CycleStarts:
-        until = max(began + period, new.time)
+    def _told(self, new: Measured, began: float, length: float) -> CycleStarts:
+        until = max(began + length, new.time)
         return replace(self, table=new.table, began=began, until=until)
 
     def _problem(self, new: Measured, period: float, now: float) -> tuple[float, str]:

@@ -85,6 +85,12 @@ REST_S = 3.0
 NO_START = "starts of cycles are not told where the device's ticks cannot be"
 """What is said of a device that is wrong of how long a table has played."""
 
+CORRECTED = (
+    "the plate is corrected by its calibration: cycles that begin in motion are refused, those "
+    "from rest are played with their tails"
+)
+"""What is said when the driver is activated with a calibration."""
+
 REST_CYCLE_S = 0.1
 """Length of a cycle while the motors rest [s]."""
 
@@ -111,7 +117,7 @@ class Options(NodeOptions):
     )
     streams: bool = parameter(False, "Whether to stream setpoints, not to send whole cycles ahead.")
     hold_cycles: int = parameter(
-        2, "Periods that the plate goes on without a new cycle before it rests.", 1, 20
+        2, "Periods that a cycle from rest to rest is played without a new one.", 1, 20
     )
     repeats: int = parameter(
         1, "Times that a cycle which does not start at rest is played.", 1, 100, live=True
@@ -220,7 +226,9 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._ready_since = self._now()
         self._freshness = Freshness()
         self._cycle_starts = CycleStarts(time.monotonic())
-        self._motions: dict[int, PlateCycle] = {}  # of the plate, by stamps of tables
+        self._motions: dict[int, PlateCycle] = {}  # of corrected tables, by their stamps
+        if self._guard.correction is not None:
+            self.get_logger().info(CORRECTED)
         transport = self._transport
         if transport is not None and not transport.motors:
             if self._latch.reason:
@@ -455,7 +463,9 @@ class DriverNode(SafeLifecycleNode[Options]):
                 self._hear_tasks()  # last, for one may have ended that has asked for this cycle
                 guard = guard.lasting(time.monotonic() + self._left_s(cycle, stamp_ns))
             self._send(transport, guard, number)
-            self._motions = dict([*self._motions.items(), (stamp_ns, fit.cycle)][-MOTIONS_KEPT:])
+            if guard.correction is not None:
+                motions = [*self._motions.items(), (stamp_ns, fit.cycle)]
+                self._motions = dict(motions[-MOTIONS_KEPT:])
         except PlateError as error:
             self._guard = self._guard.refused()
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
@@ -484,7 +494,7 @@ class DriverNode(SafeLifecycleNode[Options]):
     def _message(self, table: MotorTable) -> JointTrajectory:
         joints = [motor.name for motor in self._rig.motors]
         stamp = to_time(table.stamp_ns)
-        return trajectory_to_msg(joints, table.cycle.times, table.q, table.qd, table.qdd, stamp)
+        return trajectory_to_msg(joints, table.times, table.q, table.qd, table.qdd, stamp)
 
     def _halted(self) -> None:
         """Take note that the plate rests, and that an experiment is over."""
@@ -492,7 +502,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._guard = self._guard.resting(self._now())
 
     def _note_start(self, measured: Measured) -> None:
-        """Say that the motors have begun a cycle; again and again that they rest, while they do."""
+        """Say that the motors have begun a cycle, or its tail; again and again that they rest,
+        while they do."""
         transport = self._transport
         if not self.active or transport is None or not transport.calibrates:
             return
@@ -640,8 +651,11 @@ class DriverNode(SafeLifecycleNode[Options]):
         table = self._guard.table
         if table is None:
             return [0.0] * len(self._rig.motors), [0.0] * len(self._rig.motors)
-        t = max(0.0, self._now() - self._guard.sent_at) % table.cycle.period
-        cycle = table.cycle
+        cycle, t = table.cycle, max(0.0, self._now() - self._guard.sent_at)
+        if cycle.tail is None:
+            t %= cycle.period
+        elif t > cycle.period:
+            t, cycle = min(t - cycle.period, cycle.tail.period), cycle.tail
         q, qd, _ = motor_state(self._rig, cycle.pose(t), cycle.twist(t), cycle.accel(t))
         return q[0].tolist(), qd[0].tolist()
 

@@ -9,7 +9,7 @@ from plate_driver.cycle_starts import CycleStarts
 from plate_driver.transports import Measured
 
 PERIOD, EACH_S, OFFSET_S = 0.2, 0.01, 5.0  # of a cycle; between telemetries; of the device's clock
-TABLE = SimpleNamespace(cycle=SimpleNamespace(period=PERIOD))
+TABLE = SimpleNamespace(cycle=SimpleNamespace(period=PERIOD), length=PERIOD)
 
 
 def told(telemetry):

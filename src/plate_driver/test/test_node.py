@@ -18,6 +18,7 @@ from plate_core import PlateCycle, PlateError, load_rig
 from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
+from cuts import cut  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from driven import Driven, answered_once  # noqa: E402
 from lifecycle_msgs.msg import Transition  # noqa: E402
@@ -35,14 +36,17 @@ from plate_core.ros import (  # noqa: E402
     DATA,
     LATCHED,
     cycle_to_msg,
+    msg_to_cycle,
     msg_to_motors,
     nanoseconds,
     start_nodes,
     to_time,
 )
+from plate_driver.calibration import Response, save_response  # noqa: E402
 from plate_driver.freshness import STANDSTILL_S  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
 from plate_driver.status import LOOK, OFF  # noqa: E402
+from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
 DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
@@ -91,6 +95,10 @@ def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
 GENTLE, CALM = shaking(0.0005), shaking(0.0005, 0.3)
 
 
+FIRST, SECOND = cut(CALM, 0, 16), cut(CALM, 16, 32)
+"""Cycles of 0.1 s, with tails of 0.05 s: one from rest, and one that follows."""
+
+
 def at_rest(msg: JointTrajectory) -> bool:
     return not any(
         value for p in msg.points for value in (*p.positions, *p.velocities, *p.accelerations)
@@ -117,8 +125,13 @@ def _driven(make):
     return make()
 
 
-def refused(driven: Driven, stamp_ns: int | None = None, source: bytes = b"solver") -> str:
-    why = driven.send(GENTLE, stamp_ns, source)
+def refused(
+    driven: Driven,
+    stamp_ns: int | None = None,
+    source: bytes = b"solver",
+    cycle: PlateCycle = GENTLE,
+) -> str:
+    why = driven.send(cycle, stamp_ns, source)
     assert isinstance(why, str), "it was answered"
     return why
 
@@ -175,6 +188,115 @@ def test_good_and_bad_cycles(driven, rig):
     assert [totals[-1][key] for key in ("cycles", "refused", "scaled")] == ["5", "6", "1"]
     assert any(float(report["worst_limit_fraction"]) > 5 for report in totals)
     assert driven.said["motor_states"][-1].name == motors.joint_names
+
+
+def test_a_cycle_in_motion_is_taken_where_the_last_one_ends(driven, rig):
+    assert refused(driven, cycle=SECOND).startswith("plate_cycle: begins in motion, ")
+    driven.send(FIRST)
+    driven.pass_time(0.08)
+    driven.send(SECOND)
+    first, second = (msg_to_motors(rig, msg) for msg in driven.setpoints)
+    assert second.follows(first)
+    assert first.period == second.period == pytest.approx(0.1)
+    assert first.tail.period == second.tail.period == pytest.approx(0.05)
+    assert driven.setpoints[0].points[16] == driven.setpoints[0].points[17]
+    # It does not follow itself; and where nothing follows the plate comes to rest by its tail.
+    assert "from the state in which the last table ends" in refused(driven, cycle=SECOND)
+    driven.pass_time(0.29)
+    silence = "no plate_cycle for 0.3 s: the plate rests"
+    assert silence not in driven.log.lines
+    driven.pass_time(0.03)
+    assert driven.log.lines.count(silence) == 1
+    assert "from rest" in refused(driven, cycle=SECOND)
+    assert isinstance(driven.send(FIRST), int)
+
+
+class Player:
+    """A transport that plays tables as a device does, from the moment at which they come."""
+
+    motors = calibrates = True
+    max_knots, hold_s = 2000, 10.0
+
+    def __init__(self, clock) -> None:
+        self.clock, self.condition, self.plan, self.count = clock, Condition.OFF, [], 0
+
+    def send(self, table, repeats) -> None:
+        self.count, now = self.count + 1, self.clock()
+        last = self.plan[-1] if self.plan else None
+        if last is not None and table.cycle.follows(last[1].cycle):
+            now = last[2] + last[1].cycle.period
+        self.plan.append((self.count, table, now))
+
+    def poll(self):
+        now, rest = self.clock() - 0.002, (0.0,) * 4
+        for number, table, began in reversed(self.plan):
+            if began + table.cycle.period <= now < began + table.length:
+                began, table = began + table.cycle.period, table.tail
+            if began <= now < began + table.cycle.period:
+                return [Measured(now, now, number, rest, rest, table, began)]
+        return [Measured(now, now, 0, rest, rest)]
+
+    def report(self) -> Report:
+        return Report(self.condition)
+
+    def enable(self) -> Order:
+        self.condition = Condition.READY
+        return Order().settle()
+
+    def stop(self, cut=False) -> Order:
+        self.condition = Condition.OFF
+        return Order().settle()
+
+    def open(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def troubles(self):
+        return []
+
+    def values(self):
+        return {}
+
+
+def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
+    monkeypatch.setattr(
+        "plate_driver.node.make_transport", lambda _, context: Player(context.clock)
+    )
+    driven = make("use_sim_time:=false")
+    driven.node._starts.get_subscription_count = lambda: 1
+    assert driven.enable().success
+    driven.pass_time(0.2)
+    driven.said["cycle_started"].clear()
+    begin = driven.send(FIRST)
+    driven.pass_time(0.06)
+    driven.send(SECOND)
+    driven.pass_time(0.5)
+    starts = driven.said["cycle_started"]
+    after = [(nanoseconds(msg.header.stamp) - begin) / 1e9 for msg in starts]
+    cycles = [msg_to_cycle(msg) for msg in starts]
+    moving = [k for k, cycle in enumerate(cycles) if cycle.moves]
+    np.testing.assert_allclose([after[k] for k in moving], [0.0, 0.1, 0.2], atol=1e-6)
+    for k, cycle in zip(moving, (FIRST, SECOND, SECOND.tail), strict=True):
+        np.testing.assert_array_equal(cycles[k].knot_pose, cycle.knot_pose)
+        assert (cycles[k].tail is None) == (cycle.tail is None)
+    # Then rest is told of, from the end of the tail on.
+    assert after[moving[-1] + 1] == pytest.approx(0.25, abs=2e-3)
+
+
+def test_with_a_calibration_cycles_in_motion_are_refused(make, tmp_path, rig):
+    path = tmp_path / "response.npz"
+    save_response(path, Response.identity(rig, np.arange(1.0, 100.0)))
+    driven = make(f"calibration_file:={path}")
+    assert any("cycles that begin in motion are refused" in line for line in driven.log.lines)
+    driven.send(FIRST)
+    played = msg_to_motors(rig, driven.setpoints[-1])
+    assert played.tail is None
+    assert played.period == pytest.approx(0.15)
+    driven.pass_time(0.05)
+    assert "allowed with a calibration: one that begins at rest" in refused(driven, cycle=SECOND)
+    assert isinstance(driven.send(FIRST), int)
 
 
 def test_a_plate_rests_before_the_driver_ends(driven):

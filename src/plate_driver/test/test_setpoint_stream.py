@@ -37,11 +37,12 @@ def test_a_fine_table_stays_as_it_is():
 
 
 def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
-    first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
-    stream, sent = SetpointStream.of(first, 9).until(0.3)
+    tables = [cycle(0.2, 9, seed) for seed in (2, 3)]
+    first, second = (knots(table) for table in tables)
+    stream, sent = SetpointStream.of(tables[0], 9).until(0.3)
     assert sent[0] == first[0]
     assert abs(stream.time - 0.3) <= 0.025
-    stream = stream.followed_by(second, 9)
+    stream = stream.followed_by(tables[1], 9)
     stream, more = stream.until(0.7)
     both = [*sent, *more]
     assert stream.sent == len(both)
@@ -52,7 +53,7 @@ def test_the_row_goes_on_with_the_newest_cycle_at_a_boundary():
 
 
 def test_times_wrap():
-    stream = SetpointStream.of(knots(cycle(0.2, 9, 2)), 1000)
+    stream = SetpointStream.of(cycle(0.2, 9, 2), 1000)
     stream, sent = stream.until(50.0)
     ticks = np.array([k.ticks for k in sent])
     assert np.all(np.diff(ticks) % TICKS == 2_500_000)
@@ -60,8 +61,7 @@ def test_times_wrap():
 
 
 def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
-    cycle_knots = knots(cycle(0.2, 9, 2))
-    stream, sent = SetpointStream.of(cycle_knots, 3).until(50.0)
+    stream, sent = SetpointStream.of(cycle(0.2, 9, 2), 3).until(50.0)
     assert stream.ended
     assert len(sent) == 3 * 8 + 1 + 1
     assert sent[-2].ticks == 60_000_000
@@ -78,8 +78,18 @@ def test_a_stream_ends_at_rest_when_its_cycles_have_been_sent():
     assert np.max(np.abs(way(t))) < 2e-4
 
 
+def test_what_is_at_rest_but_for_rounding_follows_what_is():
+    tables = []
+    for off in (9e-7, -9e-7):
+        pose = np.full((9, 3), off)
+        tables.append(MotorTable.of(RIG, PlateCycle.from_samples(0.2, pose), 1))
+    stream, _ = SetpointStream.of(tables[0], 1).until(0.1)
+    stream, _ = stream.followed_by(tables[1], 1).until(50.0)
+    assert abs(stream.time - (0.2 + 0.2 + 0.01)) < 1e-9
+
+
 def test_a_newer_cycle_begins_the_count_anew():
-    first, second = (knots(cycle(0.2, 9, seed)) for seed in (2, 3))
+    first, second = (cycle(0.2, 9, seed) for seed in (2, 3))
     stream, _ = SetpointStream.of(first, 2).until(0.3)
     stream, _ = stream.followed_by(second, 3).until(50.0)
     assert abs(stream.time - (0.4 + 0.6 + 0.01)) < 1e-9

@@ -5,7 +5,7 @@
 
 from .guard import Guard, Statistics
 from .limits import Fit, fit
-from .motor_table import MAX_KNOTS, MotorTable, plays, prepare
+from .motor_table import MAX_KNOTS, MotorTable, plays, prepare, unspliced
 from .setpoint_stream import SetpointStream, knots, refined
 
 __all__ = [
@@ -20,4 +20,5 @@ __all__ = [
     "plays",
     "prepare",
     "refined",
+    "unspliced",
 ]

@@ -92,11 +92,14 @@ class Statistics:
 class Guard:
     """Between what comes in and the motors.
 
+    A table with a tail is played once, whatever `hold_cycles` says: where no other one follows it
+    ends at rest by itself.
+
     Attributes
     ----------
     rig : Rig
     hold_cycles, repeats : int
-        Periods that the plate goes on without a new cycle; see `with_fades`.
+        Periods that a cycle from rest to rest is played without a new one; see `with_fades`.
     correction : callable or None
         What was learned of the plate.
     hold_s : float
@@ -106,7 +109,7 @@ class Guard:
     table : MotorTable or None
         The last one sent; None: the plate rests.
     sent_at, lasts_s : float
-        When the last one was sent, and how long it is played without a new one [s].
+        When the last one was sent, and how long after that the plate rests without a new one [s].
     thermal : ThermalState
     statistics : Statistics
     """
@@ -127,7 +130,8 @@ class Guard:
     def plays(self) -> int:
         """Times that the motors play the last table, unless another one comes."""
         assert self.table is not None
-        return plays(self.hold_cycles, self.hold_s, self.table.cycle.period)
+        cycle = self.table.cycle
+        return plays(self.hold_cycles if cycle.tail is None else 1, self.hold_s, cycle.period)
 
     def accepted(self, cycle: PlateCycle, stamp_ns: int, now: float) -> tuple[Guard, Fit]:
         """Return the guard with a cycle's table, to be sent at `now` [s].
@@ -153,12 +157,18 @@ class Guard:
         """
         thermal = self.thermal.at_time(self.rig, now)
         # It may be played once more than that: what plays now goes on to its end.
-        longest = (self.hold_cycles + 2) * (self.repeats + 2) * cycle.period
+        longest = (self.hold_cycles + 2) * (self.repeats + 2) * sum(p.period for p in cycle.parts)
         allowed = thermal.allowed_load(self.rig, longest)
-        table, fit = prepare(self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction)
+        before = None if self.table is None else self.table.cycle
+        table, fit = prepare(
+            self.rig, cycle, stamp_ns, self.repeats, allowed, self.correction, before
+        )
         thermal = thermal.under(fit.usage.thermal_load)
         guard = replace(self, table=table, sent_at=now, thermal=thermal)
-        return replace(guard, lasts_s=guard.plays * table.cycle.period), fit
+        lasts_s = guard.plays * table.cycle.period
+        if table.tail is not None:  # what plays now goes on to its end before
+            lasts_s = table.length + (0.0 if self.table is None else self.table.length)
+        return replace(guard, lasts_s=lasts_s), fit
 
     def lasting(self, until: float) -> Guard:
         """Return the guard whose table is too old from `until` on [s, steady clock]."""

@@ -132,19 +132,49 @@ def _next_factor(large: float, large_worst: float, small: Fit | None, secant: bo
     return float(np.exp(low + fraction * (high - low)) * 0.998)
 
 
+def excess(rig: Rig, used: CycleUsage, thermal_load: np.ndarray | float = 1.0) -> str:
+    """Say which limit a motion exceeds most: its name, its value and what is allowed.
+
+    Parameters
+    ----------
+    thermal_load : (4,) or float
+        What the motors may take, see `usage`.
+    """
+    limits, allowed = rig.limits, np.broadcast_to(thermal_load, 4)
+    warmest = int(np.argmax(used.thermal_load / allowed))
+    mean, most = limits.continuous_force * np.sqrt([used.thermal_load[warmest], allowed[warmest]])
+    name, value, limit, unit = max(
+        ("stroke", used.stroke_m, limits.stroke_m, "m"),
+        ("speed", used.speed, limits.speed, "m/s"),
+        ("acceleration", used.accel, limits.accel, "m/s2"),
+        ("peak force", used.force, limits.force, "N"),
+        ("mean force of motors so warm", mean, most, "N"),
+        key=lambda row: row[1] / row[2],
+    )
+    return f"{name} is {value:.4g} {unit}, allowed: {limit:.4g} {unit}"
+
+
 def check_setpoints(
-    rig: Rig, times: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+    rig: Rig,
+    times: np.ndarray,
+    q: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> None:
-    """Refuse motor setpoints beyond the rig's limits, or that do not begin and end at home.
+    """Refuse motor setpoints beyond the rig's limits, or that begin or end elsewhere than allowed.
 
     The last look before the motors: it knows nothing of how the setpoints were made.
 
     Parameters
     ----------
     times : (k + 1,)
-        [s], rising from 0.
+        [s], rising from 0; one may be given twice, with the same setpoints.
     q, qd, qdd : (k + 1, 4)
         Travel [m], speed [m/s] and acceleration [m/s2] of the motors; quintics between.
+    start : (4,) and (4,), optional
+        Travel [m] and speed [m/s] with which they must begin; missing: at rest at home, as they
+        must end.
 
     Raises
     ------
@@ -153,18 +183,26 @@ def check_setpoints(
     """
     if not all(np.all(np.isfinite(values)) for values in (times, q, qd, qdd)):
         raise CycleError("motor setpoints: a value is not finite")
-    if times[0] != 0 or np.any(np.diff(times) <= 0):
+    once = np.append(True, np.diff(times) != 0)
+    again = np.flatnonzero(~once)
+    if any(np.any(values[again] != values[again - 1]) for values in (q, qd, qdd)):
+        raise CycleError("motor setpoints: those given twice for one time differ")
+    times, q, qd, qdd = times[once], q[once], qd[once], qdd[once]
+    if times[0] != 0 or np.any(np.diff(times) < 0):
         raise CycleError("motor setpoints: times must start at 0 and rise")
     home = HOME_TOLERANCE * max(1.0, *(float(np.hypot(*motor.point)) for motor in rig.motors))
-    travel, steps, ends = quintic_pieces(times, q, qd, qdd), np.diff(times), [0, -1]
+    travel, steps = quintic_pieces(times, q, qd, qdd), np.diff(times)
+    first_q, first_qd = (0.0, 0.0) if start is None else start
+    ends_q, ends_qd = np.abs([q[0] - first_q, q[-1]]), np.abs([qd[0] - first_qd, qd[-1]])
+    where = "at rest" if start is None else "off its start, or at rest,"
     far = polynomial_peaks(travel, steps, rig.limits.stroke_m)
     fast = polynomial_peaks(derivative(travel), steps, rig.limits.speed)
     for number, motor in enumerate(rig.motors):
         for what, unit, value, limit in (
             ("travel", "m", far[number], rig.limits.stroke_m),
             ("speed", "m/s", fast[number], rig.limits.speed),
-            ("travel at rest", "m", np.max(np.abs(q[ends, number])), home),
-            ("speed at rest", "m/s", np.max(np.abs(qd[ends, number])), 100 * home),
+            (f"travel {where}", "m", np.max(ends_q[:, number]), home),
+            (f"speed {where}", "m/s", np.max(ends_qd[:, number]), 100 * home),
         ):
             if not value <= limit * (1 + ROUNDING):
                 raise CycleError(

@@ -11,10 +11,11 @@ import numpy as np
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import motor_state, usage
 
-from .limits import Fit, check_setpoints, fit
+from .limits import Fit, check_setpoints, excess, fit
 
 PERIOD_S = (0.01, 10.0)
-"""Allowed length of a table [s]: one image is taken in each, so it is 0.1 to 100 Hz of sight."""
+"""Allowed length of a table, and of its tail [s]: one image is taken in each, so it is 0.1 to
+100 Hz of sight."""
 
 MAX_KNOTS = 2000
 """Knots of one cycle: more would take longer to work through than the cycle lasts."""
@@ -32,7 +33,12 @@ Correction = Callable[[PlateCycle], PlateCycle]
 
 @dataclass(frozen=True)
 class MotorTable:
-    """What the motors do, from rest at home to rest at home.
+    """What the motors do: to rest at home, from rest at home or from where another table ends its
+    cycle.
+
+    With a tail it is played once; at the end of its cycle the next table takes over, if that begins
+    in this very state, and else its tail leads to rest. Without one it begins and ends at rest, and
+    may be repeated.
 
     Attributes
     ----------
@@ -41,7 +47,7 @@ class MotorTable:
     cycle : PlateCycle
         The plate's motion.
     q, qd, qdd : (k + 1, 4)
-        Travel [m], speed and acceleration of the motors at `cycle.times`; quintic splines between.
+        Travel [m], speed and acceleration of the motors at `times`; quintic splines between.
     until : float
         From then on it is too old to be sent [s, steady clock].
     """
@@ -56,13 +62,31 @@ class MotorTable:
     @classmethod
     def of(cls, rig: Rig, cycle: PlateCycle, stamp_ns: int) -> MotorTable:
         """Return the table of a plate cycle."""
-        motors = motor_state(rig, cycle.knot_pose, cycle.knot_twist, cycle.knot_accel)
-        return cls(stamp_ns, cycle, *motors)
+        _, *states = cycle.knots
+        return cls(stamp_ns, cycle, *motor_state(rig, *states))
 
     @classmethod
     def rest(cls, rig: Rig, period: float, stamp_ns: int) -> MotorTable:
         """Return the table that keeps the plate at home."""
         return cls.of(rig, PlateCycle.rest(period), stamp_ns)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times (k + 1,) of the knots [s]: the end of the cycle twice, if a tail begins there."""
+        return self.cycle.knots[0]
+
+    @property
+    def length(self) -> float:
+        """Time until the motors rest, if it is played once and no other table takes over [s]."""
+        return sum(part.period for part in self.cycle.parts)
+
+    @property
+    def tail(self) -> MotorTable | None:
+        """What is played from the end of the cycle on where no other table takes over."""
+        if self.cycle.tail is None:
+            return None
+        k = len(self.cycle.times)
+        return replace(self, cycle=self.cycle.tail, q=self.q[k:], qd=self.qd[k:], qdd=self.qdd[k:])
 
     def check_age(self, now: float) -> None:
         """Refuse to send it at `now` [s, steady clock] if it is too old.
@@ -87,8 +111,12 @@ def prepare(
     repeats: int = 1,
     thermal_load: np.ndarray | float = 1.0,
     correction: Correction | None = None,
+    before: PlateCycle | None = None,
 ) -> tuple[MotorTable, Fit]:
     """Make the table that does what a plate cycle asks for, within the rig's limits.
+
+    A cycle from rest is scaled down as a whole, with its tail, where it exceeds them. One that
+    begins in motion cannot be: it would begin elsewhere than the one before ends.
 
     Parameters
     ----------
@@ -97,30 +125,97 @@ def prepare(
     thermal_load : (4,) or float
         What the motors may take, see `usage`.
     correction : callable, optional
-        What was learned of the plate. Wanted motion and command both keep the limits.
+        What was learned of the plate. Wanted motion and command both keep the limits. What is to
+        be corrected depends on what comes next, which is not known at the end of a cycle in motion:
+        such a one is played with its tail as one motion from rest to rest.
+    before : PlateCycle, optional
+        The one that was sent last, at whose end a cycle may begin in motion; missing: the plate
+        rests.
 
     Raises
     ------
     CycleError
-        If the cycle is none that this plate could do.
+        If the cycle is none that this plate could do, or begins in motion and not where `before`
+        ends, or beyond a limit.
     """
-    if len(cycle.times) > MAX_KNOTS:
-        raise CycleError(f"plate_cycle: {len(cycle.times)} knots, allowed: at most {MAX_KNOTS}")
-    whole = with_fades(cycle, repeats)
-    for period in (cycle.period, whole.period):
-        if not PERIOD_S[0] <= period <= PERIOD_S[1]:
-            fades = "" if whole is cycle else f" ({whole.period:g} s with fades)"
+    if len(cycle.knots[0]) > MAX_KNOTS:
+        count = len(cycle.knots[0])
+        raise CycleError(f"plate_cycle: {count} knots, allowed: at most {MAX_KNOTS}")
+    if not (cycle.starts_at_rest or (cycle.tail is None and cycle.closes)):
+        whole = _following(cycle, before, correction)
+    elif cycle.tail is None:
+        whole = with_fades(cycle, repeats)
+    else:
+        whole = cycle if correction is None else unspliced(cycle)
+    lengths = [(cycle.period, "period"), (whole.period, "period")]
+    if whole.tail is not None:
+        lengths.append((whole.tail.period, "tail"))
+    for length, name in lengths:
+        if not PERIOD_S[0] <= length <= PERIOD_S[1]:
+            fades = f" ({whole.period:g} s with fades)" if whole.period > cycle.period else ""
+            value = f"{length:g} s" if name == "tail" else f"{cycle.period:g} s{fades}"
             raise CycleError(
-                f"plate_cycle: period is {cycle.period:g} s{fades}, "
-                f"allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
+                f"plate_cycle: {name} is {value}, allowed: {PERIOD_S[0]:g} to {PERIOD_S[1]:g} s"
             )
     fitted = fit(rig, whole, thermal_load)
+    if fitted.factor < 1 and not whole.starts_at_rest:
+        raise CycleError(
+            f"plate_cycle: {excess(rig, fitted.asked, thermal_load)}; it begins in motion and "
+            "cannot be scaled down: the plate comes to rest, and a cycle from rest can be"
+        )
     command = fitted.cycle
     if correction is not None:
         command, fitted = _corrected(rig, fitted, correction, thermal_load)
     made = MotorTable.of(rig, command, stamp_ns)
-    check_setpoints(rig, command.times, made.q, made.qd, made.qdd)
+    start = None
+    if before is not None and not whole.starts_at_rest:
+        q, qd, _ = motor_state(rig, *before.state(-1)[:, None])
+        start = q[0], qd[0]
+    check_setpoints(rig, made.times, made.q, made.qd, made.qdd, start)
     return made, fitted
+
+
+def _following(
+    cycle: PlateCycle, before: PlateCycle | None, correction: Correction | None
+) -> PlateCycle:
+    """Return a cycle that begins in motion, to the last bit where another one ends.
+
+    Raises
+    ------
+    CycleError
+        If it does not begin there, or may not follow.
+    """
+    if cycle.tail is None:
+        raise CycleError(
+            "plate_cycle: begins in motion and has no tail, allowed: one that begins at rest, ends "
+            "as it begins, or has a tail"
+        )
+    if correction is not None:
+        raise CycleError(
+            "plate_cycle: begins in motion, allowed with a calibration: one that begins at rest"
+        )
+    if before is None or not cycle.follows(before):
+        end = np.zeros((3, 3)) if before is None else before.state(-1)
+        pose, twist, accel = np.max(np.abs(cycle.state(0) - end), axis=1)
+        where = "rest" if before is None else "the state in which the last table ends its cycle"
+        raise CycleError(
+            f"plate_cycle: begins in motion, {pose:.3g} m or rad, {twist:.3g} m/s or rad/s and "
+            f"{accel:.3g} m/s2 or rad/s2 from {where}, allowed: in that state, or at rest"
+        )
+    times, *states = cycle.knots
+    exact = [
+        np.concatenate([end[None], state[1:]])
+        for end, state in zip(before.state(-1), states, strict=True)
+    ]
+    return PlateCycle.from_knots(times, *exact)
+
+
+def unspliced(cycle: PlateCycle) -> PlateCycle:
+    """Return a cycle from rest and its tail as one motion, which nothing can follow before its
+    end."""
+    times, *states = cycle.knots
+    once = np.append(True, np.diff(times) > 0)
+    return PlateCycle.from_knots(times[once], *(state[once] for state in states))
 
 
 def _corrected(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import PPoly
 
+from plate_core import CycleError
 from plate_core.motion import quintic_pieces
 from plate_core.serial_protocol import TICK_S, Knot
 
@@ -25,26 +26,34 @@ quintic between them needs no more acceleration than there was."""
 
 @dataclass(frozen=True)
 class SetpointStream:
-    """Setpoints that go on with the newest cycle wherever one ends.
+    """Setpoints that go on with the newest cycle wherever one ends in the state in which that
+    begins; a cycle in whose end it does not begin goes on with its tail.
+
+    What comes after an end is decided when the first setpoint beyond it is sent.
 
     Attributes
     ----------
-    cycle, newest : tuple of Knot
-        The cycle that is sent now, and the one to follow: from 0 to its period, both ends given.
+    playing : MotorTable
+        The cycle, or tail of one, that is sent now.
+    knots : tuple of Knot
+        Its setpoints, from 0 to its period, both ends given.
+    newest : MotorTable
+        The one to follow.
     left : int
         Times that the newest is yet to be sent: then the stream ends at rest.
     sent : int
         Setpoints so far.
     at : int
-        Next knot of the cycle.
+        Next one of `knots`.
     begin : int
-        When the cycle began, since the stream's start [TICK_S].
+        When `playing` began, since the stream's start [TICK_S].
     ended : bool
         Whether rest at the end was sent.
     """
 
-    cycle: tuple[Knot, ...]
-    newest: tuple[Knot, ...]
+    playing: MotorTable
+    knots: tuple[Knot, ...]
+    newest: MotorTable
     left: int
     sent: int = 0
     at: int = 0
@@ -52,38 +61,70 @@ class SetpointStream:
     ended: bool = False
 
     @classmethod
-    def of(cls, cycle: tuple[Knot, ...], repeats: int) -> SetpointStream:
-        """Return the stream that plays a cycle so many times."""
-        return cls(cycle, cycle, repeats - 1)
+    def of(cls, table: MotorTable, repeats: int) -> SetpointStream:
+        """Return the stream that plays a table so many times, from rest.
+
+        Raises
+        ------
+        CycleError
+            If the table begins in motion.
+        """
+        if not table.cycle.starts_at_rest:
+            raise CycleError("plate_cycle: begins in motion, but the stream has ended at rest")
+        return cls(table, refined(table), table, repeats - 1)
 
     @property
     def time(self) -> float:
         """Time of the last setpoint sent [s]."""
         rest = REST_TICKS if self.ended else 0
-        return (self.begin + self.cycle[max(0, self.at - 1)].ticks + rest) * TICK_S
+        return (self.begin + self.knots[max(0, self.at - 1)].ticks + rest) * TICK_S
 
-    def followed_by(self, cycle: tuple[Knot, ...], repeats: int) -> SetpointStream:
-        """Return the stream that goes on with another cycle; one that has ended does not."""
-        return replace(self, newest=cycle, left=repeats)
+    def followed_by(self, table: MotorTable, repeats: int) -> SetpointStream:
+        """Return the stream that goes on with another table; one that has ended does not.
+
+        Raises
+        ------
+        CycleError
+            If the table begins in motion, and not where what is sent now ends.
+        """
+        if not (table.cycle.starts_at_rest or table.cycle.follows(self.playing.cycle)):
+            raise CycleError(
+                "plate_cycle: begins in motion, and not where the setpoints end that are sent now"
+            )
+        return replace(self, newest=table, left=repeats)
 
     def until(self, time: float) -> tuple[SetpointStream, tuple[Knot, ...]]:
         """Return the stream sent up to a time [s] or a little more, and what is new of it."""
         stream, knots = self, []
         while stream.time < time and not stream.ended:
-            if stream.at == len(stream.cycle):  # its end was sent: the next one's start is the same
-                begin = stream.begin + stream.cycle[-1].ticks
-                if not stream.left:
-                    ticks = (begin + REST_TICKS) % TICKS
+            if stream.at == len(stream.knots):  # its end was sent: the next one's start is the same
+                after = stream._after()
+                if after is None:
+                    ticks = (stream.begin + stream.knots[-1].ticks + REST_TICKS) % TICKS
                     knots.append(Knot(ticks, (0.0,) * 4, (0.0,) * 4, (0.0,) * 4))
                     stream = replace(stream, sent=stream.sent + 1, ended=True)
                     continue
-                stream = replace(
-                    stream, cycle=stream.newest, at=1, begin=begin, left=stream.left - 1
-                )
-            knot = stream.cycle[stream.at]
+                stream = after
+            knot = stream.knots[stream.at]
             knots.append(replace(knot, ticks=(stream.begin + knot.ticks) % TICKS))
             stream = replace(stream, at=stream.at + 1, sent=stream.sent + 1)
         return stream, tuple(knots)
+
+    def _after(self) -> SetpointStream | None:
+        """Return the stream at the start of what comes after the end; None: rest."""
+        tail, begin, newest = (
+            self.playing.tail,
+            self.begin + self.knots[-1].ticks,
+            self.newest.cycle,
+        )
+        fits = newest.starts_at_rest if tail is None else newest.follows(self.playing.cycle)
+        if self.left and fits:
+            table, left = self.newest, self.left - 1
+        elif tail is not None:
+            table, left = tail, self.left
+        else:
+            return None
+        return replace(self, playing=table, knots=refined(table), at=1, begin=begin, left=left)
 
 
 def knots(table: MotorTable) -> tuple[Knot, ...]:
@@ -92,16 +133,17 @@ def knots(table: MotorTable) -> tuple[Knot, ...]:
 
 
 def refined(table: MotorTable) -> tuple[Knot, ...]:
-    """Return the same motion with no piece longer than a stream's may be."""
+    """Return a table's motion without its tail, with no piece longer than a stream's may be."""
     times = table.cycle.times
+    own = [values[: len(times)] for values in (table.q, table.qd, table.qdd)]
     steps = np.diff(times)
     counts = np.ceil(steps / LONGEST_S).astype(int)
     part = np.concatenate([np.arange(n) / n for n in counts]) * np.repeat(steps, counts)
     t = np.append(np.repeat(times[:-1], counts) + part, times[-1])
-    pieces = quintic_pieces(times, table.q, table.qd, table.qdd)
+    pieces = quintic_pieces(times, *own)
     spline = PPoly(pieces.transpose(1, 0, 2)[::-1], times)
     states = [spline(t, order) for order in range(3)]
-    for state, exact in zip(states, (table.q, table.qd, table.qdd), strict=True):
+    for state, exact in zip(states, own, strict=True):
         state[-1] = exact[-1]
     return _rounded(t, *states)
 

@@ -34,7 +34,7 @@ from plate_core.serial_protocol import (
     parse,
 )
 
-from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays, refined
+from ..setpoints import MAX_KNOTS, MotorTable, SetpointStream, knots, plays
 from .line import upload_s
 from .link import Link
 from .transport import Condition, Measured, Order, Report, TransportContext
@@ -219,7 +219,7 @@ class SerialTransport:
         self._streams, self._baud = streams, baud
         self._streamed: SetpointStream | None = None
         self._stream_began: float | None = None  # on the device's clock [s]
-        self._next: tuple[MotorTable, int] | None = None  # begins the next stream
+        self._next: SetpointStream | None = None  # begins once that has ended
         self.least_lead_s = float("inf")
         self._make_port, self._clock, self._session = make_port, clock, seed
         self._port: Port | None = None
@@ -287,9 +287,9 @@ class SerialTransport:
             self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
             self._link = self._link.uploading(self._table, sent, repeats, splice_ticks)
         elif self._streamed is not None and not self._streamed.ended:
-            self._streamed = self._streamed.followed_by(refined(table), repeats)
+            self._streamed = self._streamed.followed_by(table, repeats)
         else:
-            self._next = table, repeats
+            self._next = SetpointStream.of(table, repeats)
         self.poll()
 
     def poll(self) -> list[Measured]:
@@ -546,10 +546,10 @@ class SerialTransport:
         braking = telemetry.state is State.BRAKING
         playing = None if braking else self._sent.get(telemetry.table)
         ticks = telemetry.ticks
-        if playing is not None and playing.cycle.tail is not None:
+        if playing is not None and (tail := playing.tail) is not None:
             splice_ticks = round(playing.cycle.period / TICK_S)
             if ticks >= splice_ticks:
-                playing, ticks = tail_of(playing), ticks - splice_ticks
+                playing, ticks = tail, ticks - splice_ticks
         return Measured(
             time, telemetry.device_us * 1e-6, telemetry.table,
             telemetry.position, telemetry.acceleration, playing,
@@ -579,9 +579,9 @@ class SerialTransport:
             stream = self._streamed = None
         if stream is None:
             if self._next is not None and ready:
-                (table, repeats), self._next = self._next, None
                 self._table = self._table % 65_535 + 1
-                self._streamed, first = SetpointStream.of(refined(table), repeats).until(LEAD_S)
+                self._streamed, first = self._next.until(LEAD_S)
+                self._next = None
                 self._stream_began = None
                 self._link = self._link.streaming(self._table, first)
             return
@@ -649,14 +649,6 @@ def wired(table: MotorTable, before: Iterable[MotorTable]) -> tuple[tuple[Knot, 
         return (first, *rest), 0
     end = len(table.cycle.times) - 1  # of this knot there are two
     return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks
-
-
-def tail_of(table: MotorTable) -> MotorTable:
-    """Return a table's tail, as a table that begins in motion."""
-    assert table.cycle.tail is not None
-    own = slice(len(table.cycle.times), None)
-    q, qd, qdd = table.q[own], table.qd[own], table.qdd[own]
-    return replace(table, cycle=table.cycle.tail, q=q, qd=qd, qdd=qdd)
 
 
 def named(faults: Fault) -> str:

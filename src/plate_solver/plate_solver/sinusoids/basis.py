@@ -112,7 +112,7 @@ class SinusoidBasis:
 
     def cycle(self, coefficients: np.ndarray, plate: np.ndarray | None = None) -> PlateCycle:
         """Return the motion of coefficients (h, 3) as a plate cycle; it begins in a state (3, 3) of
-        the plate, at rest if that is left out."""
+        the plate, at rest if that is left out. What begins or may end in motion has a tail."""
         states = [basis @ coefficients for basis in self.knots]
         spline = (self.spline @ coefficients).reshape(-1, 6, 3)
         if plate is not None:
@@ -121,13 +121,13 @@ class SinusoidBasis:
             states = [state + own for state, own in zip(states, more, strict=True)]
             for state, first in zip(states, plate, strict=True):
                 state[0] = first  # to the last bit, as is the end
-        tail = None
-        if self.free_end:
-            tail = PlateCycle.stopping(np.stack([state[-1] for state in states]), TAIL_S)
         for state in states:
             if not self.free_end:
                 state[-1] = state[0] if plate is None else 0
             state.setflags(write=False)
+        tail = None
+        if self.free_end or (plate is not None and np.any(plate)):
+            tail = PlateCycle.stopping(np.stack([state[-1] for state in states]), TAIL_S)
         pose, twist, accel = states
         return PlateCycle(self.times, pose, twist, accel, spline, tail)
 
