@@ -120,7 +120,7 @@ def stages_row(rig: Rig, scenario: Scenario, moments: list[Moment]) -> dict[str,
         clock.lap("planner")
         answer = controller.answer(moment.wanted, running)
         clock.lap("solver")
-        table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9))
+        table, _ = prepare(rig, answer.cycle, round(moment.time * 1e9), before=running)
         clock.lap("driver")
         run_cycle(world, running, rig)
         clock.lap("simulator")
