@@ -6,7 +6,6 @@ import errno
 import os
 import termios
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
