@@ -138,7 +138,8 @@ def test_a_reported_cycle_that_none_could_play_is_ignored():
 
 def swinging(k):
     """A cycle that differs from others."""
-    return replace(SHORT, knot_pose=SHORT.knot_pose + 1e-4 * k)
+    pose = np.outer([0.0, 1e-4 * k, 0.0], [1, 0, 0])
+    return PlateCycle.from_knots(np.array([0.0, 0.05, 0.1]), pose, 0 * pose, 0 * pose)
 
 
 def played(count, late, log=None):
@@ -157,14 +158,14 @@ def test_how_late_answers_begin_is_learnt(late):
     ahead = log.until_answer
     assert ahead.end == pytest.approx(log.end + 0.1 * late)
     # Those that were sent begin in their turn.
-    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-1 - late :]]
+    last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-1 - late :]]
     assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
 
 
 def test_until_those_that_are_sent_come_the_plate_repeats_what_runs():
     log = replace(played(14, 3), sent=played(14, 3).sent[1:])
     ahead = log.until_answer
-    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-4:]]
+    last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-4:]]
     assert last == pytest.approx([10e-4, 10e-4, 12e-4, 13e-4])
     assert ahead.end == pytest.approx(log.end + 0.3)
 
@@ -179,7 +180,7 @@ def test_one_late_answer_is_not_expected_of_the_next():
 def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
     log = played(12, 1)  # 1.1 to 1.2 s runs what was sent tenth
     for one in (log, log.hear(swinging(12), 1.19, 1.1)):
-        assert one.advance(1.21).runs[-1][1].knot_pose[0, 0] == pytest.approx(11e-4)
+        assert one.advance(1.21).runs[-1][1].knot_pose[1, 0] == pytest.approx(11e-4)
 
 
 def test_rest_and_cycles_that_nobody_sent_tell_nothing():

@@ -7,6 +7,7 @@ from plate_core import CycleError, PlateCycle, load_rig
 from plate_sim.plate import Playback, check_table, next_playback
 
 RIG = load_rig()
+REST = PlateCycle.rest(0.1)
 
 
 def bump(height, period=0.1):
@@ -39,9 +40,9 @@ def test_a_table_is_repeated_then_the_plate_rests(hold):
 
 
 def test_a_good_table_is_taken_and_measured():
-    peaks = check_table(RIG, bump(1e-3))
+    peaks = check_table(RIG, bump(1e-3), REST)
     assert peaks.stroke_m == pytest.approx(1e-3, rel=0.02)
-    check_table(RIG, PlateCycle.rest(0.1))
+    check_table(RIG, PlateCycle.rest(0.1), REST)
 
 
 @pytest.mark.parametrize(
@@ -58,4 +59,4 @@ def test_a_good_table_is_taken_and_measured():
 )
 def test_bad_tables_are_refused(table, message):
     with pytest.raises(CycleError, match=message):
-        check_table(RIG, table)
+        check_table(RIG, table, REST)

@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
-from .cycle_log import SHORTEST_S, CycleClock, CycleLog
+from .cycle_log import SHORTEST_S, SNAP, CycleClock, CycleLog
 from .filter import StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
@@ -25,9 +25,6 @@ SETTLE_S = 0.05
 
 SAME_LATENCY_S = 2e-3
 """Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
-
-SAME_START = 0.5
-"""Starts of cycles that are nearer to each other are one [period]."""
 
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
@@ -187,7 +184,7 @@ class Turning:
         """Take in an image that was taken at a time [s]."""
         starts = np.array([*(begin for begin, _ in log.runs), log.end])
         start = float(starts[np.argmin(np.abs(starts - time))])
-        same = abs(start - self.start) < SAME_START * log.period
+        same = abs(start - self.start) < SNAP * log.period
         if same and abs(time - start) >= abs(self.time - self.start):
             return self
         last = self.last if same else replace(self, last=None)
@@ -282,11 +279,12 @@ class Estimator:
     def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
         for `coast` images."""
-        log, hypotheses = self.log.advance(t), self.latency
+        log, hypotheses = self.log, self.latency
         if self.clock.went_back(t):
+            log = log if log.reported else CycleLog()
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
-        delay = np.zeros(len(parts))
+        log, delay = log.advance(t), np.zeros(len(parts))
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
@@ -366,7 +364,7 @@ class Estimator:
 
     @property
     def period(self) -> float:
-        """Length of a cycle [s]: of the one that runs, or what the images' stamps tell."""
+        """Length of a cycle that is no tail [s]: of the last one, or what the stamps tell."""
         return self.log.period if self.log.known else self.clock.period
 
     @property
