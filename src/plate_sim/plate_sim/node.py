@@ -51,7 +51,7 @@ CLOCK_PERIOD_S = 0.01
 """Time between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""Time between two copies of an unanswered image [s, wall]."""
+"""Time between two copies of an unanswered image, and of its cycle's start [s, wall]."""
 
 SHORTEST_NS = 20_000_000
 """Stretches of the device's motion that are shorter have no image of their own [ns]."""
@@ -310,7 +310,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self.managed_service(OpenHopper, "hopper/open", self._on_open)
         self.managed_service(MoveRobot, "~/move_robot", self._on_move)
         if self.options.lockstep:
-            self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._publish_image)
+            self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._repeat_image)
         elif not self._driven:
             self._alarm = self.managed_timer(REPEAT_PERIOD_S, self._on_alarm)
             if self._simulated_time:
@@ -329,21 +329,22 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         Returns whether there was an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
-        options = self.options
+        options, before, newest = self.options, self._playback.cycle, self._newest
         self._playback = next_playback(
-            self._playback, self._newest, options.hold_cycles, options.idle_period
+            self._playback, newest, options.hold_cycles, options.idle_period
         )
         self._newest = None
         cycle = self._playback.cycle
-        if self._starts.get_subscription_count():
-            self._starts.publish(cycle_to_msg(cycle, to_time(self._time_ns)))
+        self._publish_start()
         seen = self._shot is None and self._take_image(self._time_ns)
         self._publish_truth()
         period_ns = round(cycle.period * 1e9)
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        self._count["held cycles"] += self._playback.repeats > 0
+        # The same again, or a tail, as no table has come.
+        alone = self._playback.repeats > 0 or (newest is None and cycle is before.tail)
+        self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
         return seen
@@ -383,7 +384,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         # The clock was set, or the machine slept: stamps must be of the clock that the others have.
         wrong = abs(now_ns - behind_ns - self._next_ns) > MOST_WRONG_NS and not self._simulated_time
         if late or wrong:
-            # The plate has waited at home, so go on from now.
+            # The plate has waited where it was, with its parts, so go on from now.
             self._due_ns += behind_ns
             if not self._simulated_time:
                 self._next_ns = now_ns
@@ -442,8 +443,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
                 raise PlateError(rivals)
-            self._usage = check_table(self._rig, cycle, self._playback.cycle)
-            self._newest = cycle
+            running = self._playback.cycle
+            self._usage = check_table(self._rig, cycle, running)
+            # The newest one that follows; one at rest would have to wait for the tail.
+            if self._newest is None or cycle.follows(running) or not self._newest.follows(running):
+                self._newest = cycle
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
@@ -579,8 +583,18 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )
         self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
+    def _publish_start(self) -> None:
+        """Tell what the plate plays, and since when."""
+        if self._starts.get_subscription_count():
+            self._starts.publish(cycle_to_msg(self._playback.cycle, to_time(self._time_ns)))
+
+    def _repeat_image(self) -> None:
+        """In lockstep: publish the image and its cycle again, until it is answered."""
+        self._publish_start()
+        self._publish_image()
+
     def _publish_image(self) -> None:
-        """Publish the last image; in lockstep again and again until it is answered."""
+        """Publish the last image."""
         if self._simulated_time and self._shot is None:
             self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
         self._images.publish(self._image)
