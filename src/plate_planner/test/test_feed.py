@@ -21,12 +21,12 @@ def parts(**place):
     return Parts.make(ids, np.array([place[name] for name in ids]).reshape(-1, 2))
 
 
-def situation(seen, t=0.0, hidden=None):
+def situation(seen, t=0.0, hidden=None, tail=0.0):
     every = seen if hidden is None else Parts.make(
         seen.ids + hidden.ids, np.vstack([seen.position, hidden.position])
     )  # fmt: skip
     return Situation(
-        every, t, t + T, T, True, True, every.position, np.zeros(len(every)), True, seen, t
+        every, t, t + T, t + T + tail, T, True, True, every.position, np.zeros(len(every)), True, seen, t
     )
 
 

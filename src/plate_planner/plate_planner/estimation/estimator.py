@@ -373,6 +373,12 @@ class Estimator:
         return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
 
     @property
+    def next_rest(self) -> float:
+        """Stamp from which the plate rests if that answer asks for nothing [s]."""
+        tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
+        return self.next_start + (tail.period if tail is not None else 0.0)
+
+    @property
     def ids(self) -> tuple[str, ...]:
         """The parts that are known."""
         return self.latency.estimate.ids
