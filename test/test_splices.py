@@ -56,7 +56,7 @@ class Line:
         self.controller = Controller(RIG, "B", self.seed)
         self.simulation = Simulation(RIG, scenario, self.seed)
         self.playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
-        self.newest, self.on_its_way, self.told = None, None, None
+        self.newest, self.on_its_way, self.told = None, None, []
         self.rng = np.random.default_rng(self.seed)
         self.progress = None
 
@@ -64,12 +64,10 @@ class Line:
     def running(self):
         return self.playback.cycle
 
-    def report(self):
-        self.told = self.running, self.now
-        self.tell()
-
-    def tell(self):
-        self.state = self.planner.started(self.state, *self.told, triggered=True)
+    def report(self, again=False):
+        self.told.append((self.running, self.now))
+        for cycle, begin in (self.told[-1], self.told[-2:][0]) if again else self.told[-1:]:
+            self.state = self.planner.started(self.state, cycle, begin, triggered=True)
 
     def take(self, cycle):
         """A table comes to the player."""
@@ -85,11 +83,9 @@ class Line:
         if self.on_its_way is not None:
             self.take(self.on_its_way)
             self.on_its_way = None
-        if drawn["reported_again"] and self.told is not None:
-            self.tell()
         reported = not drawn["unreported"]
         if reported and not drawn["reported_late"]:
-            self.report()
+            self.report(drawn["reported_again"])
         if not drawn["unseen"]:
             self.answer(drawn)
         if reported and drawn["reported_late"]:
@@ -167,6 +163,15 @@ def test_after_any_faults_it_goes_on_after_a_tail_and_a_rest(seed):
             assert all(moving(calm[3:])), "still at rest"
             assert all(cycle.tail for cycle in calm[5:]), "no cycle goes on from the one before"
     assert line.progress.phase == "done", line.progress.text
+
+
+def test_reports_that_come_again_change_nothing():
+    line, again = Line(seed=5), Line(seed=5)
+    line.run()
+    again.run(Faults(reported_again=1.0))
+    assert again.now == line.now
+    for one, other in zip(again.played, line.played, strict=True):
+        assert np.array_equal(one.knot_pose, other.knot_pose)
 
 
 def test_a_player_that_does_not_report_is_asked_to_move_from_rest_to_rest():

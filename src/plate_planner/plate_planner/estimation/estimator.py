@@ -279,12 +279,11 @@ class Estimator:
     def update(self, parts: Parts, t: float, coast: int = COAST) -> Estimator:
         """Take in one image: its parts and its stamp [s]; parts that are not seen are propagated
         for `coast` images."""
-        log, hypotheses = self.log, self.latency
+        log, hypotheses = self.log.advance(t), self.latency
         if self.clock.went_back(t):
-            log = log if log.reported else CycleLog()
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
-        log, delay = log.advance(t), np.zeros(len(parts))
+        delay = np.zeros(len(parts))
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)
         clock, frames = self.clock.tick(t), self.frames.tick(t)
