@@ -183,8 +183,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
     controller triggers the camera, at each pulse.
     In real time the next cycle begins on schedule; in lockstep as soon as a table with the stamp of
-    image k has come, or at once if image k is missed: there will be none. While the node is not
-    active plate, parts and simulated time stand still.
+    image k has come, or at once if image k is missed: there will be none. A table that begins in
+    motion is played only after one that ends in this state; where none comes the plate is brought
+    to rest by the tail. While the node is not active plate, parts and simulated time stand still.
     """
 
     def __init__(self) -> None:
@@ -246,6 +247,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._aim(self._next_ns)
         if not self._driven:
             self._begin_cycle()
+
+    def rest(self) -> None:
+        """Let the plate come to rest: the end of its cycle, and the tail of that."""
+        if not self._driven:
+            self._move(self._playback.cycle, self._next_ns)
+            if self._playback.cycle.tail is not None:
+                self._simulation.run(self._playback.cycle.tail)
 
     def retune(self) -> None:
         """Take over what disturbs the world, and how fast time goes.
@@ -503,8 +511,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Put the parts on the plate anew, as the seed that was set, or the next one, has it."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
-        self._next_seed = None
+        plate, self._next_seed = self._simulation.plate, None
         self._simulation = self._scattered()
+        self._simulation.plate = plate  # which goes on as it moves
         response.success, response.message = True, f"parts put down anew, seed {self._seed}"
         return response
 
