@@ -1,8 +1,9 @@
 """The planner node: `parts` in, `part_forces` out, and tasks: goals of five actions.
 
-It listens to `plate_cycle` and `cycle_started` too: what the plate does carries the parts from image
-to image, and the next cycle goes on from it. And it sees to it that a task ends, with the reason, when what it needs is gone: parts, the solver's
-answers, the driver, or what another node of the loop says in its `diagnostics` that it misses.
+It listens to `plate_cycle` and `cycle_started` too: what the plate does carries the parts from
+image to image, and the next cycle goes on from it. And it sees to it that a task ends, with the
+reason, when what it needs is gone: parts, the solver's answers, the driver, or what another node of
+the loop says in its `diagnostics` that it misses.
 """
 
 from __future__ import annotations
@@ -482,12 +483,14 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         run = self._run
         if run is not None and run.state.task.phase is Phase.RUNNING:
             self._feed_back(run, self._status(run))  # also where no images come: it lives
-        if self._early is not None and self._inputs.answer_overdue(now, self._estimator.period):
+        if self._early is None:
+            return
+        period = self._estimator.period
+        if self._inputs.answer_overdue(now, period):
             self._open = False
-            self._go_on()
-        if now - self._early_at > self._inputs.timeout(self._estimator.period):
-            self._waits = False  # the plate's player does not report
-            self._go_on()
+        if now - self._early_at > self._inputs.timeout(period):
+            self._waits = False  # nobody reports starts
+        self._go_on()
 
     def _wake(self) -> float:
         """Return the time, and end the task if this process has stood still."""

@@ -62,14 +62,14 @@ def test_bad_tables_are_refused(table, message):
         check_table(RIG, table, REST)
 
 
-def leaving(state, begin=np.zeros((3, 3)), stops_s=0.05):
+HOME, STATE = np.zeros((3, 3)), np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
+
+
+def leaving(state, begin=HOME, stops_s=0.05):
     """Table of 50 ms from a state of the plate, rest if it is left out, to another one, and a tail
     that takes `stops_s`."""
-    knots = np.stack([begin, state, state, np.zeros((3, 3))], axis=1)
+    knots = np.stack([begin, state, state, HOME], axis=1)
     return PlateCycle.from_knots(np.array([0.0, 0.05, 0.05, 0.05 + stops_s]), *knots)
-
-
-STATE = np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
 
 
 def test_a_table_in_motion_follows_the_state_in_which_it_begins():

@@ -245,9 +245,7 @@ class CycleLog:
         cycle = self.next(waiting) if self.runs else waiting[-1]
         # The report of its start finds it still there, and so does the end of a tail.
         keeps = math.isfinite(self.told) or not any(cycle is each for each in waiting)
-        return replace(
-            self, runs=(*self.runs, (t, cycle)), sent=self.sent if keeps else ()
-        )
+        return replace(self, runs=(*self.runs, (t, cycle)), sent=self.sent if keeps else ())
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when
