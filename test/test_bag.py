@@ -89,7 +89,8 @@ CYCLES, FEWEST = 20, 8
 """Cycles that are recorded, and that are compared at least."""
 
 KINDS = {
-    "/clock": Clock, "/image_raw": Image, "/camera_info": CameraInfo, "/ground_truth": Parts,
+    "/clock": Clock, "/cycle_started": JointTrajectory, "/image_raw": Image,
+    "/camera_info": CameraInfo, "/ground_truth": Parts,
     "/parts": Parts, "/part_forces": PartForces, "/plate_cycle": JointTrajectory,
     "/motor_setpoints": JointTrajectory,
 }  # fmt: skip
@@ -98,7 +99,7 @@ KINDS = {
 NODES = {
     "simulator": (["/motor_setpoints"], ["/image_raw", "/ground_truth"]),
     "detector": (["/clock", "/image_raw", "/camera_info"], ["/parts"]),
-    "planner": (["/clock", "/parts", "/plate_cycle"], ["/part_forces"]),
+    "planner": (["/clock", "/cycle_started", "/parts", "/plate_cycle"], ["/part_forces"]),
     "solver": (["/clock", "/part_forces"], ["/plate_cycle"]),
     "driver": (["/clock", "/plate_cycle"], ["/motor_setpoints"]),
 }

@@ -1,13 +1,15 @@
 """The planner node: `parts` in, `part_forces` out, and tasks: goals of five actions.
 
-It listens to `plate_cycle` too: what the plate does carries the parts from image to image. And it
-sees to it that a task ends, with the reason, when what it needs is gone: parts, the solver's
-answers, the driver, or what another node of the loop says in its `diagnostics` that it misses.
+It listens to `plate_cycle` and `cycle_started` too: what the plate does carries the parts from
+image to image, and the next cycle goes on from it. And it sees to it that a task ends, with the
+reason, when what it needs is gone: parts, the solver's answers, the driver, or what another node of
+the loop says in its `diagnostics` that it misses.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -83,6 +85,9 @@ fail."""
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
 
+STARTS_KEPT = 64
+"""Starts of cycles that are kept until there is an image, in lockstep."""
+
 STILL_S = 1.0
 """A planner that stood still for longer [s] begins no goal that was sent meanwhile."""
 
@@ -123,7 +128,8 @@ class PlannerParameters(NodeOptions):
     )  # fmt: skip
     lockstep: bool = parameter(
         False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "
-        "one before, the second one when there is a goal; so a seed repeats a run",
+        "one before and cycle_started has told of its cycle, the second one when there is a goal; "
+        "so a seed repeats a run",
     )  # fmt: skip
     input_timeout_s: float = parameter(
         INPUT_TIMEOUT_S,
@@ -199,9 +205,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     Actions sort_parts, follow_paths, assemble_parts, pose_parts, move_parts, feed_parts. Service
     stop ends the task.
-    Subscribes parts, plate_cycle, driver_status, diagnostics, targets (of a running move_parts),
-    feed_orders (of a running feed_parts), and, unless images are taken at the starts of cycles,
-    cycle_started: then each cycle is answered a while before its end, else each image.
+    Subscribes parts, plate_cycle, cycle_started, driver_status, diagnostics, targets (of a running
+    move_parts), feed_orders (of a running feed_parts). Where images are taken at the starts of
+    cycles each image is answered, else each cycle a while before its end. As long as cycle_started
+    tells what the plate does, the next cycle is asked to go on from there, else from rest.
     Publishes part_forces, task_status, part_targets, feed_status, markers, diagnostics.
     """
 
@@ -230,8 +237,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self.managed_subscription(JointTrajectory, "plate_cycle", self._on_cycle, DATA)
         # Its own: `rivals` sees by them that a second planner asks, too.
         self.managed_subscription(PartForces, "part_forces", lambda msg: None, DATA)
+        self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
         if not options.camera_triggered:
-            self.managed_subscription(JointTrajectory, "cycle_started", self._on_started, DATA)
             self._alarm = self.managed_timer(IDLE_S, self._on_due, self.get_clock())
         self.managed_subscription(DriverStatus, "driver_status", self._on_driver, LATCHED)
         self.managed_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, DATA)
@@ -259,6 +266,10 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._open = False  # whether plate_cycle has not answered them yet
         self._asked = False  # whether a goal has come
         self._early: Parts | None = None  # parts that came too early, in lockstep
+        self._early_at = 0.0  # when they came [s, steady clock]
+        self._told: deque[JointTrajectory] = deque(maxlen=STARTS_KEPT)  # in lockstep: not used yet
+        self._told_ns = -1  # stamp of the last of them
+        self._waits = True  # in lockstep: whether an image waits for them
         self._refused = self._reported = ""
         self._inputs = Inputs.none_yet(
             time.monotonic(), options.input_timeout_s, options.camera_triggered
@@ -286,6 +297,8 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         self._stamp = stamp = msg.header.stamp
         self._inputs = self._inputs.heard_parts(now, nanoseconds(stamp))
         if self.options.camera_triggered:
+            if self._early is None or self._early.header.stamp != stamp:
+                self._early_at = now
             self._early = msg
             self._go_on()
         else:
@@ -295,15 +308,26 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         """Plan what came, unless it is too early.
 
         In lockstep driver and simulator may have heard a cycle, and gone on to the next image,
-        before we hear it or a goal: that is chance, and must not matter.
+        before we hear it, or a goal, or that this cycle has begun: that is chance, and must not
+        matter.
         """
         msg = self._early
         if msg is None:
             return
-        next_one = self._asked_ns is not None and nanoseconds(msg.header.stamp) > self._asked_ns
-        if not (self.options.lockstep and next_one and (self._open or not self._asked)):
-            self._early = None
-            self._plan(msg)
+        if self.options.lockstep:
+            stamp_ns = nanoseconds(msg.header.stamp)
+            next_one = self._asked_ns is not None and stamp_ns > self._asked_ns
+            if (next_one and (self._open or not self._asked)) or self._unreported(stamp_ns):
+                return
+            while self._told:
+                self._begun(self._told.popleft())
+        self._early = None
+        self._plan(msg)
+
+    def _unreported(self, stamp_ns: int) -> bool:
+        """Whether the start of the cycle is still to be waited for at which an image was taken."""
+        self._waits = self._waits or self._told_ns == stamp_ns
+        return self._waits and self._told_ns != stamp_ns
 
     def _see(self, msg: Parts) -> None:
         """Take in the parts of an image that a camera took at any time."""
@@ -322,9 +346,18 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
             run.state = run.planner.see(run.state, parts, stamp)
 
     def _on_started(self, msg: JointTrajectory) -> None:
-        """Take in that the plate has begun a cycle, and see to it that the next one is answered."""
-        now = self._wake()
-        begin, run = seconds(msg.header.stamp), self._run
+        """Take in that the plate has begun a cycle; in lockstep when its image is planned."""
+        self._wake()
+        if self.options.lockstep and self.options.camera_triggered:
+            self._told.append(msg)
+            self._told_ns = nanoseconds(msg.header.stamp)
+            self._go_on()
+        else:
+            self._begun(msg)
+
+    def _begun(self, msg: JointTrajectory) -> None:
+        """Note what the plate does; unless images see to it, have the next cycle answered."""
+        begin, run, triggered = seconds(msg.header.stamp), self._run, self.options.camera_triggered
         try:
             cycle = msg_to_cycle(msg)
             check_start(cycle, begin, self._estimator.clock.stamp)
@@ -336,11 +369,13 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         if same and np.array_equal(cycle.knot_pose, was.knot_pose):
             return  # told once more: it must not put off the answer
         self._start = begin, cycle
-        self._inputs = self._inputs.heard_start(now)
+        self._inputs = self._inputs.heard_start(self._inputs.ran)
         if run is None:
-            self._idle = self._idle.started(cycle, begin)
+            self._idle = self._idle.started(cycle, begin, triggered)
         else:
-            run.state = run.planner.started(run.state, cycle, begin)
+            run.state = run.planner.started(run.state, cycle, begin, triggered)
+        if triggered:
+            return
         self._began = msg.header.stamp
         wait = max(cycle.period - self._answer_s, 0.0) - max(self._arrival(begin) - begin, 0.0)
         self._alarm.timer_period_ns = max(1, round(1e9 * wait))
@@ -448,9 +483,14 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
         run = self._run
         if run is not None and run.state.task.phase is Phase.RUNNING:
             self._feed_back(run, self._status(run))  # also where no images come: it lives
-        if self._early is not None and self._inputs.answer_overdue(now, self._estimator.period):
+        if self._early is None:
+            return
+        period = self._estimator.period
+        if self._inputs.answer_overdue(now, period):
             self._open = False
-            self._go_on()
+        if now - self._early_at > self._inputs.timeout(period):
+            self._waits = False  # nobody reports starts
+        self._go_on()
 
     def _wake(self) -> float:
         """Return the time, and end the task if this process has stood still."""
@@ -502,9 +542,7 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
 
     def _rivals(self) -> str:
         """Say that several nodes publish what only one may; empty if none do."""
-        unheard = "cycle_started" if self.options.camera_triggered else ""
-        told = (self.rivals(topic) for topic in SINGLE if topic != unheard)
-        return next(filter(None, told), "")
+        return next(filter(None, map(self.rivals, SINGLE)), "")
 
     # Goals
 

@@ -390,6 +390,7 @@ class Planner:
             parts=parts,
             stamp=estimator.stamp,
             start=start,
+            rests=estimator.next_rest,
             period=period,
             motion_known=estimator.log.known,
             latency_known=estimator.latency_known or not estimator.log.reported,

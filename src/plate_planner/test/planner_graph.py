@@ -43,7 +43,8 @@ ERROR = DriverStatus(state=DriverStatus.ERROR, text="error: the device does not 
 
 class Graph:
     """The planner and a probe that speaks to it: also as the driver, whose status is said again and
-    again while there is one, and as the solver, while `answering`; and as a client."""
+    again while there is one, as the solver, while `answering`, and in lockstep as the plate, which
+    reports its cycles while `reporting`; and as a client."""
 
     def __init__(self, clock, driver=READY, **parameters):
         self.clock = clock
@@ -59,6 +60,9 @@ class Graph:
         self.driver, self.answering, self.cycle = driver, True, PlateCycle.rest(0.1)
         self.parts = self.probe.create_publisher(PartsMsg, "parts", DATA)
         listen = self.probe.create_subscription
+        self.reporting = bool(parameters.get("lockstep"))
+        if self.reporting:
+            self.starts = self.probe.create_publisher(JointTrajectory, "cycle_started", DATA)
         self.drivers = self.probe.create_publisher(DriverStatus, "driver_status", LATCHED)
         self.cycles = self.probe.create_publisher(JointTrajectory, "plate_cycle", DATA)
         self.others = self.probe.create_publisher(DiagnosticArray, "diagnostics", DATA)
@@ -79,6 +83,8 @@ class Graph:
             self.close()
             raise
         self.until(lambda: self.states and (not driver or self.planner._inputs.driver_status))
+        if self.reporting:
+            self.until(self.starts.get_subscription_count)
 
     def say(self):
         if self.driver:
@@ -177,6 +183,8 @@ class Graph:
         """Publish parts and return the planner's answer."""
         count = len(self.forces)
         stamp = to_time(round(stamp_s * 1e9))
+        if self.reporting:
+            self.starts.publish(cycle_to_msg(self.cycle, stamp))
         self.parts.publish(parts_to_msg(Parts.make(ids, position), stamp))
         self.until(lambda: len(self.forces) > count)
         assert self.forces[-1].header.stamp == stamp

@@ -138,7 +138,8 @@ def test_a_reported_cycle_that_none_could_play_is_ignored():
 
 def swinging(k):
     """A cycle that differs from others."""
-    return replace(SHORT, knot_pose=SHORT.knot_pose + 1e-4 * k)
+    pose = np.outer([0.0, 1e-4 * k, 0.0], [1, 0, 0])
+    return PlateCycle.from_knots(np.array([0.0, 0.05, 0.1]), pose, 0 * pose, 0 * pose)
 
 
 def played(count, late, log=None):
@@ -157,14 +158,14 @@ def test_how_late_answers_begin_is_learnt(late):
     ahead = log.until_answer
     assert ahead.end == pytest.approx(log.end + 0.1 * late)
     # Those that were sent begin in their turn.
-    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-1 - late :]]
+    last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-1 - late :]]
     assert last == pytest.approx([1e-4 * k for k in range(11 - late, 12)])
 
 
 def test_until_those_that_are_sent_come_the_plate_repeats_what_runs():
     log = replace(played(14, 3), sent=played(14, 3).sent[1:])
     ahead = log.until_answer
-    last = [cycle.knot_pose[0, 0] for _, cycle in ahead.runs[-4:]]
+    last = [cycle.knot_pose[1, 0] for _, cycle in ahead.runs[-4:]]
     assert last == pytest.approx([10e-4, 10e-4, 12e-4, 13e-4])
     assert ahead.end == pytest.approx(log.end + 0.3)
 
@@ -179,7 +180,7 @@ def test_one_late_answer_is_not_expected_of_the_next():
 def test_a_cycle_that_is_due_is_expected_before_it_is_reported():
     log = played(12, 1)  # 1.1 to 1.2 s runs what was sent tenth
     for one in (log, log.hear(swinging(12), 1.19, 1.1)):
-        assert one.advance(1.21).runs[-1][1].knot_pose[0, 0] == pytest.approx(11e-4)
+        assert one.advance(1.21).runs[-1][1].knot_pose[1, 0] == pytest.approx(11e-4)
 
 
 def test_rest_and_cycles_that_nobody_sent_tell_nothing():
@@ -189,3 +190,89 @@ def test_rest_and_cycles_that_nobody_sent_tell_nothing():
         log = log.started(PlateCycle.rest(0.1), 0.1 * k)
     assert log.delay == 1
     assert log.started(swinging(99), 2.0).delay == 1
+
+
+HOME, STATE = np.zeros((3, 3)), np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
+
+
+def going(begin, end):
+    """A cycle of 0.1 s from one state of the plate to another, with a tail of 0.05 s."""
+    knots = np.stack([begin, end, end, HOME], axis=1)
+    return PlateCycle.from_knots(np.array([0.0, 0.1, 0.1, 0.15]), *knots)
+
+
+LEAVES, GOES_ON = going(HOME, STATE), going(STATE, 2 * STATE)
+
+
+def told(*runs):
+    """A log of reported runs, of a camera that is triggered at their starts."""
+    log = CycleLog()
+    for begin, cycle in runs:
+        log = log.started(cycle, begin, triggered=True)
+    return log
+
+
+def test_the_state_of_the_plate_is_certain_only_while_reports_come():
+    assert not CycleLog().certain
+    assert not CycleLog().hear(LEAVES, 0.95).advance(1.0).certain
+    log = told((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0)
+    assert log.certain
+    assert np.array_equal(log.until_answer.plate, STATE)
+    log = log.advance(1.1)  # the report may come after the image
+    assert log.certain
+    assert np.array_equal(log.until_answer.plate, 2 * STATE)
+    log = log.advance(1.2)
+    assert not log.certain
+    assert log.runs[-1][1] is GOES_ON.tail
+    assert log.started(SHORT, 1.25, triggered=True).certain
+
+
+def test_a_report_says_what_has_begun_in_spite_of_what_was_expected():
+    expected = told((1.0, LEAVES)).hear(GOES_ON, 1.05, 1.0).advance(1.1)
+    log = expected.started(LEAVES.tail, 1.1, triggered=True)
+    assert [cycle for _, cycle in log.runs] == [LEAVES, LEAVES.tail]
+    assert np.array_equal(log.until_answer.plate, HOME)
+    assert log.end == pytest.approx(1.15)
+    # What was refused is not expected any more: it does not begin at rest.
+    assert not log.advance(1.15).runs[-1][1].moves
+
+
+def test_a_report_that_comes_again_changes_nothing():
+    log = told((1.0, LEAVES), (1.1, GOES_ON)).hear(SHORT, 1.15, 1.1)
+    for begin, cycle in log.runs:
+        assert log.started(cycle, begin, triggered=True) is log
+
+
+def test_a_cycle_that_has_begun_does_not_begin_again_without_its_report():
+    log = told((1.0, SHORT)).hear(LEAVES, 1.05, 1.0).advance(1.1).advance(1.2).advance(1.25)
+    assert [cycle.moves for _, cycle in log.runs] == [False, True, True, False]
+    assert not log.advance(1.35).runs[-1][1].moves
+
+
+def test_an_image_that_is_older_than_the_last_report_does_not_undo_it():
+    log = told((1.0, LEAVES), (1.1, LEAVES.tail), (1.15, SHORT))
+    assert log.advance(1.1) == log
+    assert log.advance(1.0).certain
+    assert not log.advance(0.9).known  # time began anew
+
+
+def test_a_tail_is_no_cycle_as_others():
+    log = told((1.0, LEAVES), (1.1, LEAVES.tail))
+    assert log.period == pytest.approx(0.1)
+    assert log.end == pytest.approx(1.15)
+    assert log.advance(1.15).period == pytest.approx(0.1)
+    # One that waits for the end of a tail is not late.
+    log = CycleLog().started(LEAVES, 1.0).hear(swinging(3), 1.05, 1.0)
+    log = log.started(LEAVES.tail, 1.1).started(swinging(3), 1.15)
+    assert log.delays == (0,)
+
+
+def test_nothing_is_certain_where_answers_begin_late():
+    assert played(12, 0).certain
+    assert not played(12, 1).certain
+
+
+def test_a_cycle_is_known_again_in_spite_of_rounding():
+    log = played(12, 0).hear(swinging(12), 1.15, 1.1)
+    rounded = replace(swinging(12), knot_pose=swinging(12).knot_pose + 1e-16)
+    assert log.started(rounded, 1.2).sent == ()

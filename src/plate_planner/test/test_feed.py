@@ -21,12 +21,13 @@ def parts(**place):
     return Parts.make(ids, np.array([place[name] for name in ids]).reshape(-1, 2))
 
 
-def situation(seen, t=0.0, hidden=None):
+def situation(seen, t=0.0, hidden=None, tail=0.0):
     every = seen if hidden is None else Parts.make(
         seen.ids + hidden.ids, np.vstack([seen.position, hidden.position])
     )  # fmt: skip
+    short = np.zeros(len(every))
     return Situation(
-        every, t, t + T, T, True, True, every.position, np.zeros(len(every)), True, seen, t
+        every, t, t + T, t + T + tail, T, True, True, every.position, short, True, seen, t
     )
 
 
@@ -49,6 +50,14 @@ def test_the_plate_rests_when_enough_parts_are_ready():
     assert memory.report.at_rest
     assert set(memory.report.ready.ids) == set(LONE)
     assert memory.report.seen == {"black": 3}
+
+
+def test_the_plate_does_not_rest_before_its_tail_has_ended():
+    rules, memory, at_rest = Feeder(TASK, RIG), None, []
+    for k in range(4):
+        memory, _ = rules.assess(memory, situation(parts(**LONE), k * T, tail=T))
+        at_rest.append(memory.report.at_rest)
+    assert at_rest == [False, False, False, True]
 
 
 @pytest.mark.parametrize(

@@ -363,8 +363,9 @@ def test_references_slow_down_as_soon_as_a_cycle_lacks_what_was_asked(fraction, 
     for k in range(12):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))  # no error at all as yet
         short = np.array([fraction * 0.04 if k < len(scalings) else 0.0, 0.0])
+        start = (k + 1) * T
         now = Situation(
-            seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True, seen, 0.0
+            seen, k * T, start, start, T, True, True, seen.position, short, True, seen, 0.0
         )
         memory = follower.measure(memory, now)
         if k < len(scalings):
@@ -380,10 +381,10 @@ def test_references_slow_down_before_corners(speed):
     memory, places = follower.begin(plant.seen(), 0.0), []
     while not follower.finished(memory, len(places) * T):
         places.append(follower.reference(memory, len(places) * T))
-        stamp = len(places) * T
+        stamp, none = len(places) * T, np.zeros(2)
         seen = Parts.make(plant.ids, follower.reference(memory, stamp))  # no error at all
         now = Situation(
-            seen, stamp, stamp + T, T, True, True, seen.position, np.zeros(2), True, seen, 0.0
+            seen, stamp, stamp + T, stamp + T, T, True, True, seen.position, none, True, seen, 0.0
         )
         memory = follower.measure(memory, now)
     change = np.hypot(*np.diff(places, n=2, axis=0).T)
@@ -398,7 +399,7 @@ def test_little_is_asked_as_long_as_the_age_of_images_is_unknown(known):
     plant, follower = Plant(scenario), Follower(scenario.task, RIG)
     seen = Parts.make(plant.ids, follower.reference(follower.begin(plant.seen(), 0.0), 0.0))
     wrong, short = seen.position + 0.01, np.zeros(2)
-    now = Situation(seen, 0.0, T, T, True, known, wrong, short, True, seen, 0.0)
+    now = Situation(seen, 0.0, T, T, T, True, known, wrong, short, True, seen, 0.0)
     _, found = follower.assess(None, now)
     speed = np.hypot(*found.request.low.T)
     assert np.all(speed > 0.04) if known else np.all(speed <= 0.3 * 0.04 + 1e-9)
@@ -411,8 +412,9 @@ def test_a_lack_that_does_not_pass_never_stops_the_references():
     short = np.full(2, 0.2 * 0.04)
     for k in range(100):
         seen = Parts.make(plant.ids, follower.reference(memory, k * T))
+        start = (k + 1) * T
         now = Situation(
-            seen, k * T, (k + 1) * T, T, True, True, seen.position, short, True, seen, 0.0
+            seen, k * T, start, start, T, True, True, seen.position, short, True, seen, 0.0
         )
         memory = follower.measure(memory, now)
     before = follower.to_go(memory, 100 * T)

@@ -477,6 +477,7 @@ def asked_of_the_next_image(graph):
         node.image(1.3, APART)
         node.until(lambda: node.planner._open is late)
         count, stamp = len(node.forces), to_time(1_400_000_000)
+        node.starts.publish(cycle_to_msg(node.cycle, stamp))
         node.parts.publish(parts_to_msg(Parts.make(IDS, APART + 1e-3), stamp))
         if late:
             node.until(lambda: node.planner._early is not None)
@@ -495,6 +496,94 @@ def test_in_lockstep_it_does_not_matter_who_hears_a_cycle_first(asked_of_the_nex
     assert np.any(in_time)
 
 
+STATE = np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
+KNOTS = np.stack([np.zeros((3, 3)), STATE, STATE, np.zeros((3, 3))], axis=1)
+LEAVES = PlateCycle.from_knots(np.array([0.0, 0.1, 0.1, 0.15]), *KNOTS)
+"""A cycle that ends in a state of the plate, with a tail."""
+
+
+@pytest.fixture
+def reported(graph):
+    """Function to what is asked (`Wanted`s) for three images, after the first one of which the
+    plate is in motion, and to the node; `order` says which of `cycle`, `start` and `parts` comes
+    first."""
+
+    def ask(order, lockstep=True):
+        node = graph(lockstep=lockstep)
+        asked, node.reporting = [], False
+        starts = node.starts if lockstep else node.probe.create_publisher(
+            JointTrajectory, "cycle_started", DATA
+        )  # fmt: skip
+        node.until(starts.get_subscription_count)
+
+        def begin(t, cycle):
+            starts.publish(cycle_to_msg(cycle, to_time(round(1e9 * t))))
+
+        begin(1.0, node.cycle)
+        node.image(1.0, APART)
+        node.until(lambda: not node.planner._open)
+        node.send()
+        for t in (1.1, 1.2):
+            begin(t, node.cycle)
+            node.image(t, APART)
+            node.until(lambda: not node.planner._open)
+        node.cycle, node.answering = LEAVES, False
+        begin(1.3, PlateCycle.rest(0.1))
+        asked.append(node.image(1.3, APART))
+        for t in (1.4, 1.5):
+            count, stamp = len(node.forces), to_time(round(1e9 * t))
+            publish = {
+                "cycle": node.answer,
+                "start": lambda t=t: begin(t, LEAVES if t == 1.4 else LEAVES.tail),
+                "parts": lambda stamp=stamp: node.parts.publish(
+                    parts_to_msg(Parts.make(IDS, APART + 1e-3), stamp)
+                ),
+            }
+            for what in order:
+                publish[what]()
+                node.executor.spin_for(STEP_S)
+            node.until(lambda count=count: len(node.forces) > count)
+            assert node.forces[count].header.stamp == stamp
+            asked.append(msg_to_wanted(node.forces[count]))
+        return asked
+
+    return ask
+
+
+ORDERS = list(itertools.permutations(("cycle", "start", "parts")))
+
+
+@pytest.mark.parametrize("order", ORDERS[1:], ids="-".join)
+def test_in_lockstep_it_does_not_matter_what_is_heard_first(reported, order):
+    for one, other in zip(reported(order), reported(ORDERS[0]), strict=True):
+        for name in ("force", "tolerance", "start", "plate"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(one.parts.velocity, other.parts.velocity)
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_the_plate_goes_on_from_where_it_is_told_to_be(reported, lockstep):
+    first, second, third = reported(ORDERS[0], lockstep)
+    assert np.array_equal(first.plate, np.zeros((3, 3)))
+    assert np.array_equal(second.plate, STATE)
+    assert np.array_equal(third.plate, np.zeros((3, 3)))
+
+
+def test_in_lockstep_a_player_that_does_not_report_is_not_waited_for_twice(graph):
+    graph = graph(lockstep=True, input_timeout_s=0.5)
+    graph.reporting = False
+    graph.image(1.0, APART)
+    assert not graph.planner._waits
+    graph.until(lambda: not graph.planner._open)
+    graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(1_100_000_000)))
+    graph.until(lambda: graph.planner._early is not None)
+    graph.send()
+    graph.until(lambda: len(graph.forces) == 2)
+    for k in range(2, 10):
+        assert graph.image(1.0 + 0.1 * k, APART).plate is None
+    assert graph.states[-1] == "running"
+
+
 def test_in_lockstep_the_task_begins_with_the_second_image(graph):
     graph = graph(lockstep=True)
     for _ in range(2):
@@ -506,6 +595,7 @@ def test_in_lockstep_the_task_begins_with_the_second_image(graph):
     graph.report()
     assert len(graph.forces) == count
     graph.send()
+    graph.starts.publish(cycle_to_msg(graph.cycle, to_time(1_100_000_000)))
     graph.until(lambda: len(graph.forces) > count)
     assert msg_to_wanted(graph.forces[-1]).parts.ids == IDS
 
@@ -529,6 +619,7 @@ def test_in_lockstep_a_solver_that_does_not_answer_ends_the_task(graph):
     graph.answering = False
     graph.image(0.3, APART)
     count = len(graph.forces)
+    graph.starts.publish(cycle_to_msg(graph.cycle, to_time(400_000_000)))
     graph.parts.publish(parts_to_msg(Parts.make(IDS, APART), to_time(400_000_000)))
     graph.until(lambda: len(graph.forces) > count)  # the loop goes on when the solver does
     graph.until(lambda: graph.states[-1] != "running")

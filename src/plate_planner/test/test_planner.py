@@ -11,7 +11,7 @@ from plate_core.tasks import Bin, Side, SortTask, load_scenario
 from plate_planner import Planner, PlannerOptions
 from plate_planner.supervision import Phase, Reason
 
-SWING = np.outer(np.sin(np.linspace(0, 2 * np.pi, 16, endpoint=False)), [1e-3, 0, 0])
+SWING = np.outer(np.sin(np.linspace(0, np.pi, 16, endpoint=False)) ** 4, [1e-3, 0, 0])
 """Poses of a plate that shakes."""
 
 

@@ -51,7 +51,7 @@ CLOCK_PERIOD_S = 0.01
 """Time between two messages on /clock [s, wall]."""
 
 REPEAT_PERIOD_S = 1.0
-"""Time between two copies of an unanswered image [s, wall]."""
+"""Time between two copies of an unanswered image, and of its cycle's start [s, wall]."""
 
 SHORTEST_NS = 20_000_000
 """Stretches of the device's motion that are shorter have no image of their own [ns]."""
@@ -183,8 +183,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
     controller triggers the camera, at each pulse.
     In real time the next cycle begins on schedule; in lockstep as soon as a table with the stamp of
-    image k has come, or at once if image k is missed: there will be none. While the node is not
-    active plate, parts and simulated time stand still.
+    image k has come, or at once if image k is missed: there will be none. A table that begins in
+    motion is played only after one that ends in this state; where none comes the plate is brought
+    to rest by the tail. While the node is not active plate, parts and simulated time stand still.
     """
 
     def __init__(self) -> None:
@@ -246,6 +247,13 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self._aim(self._next_ns)
         if not self._driven:
             self._begin_cycle()
+
+    def rest(self) -> None:
+        """Let the plate come to rest: the end of its cycle, and the tail of that."""
+        if not self._driven:
+            self._move(self._playback.cycle, self._next_ns)
+            if self._playback.cycle.tail is not None:
+                self._simulation.run(self._playback.cycle.tail)
 
     def retune(self) -> None:
         """Take over what disturbs the world, and how fast time goes.
@@ -310,7 +318,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         self.managed_service(OpenHopper, "hopper/open", self._on_open)
         self.managed_service(MoveRobot, "~/move_robot", self._on_move)
         if self.options.lockstep:
-            self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._publish_image)
+            self._repeat = self.managed_timer(REPEAT_PERIOD_S, self._repeat_image)
         elif not self._driven:
             self._alarm = self.managed_timer(REPEAT_PERIOD_S, self._on_alarm)
             if self._simulated_time:
@@ -329,21 +337,22 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         Returns whether there was an image.
         """
         self._time_ns = self._moved_ns = self._next_ns
-        options = self.options
+        options, before, newest = self.options, self._playback.cycle, self._newest
         self._playback = next_playback(
-            self._playback, self._newest, options.hold_cycles, options.idle_period
+            self._playback, newest, options.hold_cycles, options.idle_period
         )
         self._newest = None
         cycle = self._playback.cycle
-        if self._starts.get_subscription_count():
-            self._starts.publish(cycle_to_msg(cycle, to_time(self._time_ns)))
+        self._publish_start()
         seen = self._shot is None and self._take_image(self._time_ns)
         self._publish_truth()
         period_ns = round(cycle.period * 1e9)
         self._next_ns += period_ns
         self._due_ns += round(period_ns / options.rate)
         self._count["cycles"] += 1
-        self._count["held cycles"] += self._playback.repeats > 0
+        # The same again, or a tail, as no table has come.
+        alone = self._playback.repeats > 0 or (newest is None and cycle is before.tail)
+        self._count["held cycles"] += alone
         self._count["missed images"] += self._shot is None and not seen
         self._advance()
         return seen
@@ -383,7 +392,7 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         # The clock was set, or the machine slept: stamps must be of the clock that the others have.
         wrong = abs(now_ns - behind_ns - self._next_ns) > MOST_WRONG_NS and not self._simulated_time
         if late or wrong:
-            # The plate has waited at home, so go on from now.
+            # The plate has waited where it was, with its parts, so go on from now.
             self._due_ns += behind_ns
             if not self._simulated_time:
                 self._next_ns = now_ns
@@ -442,8 +451,11 @@ class SimulatorNode(SafeLifecycleNode[Options]):
             cycle = msg_to_motors(self._rig, msg)
             if cycle.moves and (rivals := self.rivals("motor_setpoints")):
                 raise PlateError(rivals)
-            self._usage = check_table(self._rig, cycle, self._playback.cycle)
-            self._newest = cycle
+            running = self._playback.cycle
+            self._usage = check_table(self._rig, cycle, running)
+            # The newest one that follows; one at rest would have to wait for the tail.
+            if self._newest is None or cycle.follows(running) or not self._newest.follows(running):
+                self._newest = cycle
         except PlateError as error:
             self._refuse(error)
             self.get_logger().warning(
@@ -499,8 +511,9 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Put the parts on the plate anew, as the seed that was set, or the next one, has it."""
         self._seed = (self._seed + 1) % 2**31 if self._next_seed is None else self._next_seed
-        self._next_seed = None
+        plate, self._next_seed = self._simulation.plate, None
         self._simulation = self._scattered()
+        self._simulation.plate = plate  # which goes on as it moves
         response.success, response.message = True, f"parts put down anew, seed {self._seed}"
         return response
 
@@ -579,8 +592,18 @@ class SimulatorNode(SafeLifecycleNode[Options]):
         )
         self._truths.publish(parts_to_msg(truth, to_time(self._time_ns), Part.SIMULATED))
 
+    def _publish_start(self) -> None:
+        """Tell what the plate plays, and since when."""
+        if self._starts.get_subscription_count():
+            self._starts.publish(cycle_to_msg(self._playback.cycle, to_time(self._time_ns)))
+
+    def _repeat_image(self) -> None:
+        """In lockstep: publish the image and its cycle again, until it is answered."""
+        self._publish_start()
+        self._publish_image()
+
     def _publish_image(self) -> None:
-        """Publish the last image; in lockstep again and again until it is answered."""
+        """Publish the last image."""
         if self._simulated_time and self._shot is None:
             self._clocks.publish(ClockMsg(clock=self._image.header.stamp))
         self._images.publish(self._image)

@@ -425,6 +425,91 @@ def test_real_time_takes_tables_as_they_come():
         assert loop.spin(lambda: 50_000_000 in np.diff(loop.stamps))
 
 
+def going(begin, end):
+    """Table of 50 ms from one state of the plate to another, with a tail of 50 ms."""
+    knots = np.stack([begin, end, end, np.zeros((3, 3))], axis=1)
+    return PlateCycle.from_knots(np.array([0.0, 0.05, 0.05, 0.1]), *knots)
+
+
+HOME, ON_ITS_WAY = np.zeros((3, 3)), np.array([[1e-3, 0, 0], [0.02, 0, 0], [0.0, 0, 0]])
+LEAVES, GOES_ON = going(HOME, ON_ITS_WAY), going(ON_ITS_WAY, ON_ITS_WAY)
+
+
+def hear_starts(loop):
+    """The cycles that the plate has begun, from now on."""
+    starts = []
+    loop.ear.create_subscription(
+        JointTrajectory, "cycle_started", lambda msg: starts.append(msg_to_cycle(msg)), DATA
+    )
+    assert loop.spin(loop.simulator._starts.get_subscription_count)
+    return starts
+
+
+def kinds(starts):
+    """What each of them is."""
+    known = {"leaves": LEAVES, "goes on": GOES_ON, "tail": LEAVES.tail, "push": push()}
+    names = []
+    for cycle in starts:
+        same = [
+            name for name, one in known.items()
+            if one.knot_pose.shape == cycle.knot_pose.shape
+            and np.allclose(one.knot_pose, cycle.knot_pose, atol=1e-12)
+        ]  # fmt: skip
+        names.append("rest" if not cycle.moves else "".join(same))
+    return names
+
+
+def test_a_table_in_motion_follows_the_one_that_ends_so_else_the_plate_comes_to_rest():
+    tables = [LEAVES, GOES_ON, GOES_ON, push(), LEAVES, GOES_ON.tail, GOES_ON, push()]
+
+    def answer(index, stamp):
+        return motors_to_msg(RIG, tables[min(index, 7)], stamp)
+
+    with Loop(lockstep=True) as loop:
+        starts = hear_starts(loop)
+        assert loop.spin(lambda: starts)  # with the first image, which comes again
+        loop.answer = answer
+        assert loop.spin(lambda: len(loop.images) >= 9 and "push" in kinds(starts))
+        played = ["rest", "leaves", "goes on", "goes on", "tail", "leaves", "tail", "rest", "push"]
+        names = kinds(starts)
+        del names[1 : names.index("leaves")]  # the first one came several times
+        assert names[: len(played)] == played
+        ends = [100, 50, 50, 50, 50, 50, 50, 100]
+        assert np.diff(loop.stamps[:9]).tolist() == [1_000_000 * each for each in ends]
+        assert loop.simulator._count["refused tables"] == 1
+        assert loop.simulator._count["held cycles"] == 0
+
+
+def test_where_no_table_comes_in_real_time_the_tail_is_played_and_then_the_plate_rests():
+    with Loop(idle_period=0.05) as loop:
+        starts = hear_starts(loop)
+        assert loop.spin(loop.tables.get_subscription_count)
+        loop.tables.publish(motors_to_msg(RIG, LEAVES, to_time(0)))
+        assert loop.spin(lambda: "leaves" in kinds(starts))
+        for table in (GOES_ON, push(), GOES_ON):  # the newest that follows, not the newest
+            loop.tables.publish(motors_to_msg(RIG, table, to_time(0)))
+        assert loop.spin(lambda: kinds(starts)[-2:] == ["tail", "rest"])
+        assert kinds(starts)[-4:] == ["leaves", "goes on", "tail", "rest"]
+        assert loop.simulator._count["held cycles"] == 1
+        assert loop.simulator._count["late cycles"] == 0
+
+
+def test_after_a_pause_the_plate_is_at_rest():
+    with Loop(idle_period=0.05) as loop:
+        starts = hear_starts(loop)
+        assert loop.spin(loop.tables.get_subscription_count)
+        loop.tables.publish(motors_to_msg(RIG, LEAVES, to_time(0)))
+        assert loop.spin(lambda: "leaves" in kinds(starts))
+        loop.simulator.trigger_deactivate()
+        loop.simulator.trigger_activate()
+        count = len(starts)
+        assert loop.spin(lambda: len(starts) > count)
+        loop.tables.publish(motors_to_msg(RIG, GOES_ON, to_time(0)))
+        assert loop.spin(lambda: loop.simulator._count["refused tables"] == 1)
+        assert loop.spin(lambda: len(starts) > count + 3)
+        assert set(kinds(starts[count:])) == {"rest"}
+
+
 def test_a_camera_that_runs_free_takes_images_at_any_time():
     options = {"image_rate": 40.0, "latency": 0.02, "stamp_jitter": 0.001, "seed": 5}
     with Loop(scenario="sort_4", **options) as loop:

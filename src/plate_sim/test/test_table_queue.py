@@ -7,6 +7,7 @@ from plate_core import CycleError, PlateCycle, load_rig
 from plate_sim.plate import Playback, check_table, next_playback
 
 RIG = load_rig()
+REST = PlateCycle.rest(0.1)
 
 
 def bump(height, period=0.1):
@@ -39,9 +40,9 @@ def test_a_table_is_repeated_then_the_plate_rests(hold):
 
 
 def test_a_good_table_is_taken_and_measured():
-    peaks = check_table(RIG, bump(1e-3))
+    peaks = check_table(RIG, bump(1e-3), REST)
     assert peaks.stroke_m == pytest.approx(1e-3, rel=0.02)
-    check_table(RIG, PlateCycle.rest(0.1))
+    check_table(RIG, PlateCycle.rest(0.1), REST)
 
 
 @pytest.mark.parametrize(
@@ -58,4 +59,46 @@ def test_a_good_table_is_taken_and_measured():
 )
 def test_bad_tables_are_refused(table, message):
     with pytest.raises(CycleError, match=message):
-        check_table(RIG, table)
+        check_table(RIG, table, REST)
+
+
+HOME, STATE = np.zeros((3, 3)), np.array([[1e-3, 0, 0], [0.02, 0, 0], [0, 0, 0]])
+
+
+def leaving(state, begin=HOME, stops_s=0.05):
+    """Table of 50 ms from a state of the plate, rest if it is left out, to another one, and a tail
+    that takes `stops_s`."""
+    knots = np.stack([begin, state, state, HOME], axis=1)
+    return PlateCycle.from_knots(np.array([0.0, 0.05, 0.05, 0.05 + stops_s]), *knots)
+
+
+def test_a_table_in_motion_follows_the_state_in_which_it_begins():
+    first, second = leaving(STATE), leaving(2 * STATE, STATE)
+    assert next_playback(Playback(first), second, 5, 0.1) == Playback(second)
+    assert check_table(RIG, second, first).stroke_m > 0
+    for running in (REST, second, bump(1e-3)):
+        with pytest.raises(CycleError, match="as the running one ends"):
+            check_table(RIG, second, running)
+
+
+def test_without_such_a_table_the_tail_is_played_once_and_then_what_begins_at_rest():
+    first, other = leaving(STATE), bump(1e-3)
+    tail = next_playback(Playback(first), None, 5, 0.1)
+    assert tail.cycle is first.tail
+    rest = next_playback(tail, None, 5, 0.07)
+    assert not rest.cycle.moves
+    assert rest.cycle.period == 0.07
+    waits = next_playback(Playback(first), other, 5, 0.1)
+    assert waits.cycle is first.tail
+    assert next_playback(waits, None, 5, 0.1).cycle is other
+    newer = bump(2e-3)
+    assert next_playback(waits, newer, 5, 0.1).cycle is newer
+    lost = next_playback(Playback(first), leaving(STATE, 2 * STATE), 5, 0.1)
+    assert not next_playback(lost, None, 5, 0.1).cycle.moves
+
+
+def test_the_tail_keeps_the_limits_too():
+    fast = np.array([[1e-3, 0, 0], [0.3, 0, 0], [0, 0, 0]])
+    check_table(RIG, leaving(fast), REST)
+    with pytest.raises(CycleError, match="m/s2, allowed: "):
+        check_table(RIG, leaving(fast, stops_s=0.005), REST)

@@ -42,11 +42,11 @@ BEYOND, GAP = 0.03, 0.5
 """How far into their regions parts are to go [fraction of half the plate], and least distance of
 two parts [part radii]."""
 
-LANE_AT, LANE_M, LANE_WEIGHT = 0.25, 0.1, 0.2
+LANE_AT, LANE_M, LANE_WEIGHT = 0.25, 0.1, 0.1
 """Parts for opposite sides keep to opposite halves of the plate, beyond this fraction of half its
 width; what a metre beside counts for a part with a way as long as the second [m] or longer."""
 
-FULL_WAY_M, LEAST_WAY_M = 0.012, 0.01
+FULL_WAY_M, LEAST_WAY_M = 0.006, 0.01
 """The longest way counts as if it were so long beside ways over an edge; ways below the second are
 no longer stretched so [m]."""
 
@@ -148,6 +148,8 @@ class State:
         At its end, if friction is as in the rig file [m], [m/s].
     period : float
         Its length [s].
+    plate : (3, 3)
+        State of the plate at its end.
     """
 
     labels: tuple[str, ...]
@@ -155,12 +157,13 @@ class State:
     next_position: np.ndarray
     next_velocity: np.ndarray
     period: float
+    plate: np.ndarray
 
     def wanted(self, **what: Any) -> Wanted:
         """Return a request for the next cycle."""
         ids = tuple(f"{name}_{k}" for k, name in enumerate(self.labels))
         start = np.hstack([self.next_position, self.next_velocity])
-        return Wanted.make(Parts.make(ids, self.position), start=start, **what)
+        return Wanted.make(Parts.make(ids, self.position), start=start, plate=self.plate, **what)
 
 
 class Rules(Protocol):
@@ -205,7 +208,9 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     shares: list[Share] = []
     while True:
         expected = after(cycle, position, velocity, rig.friction.accel)
-        wanted, to_go = rules.ask(State(labels, position, *expected, cycle.period))
+        wanted, to_go = rules.ask(
+            State(labels, position, *expected, cycle.period, cycle.state(-1))
+        )
         left.append(np.where(np.isfinite(to_go), to_go, 0.0))
         lost = bool(np.any(np.abs(position) > rig.plate.half)) or not np.all(np.isfinite(to_go))
         if lost or not np.any(to_go) or len(left) > MOST_CYCLES:
@@ -214,7 +219,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
         position, velocity = after(cycle, position, velocity, spread * rig.friction.accel)
         times.append(times[-1] + cycle.period)
         shares.append(share_of(rig, answer))
-        cycle = answer
+        cycle = answer if answer.follows(cycle) or cycle.tail is None else cycle.tail
 
 
 def _summed(

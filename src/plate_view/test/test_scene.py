@@ -73,6 +73,18 @@ def test_a_cycle_and_its_motors():
     assert resting["centres"] == []
 
 
+def test_a_cycle_that_ends_in_motion_and_the_tail_that_stops_it_are_shown_each_for_itself():
+    home, away = np.zeros((3, 3)), np.array([[1e-3, 0, 1e-3], [0.02, 0, 0], [0, 0, 0]])
+    knots = np.stack([home, away, away, home], axis=1)
+    leaves = PlateCycle.from_knots(np.array([0.0, 0.1, 0.1, 0.15]), *knots)
+    for one, period, first, last in ((leaves, 0.1, 0, 1e-3), (leaves.tail, 0.05, 1e-3, 0)):
+        scene = strict(cycle_scene(RIG, 0.0, one, field=True))
+        assert scene["period"] == pytest.approx(period)
+        assert [scene["pose"][k][0] for k in (0, -1)] == pytest.approx([first, last])
+        assert len(scene["field"]["drift"]) == len(scene["field"]["force"])
+        assert 0 < strict(motors_scene(RIG, one))["used"]["acceleration"] < 1
+
+
 def test_rig_types_and_nodes():
     strict(rig_scene(RIG, "a"))
     for kind in SHAPES.types.values():

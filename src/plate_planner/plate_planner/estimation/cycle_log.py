@@ -1,13 +1,13 @@
 """Which plate cycle ran when, and how long a cycle is.
 
-The player of cycles reports when one begins. Where none does, a camera is taken to be triggered
-at the start of each cycle: then its stamps say it, and cycles that were sent what has begun.
+The player of cycles reports when one begins. A camera that is triggered at the start of each cycle
+says it by its stamps, too; where no report has come, cycles that were sent say what has begun.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from statistics import median_low
 
@@ -39,6 +39,9 @@ DELAYS_KEPT = 7
 LATEST = 3
 """No answer is expected to begin more cycles late than this."""
 
+SAME_POSE = 1e-9
+"""Poses that differ by less are the same [m, rad]: a motor's travel is rounded."""
+
 
 @dataclass(frozen=True)
 class Sent:
@@ -67,12 +70,12 @@ class CycleLog:
     runs : tuple of (begin [s], PlateCycle)
         Each ends where the next begins; before the first the plate rests.
     sent : tuple of Sent
-        Cycles sent that have not begun, oldest first: the newest one alone, unless starts are
-        reported.
+        Cycles sent that no report says to have begun, oldest first; the newest one alone as long as
+        none reports.
     reported : bool
-        Whether starts of cycles are reported; else images are taken at them.
-    certain : bool
-        Whether it has been told what has begun: by reports, or in spite of the images.
+        Whether only reports say when cycles start; else images are taken at their starts.
+    told : float
+        When the last cycle began that was reported [s]; minus infinity: none was.
     delays : tuple of int
         By how many cycles the last answers began later than at the end of the cycle that they
         answer.
@@ -82,7 +85,7 @@ class CycleLog:
     sent: tuple[Sent, ...] = ()
     reported: bool = False
     delays: tuple[int, ...] = ()
-    certain: bool = False
+    told: float = -math.inf
 
     @property
     def known(self) -> bool:
@@ -102,8 +105,19 @@ class CycleLog:
 
     @property
     def period(self) -> float:
-        """Length of the last run [s]."""
-        return self.runs[-1][1].period
+        """Length of the last run that is no tail [s]."""
+        cycles = [cycle for _, cycle in reversed(self.runs)]
+        return next((cycle for cycle in cycles if not _is_tail(cycle)), cycles[0]).period
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is known what the plate does when an answer begins.
+
+        Reports must come, of the last run or of the one before: a player that has ceased to report
+        is not believed to do as expected for longer. And answers must begin in time: what one of
+        them goes on from must not hang on another that is still on its way.
+        """
+        return self.known and self.told >= self.runs[-2:][0][0] and not self.delay
 
     @property
     def plate(self) -> np.ndarray:
@@ -131,17 +145,16 @@ class CycleLog:
         sent before begin first."""
         log, before = self, [one.cycle for one in self.sent][::-1]
         for k in reversed(range(self.delay)):  # the newest one last
-            cycle = log.next(before[k] if k < len(before) else None)
+            cycle = log.next(before[k : k + 1])
             log = replace(log, runs=(*log.runs, (log.end, cycle)))
         return log
 
-    def next(self, newest: PlateCycle | None) -> PlateCycle:
-        """Return what follows the last run: the newest cycle if it begins as that one ends, else
-        its tail, or the same again, or rest."""
+    def next(self, sent: Sequence[PlateCycle]) -> PlateCycle:
+        """Return what follows the last run: the newest of the cycles sent that begin as that one
+        ends, else its tail, or the same again, or rest."""
         last = self.runs[-1][1]
-        if newest is not None and newest.follows(last):
-            return newest
-        return last.tail or (last if last.closes else PlateCycle.rest(last.period))
+        newest = next((cycle for cycle in reversed(sent) if cycle.follows(last)), None)
+        return newest or last.tail or (last if last.closes else PlateCycle.rest(self.period))
 
     def hear(self, cycle: PlateCycle, arrival: float, asked: float | None = None) -> CycleLog:
         """Take in a cycle that was sent, and when [s, the time of the stamps].
@@ -152,29 +165,34 @@ class CycleLog:
             return self
         if asked is None:
             asked = self.begin if self.runs else arrival
-        before = self.sent[-LATEST:] if self.reported else ()
+        before = self.sent[-LATEST:] if math.isfinite(self.told) else ()
         return replace(self, sent=(*before, Sent(arrival, cycle, asked)))
 
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
-        images are taken at starts all the same."""
+        images are taken at starts all the same. One that comes again changes nothing."""
         if cycle.period < SHORTEST_S:
             return self
-        reported = not triggered
         if self.runs and begin < self.begin - MEMORY_S:
-            return CycleLog(((begin, cycle),), (), reported, certain=True)  # time began anew
+            return CycleLog(((begin, cycle),), reported=not triggered, told=begin)  # time is anew
+        if begin <= self.told and any(
+            begin == start and _same(cycle, run) for start, run in self.runs
+        ):
+            return self
         before = tuple(run for run in self.runs if run[0] < begin - SNAP * run[1].period)
         kept = tuple(run for run in before if run[0] + run[1].period > begin - MEMORY_S)
         sent, delays = self.sent, self.delays
-        moves = cycle.knot_pose.any()  # rest does not tell one cycle from another
         for k, one in enumerate(self.sent):
-            if np.array_equal(one.cycle.knot_pose, cycle.knot_pose):
+            if _same(one.cycle, cycle):
                 sent = self.sent[k + 1 :]
-                if moves:
-                    late = round((begin - one.asked) / cycle.period) - 1
-                    delays = (*delays, max(late, 0))[-DELAYS_KEPT:]
+                if cycle.knot_pose.any() and not triggered:  # rest does not tell one from another
+                    late = sum(
+                        start > one.asked + SNAP * run.period and not _is_tail(run)
+                        for start, run in kept
+                    )
+                    delays = (*delays, late)[-DELAYS_KEPT:]
                 break
-        return CycleLog((*kept, (begin, cycle)), sent, reported, delays, True)
+        return CycleLog((*kept, (begin, cycle)), sent, not triggered, delays, begin)
 
     def advance(self, t: float) -> CycleLog:
         """Return the log at an image's stamp t [s]; unless starts are reported, one is there.
@@ -188,15 +206,15 @@ class CycleLog:
                 log = log._begin(log.end)
             return log
         log = self
-        if self.runs and t < self.begin - SNAP * self.period:
+        if self.runs and t < (self.runs[0][0] if self.begin == self.told else self.begin):
             log = CycleLog()  # time began anew
         elif self.runs and t > self.end + MEMORY_S:
             log = CycleLog(sent=self.sent)  # nothing has been seen for long
         if not log.runs:
             return log._begin(t)
-        while log.end <= t - SNAP * log.period:
+        while log.end <= t - SNAP * (log.end - log.begin):
             log = log._begin(log.end)
-        if log.end <= t + SNAP * log.period:
+        if log.end <= t + SNAP * (log.end - log.begin):
             log = log._begin(t)
         kept = tuple(run for run in log.runs if run[0] + run[1].period > t - MEMORY_S)
         return replace(log, runs=kept)
@@ -221,15 +239,13 @@ class CycleLog:
         if self.delay:
             turn = self.delay + 1 - SNAP
             came = [one for one in came if one.asked + turn * one.cycle.period <= t]
-        newest = came[-1].cycle if came else None
-        cycle = self.next(newest) if self.runs else newest
+        waiting = [one.cycle for one in came if not any(one.cycle is run for _, run in self.runs)]
+        if not (self.runs or waiting):
+            return self
+        cycle = self.next(waiting) if self.runs else waiting[-1]
         # The report of its start finds it still there, and so does the end of a tail.
-        keeps = self.reported or (cycle is not newest and newest is not None)
-        return replace(
-            self,
-            runs=self.runs if cycle is None else (*self.runs, (t, cycle)),
-            sent=self.sent if keeps or newest is None else (),
-        )
+        keeps = math.isfinite(self.told) or not any(cycle is each for each in waiting)
+        return replace(self, runs=(*self.runs, (t, cycle)), sent=self.sent if keeps else ())
 
     def between(self, begin: float, end: float) -> Iterator[tuple[PlateCycle, float, float, float]]:
         """Yield the pieces of runs from `begin` to `end` [s]: cycle, when it began, and from when
@@ -242,6 +258,17 @@ class CycleLog:
             a, b = max(begin, start), min(end, stop, start + cycle.period)
             if b > a:
                 yield cycle, start, a - start, b - start
+
+
+def _same(one: PlateCycle, other: PlateCycle) -> bool:
+    """Whether two cycles are one, but for rounding."""
+    a, b = one.knot_pose, other.knot_pose
+    return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
+
+
+def _is_tail(cycle: PlateCycle) -> bool:
+    """Whether it only brings the plate to rest."""
+    return cycle.tail is None and not cycle.closes
 
 
 @dataclass(frozen=True)

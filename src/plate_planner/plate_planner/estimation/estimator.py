@@ -9,7 +9,7 @@ import numpy as np
 from plate_core import Parts, PlateCycle, Rig, part_class
 from plate_core.rig import row_delay
 
-from .cycle_log import SHORTEST_S, CycleClock, CycleLog
+from .cycle_log import SHORTEST_S, SNAP, CycleClock, CycleLog
 from .filter import StateEstimate, propagate
 from .frame_clock import FrameClock
 from .latency import LatencyHypotheses
@@ -25,9 +25,6 @@ SETTLE_S = 0.05
 
 SAME_LATENCY_S = 2e-3
 """Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
-
-SAME_START = 0.5
-"""Starts of cycles that are nearer to each other are one [period]."""
 
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
@@ -187,7 +184,7 @@ class Turning:
         """Take in an image that was taken at a time [s]."""
         starts = np.array([*(begin for begin, _ in log.runs), log.end])
         start = float(starts[np.argmin(np.abs(starts - time))])
-        same = abs(start - self.start) < SAME_START * log.period
+        same = abs(start - self.start) < SNAP * log.period
         if same and abs(time - start) >= abs(self.time - self.start):
             return self
         last = self.last if same else replace(self, last=None)
@@ -366,13 +363,19 @@ class Estimator:
 
     @property
     def period(self) -> float:
-        """Length of a cycle [s]: of the one that runs, or what the images' stamps tell."""
+        """Length of a cycle that is no tail [s]: of the last one, or what the stamps tell."""
         return self.log.period if self.log.known else self.clock.period
 
     @property
     def next_start(self) -> float:
         """Stamp at which the answer to the last image begins to act [s]."""
         return self.log.until_answer.end if self.log.known else self.stamp + self.clock.period
+
+    @property
+    def next_rest(self) -> float:
+        """Stamp from which the plate rests if that answer asks for nothing [s]."""
+        tail = self.log.until_answer.runs[-1][1].tail if self.log.known else None
+        return self.next_start + (tail.period if tail is not None else 0.0)
 
     @property
     def ids(self) -> tuple[str, ...]:

@@ -170,7 +170,7 @@ class Feeder(TaskRules):
             request, chosen = self._request(memory, parts, near, gap, clearing)
         rest_from = np.inf
         if request is None:
-            rest_from = min(memory.rest_from, now.start)
+            rest_from = min(memory.rest_from, now.rests)
         report = self._report(memory, now, rest_from)
         place = {
             name: (x, y)

@@ -247,7 +247,9 @@ class Follower(TaskRules):
         again = self.begin(now.parts, start)
         if not now.latency_known:
             again = replace(again, scaling=(SLOW_START, SLOW_START))
-        led = 0.0 if memory is None else memory.lead_s + (now.period if memory.leading else 0.0)
+        led = 0.0 if memory is None else memory.lead_s
+        if memory is not None and memory.leading:
+            led += max(start - memory.began, 0.0)
         far = np.nan_to_num(self._leader.distance(now.parts)) > self._leader.task.tolerance_m
         leading = (memory is None or memory.leading) and bool(np.any(far))
         return replace(again, leading=leading, lead_s=led)

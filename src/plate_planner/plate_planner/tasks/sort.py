@@ -23,7 +23,7 @@ MARGIN, END = 0.03, 0.85
 """How far beyond the goal line parts are to go, and how much of a side or corner holds parts
 [fraction of the half length and width]."""
 
-LANE, LANE_M, LANE_AT = 0.2, 0.1, 0.25
+LANE, LANE_M, LANE_AT = 0.1, 0.1, 0.25
 """What a metre beside its lane counts for a part with a way as long as the second [m] or longer;
 and where lanes begin [fraction of the half width]."""
 

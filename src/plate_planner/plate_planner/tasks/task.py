@@ -99,6 +99,8 @@ class Situation:
         Of the image [s].
     start : float
         Stamp at which the answer begins to act [s].
+    rests : float
+        Stamp from which the plate rests if nothing is asked from `start` on [s].
     period : float
         Length of a cycle [s].
     motion_known : bool
@@ -120,6 +122,7 @@ class Situation:
     parts: Parts
     stamp: float
     start: float
+    rests: float
     period: float
     motion_known: bool
     latency_known: bool

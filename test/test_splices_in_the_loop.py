@@ -1,0 +1,206 @@
+"""Cycles that go on from the state of the plate, when answers and reports are late or lost.
+
+Planner, solver and the simulator's player in one process; a camera that is triggered at the start
+of each cycle. The planner must never go on believing in a wrong state of the plate: then all its
+answers would be refused, and the plate would rest for ever.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from plate_core import CycleError, Parts, PlateCycle, load_rig
+from plate_core.tasks import load_scenario
+from plate_planner import Planner
+from plate_planner.planner import PlannerOptions
+from plate_sim import Simulation
+from plate_sim.plate import Playback, check_table, next_playback
+from plate_solver.controller import Controller
+
+RIG = load_rig()
+IDLE_S, HOLD_CYCLES = 0.1, 2
+CYCLES = 400
+"""Cycles after which a run is given up."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """How often [share of cycles] an answer never comes, comes in the next cycle, or cannot be
+    played; a report of a start never comes, comes after the image was answered, or comes again; and
+    an image never comes."""
+
+    lost: float = 0.0
+    late: float = 0.0
+    refused: float = 0.0
+    unreported: float = 0.0
+    reported_late: float = 0.0
+    reported_again: float = 0.0
+    unseen: float = 0.0
+
+
+@dataclass
+class Line:
+    """The loop, step by step: a step is a cycle of the plate."""
+
+    seed: int = 0
+    now: float = 0.0
+    played: list[PlateCycle] = field(default_factory=list)
+
+    def __post_init__(self):
+        four = load_scenario("sort_4")
+        two = tuple(replace(group, count=1) for group in four.parts)
+        scenario = replace(four, parts=two)
+        self.planner = Planner(RIG, scenario, PlannerOptions(image_age_s=0.0))
+        self.state = self.planner.start(self.planner.initial())
+        self.controller = Controller(RIG, "B", self.seed)
+        self.simulation = Simulation(RIG, scenario, self.seed)
+        self.playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
+        self.newest, self.on_its_way, self.told = None, None, []
+        self.rng = np.random.default_rng(self.seed)
+        self.progress = None
+
+    @property
+    def running(self):
+        return self.playback.cycle
+
+    def report(self, again=False):
+        self.told.append((self.running, self.now))
+        for cycle, begin in (self.told[-1], self.told[-2:][0]) if again else self.told[-1:]:
+            self.state = self.planner.started(self.state, cycle, begin, triggered=True)
+
+    def take(self, cycle):
+        """A table comes to the player."""
+        try:
+            check_table(RIG, cycle, self.running)
+        except CycleError:
+            return
+        if self.newest is None or cycle.follows(self.running):
+            self.newest = cycle
+
+    def step(self, faults=Faults()):
+        drawn = {name: self.rng.random() < share for name, share in vars(faults).items()}
+        if self.on_its_way is not None:
+            self.take(self.on_its_way)
+            self.on_its_way = None
+        reported = not drawn["unreported"]
+        if reported and not drawn["reported_late"]:
+            self.report(drawn["reported_again"])
+        if not drawn["unseen"]:
+            self.answer(drawn)
+        if reported and drawn["reported_late"]:
+            self.report()
+        self.simulation.run(self.running)
+        self.played.append(self.running)
+        self.now += self.running.period
+        self.playback = next_playback(self.playback, self.newest, HOLD_CYCLES, IDLE_S)
+        self.newest = None
+        assert self.running.follows(self.played[-1])  # the plate never jumps
+
+    def answer(self, drawn):
+        world = self.simulation.state
+        parts = Parts.make(world.ids, world.position, world.velocity)
+        self.state, wanted, self.progress = self.planner.plan(self.state, parts, self.now)
+        cycle = self.controller.answer(wanted, self.running).cycle
+        if drawn["lost"]:
+            return
+        late = drawn["late"]
+        self.state = self.planner.hear(self.state, cycle, self.now + 0.2 * late, self.now)
+        if drawn["refused"]:
+            return
+        if late:
+            self.on_its_way = cycle
+        else:
+            self.take(cycle)
+
+    def run(self, faults=Faults()):
+        while len(self.played) < CYCLES and not self.progress_ended:
+            self.step(faults)
+        return self.progress
+
+    @property
+    def progress_ended(self):
+        return self.progress is not None and self.progress.ended
+
+
+def moving(cycles):
+    return [cycle.knot_pose.any() for cycle in cycles]
+
+
+def test_without_faults_the_plate_goes_on_from_cycle_to_cycle():
+    line = Line()
+    assert line.run().phase == "done"
+    moves = np.array(moving(line.played))
+    first, last = np.flatnonzero(moves)[[0, -1]]
+    assert np.all(moves[first : last + 1])
+    tails = [k for k, cycle in enumerate(line.played) if not cycle.tail and cycle.knot_pose.any()]
+    assert tails == [last]  # the plate comes to rest once
+
+
+@pytest.mark.parametrize("name", list(vars(Faults())))
+def test_with_each_fault_the_task_goes_on(name):
+    line = Line(seed=1)
+    progress = line.run(replace(Faults(), **{name: 0.3}))
+    assert progress.phase == "done", progress.text
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_after_any_faults_it_goes_on_after_a_tail_and_a_rest(seed):
+    line = Line(seed)
+    shares = dict(zip(vars(Faults()), np.random.default_rng(seed).uniform(0, 0.5, 7), strict=True))
+    shares["unseen"] /= 3
+    while len(line.played) < CYCLES and not line.progress_ended:
+        for _ in range(12):
+            if not line.progress_ended:
+                line.step(Faults(**shares))
+        begin = len(line.played)
+        for _ in range(8):
+            if not line.progress_ended and line.state.task.active:
+                line.step()
+        calm = line.played[begin:]
+        held = line.state.task.held(line.state.estimator.stamp, line.planner.limits)
+        if len(calm) == 8 and not held and line.state.task.met_since is None:
+            assert all(moving(calm[3:])), "still at rest"
+            assert all(cycle.tail for cycle in calm[5:]), "no cycle goes on from the one before"
+    assert line.progress.phase == "done", line.progress.text
+
+
+def test_reports_that_come_again_change_nothing():
+    line, again = Line(seed=5), Line(seed=5)
+    line.run()
+    again.run(Faults(reported_again=1.0))
+    assert again.now == line.now
+    for one, other in zip(again.played, line.played, strict=True):
+        assert np.array_equal(one.knot_pose, other.knot_pose)
+
+
+def test_a_player_that_does_not_report_is_asked_to_move_from_rest_to_rest():
+    line = Line(seed=2)
+    assert line.run(Faults(unreported=1.0)).phase == "done"
+    assert all(cycle.starts_at_rest and cycle.tail is None for cycle in line.played)
+
+
+def test_a_player_that_ceases_to_report_is_no_longer_believed():
+    line = Line(seed=3)
+    while sum(moving(line.played)) < 4:
+        line.step()
+    assert line.running.tail is not None
+    begin = len(line.played)
+    assert line.run(Faults(unreported=1.0)).phase == "done"
+    after = line.played[begin + 3 :]
+    assert all(cycle.starts_at_rest and cycle.tail is None for cycle in after[1:])
+    assert sum(moving(after)) > 3
+
+
+@pytest.mark.parametrize("put", [-100.0, -0.35, 5.0])
+def test_clocks_that_are_set_cost_a_tail_and_a_rest(put):
+    line = Line(seed=4)
+    while sum(moving(line.played)) < 4:
+        line.step()
+    line.now += put
+    begin = len(line.played)
+    for _ in range(8):
+        line.step()
+    assert all(moving(line.played[begin + 5 :]))
+    assert all(cycle.tail for cycle in line.played[begin + 6 :])
+    assert line.run().phase == "done"
