@@ -12,7 +12,8 @@ from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from plate_bringup import RunOptions
-from plate_core import PlateError, Rig
+from plate_core import PlateCycle, PlateError, Rig
+from plate_core.motion import is_rest
 from plate_core.ros import msg_to_motors
 from plate_core.tasks import AssembleTask, FollowTask, PoseTask, load_scenario
 from plate_planner.tasks import SLOWED
@@ -56,13 +57,15 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
     """Judge every motor table, independently of who made it."""
     faults: list[str] = []
     most, heat, hottest = np.zeros(4), np.zeros(len(rig.motors)), 0.0
+    before = PlateCycle.rest(1.0)
     for number, data in enumerate(record.tables):
         try:
             cycle = msg_to_motors(rig, deserialize_message(data, JointTrajectory))
         except PlateError as error:
             faults.append(f"motor table {number}: {error}")
             continue
-        share, load = limit_shares(rig, cycle), thermal_load(rig, cycle)
+        share = np.max([limit_shares(rig, part) for part in cycle.parts], axis=0)
+        load = thermal_load(rig, cycle)
         heat = load + (heat - load) * np.exp(-cycle.period / rig.limits.thermal_time_s)
         hottest = max(hottest, float(np.max(heat)))
         most = np.maximum(most, share)
@@ -73,8 +76,11 @@ def check_limits(record: Record, rig: Rig) -> LimitCheck:
             )
         if hottest > 1 + ROUNDING:
             faults.append(f"motor table {number}: heat {hottest:.4f} of the limit")
-        if not cycle.starts_at_rest:
-            faults.append(f"motor table {number}: does not begin at rest at home")
+        if not (cycle.starts_at_rest or cycle.follows(before)):
+            faults.append(f"motor table {number}: begins neither at rest nor as the last one ends")
+        if not is_rest(cycle.parts[-1].state(-1)):
+            faults.append(f"motor table {number}: does not end at rest at home")
+        before = cycle
     stroke, speed, accel, force = map(float, most)
     return LimitCheck(len(record.tables), tuple(faults), stroke, speed, accel, force, hottest)
 

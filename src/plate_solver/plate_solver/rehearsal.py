@@ -208,9 +208,7 @@ def rehearse(rig: Rig, scenario: Scenario, seed: int) -> Rehearsal:
     shares: list[Share] = []
     while True:
         expected = after(cycle, position, velocity, rig.friction.accel)
-        wanted, to_go = rules.ask(
-            State(labels, position, *expected, cycle.period, cycle.state(-1))
-        )
+        wanted, to_go = rules.ask(State(labels, position, *expected, cycle.period, cycle.state(-1)))
         left.append(np.where(np.isfinite(to_go), to_go, 0.0))
         lost = bool(np.any(np.abs(position) > rig.plate.half)) or not np.all(np.isfinite(to_go))
         if lost or not np.any(to_go) or len(left) > MOST_CYCLES:
