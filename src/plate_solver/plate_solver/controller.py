@@ -16,7 +16,7 @@ from .maps import after, end_turning, finely_sampled, room_spread
 from .motion_solver import MotionSolver
 from .requests import Goal, Solution, Status, Turns
 from .rotations.solver import RotationSolver
-from .sinusoids.basis import TAIL_S
+from .sinusoids.basis import TAIL_PERIOD_S, TAIL_S
 from .sinusoids.solver import SinusoidSolver
 
 METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinusoids": "sinusoids"}
@@ -235,7 +235,7 @@ class Controller:
         plate = wanted.plate
         if plate is not None and self.method == "rotations":  # it begins when the plate rests
             if not is_rest(plate):
-                tail = PlateCycle.stopping(plate, TAIL_S)
+                tail = PlateCycle.stopping(plate, TAIL_S, TAIL_PERIOD_S)
                 position, velocity = after(tail, position, velocity, friction)
             plate = None
         self._velocity = dict(zip(parts.ids, velocity, strict=True))

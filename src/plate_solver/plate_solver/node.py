@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from plate_core import Parts, PlateCycle, PlateError, Wanted, load_rig
+from plate_core.motion import is_rest
 from plate_core.rig import doubts
 from plate_core.ros import (
     DATA,
@@ -45,6 +46,10 @@ RESTART_NS = 1_000_000_000
 LONGEST_S = 1.0
 """Most that a search in real time may take, however far ahead its cycle is to begin [s]."""
 
+LATER_S, SOONER_S, LATEST_S = 0.01, 5e-4, 0.06
+"""By how much an answer is given sooner after one that was not played, and later after others; and
+most before its cycle [s], as long as `handover_s` is not more."""
+
 HANDOVER_NS = 4_000_000
 """Time from our publishing a cycle until the device has it [ns]: two hops and the driver."""
 
@@ -70,8 +75,9 @@ class Options(NodeOptions):
     )  # fmt: skip
     handover_s: float = parameter(
         0.02, "A search begins no further start when its answer would come later than this before "
-        "its cycle begins [s]: driver and line need it; with a serial line 0.06. 0: it takes the "
-        "time it needs, as in simulated time, where a seed gives the same cycles on any computer.",
+        "its cycle begins [s]: driver and line need it; with a serial line 0.06. Where answers come "
+        "too late all the same, up to 0.06 s is taken for a while. 0: it takes the time it needs, "
+        "as in simulated time, where a seed gives the same cycles on any computer.",
         0.0, 1.0,
     )  # fmt: skip
     input_timeout_s: float = parameter(
@@ -139,7 +145,10 @@ class SolverNode(SafeLifecycleNode[Options]):
         self._controller.reset()
         self._sent: deque[Sent] = deque(maxlen=4)
         self._tally = Tally()
-        self._count = {"answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0}
+        self._count = {
+            "answers": 0, "late_answers": 0, "refused_messages": 0, "no_solution": 0,
+            "not_played": 0,
+        }  # fmt: skip
         self._last: Answer | None = None
         self._parts: np.ndarray = np.empty((0, 2))
         timeout_s = self.options.input_timeout_s
@@ -192,6 +201,7 @@ class SolverNode(SafeLifecycleNode[Options]):
 
     def _answer(self, wanted: Wanted, stamp_ns: int, start_ns: int) -> PlateCycle:
         began, running = time.monotonic(), self._running(stamp_ns)
+        self._adapt(wanted.plate)
         if not start_ns:
             start_ns = stamp_ns + round(1e9 * (running.period if running else IDLE_PERIOD))
         left_s = min(1e-9 * (start_ns - self._now_ns(stamp_ns)), LONGEST_S) - self._handover_s
@@ -207,6 +217,16 @@ class SolverNode(SafeLifecycleNode[Options]):
             self._tally.solve_ms.append(1e3 * took)
             self._tally.errors.append((answer.error_m, answer.asked_m))
         return answer.cycle
+
+    def _adapt(self, plate: np.ndarray | None) -> None:
+        """Give answers sooner if the last one was not played: then the plate (3, 3) will be
+        elsewhere than at its end."""
+        if self._handover_s and plate is not None and self._sent:
+            missed = not is_rest(self._sent[-1].cycle.state(-1) - plate)
+            self._count["not_played"] += missed
+            least = self.options.handover_s
+            wished = self._handover_s + (LATER_S if missed else -SOONER_S)
+            self._handover_s = max(min(wished, LATEST_S), least)
 
     def _rest(self, why: str) -> PlateCycle:
         """Note that there is no solution, and return a plate at rest."""
@@ -259,6 +279,7 @@ class SolverNode(SafeLifecycleNode[Options]):
             "iterations": solution.iterations if solution else 0,
             "silent_s": f"{self._input.silence(time.monotonic()):.2f}",
             "cut_short": self._controller.cut_short,
+            "handover_ms": f"{1e3 * self._handover_s:.1f}",
             **self._count,
         }
 

@@ -256,10 +256,12 @@ class PlateCycle:
         return PlateCycle.from_knots(times, *(factor * state for state in states))
 
     @classmethod
-    def stopping(cls, state: np.ndarray, period: float) -> PlateCycle:
-        """Return the motion of one quintic from a state (3, 3), as `state` gives it, to rest."""
-        knots = np.stack([state, np.zeros((3, 3))], axis=1)
-        return cls.from_knots(np.array([0.0, period]), *knots)
+    def stopping(cls, state: np.ndarray, way_s: float, period: float = 0.0) -> PlateCycle:
+        """Return the motion of one quintic from a state (3, 3), as `state` gives it, to rest, and
+        rest until the period [s], if that is longer."""
+        times = [0.0, way_s, period][: 2 + (period > way_s)]
+        knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
+        return cls.from_knots(np.array(times), *knots)
 
 
 def is_rest(state: np.ndarray) -> bool:

@@ -33,6 +33,9 @@ LONGEST_STEP = 0.4e-3
 TAIL_S = 0.05
 """Length of the way from any state to rest, one quintic, and of the way into a final state [s]."""
 
+TAIL_PERIOD_S = 0.1
+"""Length of a tail with rest after it [s]: the image at its start is answered by then."""
+
 END_UNITS = np.array([TAIL_S / 1.875, 1.0, 5.0625 / TAIL_S])
 """Final pose [m], velocity [m/s] and acceleration [m/s2] for which that way's fastest is 1 m/s."""
 
@@ -127,7 +130,8 @@ class SinusoidBasis:
             state.setflags(write=False)
         tail = None
         if self.free_end or (plate is not None and np.any(plate)):
-            tail = PlateCycle.stopping(np.stack([state[-1] for state in states]), TAIL_S)
+            end = np.stack([state[-1] for state in states])
+            tail = PlateCycle.stopping(end, TAIL_S, TAIL_PERIOD_S)
         pose, twist, accel = states
         return PlateCycle(self.times, pose, twist, accel, spline, tail)
 
