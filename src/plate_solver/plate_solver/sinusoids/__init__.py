@@ -5,13 +5,12 @@ Public: the basis, its families, the inversion of averages and a descent on the 
 """
 
 from .average import invert
-from .basis import STEPS_PER_HARMONIC, SinusoidBasis, SinusoidFamily, sinusoid_basis
+from .basis import SinusoidBasis, SinusoidFamily, sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .steer import limited_sinusoids
 
 __all__ = [
     "BIN",
-    "STEPS_PER_HARMONIC",
     "Motions",
     "Problem",
     "SinusoidBasis",

@@ -45,8 +45,9 @@ LOOKS_PER_HARMONIC = 8
 TAIL_LOOKS = 12
 """The same in a tail."""
 
-KNOTS_PER_HARMONIC = 8
-"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
+KNOTS_PER_HARMONIC, FEW_KNOTS = 8, 5
+"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m. With a
+free end fewer: what is sent within a tenth of a second is to be little."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def sinusoid_basis(
     `steps` is the number of samples; 0 takes enough to find a solution.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / LONGEST_STEP))
-    knots = KNOTS_PER_HARMONIC * max(number, 4)
+    knots = (FEW_KNOTS if free_end else KNOTS_PER_HARMONIC) * max(number, 4)
     omega = 2 * np.pi / period
     j = np.arange(1, number + 1)
     span = np.eye(2 * number)

@@ -17,13 +17,14 @@ from ..fit import Fit
 from ..limits import Limits, within_limits
 from ..maps import finely_sampled
 from ..requests import Goal
-from .basis import STEPS_PER_HARMONIC, sinusoid_basis
+from .basis import sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
-STEP, ROUGH_STEP = 0.4e-3, 0.8e-3
-"""Longest step of a search for exact drifts, and for progress [s]: friction acts by first-order
-steps, which miss 10 % of a drift at 1 ms; what they miss at the end is aimed at once more."""
+EXACT, ROUGH = (0.4e-3, 26), (0.8e-3, 16)
+"""Longest step [s] and least steps per period of the highest harmonic, of a search for exact drifts
+and of one for progress: friction acts by first-order steps, which miss 10 % of a drift at 1 ms;
+what they miss at the end is aimed at once more."""
 
 BEYOND = 1.3
 """Fraction of the limits that the search may use on its way."""
@@ -80,8 +81,8 @@ class SinusoidSteering:
         self._clock = clock
         self.cut_short = 0
         self._finishing = 0.0  # how long the last answer took after its search [s]
-        self._warm: dict[tuple[int, float, float, bool], np.ndarray] = {}  # twists
-        self._motions: dict[tuple[int, float, float, bool], Motions] = {}
+        self._warm: dict[tuple[int, float, tuple[float, int], bool], np.ndarray] = {}  # twists
+        self._motions: dict[tuple[int, float, tuple[float, int], bool], Motions] = {}
 
     def forget(self) -> None:
         """Forget the last motions."""
@@ -106,8 +107,8 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        step = ROUGH_STEP if goal.lasting else STEP
-        key = number, period, step, goal.lasting and goal.plate is not None
+        steps = ROUGH if goal.lasting else EXACT
+        key = number, period, steps, goal.lasting and goal.plate is not None
 
         def family_of(most: float) -> LimitedSinusoids:
             return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate)
@@ -187,12 +188,12 @@ class SinusoidSteering:
 
 
 def limited_sinusoids(
-    number: int, period: float, limits: Limits, most: float, step: float = STEP,
+    number: int, period: float, limits: Limits, most: float, steps: tuple[float, int] = EXACT,
     free_end: bool = False, plate: np.ndarray | None = None,
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
-    at rest or, with `free_end`, in any state, in steps of at most `step` [s]."""
-    steps = max(STEPS_PER_HARMONIC * max(number, 4), round(period / step))
-    steps = -(-steps // BIN) * BIN
-    basis = sinusoid_basis(number, period, True, steps, free_end)
+    at rest or, with `free_end`, in any state, in steps as `EXACT` or `ROUGH`."""
+    longest, least = steps
+    count = max(least * max(number, 4), round(period / longest))
+    basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end)
     return LimitedSinusoids(basis, limits, most, plate)
