@@ -41,6 +41,10 @@ EXACT_MISS = 0.02
 MOST_ASKED = 1e9
 """Greatest weight and distance in a request."""
 
+NEAR_M = 0.006
+"""Where no part has further to go the plate comes to rest after each cycle [m]: what is reached is then
+there to stay."""
+
 COAST_S = 0.03
 """Where they end counts as if they kept their last velocity for so long [s]: parts that end in a
 swing the right way are further than they look."""
@@ -162,11 +166,11 @@ class Controller:
         turning = wanted.torque if targets is None else np.zeros(0)
         if targets is not None and targets.angles is not None:
             turning = targets.angles.weight
-        goes_on = wanted.plate is not None and self.method == "sinusoids"
+        goes_on = self.method == "sinusoids" and self._far(wanted)
         period = solver.steering_period(
             len(parts), int(np.count_nonzero(turning)), targets is not None, goes_on
         )
-        goal = self._goal(wanted, running, period)
+        goal = self._goal(wanted, running, period, goes_on)
         asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
@@ -211,7 +215,9 @@ class Controller:
         rms = float(np.sqrt(np.mean(error**2)))
         return Answer(solution.cycle, solution, solution.message, rms, asked, fraction)
 
-    def _goal(self, wanted: Wanted, running: PlateCycle | None, period: float) -> Goal:
+    def _goal(
+        self, wanted: Wanted, running: PlateCycle | None, period: float, goes_on: bool
+    ) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
         parts, targets = wanted.parts, wanted.targets
         start = np.array([self._velocity.get(name, np.zeros(2)) for name in parts.ids])
@@ -261,6 +267,7 @@ class Controller:
                 clear=radius[:, None] + radius + targets.gap_m,
                 coast=COAST_S,
                 plate=plate,
+                free_end=goes_on,
             )
         gain = wanted.period / np.array([[t.mass_kg] for t in types])
         displacement = (parts.velocity + gain * wanted.force) * period
@@ -278,6 +285,21 @@ class Controller:
             turns=turns,
             plate=plate,
         )
+
+    def _far(self, wanted: Wanted) -> bool:
+        """Whether a part has far to go, or to turn at its rim, to its target, and it is certain
+        where it and the plate are."""
+        to, start = wanted.targets, wanted.start
+        if to is None or start is None or wanted.plate is None:
+            return False
+        place, angle = start[:, :2], wanted.parts.angle
+        way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
+        way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
+        if to.angles is not None:
+            turn = np.maximum(np.maximum(to.angles.low - angle, angle - to.angles.high), 0.0)
+            reach = np.array([self._type(name).reach_m for name in wanted.parts.ids])
+            way = np.maximum(way, np.where(to.angles.weight > 0, reach * turn, 0.0))
+        return bool(np.any(way > NEAR_M))
 
     def _type(self, name: str) -> PartType:
         """Return the type of a part, by its id."""

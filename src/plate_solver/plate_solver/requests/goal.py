@@ -94,8 +94,9 @@ class Goal:
     coast : float
         Where parts end counts as if they kept their last velocity and spin for so long [s].
     plate : (3, 3), optional
-        State of the plate at the start, as `PlateCycle.state`: the cycle goes on from it, and need
-        not end at rest if the goal is lasting. None: from rest to rest.
+        State of the plate at the start, as `PlateCycle.state`; None: at rest.
+    free_end : bool
+        Whether the plate may end in any state; else at rest.
     """
 
     position: np.ndarray
@@ -110,6 +111,7 @@ class Goal:
     clear: np.ndarray | float = 0.0
     coast: float = 0.0
     plate: np.ndarray | None = None
+    free_end: bool = False
 
     def __post_init__(self) -> None:
         same = np.broadcast_to(self.friction_accel, len(self.position))

@@ -195,7 +195,7 @@ class SinusoidSolver(MotionSolver):
     def steer(
         self, goal: Goal, tolerance: float, good_enough: float, until: float = math.inf
     ) -> Solution:
-        number, period = self._steering_key(goal.asked, goal.lasting, goal.plate is not None)
+        number, period = self._steering_key(goal.asked, goal.lasting, goal.free_end)
         cycle, iterations, condition = self._steering.steer(
             goal, number, period, tolerance, good_enough, self._rng, until
         )

@@ -108,7 +108,7 @@ class SinusoidSteering:
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
         steps = ROUGH if goal.lasting else EXACT
-        key = number, period, steps, goal.lasting and goal.plate is not None
+        key = number, period, steps, goal.free_end
 
         def family_of(most: float) -> LimitedSinusoids:
             return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate)
