@@ -12,11 +12,10 @@ import pytest
 
 from plate_core import CycleError, Parts, PlateCycle, load_rig
 from plate_core.tasks import load_scenario
-from plate_planner import Planner
-from plate_planner.planner import PlannerOptions
+from plate_planner import Planner, PlannerOptions
 from plate_sim import Simulation
 from plate_sim.plate import Playback, check_table, next_playback
-from plate_solver.controller import Controller
+from plate_solver import Controller
 
 RIG = load_rig()
 IDLE_S, HOLD_CYCLES = 0.1, 2

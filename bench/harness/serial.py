@@ -8,6 +8,7 @@ The device's clock rules: an image is taken at each of its boundaries; the answe
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -128,7 +129,6 @@ class SerialLine:
             lambda: opened(self.emulator), lambda: self.emulator.now, seed=seed
         )
         self.operator = Operator(self.transport)
-        self.running = PlateCycle.rest(IDLE_PERIOD)
         self.now, self.began, self.late, self.images = 0.0, 0.0, 0, 1
         self.troubles: Counter[str] = Counter()
         self.newest_trouble = ""
@@ -137,6 +137,16 @@ class SerialLine:
         self._segments: list[Segment] = []
         self._ticks, self._table = 0, 0
         self.transport.open()
+
+    @property
+    def running(self) -> PlateCycle:
+        """The cycle, or tail of one, that the device plays."""
+        motion = self.emulator.device.motion
+        table = None if motion.playing is None else self.transport.sent.get(motion.playing.table)
+        if motion.state is not State.PLAYING or table is None:
+            return PlateCycle.rest(IDLE_PERIOD)
+        tail = table.cycle.tail
+        return table.cycle if tail is None or motion.time < motion.playing.splice else tail
 
     def send(self, table: MotorTable) -> None:
         """Take an answer, which the driver gets `ANSWER_S` later."""
@@ -193,11 +203,8 @@ class SerialLine:
         return segments
 
     def _upload(self, table: MotorTable) -> None:
-        try:
-            self.transport.send(table, HOLD_CYCLES)
-        except CycleError:  # the device is not ready: driver_status gives the reason
-            return
-        self.running = table.cycle
+        with suppress(CycleError):  # the device is not ready: driver_status gives the reason
+            self.transport.send(table, HOLD_CYCLES if table.tail is None else 1)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def test_the_part_with_the_longest_way_has_the_same_weight_times_way_whatever_it
     for x in (-0.9, -0.2, 0.3, 0.5):
         to = asked(("grey_1", "grey_2"), [(x, 0.0), (0.58, 0.0)]).targets
         way = LINE[0] - x * HALF[0]
-        assert to.weight[:, 0] * way == pytest.approx(0.012)
+        assert to.weight[:, 0] * way == pytest.approx(0.006)
     near = asked(("grey_1",), [(0.6299, 0.0)]).targets
     assert near.weight[0, 0] == pytest.approx(1.2)  # and not beyond all bounds
 

@@ -183,9 +183,8 @@ class SimulatorNode(SafeLifecycleNode[Options]):
     of `motor_motion` when it has been played, and an image is taken at its end or, where the motor
     controller triggers the camera, at each pulse.
     In real time the next cycle begins on schedule; in lockstep as soon as a table with the stamp of
-    image k has come, or at once if image k is missed: there will be none. A table that begins in
-    motion is played only after one that ends in this state; where none comes the plate is brought
-    to rest by the tail. While the node is not active plate, parts and simulated time stand still.
+    image k has come, or at once if image k is missed: there will be none. Where no table follows
+    the tail is played, if there is one. While the node is not active all stands still.
     """
 
     def __init__(self) -> None:

@@ -42,8 +42,8 @@ MOST_ASKED = 1e9
 """Greatest weight and distance in a request."""
 
 NEAR_M = 0.006
-"""Where no part has further to go the plate comes to rest after each cycle [m]: what is reached is then
-there to stay."""
+"""Where no part has further to go the plate comes to rest after each cycle [m]: what is reached
+then stays so."""
 
 COAST_S = 0.03
 """Where they end counts as if they kept their last velocity for so long [s]: parts that end in a

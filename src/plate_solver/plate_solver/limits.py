@@ -123,11 +123,15 @@ def within_limits(cycle: PlateCycle, full: Limits, rest: PlateCycle | None = Non
 
 
 def _use(cycle: PlateCycle, full: Limits) -> float:
-    """Return the greatest fraction of a limit that the control points of a motion use."""
-    pose, twist, accel = (
-        np.vstack([part.control_points(order, PIECES) for part in cycle.parts])
-        for order in range(3)
-    )
-    share = np.repeat(np.concatenate([np.diff(part.times) for part in cycle.parts]), 5 * PIECES)
-    share[::5] += np.roll(share[::5], 1)
-    return limit_use(pose, twist, accel, share, full, False)
+    """Return the greatest fraction of a limit that the control points of a motion use; its heat is
+    that of the cycle, or of cycle and tail if that is more."""
+    used = 0.0
+    for count in {1, len(cycle.parts)}:
+        parts = cycle.parts[:count]
+        pose, twist, accel = (
+            np.vstack([part.control_points(order, PIECES) for part in parts]) for order in range(3)
+        )
+        share = np.repeat(np.concatenate([np.diff(part.times) for part in parts]), 5 * PIECES)
+        share[::5] += np.roll(share[::5], 1)
+        used = max(used, limit_use(pose, twist, accel, share, full, False))
+    return used

@@ -46,7 +46,7 @@ LANE_AT, LANE_M, LANE_WEIGHT = 0.25, 0.1, 0.1
 """Parts for opposite sides keep to opposite halves of the plate, beyond this fraction of half its
 width; what a metre beside counts for a part with a way as long as the second [m] or longer."""
 
-FULL_WAY_M, LEAST_WAY_M = 0.006, 0.01
+FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
 """The longest way counts as if it were so long beside ways over an edge; ways below the second are
 no longer stretched so [m]."""
 

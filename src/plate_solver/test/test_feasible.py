@@ -49,7 +49,7 @@ def test_the_less_it_shakes_the_longer_it_takes():
 
 
 def test_a_short_stroke_binds():
-    rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.001))
+    rig = replace(RIG, limits=replace(RIG.limits, stroke_m=0.0005))
     assert rehearse(rig, load_scenario("sort_4"), 0).share.binds == "stroke"
 
 

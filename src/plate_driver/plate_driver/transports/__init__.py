@@ -4,7 +4,7 @@ A package of one's own makes a transport of a `TransportContext`, see docs/trans
 """
 
 from .line import upload_s
-from .link import Link
+from .link import LATE_IN_MOTION, Link
 from .serial import LEAD_S, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
 from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
@@ -23,6 +23,7 @@ __all__ = [
     "ANSWER_S",
     "BUSY",
     "BUSY_S",
+    "LATE_IN_MOTION",
     "LEAD_S",
     "Condition",
     "Latch",

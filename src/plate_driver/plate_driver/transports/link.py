@@ -69,6 +69,10 @@ LATER = (Status.INCOMPLETE, Status.TOO_LONG)
 """Answers to setpoints of a stream that come before others, or find no room."""
 
 
+LATE_IN_MOTION = "a cycle in motion came too late: the plate comes to rest"
+"""Of a table that the device refuses as it begins elsewhere."""
+
+
 @dataclass(frozen=True)
 class Pending:
     """A command that is not answered yet: when it was sent first and last, and when what was sent
@@ -295,6 +299,8 @@ class Link:
             return link
         name = type(message).__name__
         reason = f"device refuses {name}: {answer.status.name.lower().replace('_', ' ')}"
+        if answer.status is Status.JUMP:
+            reason = LATE_IN_MOTION
         queue = tuple(p for p in queue if not isinstance(p.message, Knots | Commit))
         return replace(link, queue=queue, refusal=reason)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import termios
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -237,6 +237,11 @@ class SerialTransport:
         self._following_m = self._load = 0.0
         self.refused = 0
         self.retries = 0
+
+    @property
+    def sent(self) -> Mapping[int, MotorTable]:
+        """The last tables that were sent, by their numbers on the wire."""
+        return self._sent
 
     @property
     def calibrates(self) -> bool:

@@ -17,7 +17,7 @@ UNMATCHED = ""
 WRONG_CLASS_M = 1e3
 """Cost of a part of the wrong class [m]: more than any sum of distances on a plate."""
 
-FULL_WAY_M, LEAST_WAY_M = 0.006, 0.01
+FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
 """The longest way of all counts as if it were so long beside ways over an edge, so that those with
 the longest ways come first; ways below the second are no longer stretched so [m]."""
 

@@ -136,8 +136,9 @@ private:
     View<double, 3> steps;
 
     double use_of(const Looked& at) const {
+        const std::vector<double>& weight = motions.looks.weight;
         return limit_use(samples(at.pose), samples(at.twist), samples(at.accel),
-                         weights(EQUAL_WEIGHT), motions.limits, true);
+                         {weight.data(), {static_cast<int>(weight.size())}}, motions.limits, true);
     }
 
     // Finds the motion of parameters where limits are looked at.

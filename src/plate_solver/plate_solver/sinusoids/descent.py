@@ -15,7 +15,7 @@ from ..fit import Fit
 from ..limits import Limits
 from ..maps import blocks_of, turning_blocks_of
 from ..requests import Ends, Goal
-from .basis import SinusoidBasis
+from .basis import TAIL_LOOKS, SinusoidBasis
 
 BIN = 4
 """Steps whose derivatives are summed before they meet the basis."""
@@ -42,8 +42,9 @@ class Motions(NamedTuple):
         )
         scale = np.array([1.0, 1.0, 1 / limits.arm_m])
         kept = _kernels.motions_of(
-            basis.pose, basis.twist, pose_bins, twist_bins, *basis.looks, scale, basis.dt, limits
-        )
+            basis.pose, basis.twist, pose_bins, twist_bins, *basis.looks,
+            TAIL_LOOKS * basis.free_end, scale, basis.dt, limits,
+        )  # fmt: skip
         return cls(basis, kept)
 
 

@@ -22,12 +22,17 @@ static Matrix transposed(const Table& array) {
     return result;
 }
 
-// Of bases (n, h) at the instants looked at.
-static Looks looks_of(const Table& pose, const Table& twist, const Table& accel) {
+// Of bases (n, h) at the instants looked at, of which the last ones, in a tail, heat nothing.
+static Looks looks_of(const Table& pose, const Table& twist, const Table& accel, int tail = 0) {
     check("twist", twist, {pose.shape(0), pose.shape(1)});
     check("accel", accel, {pose.shape(0), pose.shape(1)});
-    return {transposed(pose), transposed(twist), transposed(accel),
-            matrix_of(pose),  matrix_of(twist),  matrix_of(accel)};
+    if (tail < 0 || static_cast<size_t>(tail) >= pose.shape(0))
+        throw nb::value_error("the tail has as many instants as the motion");
+    const double heated = pose.shape(0) - tail;
+    std::vector<double> weight(pose.shape(0), 1.0);
+    std::fill(weight.end() - tail, weight.end(), 0.0);
+    return {transposed(pose), transposed(twist), transposed(accel), matrix_of(pose),
+            matrix_of(twist), matrix_of(accel),  std::move(weight), heated};
 }
 
 // Values (K,) and slopes (K, h, 3) of what `add` finds of a motion (h, 3).
@@ -47,7 +52,7 @@ static nb::tuple found_by(const Table& coefficients, const Looks& basis, int mos
 }
 
 static Motions motions_of(Table pose, Table twist, Table pose_bins, Table twist_bins,
-                          Table look_pose, Table look_twist, Table look_accel, Numbers scale,
+                          Table look_pose, Table look_twist, Table look_accel, int tail, Numbers scale,
                           double dt, nb::tuple limits) {
     const size_t size = pose.shape(1), bins = pose_bins.shape(0);
     check("twist", twist, {pose.shape(0), size});
@@ -58,7 +63,7 @@ static Motions motions_of(Table pose, Table twist, Table pose_bins, Table twist_
     if (bins == 0 || pose.shape(0) % bins)
         throw nb::value_error("the steps are no multiple of the bins");
     return {transposed(pose), transposed(twist), matrix_of(pose_bins), matrix_of(twist_bins),
-            looks_of(look_pose, look_twist, look_accel), {scale(0), scale(1), scale(2)}, dt,
+            looks_of(look_pose, look_twist, look_accel, tail), {scale(0), scale(1), scale(2)}, dt,
             limits_of(limits)};
 }
 

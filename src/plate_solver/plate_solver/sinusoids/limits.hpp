@@ -19,6 +19,8 @@ constexpr double EXCESS_M = 2e-3, AIM = 0.95;
 // instant by instant, (n, h).
 struct Looks {
     Matrix pose, twist, accel, pose_at, twist_at, accel_at;
+    std::vector<double> weight;  // (n,): what each counts for the motors' heat
+    double heated;               // their sum
 
     int size() const { return pose.rows; }
     int count() const { return pose.columns; }
@@ -157,13 +159,14 @@ PLATE_WIDE inline void force_excess(const Looked& at, const Looks& basis, const 
             for (int d = 0; d < 3; d++)
                 force += on_pose[d] * at.pose[d][k] + on_twist[d] * at.twist[d][k] +
                          on_accel[d] * at.accel[d][k];
-            square += force * force / looks;
+            const double share = basis.weight[k] / basis.heated;
+            square += share * force * force;
             for (int d = 0; d < 3; d++) {
                 double *__restrict own = each[d], *__restrict sum = by_own[d];
 #pragma omp simd
                 for (int h = 0; h < size; h++) {
                     own[h] = on_pose[d] * pose[h] + on_twist[d] * twist[h] + on_accel[d] * accel[h];
-                    sum[h] += force * own[h] / looks;
+                    sum[h] += share * force * own[h];
                 }
             }
             if (std::abs(force) > AIM) add(std::abs(force) - AIM, each, force > 0 ? 1 : -1, result);
