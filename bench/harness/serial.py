@@ -142,11 +142,12 @@ class SerialLine:
     def running(self) -> PlateCycle:
         """The cycle, or tail of one, that the device plays."""
         motion = self.emulator.device.motion
-        table = None if motion.playing is None else self.transport.sent.get(motion.playing.table)
-        if motion.state is not State.PLAYING or table is None:
+        playing = motion.playing if motion.state is State.PLAYING else None
+        table = None if playing is None else self.transport.sent.get(playing.table)
+        if playing is None or table is None:
             return PlateCycle.rest(IDLE_PERIOD)
         tail = table.cycle.tail
-        return table.cycle if tail is None or motion.time < motion.playing.splice else tail
+        return table.cycle if tail is None or motion.time < playing.splice else tail
 
     def send(self, table: MotorTable) -> None:
         """Take an answer, which the driver gets `ANSWER_S` later."""

@@ -265,17 +265,18 @@ class Transport(Protocol):
 
     Attributes
     ----------
-    running : PlateCycle
-        What the solver takes to be running: the cycle that was sent last.
     began : float
-        When it began to run [s].
+        When the cycle that is played began [s].
     now : float
         Time [s].
     """
 
-    running: PlateCycle
     began: float
     now: float
+
+    @property
+    def running(self) -> PlateCycle:
+        """The cycle, or tail of one, that is played."""
 
     def send(self, table: MotorTable) -> None:
         """Take an answer."""
