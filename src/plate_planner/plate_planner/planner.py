@@ -53,6 +53,10 @@ TAKEN_COAST = 1
 """Where parts come and go, one that is not seen is propagated for so many images: it may have been
 taken."""
 
+IN_MOTION_S = 0.1
+"""Cycles that go on from the state of the plate last so long [s]: who needs as long for an answer is
+answered from rest."""
+
 LONGEST_GAP_S = 10.0
 """Between the stamps of two images of a running task [s]. Silence so long ends it anyway: such a
 gap is a clock that was set."""
@@ -416,8 +420,10 @@ class Planner:
         drift = parts.velocity + force * period / mass[:, None]
         start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
+        in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
+        plate = estimator.next_plate if in_time else None
         return state, Wanted.make(
-            parts, force, tolerance, None, period, start, request.targets, estimator.next_plate
+            parts, force, tolerance, None, period, start, request.targets, plate
         )
 
     def _progress(self, state: PlannerState, seen: int, found: Assessment) -> Progress:
