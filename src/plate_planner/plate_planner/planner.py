@@ -54,8 +54,8 @@ TAKEN_COAST = 1
 taken."""
 
 IN_MOTION_S = 0.1
-"""Cycles that go on from the state of the plate last so long [s]: who needs as long for an answer is
-answered from rest."""
+"""Cycles that go on from the state of the plate last so long [s]: who needs as long for an answer
+is answered from rest."""
 
 LONGEST_GAP_S = 10.0
 """Between the stamps of two images of a running task [s]. Silence so long ends it anyway: such a

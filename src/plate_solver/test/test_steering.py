@@ -228,7 +228,7 @@ def test_a_cycle_goes_on_from_where_the_plate_is_and_parts_go_where_predicted(ri
         goal = Goal(
             position, velocity, 2e-3 * np.sign(aim - position) if last else aim - position,
             np.zeros((4, 2)), rig.friction.accel, lasting=not last, coast=0.0 if last else 0.03,
-            plate=before.state(-1),
+            plate=before.state(-1), free_end=not last,
         )  # fmt: skip
         cycle = solver.steer(goal, 1e-5, 1e-4).cycle
         assert cycle.follows(before)

@@ -186,8 +186,10 @@ class CycleLog:
             if _same(one.cycle, cycle):
                 sent = self.sent[k + 1 :]
                 if cycle.knot_pose.any() and not triggered:  # rest does not tell one from another
-                    late = sum(
-                        start > one.asked + SNAP * run.period and not _is_tail(run)
+                    late = sum(  # short cycles at rest, and tails, tell nothing of others
+                        start > one.asked + SNAP * run.period
+                        and run.knot_pose.any()
+                        and not _is_tail(run)
                         for start, run in kept
                     )
                     delays = (*delays, late)[-DELAYS_KEPT:]

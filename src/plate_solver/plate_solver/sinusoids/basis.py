@@ -45,9 +45,8 @@ LOOKS_PER_HARMONIC = 8
 TAIL_LOOKS = 12
 """The same in a tail."""
 
-KNOTS_PER_HARMONIC, FEW_KNOTS = 8, 5
-"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m. With a
-free end fewer: what is sent within a tenth of a second is to be little."""
+KNOTS_PER_HARMONIC = 8
+"""Knots of a finished cycle per period of the highest harmonic: quintics err below 1e-7 m."""
 
 
 @dataclass(frozen=True)
@@ -152,15 +151,16 @@ def settling(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=32)
 def sinusoid_basis(
-    number: int, period: float, at_rest: bool, steps: int = 0, free_end: bool = False
-) -> SinusoidBasis:
+    number: int, period: float, at_rest: bool, steps: int = 0, free_end: bool = False,
+    knots_per_harmonic: int = KNOTS_PER_HARMONIC,
+) -> SinusoidBasis:  # fmt: skip
     """Return the family with `number` harmonics; at_rest tells whether it starts at rest, free_end
     whether it may then end in any state, and has a tail.
 
     `steps` is the number of samples; 0 takes enough to find a solution.
     """
     steps = steps or max(STEPS_PER_HARMONIC * max(number, 4), round(period / LONGEST_STEP))
-    knots = (FEW_KNOTS if free_end else KNOTS_PER_HARMONIC) * max(number, 4)
+    knots = knots_per_harmonic * max(number, 4)
     omega = 2 * np.pi / period
     j = np.arange(1, number + 1)
     span = np.eye(2 * number)

@@ -21,10 +21,14 @@ from .basis import sinusoid_basis
 from .descent import BIN, Motions, Problem, descend
 from .limits import LimitedSinusoids
 
-EXACT, ROUGH = (0.4e-3, 26), (0.8e-3, 16)
-"""Longest step [s] and least steps per period of the highest harmonic, of a search for exact drifts
-and of one for progress: friction acts by first-order steps, which miss 10 % of a drift at 1 ms;
-what they miss at the end is aimed at once more."""
+Grid = tuple[float, int, int]
+"""Longest step [s] of a search; per period of the highest harmonic, least steps, and knots of the
+finished cycle."""
+
+EXACT: Grid = (0.4e-3, 26, 8)
+ROUGH: Grid = (0.8e-3, 16, 5)
+"""Of exact drifts, and of progress: friction acts by first-order steps, which miss 10 % of a drift
+at 1 ms; what they miss at the end is aimed at once more. Fewer knots are sooner sent."""
 
 BEYOND = 1.3
 """Fraction of the limits that the search may use on its way."""
@@ -81,8 +85,8 @@ class SinusoidSteering:
         self._clock = clock
         self.cut_short = 0
         self._finishing = 0.0  # how long the last answer took after its search [s]
-        self._warm: dict[tuple[int, float, tuple[float, int], bool], np.ndarray] = {}  # twists
-        self._motions: dict[tuple[int, float, tuple[float, int], bool], Motions] = {}
+        self._warm: dict[tuple[int, float, Grid, bool], np.ndarray] = {}  # twists
+        self._motions: dict[tuple[int, float, Grid, bool], Motions] = {}
 
     def forget(self) -> None:
         """Forget the last motions."""
@@ -107,8 +111,8 @@ class SinusoidSteering:
         disturbances of the best so far, until one misses less than `good_enough` [m, root mean
         square], or an answer by `until`, a time of the clock, allows no further one.
         """
-        steps = ROUGH if goal.lasting else EXACT
-        key = number, period, steps, goal.free_end
+        grid = ROUGH if goal.lasting else EXACT
+        key = number, period, grid, goal.free_end
 
         def family_of(most: float) -> LimitedSinusoids:
             return limited_sinusoids(*key[:2], self._limits, most, *key[2:], goal.plate)
@@ -188,12 +192,12 @@ class SinusoidSteering:
 
 
 def limited_sinusoids(
-    number: int, period: float, limits: Limits, most: float, steps: tuple[float, int] = EXACT,
+    number: int, period: float, limits: Limits, most: float, grid: Grid = EXACT,
     free_end: bool = False, plate: np.ndarray | None = None,
 ) -> LimitedSinusoids:  # fmt: skip
     """Return the family that starts in a state of the plate (3, 3), at rest if left out, and ends
-    at rest or, with `free_end`, in any state, in steps as `EXACT` or `ROUGH`."""
-    longest, least = steps
+    at rest or, with `free_end`, in any state; grid is `EXACT` or `ROUGH`."""
+    longest, least, knots = grid
     count = max(least * max(number, 4), round(period / longest))
-    basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end)
+    basis = sinusoid_basis(number, period, True, -(-count // BIN) * BIN, free_end, knots)
     return LimitedSinusoids(basis, limits, most, plate)
