@@ -10,6 +10,7 @@ from plate_core.motion import motor_state
 from plate_core.serial_protocol import State, Status
 from plate_driver.cycle_starts import CycleStarts
 from plate_driver.setpoints import MotorTable
+from plate_driver.transports import LATE_IN_MOTION
 
 TAIL_S = 0.05
 PIECES = 32
