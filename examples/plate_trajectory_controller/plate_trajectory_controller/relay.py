@@ -205,7 +205,7 @@ def brake(rig: Rig, table: MotorTable, along: float) -> Trajectory:
     u = t / length
     rate = (1 - 3 * u**2 + 2 * u**3)[:, None]
     slowing = (6 * u * (u - 1) / length)[:, None]
-    at = (along + length * (u - u**3 + u**4 / 2)) % cycle.period
+    at = np.minimum(along + length * (u - u**3 + u**4 / 2), cycle.period)  # to its end at most
     twist = cycle.twist(at)
     accel = cycle.accel(at) * rate**2 + slowing * twist
     states = motor_state(rig, cycle.pose(at), twist * rate, accel)

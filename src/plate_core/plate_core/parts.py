@@ -57,7 +57,7 @@ class Parts:
         Raises
         ------
         PlateError
-            If an array has another shape.
+            If an array has another shape, or the plate's state is not finite.
         """
         pair, single = (len(ids), 2), (len(ids),)
         return cls(
@@ -175,7 +175,7 @@ class Wanted:
         Raises
         ------
         PlateError
-            If an array has another shape.
+            If an array has another shape, or the plate's state is not finite.
         """
         pair, single = (len(parts), 2), (len(parts),)
         return cls(
@@ -186,8 +186,15 @@ class Wanted:
             period,
             None if start is None else _filled("start", start, (len(parts), 4)),
             targets,
-            plate,
+            None if plate is None else _state(plate),
         )
+
+
+def _state(plate: np.ndarray) -> np.ndarray:
+    state = np.array(plate, float)
+    if state.shape != (3, 3) or not np.all(np.isfinite(state)):
+        raise PlateError(f"plate is {state.tolist()}, allowed: (3, 3), finite")
+    return state
 
 
 def part_class(part_id: str) -> str:

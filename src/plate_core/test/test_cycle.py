@@ -273,3 +273,12 @@ def test_a_tail_ends_at_rest_and_begins_where_the_cycle_ends():
     pose[2:] = [[2e-3, 0, 0], [0, 0, 0]]
     with pytest.raises(CycleError, match="differ"):
         PlateCycle.from_knots(times, pose, still, still)
+
+
+def test_a_tail_ends_at_rest_alone():
+    times, state = np.array([0.0, 0.1, 0.1, 0.15]), np.array([1e-3, 0.0, 0.0])
+    still = np.zeros((4, 3))
+    with pytest.raises(CycleError, match="its tail does not end at rest"):
+        PlateCycle.from_knots(times, np.array([0 * state, state, state, state]), still, still)
+    almost = np.array([[2.8e-6] * 3, [1e-4] * 3, [1e-3] * 3])
+    assert np.all(PlateCycle.stopping(almost, 0.05, 0.1).state(-1) == 0)

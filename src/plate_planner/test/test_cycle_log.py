@@ -276,3 +276,12 @@ def test_a_cycle_is_known_again_in_spite_of_rounding():
     log = played(12, 0).hear(swinging(12), 1.15, 1.1)
     rounded = replace(swinging(12), knot_pose=swinging(12).knot_pose + 1e-16)
     assert log.started(rounded, 1.2).sent == ()
+
+
+@pytest.mark.parametrize("tail_s", [1e-6, 1e9])
+def test_a_cycle_with_a_tail_that_no_driver_plays_is_not_believed(tail_s):
+    still, times = np.zeros((4, 3)), np.array([0.0, 0.1, 0.1, 0.1 + tail_s])
+    odd = PlateCycle.from_knots(times, still, still, still)
+    log = CycleLog().hear(PlateCycle.rest(0.1), 0.0).advance(0.1)
+    assert log.hear(odd, 0.11) == log
+    assert log.started(odd, 0.2) == log

@@ -452,8 +452,10 @@ class SimulatorNode(SafeLifecycleNode[Options]):
                 raise PlateError(rivals)
             running = self._playback.cycle
             self._usage = check_table(self._rig, cycle, running)
-            # The newest one that follows; one at rest would have to wait for the tail.
-            if self._newest is None or cycle.follows(running) or not self._newest.follows(running):
+            # The newest one that follows; one from rest would have to wait for the tail. But for
+            # rest, which nothing may go before: it may be a stop.
+            waiting = self._newest is not None and self._newest.follows(running)
+            if cycle.follows(running) or not (cycle.moves and waiting):
                 self._newest = cycle
         except PlateError as error:
             self._refuse(error)

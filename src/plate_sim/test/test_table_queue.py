@@ -102,3 +102,10 @@ def test_the_tail_keeps_the_limits_too():
     check_table(RIG, leaving(fast), REST)
     with pytest.raises(CycleError, match="m/s2, allowed: "):
         check_table(RIG, leaving(fast, stops_s=0.005), REST)
+
+
+@pytest.mark.parametrize("tail_s", [2e-9, 1e6])
+def test_a_tail_of_no_sane_length_is_refused(tail_s):
+    still, times = np.zeros((4, 3)), np.array([0.0, 0.1, 0.1, 0.1 + tail_s])
+    with pytest.raises(CycleError, match=r"tail is .* allowed: 0\.01 to 10 s"):
+        check_table(RIG, PlateCycle.from_knots(times, still, still, still), REST)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plate_core import PlateCycle, Rig
+from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import PIECES
 from plate_core.rig import motor_levers, motor_reach
 
@@ -111,6 +111,11 @@ def within_limits(cycle: PlateCycle, full: Limits, rest: PlateCycle | None = Non
         return cycle
     rest = cycle.scaled(0.0) if rest is None else rest
     least = _use(rest, full)
+    if not least <= CERTAIN:
+        raise CycleError(
+            f"the plate takes {least:.3g} times its limits to rest from where the cycle begins, "
+            f"allowed: {CERTAIN:g}"
+        )
     for _ in range(4):  # turning enters with its square: nearly linear in the share
         share = max((0.9995 * CERTAIN - least) / (used - least), 0.0)
         times, *states = cycle.knots
@@ -124,14 +129,22 @@ def within_limits(cycle: PlateCycle, full: Limits, rest: PlateCycle | None = Non
 
 def _use(cycle: PlateCycle, full: Limits) -> float:
     """Return the greatest fraction of a limit that the control points of a motion use; its heat is
-    that of the cycle, or of cycle and tail if that is more."""
+    that of the cycle, of both cycle and tail, or of the tail, with which the next one may begin:
+    whichever is most."""
     used = 0.0
-    for count in {1, len(cycle.parts)}:
-        parts = cycle.parts[:count]
+    both = cycle.parts
+    for parts in (both,) if len(both) == 1 else (both[:1], both, both[1:]):
         pose, twist, accel = (
-            np.vstack([part.control_points(order, PIECES) for part in parts]) for order in range(3)
+            np.vstack(
+                [
+                    *(part.control_points(order, PIECES) for part in parts),
+                    parts[-1].state(-1)[order],  # the end need not be as the start
+                ]
+            )
+            for order in range(3)
         )
-        share = np.repeat(np.concatenate([np.diff(part.times) for part in parts]), 5 * PIECES)
-        share[::5] += np.roll(share[::5], 1)
+        steps = np.repeat(np.concatenate([np.diff(part.times) for part in parts]), 5 * PIECES)
+        share = np.append(steps, 0.0)
+        share[5::5] += steps[::5]
         used = max(used, limit_use(pose, twist, accel, share, full, False))
     return used

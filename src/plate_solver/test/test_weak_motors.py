@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plate_core import Rig, load_rig
+from plate_core import CycleError, Rig, load_rig
 from plate_core.motion import usage
 from plate_core.rig import PEAK_OVER_RMS, Suspension, mass_matrix, modal_matrices
 from plate_solver import Goal, Limits, RotationSolver, SinusoidSolver
-from plate_solver.limits import HEADROOM, limit_use
+from plate_solver.limits import HEADROOM, limit_use, within_limits
 from plate_solver.rotations.sequence import ramps
-from plate_solver.sinusoids import sinusoid_basis
+from plate_solver.sinusoids import limited_sinusoids, sinusoid_basis
 from plate_solver.sinusoids.limits import EXCESS_M, LimitedSinusoids
 
 
@@ -91,6 +91,23 @@ def test_limits_are_used_as_the_rig_says(name):
         used = limit_use(*points, weight, limits, False)
         assert used == pytest.approx(usage(rig, cycle).overall, rel=1e-2)
         assert used >= usage(rig, cycle).overall * (1 - 1e-5)
+
+
+@WEAK
+def test_a_cycle_in_motion_keeps_the_limits_and_so_does_the_way_to_rest_from_its_end(name):
+    rig, plate = RIGS[name], np.zeros((3, 3))
+    full = Limits.of(rig, 1.0)
+    for seed in range(6):
+        family = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=plate)
+        theta = 2 * family.random(np.random.default_rng(seed))
+        nothing = family.cycle(0 * theta)
+        cycle = within_limits(family.cycle(theta), full, nothing)
+        assert 0.8 < usage(rig, cycle).overall <= 1
+        assert usage(rig, nothing).overall <= 1
+        plate = cycle.state(-1)
+    far = limited_sinusoids(8, 0.1, Limits.of(rig), 1.3, free_end=True, plate=100 * plate)
+    with pytest.raises(CycleError, match="times its limits to rest"):
+        within_limits(far.cycle(theta), full, far.cycle(0 * theta))
 
 
 @SOLVERS

@@ -171,23 +171,28 @@ class PlateCycle:
             k = int(twice[0])
             if any(np.any(state[k] != state[k - 1]) for state in states):
                 raise CycleError(f"the knots given twice, at {times[k]:g} s, differ")
-            tail = cls._ending(times[k:] - times[k], [state[k:] for state in states])
+            tail = cls._ending(times[k:] - times[k], [state[k:] for state in states], at_rest=True)
             return replace(cls._made(times[:k], [state[:k] for state in states]), tail=tail)
         return cls._ending(times, states)
 
     @classmethod
-    def _ending(cls, times: np.ndarray, states: list[np.ndarray]) -> PlateCycle:
-        """Return a motion that ends as it began or at rest, to the last bit."""
+    def _ending(
+        cls, times: np.ndarray, states: list[np.ndarray], at_rest: bool = False
+    ) -> PlateCycle:
+        """Return a motion that ends as it began or at rest, or at rest only, to the last bit."""
         gap = [float(np.max(np.abs(state[-1] - state[0]))) for state in states]
         size = [1e-6 + 1e-6 * float(np.max(np.abs(state))) for state in states]
         closes = gap[0] <= size[0] and gap[1] <= 1e2 * size[1] and gap[2] <= 1e4 * size[2]
-        if not (closes or is_rest(np.stack([state[-1] for state in states]))):
+        rests = is_rest(np.stack([state[-1] for state in states]))
+        if at_rest and not rests:
+            raise CycleError("motion does not close: its tail does not end at rest at home")
+        if not (closes or rests):
             raise CycleError(
                 f"motion does not close: end and start differ by {gap[0]:.3g} m or rad in pose, "
                 f"{gap[1]:.3g} in twist, {gap[2]:.3g} in acceleration"
             )
         for state in states:
-            state[-1] = state[0] if closes else 0
+            state[-1] = state[0] if closes and not at_rest else 0
         return cls._made(times, states)
 
     @classmethod
@@ -261,7 +266,7 @@ class PlateCycle:
         rest until the period [s], if that is longer."""
         times = [0.0, way_s, period][: 2 + (period > way_s)]
         knots = [np.vstack([own, np.zeros((len(times) - 1, 3))]) for own in state]
-        return cls.from_knots(np.array(times), *knots)
+        return cls._ending(np.array(times), knots, at_rest=True)
 
 
 def is_rest(state: np.ndarray) -> bool:

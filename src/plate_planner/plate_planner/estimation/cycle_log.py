@@ -24,8 +24,8 @@ SNAP = 0.25
 MEMORY_S = 1.5
 """How far back runs are kept [s]: longer than an image may be old, and a longest cycle."""
 
-SHORTEST_S = 0.005
-"""A shorter cycle is none that a driver would play [s]."""
+SHORTEST_S, LONGEST_S = 0.005, 10.0
+"""A cycle or tail that is shorter or longer is none that a driver would play [s]."""
 
 PERIOD_RANGE_S = (0.005, 1.0)
 """Intervals of stamps that may be a period [s]: the design has 0.02 to 0.2, with room beside."""
@@ -129,7 +129,7 @@ class CycleLog:
         """Since when the plate has been at rest [s]; infinite while it moves."""
         since = math.inf
         for begin, cycle in reversed(self.runs):
-            if cycle.knot_pose.any():
+            if cycle.moves:
                 break
             since = begin
         return since
@@ -161,7 +161,7 @@ class CycleLog:
 
         `asked` is when the cycle began that it answers [s]; None: it is the one that runs.
         """
-        if cycle.period < SHORTEST_S:
+        if not _playable(cycle):
             return self
         if asked is None:
             asked = self.begin if self.runs else arrival
@@ -171,7 +171,7 @@ class CycleLog:
     def started(self, cycle: PlateCycle, begin: float, triggered: bool = False) -> CycleLog:
         """Take in the report that the plate began a cycle at `begin` [s]; `triggered` tells that
         images are taken at starts all the same. One that comes again changes nothing."""
-        if cycle.period < SHORTEST_S:
+        if not _playable(cycle):
             return self
         if self.runs and begin < self.begin - MEMORY_S:
             return CycleLog(((begin, cycle),), reported=not triggered, told=begin)  # time is anew
@@ -185,11 +185,9 @@ class CycleLog:
         for k, one in enumerate(self.sent):
             if _same(one.cycle, cycle):
                 sent = self.sent[k + 1 :]
-                if cycle.knot_pose.any() and not triggered:  # rest does not tell one from another
+                if cycle.moves and not triggered:  # rest does not tell one from another
                     late = sum(  # short cycles at rest, and tails, tell nothing of others
-                        start > one.asked + SNAP * run.period
-                        and run.knot_pose.any()
-                        and not _is_tail(run)
+                        start > one.asked + SNAP * run.period and run.moves and not _is_tail(run)
                         for start, run in kept
                     )
                     delays = (*delays, late)[-DELAYS_KEPT:]
@@ -232,7 +230,7 @@ class CycleLog:
         for begin, cycle in (ahead, *reversed(self.runs)):
             taken = begin + phase * cycle.period
             if taken <= t + SNAP * cycle.period:
-                return taken if cycle.knot_pose.any() else t
+                return taken if cycle.moves else t
         return t
 
     def _begin(self, t: float) -> CycleLog:
@@ -266,6 +264,11 @@ def _same(one: PlateCycle, other: PlateCycle) -> bool:
     """Whether two cycles are one, but for rounding."""
     a, b = one.knot_pose, other.knot_pose
     return a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_POSE))
+
+
+def _playable(cycle: PlateCycle) -> bool:
+    """Whether a driver would play a cycle and its tail, by their lengths."""
+    return all(SHORTEST_S <= part.period <= LONGEST_S for part in cycle.parts)
 
 
 def _is_tail(cycle: PlateCycle) -> bool:

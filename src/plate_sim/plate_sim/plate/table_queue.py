@@ -67,4 +67,7 @@ def check_table(rig: Rig, cycle: PlateCycle, running: PlateCycle) -> CycleUsage:
             f"{peaks.accel:.4g} m/s2, allowed: {1e3 * rig.limits.stroke_m:g} mm, "
             f"{rig.limits.speed:g} m/s and {rig.limits.accel:g} m/s2"
         )
+    tail = cycle.tail
+    if tail is not None and not PERIOD[0] <= tail.period <= PERIOD[1]:
+        raise CycleError(f"tail is {tail.period:g} s, allowed: {PERIOD[0]:g} to {PERIOD[1]:g} s")
     return peaks
