@@ -494,6 +494,18 @@ def test_where_no_table_comes_in_real_time_the_tail_is_played_and_then_the_plate
         assert loop.simulator._count["late cycles"] == 0
 
 
+def test_rest_that_is_sent_last_is_what_comes_after_the_tail():
+    with Loop(idle_period=0.05) as loop:
+        starts = hear_starts(loop)
+        assert loop.spin(loop.tables.get_subscription_count)
+        loop.tables.publish(motors_to_msg(RIG, LEAVES, to_time(0)))
+        assert loop.spin(lambda: "leaves" in kinds(starts))
+        for table in (GOES_ON, PlateCycle.rest(0.1)):  # as by a stop
+            loop.tables.publish(motors_to_msg(RIG, table, to_time(0)))
+        assert loop.spin(lambda: kinds(starts)[-2:] == ["tail", "rest"])
+        assert "goes on" not in kinds(starts)
+
+
 def test_after_a_pause_the_plate_is_at_rest():
     with Loop(idle_period=0.05) as loop:
         starts = hear_starts(loop)

@@ -257,3 +257,14 @@ def test_a_camera_that_is_triggered_does_not_run_free():
     rig = replace(RIG, camera=replace(RIG.camera, trigger=CameraTrigger(0.5)))
     with pytest.raises(PlateError, match="image_rate is 30 with a trigger_phase, allowed: 0"):
         Simulation(rig, SORT_4, 1, Disturbances(image_rate=30.0))
+
+
+@pytest.mark.parametrize("off", [-1.4e-17, 0.0, 1.4e-17])
+def test_a_piece_that_ends_at_a_knot_but_for_rounding_has_no_piece_without_length(off):
+    cycle = PlateCycle.stopping(np.array([[1e-3, 0, 0], [0.1, 0, 0], [1.0, 0, 0]]), 0.01, 0.02)
+    for piece in (
+        PlateMotion.piece(cycle, 0.0, 0.01 + off),
+        PlateMotion.piece(cycle, 0.01 + off, 0.02),
+    ):
+        assert np.all(np.diff(piece.times) > 1e-3)
+        assert piece.period == pytest.approx(0.01)

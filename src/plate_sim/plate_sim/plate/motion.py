@@ -11,6 +11,9 @@ from scipy.interpolate import PPoly
 from plate_core import CycleError, PlateCycle, Rig
 from plate_core.motion import plate_state, quintic_pieces
 
+ROUNDING_S = 1e-12
+"""Times that differ by less are the same [s]."""
+
 
 @dataclass(frozen=True)
 class PlateMotion:
@@ -68,8 +71,9 @@ class PlateMotion:
     def piece(cls, motion: PlateCycle | PlateMotion, begin: float, end: float) -> PlateMotion:
         """Return what happens from `begin` to `end` [s] of a motion; both within it."""
         times = motion.times
-        first = int(np.searchsorted(times, begin, "right")) - 1
-        last = int(np.searchsorted(times, end, "left"))
+        # A knot within rounding of an end is that end.
+        first = int(np.searchsorted(times, begin + ROUNDING_S, "right")) - 1
+        last = int(np.searchsorted(times, end - ROUNDING_S, "left"))
         knots = np.concatenate([[begin], times[first + 1 : last], [end]])
         coefficients = np.array(motion.coefficients[first:last])
         # Powers of the time since the first piece's start: moved on to `begin` by Horner's scheme.
