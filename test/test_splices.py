@@ -127,7 +127,7 @@ def begun(done: Run) -> dict[int, int]:
 
 
 def assert_played(done: Run, tables: dict[int, Spliced]) -> None:
-    """Wherever a table is told to play, the setpoint is that of its spline."""
+    """Wherever a table plays, the setpoint is that of its spline."""
     for m in told(done):
         if m.state is not State.PLAYING:
             continue

@@ -1,14 +1,8 @@
-"""The driver's node. What it decides is shown with a node in this process, in the test's time; what
-needs a process, signals or messages on their way with one that is spoken to over ROS."""
+"""What the driver's node decides: a node in this process, in the test's time."""
 
 import contextlib
-import os
 import re
-import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,22 +13,16 @@ from plate_core.motion import motor_state
 
 rclpy = pytest.importorskip("rclpy")
 from cuts import cut  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from driven import Driven, answered_once  # noqa: E402
-from lifecycle_msgs.msg import Transition  # noqa: E402
-from lifecycle_msgs.srv import ChangeState, GetState  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
+from driven import CALM, CUT, EMERGENCY, PERIOD, Driven, at_rest, shaking, transition  # noqa: E402
+from lifecycle_msgs.srv import GetState  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
-from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
 from plate_core.ros import (  # noqa: E402
-    CALLS,
     DATA,
-    LATCHED,
     cycle_to_msg,
     msg_to_cycle,
     msg_to_motors,
@@ -45,34 +33,13 @@ from plate_core.ros import (  # noqa: E402
 from plate_driver.calibration import Response, save_response  # noqa: E402
 from plate_driver.freshness import STANDSTILL_S  # noqa: E402
 from plate_driver.node import DriverNode  # noqa: E402
-from plate_driver.status import LOOK, OFF  # noqa: E402
+from plate_driver.status import OFF  # noqa: E402
 from plate_driver.transports import Condition, Measured, Order, Report  # noqa: E402
 from plate_interfaces.msg import DriverStatus, TaskStatus  # noqa: E402
 
-DRIVER = [sys.executable, "-c", "from plate_driver.node import main; main()"]
-NAMESPACE = f"/driver_test_{os.getpid()}"
-PLATE = """
-import sys
-from plate_client.command import main
-from plate_client.ros import graph, services
-graph.NOBODY_S = services.NOBODY_S = services.LATE_S = 60.0
-_, namespace, *commands = sys.argv
-for command in commands:
-    services.FOUND_S = 1.0 if command == "stop" else 60.0
-    sys.argv = ["plate", command, "--namespace", namespace]
-    try:
-        main()
-    except SystemExit as end:
-        print("code", end.code, flush=True)
-"""
-"""The program `plate`, which is given one command after the other, and time for what is there."""
-
-PERIOD = 0.1
 MS = 1_000_000
 SIMULATED = 90_000 * MS
 """A stamp of a simulated clock."""
-
-EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
 
 
 @pytest.fixture(name="rig", scope="module")
@@ -80,32 +47,11 @@ def _rig():
     return load_rig()
 
 
-def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
-    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
-    t = np.arange(48) * period / 48
-    wave = np.sin(np.pi * t / period) ** 4
-    phase = 4 * np.pi * t / period
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(period, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
-    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
-
-
-GENTLE, CALM = shaking(0.0005), shaking(0.0005, 0.3)
+GENTLE = shaking(0.0005)
 
 
 FIRST, SECOND = cut(CALM, 0, 16), cut(CALM, 16, 32)
 """Cycles of 0.1 s, with tails of 0.05 s: one from rest, and one that follows."""
-
-
-def at_rest(msg: JointTrajectory) -> bool:
-    return not any(
-        value for p in msg.points for value in (*p.positions, *p.velocities, *p.accelerations)
-    )
-
-
-# In this process
 
 
 @pytest.fixture(name="make")
@@ -281,7 +227,7 @@ def test_starts_of_cycles_and_of_tails_are_told(make, monkeypatch):
     for k, cycle in zip(moving, (FIRST, SECOND, SECOND.tail), strict=True):
         np.testing.assert_array_equal(cycles[k].knot_pose, cycle.knot_pose)
         assert (cycles[k].tail is None) == (cycle.tail is None)
-    # Then rest is told of, from the end of the tail on.
+    # Then it reports rest, from the end of the tail on.
     assert after[moving[-1] + 1] == pytest.approx(0.25, abs=2e-3)
 
 
@@ -423,10 +369,6 @@ def test_in_simulated_time_silence_is_simulated_too(make):
     assert driven.send(GENTLE, SIMULATED + 300 * MS) == SIMULATED + 300 * MS
     heard(Clock(clock=to_time(300 * MS)))
     assert rests() == "2"
-
-
-def transition(label: str) -> ChangeState.Request:
-    return ChangeState.Request(transition=Transition(label=label))
 
 
 def change(driven: Driven, label: str) -> bool:
@@ -600,239 +542,3 @@ def test_cycles_that_are_too_long_are_refused_unread(driven):
     why = driven.send_bytes(serialize_message(msg))
     assert why == "plate_cycle: 24500 points, allowed: at most 2000"
     assert isinstance(driven.send(GENTLE), int)
-
-
-# As a process of its own
-
-
-class Peer:
-    """A driver process and a node that listens to it."""
-
-    def __init__(self, file: Path, *parameters: str) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("peer", context=self.context, namespace=NAMESPACE)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.setpoints: list[JointTrajectory] = []
-        self.states: list[JointState] = []
-        self.reports: list[DiagnosticArray] = []
-        for kind, topic, received in (
-            (JointTrajectory, "motor_setpoints", self.setpoints),
-            (JointState, "motor_states", self.states),
-            (DiagnosticArray, "diagnostics", self.reports),
-        ):
-            self.node.create_subscription(kind, topic, received.append, DATA)
-        self.told: list[str] = []  # without what is said again
-        self.node.create_subscription(DriverStatus, "driver_status", self._on_status, LATCHED)
-        self.cycles = self.node.create_publisher(JointTrajectory, "plate_cycle", DATA)
-        self.tasks = self.node.create_publisher(TaskStatus, "task_status", LATCHED)
-        env = os.environ | {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "PYTHONUNBUFFERED": "1",
-        }
-        arguments = [word for p in parameters for word in ("-p", p)]
-        command = [*DRIVER, "--ros-args", "-r", f"__ns:={NAMESPACE}", *arguments]
-        self._file = file
-        with file.open("w") as printed:
-            self.process = subprocess.Popen(command, env=env, stdout=printed, stderr=printed)
-
-    def _on_status(self, msg: DriverStatus) -> None:
-        if not self.told or self.told[-1] != msg.text:
-            self.told.append(msg.text)
-
-    @property
-    def output(self) -> str:
-        """All that the driver has printed."""
-        return self._file.read_text()
-
-    def seen(self, condition, seconds: float = 60.0) -> bool:
-        """Spin until the condition holds; False if it does not within so long."""
-        end = time.monotonic() + seconds
-        while not (holds := condition()) and time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.02)
-        return holds
-
-    def until(self, condition) -> None:
-        assert self.seen(condition), self.output
-
-    def send(self) -> int:
-        """Send a cycle that answers an image of now; returns its stamp."""
-        stamp_ns = time.time_ns()
-        self.cycles.publish(cycle_to_msg(CALM, to_time(stamp_ns)))
-        return stamp_ns
-
-    def moved(self) -> None:
-        """Have the plate move, by a cycle for each new image as a solver does. What the driver
-        hears late, or before it has noticed that it is ready, it refuses, and before it knows this
-        publisher it hears nothing."""
-        sent, before = [], len(self.setpoints)
-
-        def answered() -> bool:
-            sent.append(self.send())
-            return self.seen(lambda: len(self.setpoints) > before, 1.0)
-
-        self.until(answered)
-        assert nanoseconds(self.setpoints[-1].header.stamp) in sent
-        assert not at_rest(self.setpoints[-1])
-
-    def rests(self) -> None:
-        """Wait until the plate does, which has moved: the cycle of this stamp is over."""
-        self.until(lambda: at_rest(self.setpoints[-1]))
-        moved, rests = self.setpoints[-2:]
-        assert not at_rest(moved)
-        assert moved.header.stamp == rests.header.stamp
-
-    def clients(self, kind, name: str, known, count: int = 1):
-        """Clients that the driver has answered the request `known`, which does no harm."""
-        made = [self.node.create_client(kind, name, qos_profile=CALLS) for _ in range(count)]
-        self.until(lambda: all(client.service_is_ready() for client in made))
-        assert answered_once([(client, known) for client in made], self.seen), self.output
-        return made
-
-    def changes(self, unfit: str):
-        """Return what has the driver do a transition; `unfit` is none that it has now."""
-        [client] = self.clients(ChangeState, "driver/change_state", transition(unfit))
-        return lambda label: self.call(client, transition(label)).success
-
-    def call(self, client, request):
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
-
-    @property
-    def level(self) -> bytes:
-        return self.reports[-1].status[0].level if self.reports else b""
-
-    def end(self, number: int) -> None:
-        """Signal the driver, which ends with code 0."""
-        self.process.send_signal(number)
-        assert self.process.wait(60) == 0, self.output
-        assert "Traceback" not in self.output
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
-@pytest.fixture(name="peer")
-def _peer(request, tmp_path):
-    peer = Peer(tmp_path / "output", *getattr(request, "param", ()))
-    yield peer
-    peer.close()
-
-
-# To start one takes a second, and ten on a busy computer: they come in few, long pieces.
-
-
-def test_a_process_answers_over_ros_and_rests_at_an_interrupt(peer):
-    # Bytes that are no message, as of a computer with other interfaces, end nothing: one of the
-    # latched topic comes again and again.
-    data = serialize_message(TaskStatus(text="idle"))
-    peer.tasks.publish(data[: len(data) // 2])
-    peer.moved()
-    data = serialize_message(cycle_to_msg(CALM, to_time(time.time_ns())))
-
-    def refused() -> bool:
-        peer.cycles.publish(data[: len(data) // 2])
-        return peer.seen(lambda: "cycle refused: JointTrajectory: " in peer.output, 1.0)
-
-    peer.until(refused)  # which is not told twice in two seconds
-    peer.until(lambda: "task_status: TaskStatus: " in peer.output)
-    peer.tasks.publish(TaskStatus(text="idle"))
-    peer.until(lambda: peer.states)
-    # Each of 100 stops at once is answered.
-    ask = Trigger.Request()
-    stops = peer.clients(Trigger, "emergency_stop", ask, 100)
-    answers = [stop.call_async(ask) for stop in stops]
-    peer.until(lambda: all(answer.done() for answer in answers))
-    assert {answer.result().message for answer in answers} == {EMERGENCY}
-    peer.until(lambda: peer.told[-1] == EMERGENCY)
-    [enable] = peer.clients(SetBool, "enable", SetBool.Request(data=False))
-    assert peer.call(enable, SetBool.Request(data=True)).message == "ready"
-    peer.until(lambda: peer.told[-1] == "ready")
-    # So does the command line.
-    done = subprocess.run(
-        [sys.executable, "-c", PLATE, NAMESPACE, "emergency_stop", "state", "enable", "stop"],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    stop, state, enabled, unknown = re.findall(r"(.*?)code (\d)\n", done.stdout, re.DOTALL)
-    assert stop == (f"{EMERGENCY}\n", "0")
-    assert (state[1], EMERGENCY in state[0], "\n  driver: " in state[0]) == ("0", True, True)
-    assert (enabled, unknown) == (("ready\n", "0"), ("", "1"))
-    [names] = re.findall(r"plate: no service stop: nodes here: (.*)", done.stderr)
-    assert set(names.split(", ")) <= {"driver", "driver_safety", "peer"}
-    peer.until(lambda: {"driver", "driver_safety"} <= set(peer.node.get_node_names()))
-    peer.moved()
-    peer.end(signal.SIGINT)
-    peer.rests()
-
-
-@pytest.mark.parametrize("peer", [["autostart:=false"]], indirect=True)
-def test_a_process_is_managed_frozen_and_terminated(peer):
-    [get] = peer.clients(GetState, "driver/get_state", GetState.Request())
-    change = peer.changes("deactivate")
-
-    def state() -> str:
-        return peer.call(get, GetState.Request()).current_state.label
-
-    assert state() == "unconfigured"
-    peer.until(lambda: peer.told == ["unconfigured"])
-    peer.until(lambda: peer.level == DiagnosticStatus.WARN)
-    assert change("configure")
-    assert state() == "inactive"
-    peer.until(lambda: peer.told[-1] == "inactive")
-    assert change("activate")
-    peer.until(lambda: peer.told[-1] == "ready")
-    assert not change("activate")
-    assert not change("configure")
-    assert state() == "active"
-    peer.moved()
-    # Nobody sends a cycle any more: it rests by itself, and says so.
-    peer.until(lambda: peer.level == DiagnosticStatus.STALE)
-    assert "no plate_cycle for 0.6 s: the plate rests" in peer.output
-    assert change("deactivate")
-    peer.rests()
-    assert change("cleanup")
-    assert state() == "unconfigured"
-    # A second life. What came while the driver stood still moves nothing, however young it is.
-    assert change("configure")
-    assert change("activate")
-    peer.moved()
-    stood = "cycle refused: plate_cycle answers an image from before the driver itself stood"
-    sent = []
-
-    def refused() -> bool:
-        peer.process.send_signal(signal.SIGSTOP)
-        time.sleep(STANDSTILL_S + 0.1)
-        sent.append(peer.send())
-        peer.process.send_signal(signal.SIGCONT)
-        return peer.seen(lambda: stood in peer.output, 1.0)
-
-    peer.until(refused)
-    peer.moved()
-    assert not {nanoseconds(msg.header.stamp) for msg in peer.setpoints} & set(sent)
-    peer.end(signal.SIGTERM)
-    peer.rests()
-
-
-def test_a_process_that_was_shut_down_rests_and_ends_well(peer):
-    peer.moved()
-    assert peer.changes("configure")("shutdown")
-    peer.rests()
-    peer.end(signal.SIGINT)
-
-
-def test_wrong_parameter_ends_the_process():
-    result = subprocess.run(
-        [*DRIVER, "--ros-args", "-p", "transport:=can"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert result.returncode == 2
-    assert result.stderr.endswith("error: transport is 'can', allowed: serial, sim\n")
-    assert "Traceback" not in result.stderr

@@ -516,7 +516,7 @@ def test_whatever_is_streamed_the_plate_never_jumps():
     assert np.min(totals) > 40, totals
 
 
-# What is told of it
+# What it reports
 
 
 def test_starts_of_tails_are_told_too(pair, rng):
