@@ -64,7 +64,7 @@ from plate_interfaces.msg import (
     TaskStatus,
 )
 
-from .estimation import PERIOD_RANGE_S, SNAP, Estimator, warm_up
+from .estimation import SNAP, Estimator, check_start, warm_up
 from .planner import NOTHING, Planner, PlannerOptions, PlannerState
 from .supervision import STOP, Failure, Inputs, Phase, Progress, Reason
 from .tasks import FollowOptions
@@ -77,10 +77,6 @@ WARN_PERIOD_S = 2.0
 
 IDLE_S = 1.0
 """Period of the alarm while no answer is due [s]."""
-
-SAME_TIME_S = 3.0
-"""Longest time between the stamps of an image and of a cycle's start [s]: longer than images may
-fail."""
 
 SAME_CLOCK_S = 1.0
 """A stamp further than this from our time is of a clock that is not ours [s]."""
@@ -787,26 +783,6 @@ class PlannerNode(SafeLifecycleNode[PlannerParameters]):
     def _warn(self, text: str) -> None:
         self._refused = text
         self.get_logger().warning(text, throttle_duration_sec=WARN_PERIOD_S)
-
-
-def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
-    """Refuse a start of a cycle at `begin` [s] that cannot be; the last image's stamp is `image`.
-
-    Raises
-    ------
-    PlateError
-        If the period is none, or image and start are of clocks that differ.
-    """
-    low, high = PERIOD_RANGE_S
-    if not low <= cycle.period <= high:
-        raise PlateError(
-            f"cycle_started: period is {cycle.period:g} s, allowed: {low:g} to {high:g}"
-        )
-    if image is not None and abs(begin - image) > SAME_TIME_S:
-        raise PlateError(
-            f"cycle_started: stamp is {begin - image:.1f} s after that of the last image, allowed: "
-            f"{SAME_TIME_S:g} s at most before or after; are all clocks set?"
-        )
 
 
 def progress_to_msg(progress: Progress) -> TaskProgress:

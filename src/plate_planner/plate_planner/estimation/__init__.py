@@ -3,10 +3,10 @@
 `Estimator` is the door: it takes in the images' parts and the cycles sent to the plate.
 """
 
-from .cycle_log import PERIOD_RANGE_S, SNAP
+from .cycle_log import SNAP, check_start
 from .estimator import COAST, SETTLE_S, DriftBias, Estimator, LastRequest, rows_of, warm_up
 
 __all__ = [
-    "COAST", "PERIOD_RANGE_S", "SETTLE_S", "SNAP", "DriftBias", "Estimator", "LastRequest",
+    "COAST", "SETTLE_S", "SNAP", "DriftBias", "Estimator", "LastRequest", "check_start",
     "rows_of", "warm_up",
 ]  # fmt: skip

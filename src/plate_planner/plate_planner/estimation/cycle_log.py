@@ -13,7 +13,7 @@ from statistics import median_low
 
 import numpy as np
 
-from plate_core import PlateCycle
+from plate_core import PlateCycle, PlateError
 
 HANDOVER_S = 4e-3
 """Time from a cycle's publication until the device has it [s]: two hops and the driver."""
@@ -29,6 +29,10 @@ SHORTEST_S, LONGEST_S = 0.005, 10.0
 
 PERIOD_RANGE_S = (0.005, 1.0)
 """Intervals of stamps that may be a period [s]: the design has 0.02 to 0.2, with room beside."""
+
+SAME_TIME_S = 3.0
+"""Longest time between the stamps of an image and of a cycle's start [s]: longer than images may
+fail."""
 
 INTERVALS_KEPT = 3
 """Intervals remembered: the median of three is not deceived by one lost image."""
@@ -258,6 +262,26 @@ class CycleLog:
             a, b = max(begin, start), min(end, stop, start + cycle.period)
             if b > a:
                 yield cycle, start, a - start, b - start
+
+
+def check_start(cycle: PlateCycle, begin: float, image: float | None) -> None:
+    """Refuse a start of a cycle at `begin` [s] that cannot be; the last image's stamp is `image`.
+
+    Raises
+    ------
+    PlateError
+        If the period is none, or image and start are of clocks that differ.
+    """
+    low, high = PERIOD_RANGE_S
+    if not low <= cycle.period <= high:
+        raise PlateError(
+            f"cycle_started: period is {cycle.period:g} s, allowed: {low:g} to {high:g}"
+        )
+    if image is not None and abs(begin - image) > SAME_TIME_S:
+        raise PlateError(
+            f"cycle_started: stamp is {begin - image:.1f} s after that of the last image, allowed: "
+            f"{SAME_TIME_S:g} s at most before or after; are all clocks set?"
+        )
 
 
 def _same(one: PlateCycle, other: PlateCycle) -> bool:
