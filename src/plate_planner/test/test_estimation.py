@@ -111,6 +111,19 @@ def test_it_finds_out_how_old_images_are(age):
     assert np.median(errors[24:]) < 0.1e-3
 
 
+@pytest.mark.parametrize(("late", "found"), [(0.0, True), (5e-3, False)])
+def test_an_image_stamped_at_a_reported_start_is_not_old(late, found):
+    world, cycle = World(3, 1.1), shaken(np.random.default_rng(2))
+    estimator = Estimator.of(RIG, T, None).update(world.seen(), late)
+    world.run(cycle)
+    estimator = estimator.started(cycle, 0.0, triggered=True).started(cycle, T, triggered=True)
+    estimator = estimator.update(world.seen(), T + late)
+    assert estimator.latency_known is found
+    if found:
+        assert estimator.latency.latency == 0
+        assert estimator.parts.position == pytest.approx(world.place, abs=0.05e-3)
+
+
 def test_its_error_is_as_large_as_it_says():
     square = []
     for seed in range(4):

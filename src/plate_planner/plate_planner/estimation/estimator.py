@@ -26,6 +26,10 @@ SETTLE_S = 0.05
 SAME_LATENCY_S = 2e-3
 """Latencies that differ by less are the same to a prediction [s]: parts drift some 0.05 mm."""
 
+STARTS_S = 1e-3
+"""An image whose stamp is so near to a reported start of a cycle was stamped by what triggers the
+camera: then it was taken [s]."""
+
 LATE = 0.01
 """A prediction is for images at most this fraction of its span from its stamp."""
 
@@ -283,6 +287,8 @@ class Estimator:
         if self.clock.went_back(t):
             forgotten = StateEstimate.nothing(len(hypotheses.latencies))
             hypotheses = replace(hypotheses, estimate=forgotten)
+        if not log.reported and abs(t - log.told) < STARTS_S:
+            hypotheses = hypotheses.none_old(log, self.friction_accel)
         delay = np.zeros(len(parts))
         if self.rig.camera.readout_s > 0:
             delay = row_delay(self.rig, parts.position)

@@ -176,6 +176,13 @@ class LatencyHypotheses:
             return seen._around(best, step, log, friction_accel)
         return replace(seen, best=best)
 
+    def none_old(self, log: CycleLog, friction_accel: float) -> LatencyHypotheses:
+        """Return what is known if images are taken at their stamps."""
+        if len(self.latencies) == 1:
+            return self
+        estimate = self.estimate.of([0]).moved(log, self.latencies[:1], friction_accel)
+        return replace(self.of(0.0), estimate=estimate, jitter=self.jitter)
+
     def _jitter(self, fit: Fit) -> Jitter:
         """Return the jitter after an image; as long as the latency is wrong it tells nothing."""
         if not self.found:

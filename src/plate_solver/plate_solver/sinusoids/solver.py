@@ -32,6 +32,11 @@ STARTS = 3
 MOST_STARTS = 200
 """Random starts that are drawn; who wants more restarts meets them again."""
 
+EXACT_CYCLES = (8, 8, 0.1), (16, 8, 0.15), (24, 12, 0.3), (math.inf, 16, 0.4)
+LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
+"""Most forces, harmonics and period [s] of cycles from rest to rest (rank 6 N - 7) for exact drifts
+and for ways that last, by trial in the loop: few harmonics are soon searched, short cycles soon
+correct what friction does, long ones use the stroke."""
 
 GOING_ON = 8, 0.1
 """Harmonics and period [s] of cycles that need not end at rest."""
@@ -231,10 +236,14 @@ class SinusoidSolver(MotionSolver):
         self, constraints: int, at_rest: bool, lasting: bool = False
     ) -> tuple[int, float, bool]:
         """Return harmonics, period and kind of the motions for so many forces."""
-        number = self.options.harmonics or _harmonics_for(constraints, at_rest, lasting)
-        if at_rest:
-            number = max(number, 2)
-        return number, self.options.period or _period_for(number, at_rest), at_rest
+        number = self.options.harmonics or max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
+        period = 0.025 * number
+        if at_rest and self.options.harmonics:
+            number, period = max(number, 2), max(period, 0.1)
+        elif at_rest:
+            table = LASTING_CYCLES if lasting else EXACT_CYCLES
+            number, period = next((n, s) for most, n, s in table if constraints <= most)
+        return number, self.options.period or period, at_rest
 
 
 def curl_error(request: Request, twist: np.ndarray) -> np.ndarray:
@@ -262,19 +271,3 @@ def fit_curl(
         return curl_error(request, twist), slopes
 
     return fit(evaluate, family.admissible, start, tolerance, iterations)
-
-
-def _harmonics_for(constraints: int, at_rest: bool, lasting: bool = False) -> int:
-    """Fewest harmonics with some parameters to spare: measured, not derived. Exact drifts of many
-    parts need more and longer cycles; ways that last are soonest over with short ones."""
-    if at_rest:  # rank 6 N - 7
-        few = 4 if constraints <= 4 else 6 if constraints <= 8 else 8
-        return few if lasting or constraints <= 16 else 12 if constraints <= 24 else 16
-    return max(2, -(-(2 * constraints + 4) // 6))  # rank 6 N - 2
-
-
-def _period_for(number: int, at_rest: bool) -> float:
-    """Period [s]: long enough for the stroke to be used, short enough for quick answers."""
-    if at_rest:
-        return 0.1 if number <= 4 else 0.15 if number <= 6 else 0.025 * number
-    return 0.025 * number
