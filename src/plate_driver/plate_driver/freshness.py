@@ -21,6 +21,10 @@ is refused, so that none is sent beyond it."""
 AHEAD_S = 0.1
 """How far the clock of another computer may be ahead of ours [s]."""
 
+CLOCKS_S = 3.0
+"""An image that seems to be older than this, or not to be taken yet, is one of another clock [s]: a
+computer that is too slow answers sooner."""
+
 STANDSTILL_S = 0.25
 """A driver that did not run for longer stood still [s]: about a cycle."""
 
@@ -103,9 +107,11 @@ class Freshness:
         """
         age, limit = 1e-9 * (clock_ns - stamp_ns), age_limit(period) - SEND_S
         if not -AHEAD_S <= age <= limit:
+            slow = 0 <= age < CLOCKS_S
+            clocks = "does the clock that stamps images agree with this computer's?"
             raise CycleError(
                 f"plate_cycle answers an image that is {age:.2f} s old, allowed: 0 to {limit:.2f} s"
-                "; does the clock that stamps images agree with this computer's?"
+                f"; {'is the computer too slow?' if slow else clocks}"
             )
         if len(self.heard) > 1:
             raise CycleError(f"{len(self.heard)} nodes publish plate_cycle, allowed: one")

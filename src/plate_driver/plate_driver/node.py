@@ -154,7 +154,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         self._outcome, self._failed = "", False  # of the last calibration
         self._measured: Measured | None = None
         self._ready_since = 0.0
-        self._freshness = Freshness()
+        self._freshness, self._refusal = Freshness(), ""
         self.heard: tuple[tuple[UnlockedSubscription, Take], ...] = ()  # tasks, and cycles
         self._heard_at = 0.0  # when it was last looked whether a task has ended [s, steady]
         self._came: deque[tuple[bytes, int, bytes]] = deque()  # cycles, as they came
@@ -224,7 +224,7 @@ class DriverNode(SafeLifecycleNode[Options]):
         """Let cycles through once the motors are ready. Where there are none they are: nobody has
         to enable them, unless they were stopped."""
         self._ready_since = self._now()
-        self._freshness = Freshness()
+        self._freshness, self._refusal = Freshness(), ""
         self._cycle_starts = CycleStarts(time.monotonic())
         self._motions: dict[int, PlateCycle] = {}  # of corrected tables, by their stamps
         if self._guard.correction is not None:
@@ -467,9 +467,10 @@ class DriverNode(SafeLifecycleNode[Options]):
                 motions = [*self._motions.items(), (stamp_ns, fit.cycle)]
                 self._motions = dict(motions[-MOTIONS_KEPT:])
         except PlateError as error:
-            self._guard = self._guard.refused()
+            self._guard, self._refusal = self._guard.refused(), str(error)
             self.get_logger().warning(f"cycle refused: {error}", throttle_duration_sec=QUIET_S)
             return
+        self._refusal = ""
         if fit.factor < WORTH_A_WARNING:
             self.get_logger().warning(fit.summary, throttle_duration_sec=QUIET_S)
 
@@ -667,6 +668,8 @@ class DriverNode(SafeLifecycleNode[Options]):
         if self._reported.get("following_watched") == "no":
             lasting.append("following error is not watched: limits.following_error_m is 0")
         quiet_s = self._quiet_s(self._now())
+        if quiet_s is not None and self._refusal:
+            lasting.append(f"the last was refused: {self._refusal}")
         return health(self.status, self._guard.statistics, self._again, quiet_s, lasting)
 
     def _values(self) -> dict[str, str]:

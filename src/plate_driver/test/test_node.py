@@ -271,6 +271,9 @@ def test_a_foreign_cycle_is_faded_and_silence_lets_the_plate_rest(make, rig):
     assert driven.report.message.startswith("no plate_cycle for ")
     assert driven.values()[-1]["rests"] == "1"
     assert len(driven.setpoints) == 1
+    why = refused(driven, cycle=SECOND)
+    driven.pass_time(1.0)
+    assert driven.report.message.endswith(f"the plate rests; the last was refused: {why}")
 
 
 def test_what_came_while_the_driver_stood_still_moves_nothing(driven):
