@@ -245,7 +245,7 @@ def test_an_instruction_is_eight_nanoseconds(tmp_path):
     took = []
     for count in rounds:
         elf = assembled(LOOP.replace("ROUNDS", str(count)), tmp_path / f"loop{count}.elf")
-        with EmulatedBoard(elf, tmp_path, idle="stay") as board:
+        with EmulatedBoard(elf, tmp_path, idle="took") as board:
             took.append(int.from_bytes(board.memory("took", 4), "little"))
     # Four instructions a round.
     assert took[1] - took[0] == 4 * (rounds[1] - rounds[0]) * INSTRUCTION_NS
@@ -278,6 +278,7 @@ again:
     ldr r5, =took
     str r4, [r5]
 stay:
+    ldr r4, [r5]            @ where the emulator stops
     b stay
     .bss
     .global took

@@ -145,7 +145,9 @@ class EmulatedBoard:
     """The board in QEMU, tick by tick: nothing depends on how busy the machine is.
 
     A debugger stops it when it has nothing to do until the next tick: QEMU then lets time jump to
-    that. Bytes are put into the ring of those that came, as if the line had brought them since the
+    that, wherever it stands. It stops at data, for after a breakpoint or a step QEMU translates the
+    whole program anew; at each tick's own, for it would not leave the place where it has stopped.
+    Bytes are put into the ring of those that came, as if the line had brought them since the
     tick before: QEMU's own line has no pace. Use it as a context.
 
     Parameters
@@ -155,10 +157,11 @@ class EmulatedBoard:
     logs : bool
         Whether it keeps what is written to units that QEMU does not model.
     idle : str
-        Name of the place where a tick ends.
+        Name of two words, of which the board reads one when it has nothing to do: the first and the
+        second one in turn, another one after each tick.
     """
 
-    def __init__(self, elf: Path, folder: Path, logs: bool = False, idle: str = "idle") -> None:
+    def __init__(self, elf: Path, folder: Path, logs: bool = False, idle: str = "waits") -> None:
         self.names = symbols(elf)
         self._logs, self._idle = logs, self.names[idle]
         self._elf = elf
@@ -192,8 +195,7 @@ class EmulatedBoard:
         self._debugger = Debugger(
             _connected(gdb, self._machine), [self._line, self._qmp], self._listen
         )
-        self._debugger.stop_at(self._idle)
-        self._debugger.go()
+        self._rest(0)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -243,14 +245,18 @@ class EmulatedBoard:
         self.order("system_reset")
         while "RESET" not in self._events:
             self._answer()
-        self._debugger.go()
+        self._rest(0)
+
+    def _rest(self, word: int) -> None:
+        """Let it run until it has nothing to do, and reads one of the two words."""
+        self._word = word
+        self._debugger.go_to_read(self._idle + 4 * word)
 
     def tick(self, data: bytes = b"") -> bytes:
         """Let one tick pass, which finds these bytes come, `room` at most; returns answers."""
         if data:
             self._come(data)
-        self._debugger.step()  # it would not leave the address where it has stopped
-        self._debugger.go()
+        self._rest(1 - self._word)
         self._listen()
         said, self._said = self._said, b""
         return said
@@ -335,13 +341,11 @@ class Debugger:
         """Hang up; the machine stays as it is."""
         self._line.close()
 
-    def stop_at(self, address: int) -> None:
-        """Have the machine stop where it comes to an address."""
-        self._order(f"Z0,{address:x},2")
-
-    def go(self) -> None:
-        """Let the machine run until it stops again."""
+    def go_to_read(self, address: int) -> None:
+        """Let the machine run until it is about to read a word."""
+        self._order(f"Z3,{address:x},4")
         self._run(b"c")
+        self._order(f"z3,{address:x},4")
 
     def step(self) -> None:
         """Let one instruction pass."""

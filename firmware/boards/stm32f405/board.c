@@ -120,9 +120,15 @@ static void brown_out_start(void)
     NVIC_ISER(0) = BIT(IRQ_PVD);
 }
 
+static volatile uint32_t waits[2];
+
 /* Nothing to do until an interrupt comes, also one that is held back. A debugger that stops here
-   stops between ticks. */
-__attribute__((noinline)) void idle(void) { __asm__ volatile("dsb\nwfi"); }
+   stops between ticks; where it watches one of `waits`, after every second one. */
+__attribute__((noinline)) void idle(void)
+{
+    waits[record.ticks % 2]++;
+    __asm__ volatile("dsb\nwfi");
+}
 
 int main(void)
 {
