@@ -62,6 +62,12 @@ def pytest_runtest_teardown(item):
         gc.collect()
 
 
+def pytest_collection_finish():
+    """What is loaded by now stays: no collection need look at it again."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_configure(config):
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.__enter__())

@@ -1,6 +1,9 @@
 """Tasks of a few seconds, for tests that run programs."""
 
+from dataclasses import replace
 from typing import Any
+
+from plate_core.tasks import Scenario, load_scenario
 
 MIDDLE: dict[str, Any] = {
     "description": "Two parts change sides, far from the edges.",
@@ -17,6 +20,12 @@ MIDDLE: dict[str, Any] = {
     "time_limit_s": 180,
 }
 """No part leaves the plate, also where images or answers are late."""
+
+
+def with_few(name: str, count: int = 1) -> Scenario:
+    """Return a scenario of ours with so many parts of each class."""
+    scenario = load_scenario(name)
+    return replace(scenario, parts=tuple(replace(g, count=count) for g in scenario.parts))
 
 
 def short_task(way_m: float, time_limit_s: float) -> dict[str, Any]:

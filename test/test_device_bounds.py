@@ -74,8 +74,9 @@ def hostile(rng: np.random.Generator, number: int) -> bytes:
     kind = rng.random()
 
     def value(unit: float) -> float:
-        size = rng.choice([0.0, 1e-9, 0.5, 0.999, 1.0, 1.001, 1.01, 5.0, 1e6, 3e38 / unit])
-        return float(np.float32(rng.choice([-1, 1]) * unit * size))
+        sizes = (0.0, 1e-9, 0.5, 0.999, 1.0, 1.001, 1.01, 5.0, 1e6, 3e38 / unit)
+        size = sizes[rng.integers(len(sizes))]
+        return float(np.float32((-1, 1)[rng.integers(2)] * unit * size))
 
     def knot() -> Knot:
         row = [tuple(value(unit) for _ in range(4)) for unit in (STROKE_M, SPEED, ACCEL)]
@@ -120,10 +121,12 @@ def short_table(rng: np.random.Generator, number: int) -> bytes:
     return b"".join(say(number + i, message) for i, message in enumerate(messages))
 
 
-def test_ten_thousand_hostile_packets(device):
+@pytest.mark.parametrize(("device", "trials"), [("firmware", 25), ("twin", 8)], indirect=["device"])
+def test_ten_thousand_hostile_packets(device, trials):
+    """The twin, which is a hundred times slower, gets the first third of them."""
     rng = np.random.default_rng(23)
     orders: list[bytes | float | str] = []
-    for trial in range(25):
+    for trial in range(trials):
         stop = BOOT + trial
         orders += ["reset"] if trial else []
         orders += [HELLO, say(101, Enable(stop)), *HOMEWARD, upload(1, wave(0.009), 110), UPLOAD_S]
@@ -140,7 +143,7 @@ def test_ten_thousand_hostile_packets(device):
     done = run(device, *orders)
     assert_bounded(done)
     assert np.max(np.abs(done.setpoints[:, 0])) > 0.8 * STROKE_M  # it moved meanwhile
-    assert len(done.times) > 20_000
+    assert len(done.times) > 800 * trials
     statuses = {p.message.status for p in done.said if isinstance(p.message, Acknowledgement)}
     assert statuses >= set(Status) - {Status.NO_SESSION}
     assert Fault.LIMIT not in {

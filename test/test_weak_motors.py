@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from short_task import with_few
+
 from plate_bringup.loop import Setup, run
 from plate_core import Rig, load_rig
 from plate_core.rig import CYCLE_HZ
@@ -31,7 +33,7 @@ def test_parts_are_sorted_within_force_and_heat(method):
     rig, peak, continuous = load_rig(), 10.0, 5.0
     limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
     rig, warm, most, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
-    for moment in run(Setup("sort_4", 3, method), rig):
+    for moment in run(Setup(with_few("sort_4"), 3, method), rig):
         moments.append(moment)
         force = forces(rig, moment.answer.cycle)
         most = max(most, float(np.max(np.abs(force))))
