@@ -37,6 +37,9 @@ play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play]
 	@$(ENTER) exec python tools/play.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
 	    $${METHOD:+--method "$$METHOD"} $(ARGS)
 
+# Tests that were loaded once, and with them half of the time before the first, are kept.
+test: unexport PYTHONDONTWRITEBYTECODE
+
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 

@@ -104,7 +104,7 @@ def test_a_short_production_picks_parts_where_they_are_said_to_be(short):
 
 
 def test_a_production_is_repeated_by_its_seed():
-    one, again = (produce(Setup(BASE.recipe, 3), 2.0, 8.0) for _ in range(2))
+    one, again = (produce(Setup(BASE.recipe, 3), 1.0, 4.0) for _ in range(2))
     assert one.picks > 1
     assert replace(again, cpu=0.0) == replace(one, cpu=0.0)
 
@@ -113,7 +113,7 @@ def test_parts_are_neither_made_nor_forgotten():
     """All that the hopper has dropped is on the plate, was picked, or has left over the chute."""
     cells = []
     recipe = filled(load_scenario("feed"), 10)
-    found = produce(Setup(recipe, 1), 1.0, 12.0, note=cells.append)
+    found = produce(Setup(recipe, 1), 1.0, 8.0, note=cells.append)
     simulation = cells[-1].simulation
     numbers = {
         label: max(
@@ -177,7 +177,7 @@ def qualified(monkeypatch, *words):
 
 def test_qualify_prints_a_table_and_writes_a_page(monkeypatch, capsys, tmp_path):
     page = tmp_path / "feed.html"
-    words = ["--recipe", "feed", "--minutes", "0.15", "--seeds", "1", "--fill", "4,8"]
+    words = ["--recipe", "feed", "--minutes", "0.1", "--seeds", "1", "--fill", "4,8"]
     assert qualified(monkeypatch, *words, "--robot-cycle", "1", "--page", str(page)) == 0
     told = capsys.readouterr()
     lines = [line for line in told.out.splitlines() if re.match(r"\s*\d+  ", line)]

@@ -17,7 +17,7 @@ from stages.upload import shaking
 
 TASK = {
     "description": "One part goes to its side.",
-    "parts": [{"class": "black", "positions_m": [[0.25, 0.0]]}],
+    "parts": [{"class": "black", "positions_m": [[0.1, 0.0]]}],
     "task": {"kind": "sort", "sides": {"black": "left"}, "goal_fraction": 0.5, "hold_s": 0.3},
     "time_limit_s": 60,
 }

@@ -49,7 +49,7 @@ class Line:
     def __post_init__(self):
         four = load_scenario("sort_4")
         two = tuple(replace(group, count=1) for group in four.parts)
-        scenario = replace(four, parts=two)
+        scenario = replace(four, parts=two, task=replace(four.task, goal_fraction=0.3))
         self.planner = Planner(RIG, scenario, PlannerOptions(image_age_s=0.0))
         self.state = self.planner.start(self.planner.initial())
         self.controller = Controller(RIG, "B", self.seed)
