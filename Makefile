@@ -37,19 +37,17 @@ play: workspace ## Play with the simulated plate on a live page: [SCENARIO=play]
 	@$(ENTER) exec python tools/play.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
 	    $${METHOD:+--method "$$METHOD"} $(ARGS)
 
-# Tests that were loaded once, and with them half of the time before the first, are kept.
-test: unexport PYTHONDONTWRITEBYTECODE
-
 # A worker for each core, two at least: many tests wait for something most of the time.
 WORKERS ?= $(shell cores=$$(nproc); echo $$(( cores < 2 ? 2 : cores > 8 ? 8 : cores )))
 
 test-tools: checks ## Install what some tests need beyond set-up: [SOURCES=https://github.com]
 	@$(ENTER) exec python tools/needs.py --install
 
+# What was made of the tests' code is kept, or each worker makes it anew, in 7 s, before its first one.
 test: checks ## Run all tests: [ARGS='-k name'] [WORKERS=2; 0: in one process]
 	@$(if $(ARGS),,echo "About 9 minutes on two cores; some tests: make test ARGS='-k name'";) \
-	    $(ENTER) python tools/needs.py && export ROS_PYTHON_CHECK_FIELDS=1 && \
-	    exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
+	    $(ENTER) unset PYTHONDONTWRITEBYTECODE && export ROS_PYTHON_CHECK_FIELDS=1 && \
+	    python tools/needs.py && exec python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
 lint: checks ## Check style and types
 	@$(ENTER) ruff check . && ruff format --check . && exec mypy $(TYPED)

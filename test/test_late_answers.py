@@ -35,7 +35,7 @@ def late_run(scenario, seed):
 
 
 def test_parts_are_not_lost():
-    last = late_run(with_few("sort_4"), 2)  # with all of its parts this one lost one while planning for the next cycle
+    last = late_run(with_few("sort_4"), 2)
     assert last.progress.phase == "done", last.progress.text
     assert last.world.dropped == 0
 
