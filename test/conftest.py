@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,7 @@ def domain():
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory, request):
     """A graph that runs, with the live page; in lockstep if the module says `LOCKSTEP = True`."""
-    from graph.session import session  # only where there is ROS
+    from graph.session import ANSWER_S, session  # only where there is ROS
 
     from plate_bringup import RunOptions
 
@@ -51,6 +52,11 @@ def graph(tmp_path_factory, request):
     # The page's `teach` writes its file where the detector runs.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")
+        running.observer.await_ready()
+        ready = running.observer.record.driver.text
+        # The planner hears it at a time of its own, and takes no goal before.
+        heard = partial(running.observer.record.last, "planner", "driver_status")
+        assert running.observer.until(lambda: heard() == ready, ANSWER_S), heard()
         if lockstep:
             give_way(running.processes)
         yield running
