@@ -318,7 +318,7 @@ def test_a_neighbour_in_the_jaws_is_reported():
 
 def test_grips_fail_at_the_rate_asked_for_and_move_the_part_a_little():
     share, count, slipped = 0.3, 0, 0
-    for seed in range(40):
+    for seed in range(16):
         simulation = world("feed_bars", seed, Disturbances(pick_failure=share))
         for name in simulation.state.ids:
             row = simulation.state.ids.index(name)

@@ -77,7 +77,7 @@ def test_friction_of_a_disc_agrees_with_scipy_quadrature(ratio):
     ],
 )
 def test_greatest_error_of_friction_falls_as_one_by_the_number_of_points(shape):
-    fine = shape(1500)
+    fine = shape(800)
     gap = {n: friction_gap(shape(n), fine, 200) for n in (12, 48, 192)}
     assert gap[12] < 0.13
     assert gap[48] < 0.035
