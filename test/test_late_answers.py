@@ -29,13 +29,13 @@ class Late(Direct):
         return super().play(until)
 
 
-def late_run(scenario, seed):
-    *_, last = run(with_settings(Setup(scenario, seed), FREE), transport=Late())
+def late_run(scenario, seed, method="sinusoids"):
+    *_, last = run(with_settings(Setup(scenario, seed, method), FREE), transport=Late())
     return last
 
 
 def test_parts_are_not_lost():
-    last = late_run(with_few("sort_4"), 2)
+    last = late_run(with_few("sort_4"), 2, "rotations")
     assert last.progress.phase == "done", last.progress.text
     assert last.world.dropped == 0
 

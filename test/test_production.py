@@ -20,6 +20,7 @@ from tasks.feeding import BASE, run_case
 from tasks.shaking import Shaking, conveyed, shaken, thrown
 
 PLACE = (0.1, 0.0, 0.0)
+FEW = {"restarts": 10}
 
 
 def acts(robot, until, answer_at, step=0.05):
@@ -92,7 +93,7 @@ def test_what_is_counted_begins_with_the_first_pick(monkeypatch):
 @pytest.fixture(scope="module")
 def short():
     """Half a minute of our feeder."""
-    return produce(Setup(BASE.recipe, 3), 2.0, 30.0)
+    return produce(Setup(BASE.recipe, 3, effort=FEW), 2.0, 30.0)
 
 
 def test_a_short_production_picks_parts_where_they_are_said_to_be(short):
@@ -104,7 +105,7 @@ def test_a_short_production_picks_parts_where_they_are_said_to_be(short):
 
 
 def test_a_production_is_repeated_by_its_seed():
-    one, again = (produce(Setup(BASE.recipe, 3), 1.0, 4.0) for _ in range(2))
+    one, again = (produce(Setup(BASE.recipe, 3, effort=FEW), 1.0, 4.0) for _ in range(2))
     assert one.picks > 1
     assert replace(again, cpu=0.0) == replace(one, cpu=0.0)
 
@@ -113,7 +114,7 @@ def test_parts_are_neither_made_nor_forgotten():
     """All that the hopper has dropped is on the plate, was picked, or has left over the chute."""
     cells = []
     recipe = filled(load_scenario("feed"), 10)
-    found = produce(Setup(recipe, 1), 1.0, 8.0, note=cells.append)
+    found = produce(Setup(recipe, 1, effort=FEW), 1.0, 8.0, note=cells.append)
     simulation = cells[-1].simulation
     numbers = {
         label: max(

@@ -36,7 +36,7 @@ def test_the_task_goes_on(tmp_path, trouble, event):
     file = tmp_path / "task.yaml"
     file.write_text(yaml.safe_dump(TASK), encoding="utf-8")
     schedule = replace(FaultSchedule(trouble), disconnect_s=0.8)
-    outcome = serial_run(Setup(str(file), 3), schedule, event, 1.5)
+    outcome = serial_run(Setup(str(file), 3, effort={"restarts": 10}), schedule, event, 1.5)
     assert (outcome.phase, outcome.dropped) == ("done", 0), outcome.text
     assert outcome.verdict.kept
     assert outcome.verdict.stroke > 0.2

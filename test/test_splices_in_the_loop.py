@@ -49,10 +49,10 @@ class Line:
     def __post_init__(self):
         four = load_scenario("sort_4")
         two = tuple(replace(group, count=1) for group in four.parts)
-        scenario = replace(four, parts=two, task=replace(four.task, goal_fraction=0.3))
+        scenario = replace(four, parts=two, task=replace(four.task, goal_fraction=0.5))
         self.planner = Planner(RIG, scenario, PlannerOptions(image_age_s=0.0))
         self.state = self.planner.start(self.planner.initial())
-        self.controller = Controller(RIG, "B", self.seed)
+        self.controller = Controller(RIG, "B", self.seed, restarts=10)
         self.simulation = Simulation(RIG, scenario, self.seed)
         self.playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
         self.newest, self.on_its_way, self.told = None, None, []
