@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from short_task import with_few
 
 from plate_bringup.loop import Setup, run
