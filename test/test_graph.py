@@ -322,6 +322,29 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     assert message in lines[0]
 
 
+def test_the_device_ends_after_the_driver_which_has_it_brake(tmp_path, domain):
+    options = RunOptions(transport="serial")
+    nodes = [node for node in options.nodes(load_graph()) if node.name in ("driver", "device")]
+    pids, there = {node.name: tmp_path / f"{node.name}.pid" for node in nodes}, tmp_path / "there"
+    ends = {
+        "driver": f"sleep 0.3; kill -0 $(cat {pids['device']}) && touch {there}; exit 0",
+        "device": "exit 0",
+    }
+    prefix = {
+        name: [
+            "sh",
+            "-c",
+            f"trap '{end}' INT; echo $$ > {pids[name]}; while :; do sleep 0.02; done",
+        ]
+        for name, end in ends.items()
+    }
+    with Processes(nodes, options, tmp_path, domain, prefix) as processes:
+        while not all(pid.exists() and pid.read_text() for pid in pids.values()):
+            time.sleep(0.02)
+        assert processes.stop() == dict.fromkeys(processes.names, 0)
+    assert there.exists()
+
+
 def test_a_page_that_ends_again_and_again_is_given_up_but_not_one_that_seldom_does():
     last = MOST_ENDS - 1
     for period_s, given_up in ((WITHIN_S / last, True), (1.01 * WITHIN_S / last, False)):

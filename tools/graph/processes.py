@@ -22,6 +22,9 @@ KILL_S = 3.0
 STOP_SIGNALS = ((signal.SIGINT, 6.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, KILL_S))
 """Signals that stop a node, and how long each may take [s]."""
 
+LAST = "device"
+"""Ends after the others: the driver has it brake when it ends."""
+
 TAIL_LINES = 12
 """Last lines of a log that are shown when a node has failed."""
 
@@ -283,13 +286,18 @@ class Processes:
         """End all nodes, politely at first, and return their exit codes."""
         with signals_wait():
             for number, seconds in STOP_SIGNALS:
-                alive = [p for p in self._running.values() if p.poll() is None]
-                for process in alive:
-                    process.send_signal(number)
-                until = time.monotonic() + seconds
-                for process in alive:
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        process.wait(max(0.0, until - time.monotonic()))
+                for last in (False, True):
+                    alive = [
+                        process
+                        for name, process in self._running.items()
+                        if process.poll() is None and (name == LAST) is last
+                    ]
+                    for process in alive:
+                        process.send_signal(number)
+                    until = time.monotonic() + seconds
+                    for process in alive:
+                        with contextlib.suppress(subprocess.TimeoutExpired):
+                            process.wait(max(0.0, until - time.monotonic()))
         self.exit_codes = {
             name: process.returncode if process.returncode is not None else -signal.SIGKILL
             for name, process in self._running.items()
