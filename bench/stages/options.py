@@ -37,8 +37,8 @@ DRIFT = 0.005
 CASES = {2: 20, 4: 12, 6: 10, 10: 8}
 """Requests by number of parts."""
 
-HARMONICS = {2: 4, 4: 6, 6: 8, 10: 8}
-"""Harmonics by number of parts, as `SinusoidSolver` chooses."""
+HARMONICS = {2: 8, 4: 8, 6: 8, 10: 12}
+"""Harmonics by number of parts, as `SinusoidSolver` chooses for exact drifts."""
 
 B_RESTARTS, A_RESTARTS, PEER_RESTARTS = (0, 1, 3, 10), (0, 1, 4), (0, 3)
 METHODS = {"A": "rotations", "B": "sinusoids"}
