@@ -25,8 +25,8 @@ METHODS = {"A": "rotations", "B": "sinusoids", "rotations": "rotations", "sinuso
 IDLE_PERIOD = 0.1
 """Length of a cycle at rest [s]."""
 
-DRIFT_TOLERANCE = 2e-4
-"""Error of the drift over a cycle at which a search stops [m/s]."""
+DRIFT_TOLERANCE, WAY_TOLERANCE = 5e-5, 2e-4
+"""Error over a cycle at which a search stops [m/s]: of exact drifts, and of ways that last."""
 
 FRACTIONS = (1.0, 0.5, 0.25)
 """Fractions of a request that are tried, one after the other, when a part would leave the plate."""
@@ -174,13 +174,14 @@ class Controller:
         asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
+        least = period * (WAY_TOLERANCE if goal.lasting else DRIFT_TOLERANCE)
         rest = PlateCycle.rest(period)
         if goal.lasting and not np.any(goal.error(goal.end(*finely_sampled(rest)))[0]):
             return Answer(rest, None, "all are where they are to come: plate at rest", 0.0, 0.0)
         for fraction in FRACTIONS:
             part = goal.times(fraction)
-            good = max(missable * fraction * asked, DRIFT_TOLERANCE * period)
-            solution = solver.steer(part, DRIFT_TOLERANCE * period, good, until)
+            good = max(missable * fraction * asked, least)
+            solution = solver.steer(part, least, good, until)
             end = np.asarray(solution.predicted)
             if not self._leaves_plate(parts.ids, goal, end):
                 break
