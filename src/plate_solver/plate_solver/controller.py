@@ -46,8 +46,9 @@ NEAR_M = 0.006
 then stays so."""
 
 COAST_S = 0.03
-"""Where they end counts as if they kept their last velocity for so long [s]: parts that end in a
-swing the right way are further than they look."""
+"""Where parts end counts as if they kept their last velocity for so long [s]: those that end in a
+swing the right way are further than they look. Not where all are nearer than `NEAR_M`: they would
+swing for ever where they are to lie."""
 
 
 EFFORT: dict[str, dict[str, Any]] = {
@@ -166,11 +167,13 @@ class Controller:
         turning = wanted.torque if targets is None else np.zeros(0)
         if targets is not None and targets.angles is not None:
             turning = targets.angles.weight
-        goes_on = self.method == "sinusoids" and self._far(wanted)
+        far = self._far(wanted)
+        certain = wanted.plate is not None and wanted.start is not None
+        goes_on = self.method == "sinusoids" and far and certain
         period = solver.steering_period(
             len(parts), int(np.count_nonzero(turning)), targets is not None, goes_on
         )
-        goal = self._goal(wanted, running, period, goes_on)
+        goal = self._goal(wanted, running, period, goes_on, COAST_S if far else 0.0)
         asked = 0.0 if goal.lasting else goal.size
         unit = goal.friction_accel[:, None] * period**2
         missable = GOOD_MISS if np.all(np.any(wanted.tolerance > 0, axis=1)) else EXACT_MISS
@@ -217,7 +220,12 @@ class Controller:
         return Answer(solution.cycle, solution, solution.message, rms, asked, fraction)
 
     def _goal(
-        self, wanted: Wanted, running: PlateCycle | None, period: float, goes_on: bool
+        self,
+        wanted: Wanted,
+        running: PlateCycle | None,
+        period: float,
+        goes_on: bool,
+        coast: float,
     ) -> Goal:
         """Predict the state in which the answer starts, and say what it is to do."""
         parts, targets = wanted.parts, wanted.targets
@@ -266,7 +274,7 @@ class Controller:
                 weight=targets.weight,
                 edge=half - np.array([[self._rig.edge_margin(t.name).wall_m] for t in types]),
                 clear=radius[:, None] + radius + targets.gap_m,
-                coast=COAST_S,
+                coast=coast,
                 plate=plate,
                 free_end=goes_on,
             )
@@ -288,12 +296,11 @@ class Controller:
         )
 
     def _far(self, wanted: Wanted) -> bool:
-        """Whether a part has far to go, or to turn at its rim, to its target, and it is certain
-        where it and the plate are."""
-        to, start = wanted.targets, wanted.start
-        if to is None or start is None or wanted.plate is None:
+        """Whether a part has far to go, or to turn at its rim, to its target."""
+        to, angle = wanted.targets, wanted.parts.angle
+        if to is None:
             return False
-        place, angle = start[:, :2], wanted.parts.angle
+        place = wanted.parts.position if wanted.start is None else wanted.start[:, :2]
         way = np.maximum(np.maximum(to.low - place, place - to.high), 0.0)
         way = np.hypot(*np.where(to.weight > 0, way, 0.0).T)
         if to.angles is not None:

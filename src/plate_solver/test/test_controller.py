@@ -121,6 +121,22 @@ def test_force_times_time_over_mass_is_the_change_of_drift(rig):
 
 
 @METHOD
+def test_what_is_said_to_be_reached_near_the_places_is(rig, scene, method):
+    """No part's last velocity is counted on, as it is on long ways."""
+    controller = Controller(rig, method)
+    for seed in range(4):
+        _, position = scene(seed, 4)
+        aim = position + [0.002, -0.001]
+        zone = Targets(aim - 0.0005, aim + 0.0005, np.ones((4, 2)), 0.0)
+        wanted = Wanted.make(Parts.make(tuple("abcd"), position), targets=zone)
+        answer = controller.answer(wanted, None)
+        end = simulate(answer.cycle, position, np.zeros((4, 2)), rig.friction.mu).position[-1]
+        predicted = answer.solution.predicted.reshape(2, 4).T
+        np.testing.assert_allclose(end, predicted, atol=0.15e-3)
+        controller.reset()
+
+
+@METHOD
 def test_no_parts_no_motion(rig, scene, method):
     _, position = scene(0, 2)
     loop = Loop(rig, Controller(rig, method), position)
