@@ -48,6 +48,7 @@ def test_parts_are_sorted_within_force_and_heat(method):
 @pytest.mark.parametrize("solver", [RotationSolver, SinusoidSolver])
 def test_frequencies_that_are_told_are_those_of_the_cycles(solver):
     """What check_rig says of stroke and speed is said for waves that the solvers make."""
-    periods = [solver(load_rig()).steering_period(count) for count in range(1, 8)]
+    made, kinds = solver(load_rig()), (False, True)
+    periods = [made.steering_period(n, lasting=kind) for n in range(1, 8) for kind in kinds]
     assert min(1 / period for period in periods) == pytest.approx(CYCLE_HZ[0])
     assert max(4 / period for period in periods) >= CYCLE_HZ[1]
