@@ -5,7 +5,6 @@ import time
 from collections import defaultdict
 from types import SimpleNamespace
 
-import numpy as np
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -13,10 +12,10 @@ from rclpy.clock import ClockType
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
+from shaking import shaking
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_core import PlateCycle
 from plate_core.ros import cycle_to_msg, nanoseconds, start_nodes, to_time
 from plate_driver.node import DriverNode
 from plate_driver.status import LOOK
@@ -24,9 +23,6 @@ from plate_driver.transports import TransportThread
 
 TICK_S = 0.01
 """All periods of the driver's timers are multiples of it."""
-
-PERIOD = 0.1
-"""Of the usual cycle [s]."""
 
 EMERGENCY, CUT = (f"stopped: {what}; {LOOK}" for what in ("emergency stop", "power cut"))
 
@@ -195,18 +191,6 @@ def answered_once(calls, wait):
         if wait(lambda: not any(map(silent, asked)), 3.0):
             return True
     return False
-
-
-def shaking(amplitude: float, period: float = PERIOD) -> PlateCycle:
-    """Cycle of two harmonics that starts at rest; amplitudes [m]."""
-    t = np.arange(48) * period / 48
-    wave = np.sin(np.pi * t / period) ** 4
-    phase = 4 * np.pi * t / period
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(period, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0  # the spline's derivatives are only almost zero
-    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
 
 
 CALM = shaking(0.0005, 0.3)

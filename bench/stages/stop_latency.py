@@ -68,6 +68,9 @@ while True:
 
 BUSY = "while True: sum(range(100000))"
 
+HEARD = "cycle_started"
+"""Topic of which the planner wants one publisher."""
+
 GRAPH = ("plate_sim", "plate_vision", "plate_planner", "plate_solver")
 """The other nodes; the simulator follows the setpoints that the driver publishes."""
 
@@ -176,7 +179,9 @@ def latencies(
         process.start()
         ready.wait(START_S)
         words = ["driver:transport:=serial", f"driver:port:={link}", *(parameters or [])]
-        arguments = ["--ros-args", "--log-level", "fatal", *(w for p in words for w in ("-p", p))]
+        # The planner is to hear of the cycles that the device begins, not of the simulator's.
+        alone = ["--ros-args", "--log-level", "fatal", "-r", f"simulator:{HEARD}:=simulated_start"]
+        arguments = [*alone, *(word for given in words for word in ("-p", given))]
         bench = Bench(None if graph else period_s)
         try:
             with program("-c", driver, *arguments):
@@ -186,7 +191,7 @@ def latencies(
                 with ExitStack() as stack:
                     for package in GRAPH if graph and not one_process else ():
                         main = f"from {package}.node import main; main()"
-                        stack.enter_context(program("-c", main, *arguments[:3]))
+                        stack.enter_context(program("-c", main, *alone))
                     for _ in range(busy):
                         stack.enter_context(program("-c", BUSY))
                     if points:

@@ -14,10 +14,11 @@ from plate_core.motion import motor_state
 rclpy = pytest.importorskip("rclpy")
 from cuts import cut  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
-from driven import CALM, CUT, EMERGENCY, PERIOD, Driven, at_rest, shaking, transition  # noqa: E402
+from driven import CALM, CUT, EMERGENCY, Driven, at_rest, transition  # noqa: E402
 from lifecycle_msgs.srv import GetState  # noqa: E402
 from rclpy.serialization import serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
+from shaking import PERIOD, shaking  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import serial
 import yaml
+from shaking import PERIOD, shaking
 
 from plate_core import CycleError, PlateCycle, PlateError, load_rig  # fmt: skip
 from plate_core.motion import motor_state  # fmt: skip
@@ -38,7 +39,6 @@ from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Line, LineFa
 
 RIG = load_rig()
 LIMITS = DeviceLimits.of_rig(RIG)
-PERIOD = 0.1
 
 
 def test_load_gives_the_plate_its_acceleration():
@@ -116,18 +116,6 @@ def test_line_takes_its_time():
     assert b"".join(parts) == b"123456"
     with pytest.raises(PlateError, match="dropped is 2, allowed: 0 to 1"):
         LineFaults(dropped=2)
-
-
-def shaking(amplitude: float) -> PlateCycle:
-    """Cycle that starts at rest; amplitude [m]."""
-    t = np.arange(48) * PERIOD / 48
-    wave = np.sin(np.pi * t / PERIOD) ** 4
-    phase = 4 * np.pi * t / PERIOD
-    pose = np.column_stack([wave * np.sin(phase), wave * np.cos(phase), 2 * wave])
-    cycle = PlateCycle.from_samples(PERIOD, amplitude * pose)
-    twist, accel = cycle.knot_twist.copy(), cycle.knot_accel.copy()
-    twist[[0, -1]] = accel[[0, -1]] = 0
-    return PlateCycle.from_knots(cycle.times, cycle.knot_pose, twist, accel)
 
 
 class Host:
