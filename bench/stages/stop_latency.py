@@ -68,9 +68,6 @@ while True:
 
 BUSY = "while True: sum(range(100000))"
 
-HEARD = "cycle_started"
-"""Topic of which the planner wants one publisher."""
-
 GRAPH = ("plate_sim", "plate_vision", "plate_planner", "plate_solver")
 """The other nodes; the simulator follows the setpoints that the driver publishes."""
 
@@ -180,7 +177,13 @@ def latencies(
         ready.wait(START_S)
         words = ["driver:transport:=serial", f"driver:port:={link}", *(parameters or [])]
         # The planner is to hear of the cycles that the device begins, not of the simulator's.
-        alone = ["--ros-args", "--log-level", "fatal", "-r", f"simulator:{HEARD}:=simulated_start"]
+        alone = [
+            "--ros-args",
+            "--log-level",
+            "fatal",
+            "-r",
+            "simulator:cycle_started:=simulated_start",
+        ]
         arguments = [*alone, *(word for given in words for word in ("-p", given))]
         bench = Bench(None if graph else period_s)
         try:
