@@ -177,13 +177,8 @@ def latencies(
         ready.wait(START_S)
         words = ["driver:transport:=serial", f"driver:port:={link}", *(parameters or [])]
         # The planner is to hear of the cycles that the device begins, not of the simulator's.
-        alone = [
-            "--ros-args",
-            "--log-level",
-            "fatal",
-            "-r",
-            "simulator:cycle_started:=simulated_start",
-        ]
+        unheard = "simulator:cycle_started:=simulated_start"
+        alone = ["--ros-args", "--log-level", "fatal", "-r", unheard]
         arguments = [*alone, *(word for given in words for word in ("-p", given))]
         bench = Bench(None if graph else period_s)
         try:
