@@ -76,7 +76,7 @@ static void tell_state(Controller *c)
     bool moving = c->state == STATE_PLAYING || (c->state == STATE_BRAKING && !c->going_home);
     at = put_u16(at, moving ? table->id : 0);
     at = put_u32(at, moving && !table->streams ? motion_into(c) : 0);
-    at = put_u16(at, c->waiting ? c->tables[!c->playing].id : 0);
+    at = put_u16(at, c->waiting ? c->tables[c->next].id : 0);
     at = put_u16(at, c->reader.refused);
     float hottest = c->heat[0];
     for (int m = 1; m < MOTORS; m++)
@@ -154,9 +154,8 @@ static uint8_t home(Controller *c)
 
 static uint8_t begin(Controller *c, const uint8_t *fields)
 {
-    Table *table = &c->tables[!c->playing];
+    Table *table = &c->tables[c->filling];
     uint16_t id = get_u16(fields), count = get_u16(fields + 2);
-    c->waiting = false;
     uint32_t splice = get_u32(fields + 8);
     table->id = 0;
     if (id == 0 || count == 1)
@@ -172,10 +171,12 @@ static uint8_t begin(Controller *c, const uint8_t *fields)
 /* The stream with a number, while knots may be added to it. */
 static Table *stream_of(Controller *c, uint16_t id)
 {
-    Table *table = &c->tables[!c->playing], *now = &c->tables[c->playing];
-    if (c->state == STATE_PLAYING && now->streams && now->id == id)
-        return now;
-    return id != 0 && table->streams && table->id == id ? table : NULL;
+    const bool open[3] = {c->state == STATE_PLAYING, c->waiting, true};
+    Table *each[3] = {&c->tables[c->playing], &c->tables[c->next], &c->tables[c->filling]};
+    for (int k = 0; k < 3; k++)
+        if (open[k] && id != 0 && each[k]->streams && each[k]->id == id)
+            return each[k];
+    return NULL;
 }
 
 /* Go on adding the knots of the message that is held, while there is work left; no more bytes are
@@ -213,7 +214,7 @@ static void add_knots(Controller *c, int *work)
 /* Knots for the table that is open, or for a stream. */
 static void fill(Controller *c, uint16_t sequence, const uint8_t *fields, size_t size, int *work)
 {
-    Table *table = &c->tables[!c->playing];
+    Table *table = &c->tables[c->filling];
     int first = get_u16(fields + 2), count = (int)(size - 4) / KNOT_BYTES;
     if (stream_of(c, get_u16(fields))) {
         c->adding = (uint8_t)size;
@@ -229,10 +230,20 @@ static void fill(Controller *c, uint16_t sequence, const uint8_t *fields, size_t
     acknowledge(c, sequence, STATUS_DONE);
 }
 
-/* Whether the second buffer may be taken over; that of a table remains to be looked at. */
+/* The table that was filled waits, in place of one that did. */
+static void wait_to_play(Controller *c)
+{
+    int before = c->next;
+    c->next = c->filling;
+    c->filling = before;
+    c->tables[before].id = 0;
+    c->waiting = true;
+}
+
+/* Whether what was filled may be taken over; that of a table remains to be looked at. */
 static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
 {
-    Table *table = &c->tables[!c->playing];
+    Table *table = &c->tables[c->filling];
     uint16_t repeats = get_u16(fields + 2);
     if (c->state != STATE_READY && c->state != STATE_PLAYING)
         return STATUS_WRONG_STATE;
@@ -250,7 +261,7 @@ static uint8_t commit(Controller *c, uint16_t sequence, const uint8_t *fields)
             return STATUS_INCOMPLETE; /* it must always be able to brake */
         if (!knot_is_home(table_knot(table, 0)))
             return STATUS_JUMP;
-        c->waiting = true;
+        wait_to_play(c);
         return STATUS_DONE;
     }
     if (table->have < table->count)
@@ -276,7 +287,7 @@ static void answer_commit(Controller *c, uint8_t status)
 /* Look at the table that is being filled; answer Commit when all of it has been looked at. */
 static void look(Controller *c, int work)
 {
-    Table *table = &c->tables[!c->playing];
+    Table *table = &c->tables[c->filling];
     if (table->id != 0 && !table->streams)
         table_look(table, &c->limits, &work);
     if (!c->committing)
@@ -285,10 +296,12 @@ static void look(Controller *c, int work)
         answer_commit(c, STATUS_WRONG_STATE);
     } else if (table_looked_at(table)) {
         uint8_t status = table->check.status;
-        if (status == STATUS_DONE && !knot_is_home(table_knot(table, 0)) && !motion_joins(c))
+        if (status == STATUS_DONE && !knot_is_home(table_knot(table, 0)) &&
+            !motion_joins(c, table))
             status = STATUS_JUMP;
-        c->waiting = status == STATUS_DONE;
         table->repeats = c->commit_repeats;
+        if (status == STATUS_DONE)
+            wait_to_play(c);
         answer_commit(c, status);
     }
 }
@@ -303,7 +316,7 @@ static void hello(Controller *c, uint16_t sequence, const uint8_t *fields)
     if (!c->session_open || session != c->session) {
         if (c->state != STATE_OFF)
             stop(c, false, FAULT_STOPPED);
-        c->tables[!c->playing].id = 0;
+        c->tables[c->filling].id = 0;
         c->waiting = c->committing = c->stop_known = false;
         c->trigger = (Trigger){0};
         c->session_open = true;
@@ -433,6 +446,8 @@ void controller_start(Controller *c, Limits limits)
 {
     memset(c, 0, sizeof *c);
     c->limits = limits;
+    c->next = 1;
+    c->filling = 2;
     c->faults = FAULT_NO_HOME;
     c->stops = (uint16_t)hal_boot();
     c->now_us = c->heard_us = c->told_us = hal_time_us();

@@ -1,4 +1,4 @@
-/* The controller: sessions, stops, two tables, takeover, watchdog, brake. */
+/* The controller: sessions, stops, three tables, takeover, watchdog, brake. */
 #ifndef PLATE_CONTROLLER_H
 #define PLATE_CONTROLLER_H
 
@@ -34,9 +34,9 @@ typedef struct {
     bool stop_now;
     uint64_t now_us, heard_us, told_us, enabled_us;
     Trigger trigger;
-    Table tables[2];
-    int playing;       /* index of the buffer that plays; the other one is the second buffer */
-    bool waiting;      /* the second buffer is to be taken over */
+    Table tables[3];
+    int playing, next, filling; /* which is which: 0, 1 and 2 in some order */
+    bool waiting;      /* the next one is to be taken over */
     uint32_t time;     /* in the table [TICK_S], on the clock of its knots */
     uint32_t played;   /* times the table has been played */
     uint32_t brake, brake_length; /* time since the brake began, and its length [TICK_S] */

@@ -67,8 +67,10 @@ static void search(Controller *c)
 /* The table that waits begins to play; the buffer of the one before is empty. */
 static void take_over(Controller *c)
 {
-    c->tables[c->playing].id = 0;
-    c->playing = !c->playing;
+    int before = c->playing;
+    c->tables[before].id = 0;
+    c->playing = c->next;
+    c->next = before;
     c->waiting = false;
     c->time = table_knot(&c->tables[c->playing], 0)->ticks;
     c->played = 0;
@@ -87,11 +89,11 @@ static bool runs_dry(const Controller *c, uint32_t dt)
            motion_into(c) + dt + BRAKE_TICKS / 2 > table_period(table);
 }
 
-bool motion_joins(const Controller *c)
+bool motion_joins(const Controller *c, const Table *next)
 {
     const Table *table = &c->tables[c->playing];
     return c->state == STATE_PLAYING && motion_into(c) < table->splice &&
-           table_follows(&c->tables[!c->playing], table);
+           table_follows(next, table);
 }
 
 /* Let the table's time pass: take over at its splice or its end, begin again, or rest at its end.
@@ -100,7 +102,7 @@ static void pass(Controller *c, uint32_t step)
 {
     const Table *table = &c->tables[c->playing];
     uint32_t into = motion_into(c), left = table_period(table) - into;
-    if (c->waiting && motion_joins(c) && step >= table->splice - into) {
+    if (c->waiting && motion_joins(c, &c->tables[c->next]) && step >= table->splice - into) {
         step -= table->splice - into;
         take_over(c);
         c->time = step;

@@ -18,9 +18,8 @@ void motion_brake(Controller *c, uint8_t faults);
 /* Current on: find home if it is not known, then go there. */
 void motion_enable(Controller *c);
 
-/* Whether the table in the second buffer goes on where the one that plays is spliced, and that is
-   still ahead. */
-bool motion_joins(const Controller *c);
+/* Whether a table goes on where the one that plays is spliced, and that is still ahead. */
+bool motion_joins(const Controller *c, const Table *next);
 
 /* How far into the table that plays it is [TICK_S]. */
 uint32_t motion_into(const Controller *c);

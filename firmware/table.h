@@ -5,7 +5,7 @@
 #include "piece.h"
 
 #ifndef MAX_KNOTS
-#define MAX_KNOTS 512 /* two tables of 52 bytes a knot: 52 kB */
+#define MAX_KNOTS 512 /* three tables of 52 bytes a knot: 80 kB */
 #endif
 #define KNOT_BYTES 52
 

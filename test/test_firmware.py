@@ -107,6 +107,17 @@ def test_table_is_played_and_taken_over_at_the_boundary(device):
         np.testing.assert_allclose(m.position, done.setpoints[tick, 0], rtol=1e-6)
 
 
+@pytest.mark.parametrize("whole", [True, False])
+def test_what_waits_is_replaced_by_a_newer_table_once_that_is_whole(device, whole):
+    frames = uploaded(3, wave(0.001, phase=2.0), 310)
+    last = b"".join(frames if whole else frames[:-1])
+    orders = [*READY, upload(1, GENTLE, 110, 9), 0.13, upload(2, wave(0.002, phase=1.0), 210)]
+    done = run(device, *orders, UPLOAD_S, last, *alive(0.2))
+    told = [p.message for p in done.said if isinstance(p.message, Telemetry)]
+    assert {m.table for m in told} == ({0, 1, 3} if whole else {0, 1, 2})
+    assert {m.waiting for m in told} == ({0, 2, 3} if whole else {0, 2})
+
+
 def test_repeats_are_counted_and_the_plate_rests_by_itself(device):
     done = run(device, *READY, upload(1, GENTLE, 110, repeats=2), *alive(0.4))
     assert done.state is State.READY

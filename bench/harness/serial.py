@@ -25,7 +25,7 @@ from plate_sim.device import DeviceLimits, Emulator, FaultSchedule, Segment
 ANSWER_S = 0.05
 """From an image to the driver [s]: what detector, planner and solver take together, and margin."""
 
-POLL_TICKS = 5
+POLL_TICKS = 2
 """Ticks of 1 ms between two looks of the driver at its port."""
 
 SHORTEST_S = 0.02

@@ -31,7 +31,7 @@ UNTIMED_S = 30.0
 """Their timeout [s, wall] where time is simulated: how long a step takes then tells nothing."""
 
 
-SERIAL_ANSWER_S, SERIAL_HANDOVER_S = 0.12, 0.06
+SERIAL_ANSWER_S, SERIAL_HANDOVER_S = 0.14, 0.08
 """The planner's answer_s, and the solver's handover_s, with a serial line, on which a table takes
 its time [s]."""
 

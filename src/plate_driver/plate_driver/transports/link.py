@@ -388,11 +388,8 @@ class Link:
 
     def _fed(self, now: float) -> Link:
         """Return the link with the next table in an empty queue."""
-        telemetry = self.fresh_telemetry
-        if self.queue or not self.next_table or self.device is None or telemetry is None:
+        if self.queue or not self.next_table or self.device is None:
             return self
-        if telemetry.waiting:
-            return self  # Begin would throw it away
         return replace(self, next_table=())._asked(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:

@@ -19,8 +19,8 @@ from .transport import Condition, Measured, Order, Report, Transport
 
 T = TypeVar("T")
 
-POLL_PERIOD_S = 0.005
-"""Time between two polls of the transport [s]: an upload takes some ten of them."""
+POLL_PERIOD_S = 0.002
+"""Time between two polls of the transport [s]: an upload takes some twenty of them."""
 
 STOPPED_SINCE = "another stop has come since; call enable again"
 BUSY = "the transport is busy"

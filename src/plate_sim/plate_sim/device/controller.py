@@ -117,7 +117,7 @@ class Device:
     now_us, frame_us, telemetry_us : int
         Time now, of the host's last frame, and of the last telemetry [us].
     pending : PendingTable, Stream or None
-        The second buffer.
+        What is being filled.
     adding : Adding or None
     committing : Committing or None
     heat, heat_remainder : (4,)
@@ -224,9 +224,8 @@ class Device:
         heat, remainder = device._heated(min(passed, MOST_HEAT_US), at)
         if motion.state is not State.OFF and not (heat <= self.limits.continuous_square).all():
             motion = motion.braked(Fault.HEAT)
-        pending = device.pending if motion.playing is device.motion.playing else None  # taken over
         device = changed(
-            device, motion=motion, heat=heat, heat_remainder=remainder, pending=pending,
+            device, motion=motion, heat=heat, heat_remainder=remainder,
             follows=at is not None, trigger=device._triggered(motion),
         )  # fmt: skip
         silent_us = now_us - device.telemetry_us  # a slow line carries less of it, but never none
@@ -289,8 +288,10 @@ class Device:
         status, made, motion = pending.status, pending.made, self.motion
         if made is not None and not made.begins_home and not motion.joins(made):
             status, made = Status.JUMP, None
-        motion = changed(motion, waiting=made, next_repeats=self.committing.repeats)
-        return changed(device, motion=motion)._answered(self.committing, status)
+        if made is not None:  # in place of one that waited
+            motion = changed(motion, waiting=made, next_repeats=self.committing.repeats)
+            device = changed(device, motion=motion, pending=None)
+        return device._answered(self.committing, status)
 
     def _answered(self, commit: Committing, status: Status) -> tuple[Device, bytes]:
         """Answer a Commit that waits for it."""
@@ -458,7 +459,7 @@ class Device:
         return changed(self, motion=motion), Status.DONE
 
     def _begun(self, begin: Begin) -> tuple[Device, Status]:
-        device = changed(self, motion=changed(self.motion, waiting=None), pending=None)
+        device = changed(self, pending=None)
         if begin.table == 0 or begin.knots == 1:
             return device, Status.WRONG_TABLE
         if begin.knots == 0 and begin.splice_ticks:
@@ -473,7 +474,7 @@ class Device:
     def _stream(self, table: int) -> Stream | None:
         """The stream with a number, while knots may be added to it."""
         playing = self.motion.playing if self.motion.state is State.PLAYING else None
-        for stream in (playing, self.pending):
+        for stream in (playing, self.motion.waiting, self.pending):
             if isinstance(stream, Stream) and stream.table == table:
                 return stream
         return None
@@ -531,16 +532,16 @@ class Device:
         return device, sent, work
 
     def _extended(self, stream: Stream, longer: Stream, time: int) -> Device:
-        """A stream has become longer: the one that plays, or that in the second buffer."""
+        """A stream has become longer: the one that plays, or waits, or is being filled."""
         motion = self.motion
         if stream is motion.playing:
             return changed(self, motion=changed(motion, playing=longer, time=time))
-        if motion.waiting is not None:
-            motion = changed(motion, waiting=longer)
-        return changed(self, pending=longer, motion=motion)
+        if stream is motion.waiting:
+            return changed(self, motion=changed(motion, waiting=longer))
+        return changed(self, pending=longer)
 
     def _committed(self, number: int, commit: Commit) -> tuple[Device, Status]:
-        """Whether the second buffer may be taken over; that of a table remains to be checked."""
+        """Whether what was filled may be taken over; that of a table remains to be checked."""
         motion, pending = self.motion, self.pending
         if motion.state not in (State.READY, State.PLAYING):
             return self, Status.WRONG_STATE
@@ -560,7 +561,7 @@ class Device:
             if not pending.begins_home:
                 return self, Status.JUMP
             motion = changed(motion, waiting=pending, next_repeats=commit.repeats)
-            return changed(self, motion=motion), Status.DONE
+            return changed(self, motion=motion, pending=None), Status.DONE
         if len(pending.knots) < pending.count:
             return self, Status.INCOMPLETE
         held = commit.repeats * pending.period_ticks
