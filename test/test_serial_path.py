@@ -109,7 +109,7 @@ def test_upload_takes_a_fraction_of_a_cycle(firmware):
         transport.poll()
         if not transport.busy:
             return
-    pytest.fail("the second table was not in the second buffer after 60 ms")
+    pytest.fail("the second table was not there after 60 ms")
 
 
 @pytest.mark.parametrize(

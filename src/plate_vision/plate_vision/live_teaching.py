@@ -58,4 +58,5 @@ def learn_shown(teaching: Teaching, vision: Vision, path: Path) -> tuple[PartTyp
     types = {template.part.name: template.part for template in known}
     catalogue = make_catalogue({**types, lesson.part.name: lesson.part})
     vision = replace(vision, catalogue=catalogue)
-    return lesson.part, vision, f"{told(lesson)}; written to {path}"
+    text = "; ".join([told(lesson), f"written to {path}", *lesson.doubts])
+    return lesson.part, vision, text

@@ -1,5 +1,7 @@
 """Types learned from drawn pictures beside their truth; what cannot be learned; the program."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -86,9 +88,9 @@ def test_what_cannot_be_learned_says_why(draw_types):
     nuts, coins = (
         Example(picture(draw_types, name, 7), name=name) for name in ("nut", "coin_large")
     )
-    with pytest.raises(TeachError, match=r"type nut: no examples, allowed: 1 to 5 pictures"):
+    with pytest.raises(TeachError, match=r"type nut: no examples, allowed: 1 to 5"):
         learn_type("nut", [], HOME)
-    with pytest.raises(TeachError, match=r"type nut: 6 pictures, allowed: 1 to 5"):
+    with pytest.raises(TeachError, match=r"type nut: 6 examples, allowed: 1 to 5"):
         learn_type("nut", [nuts] * 6, HOME)
     with pytest.raises(TeachError, match=r"type nut: bare\.png: nothing lies there, allowed"):
         learn_type("nut", [Example(bare, name="bare.png")], HOME)
@@ -99,6 +101,29 @@ def test_what_cannot_be_learned_says_why(draw_types):
         learn_type("coin", [coins, small], HOME)
     with pytest.raises(RigError, match=r"type 'Nut', allowed: small letters"):
         learn_type("Nut", [nuts], HOME)
+
+
+def test_what_makes_a_type_hard_to_know_is_said(draw_types):
+    sharp = picture(draw_types, "nut", 12)
+    assert learn_type("nut", [Example(sharp)], HOME).doubts == ()
+    (doubt,) = learn_type("nut", [Example(cv2.GaussianBlur(sharp, (0, 0), 4))], HOME).doubts
+    assert "picture: out of focus, or moved" in doubt
+    red = {"nut": replace(TYPES["nut"], colour_lab=(50.0, 60.0, 40.0))}
+    examples = [Example(sharp), Example(picture(draw_types, "nut", 13, types=red))]
+    (doubt,) = learn_type("nut", examples, HOME).doubts
+    assert "teach each colour as a type of its own" in doubt
+
+
+def test_what_is_rounder_than_its_examples_are_alike_is_a_disc(draw_types):
+    def nearly_round(squeezed):
+        turn = 2 * np.pi * np.arange(30) / 30
+        ring = 0.012 * np.column_stack([np.cos(turn), squeezed * np.sin(turn)])
+        part = PartType("seed", outline=tuple(map(tuple, ring.tolist())), colour_lab=(40.0, 0, 0))
+        return Example(picture(draw_types, "seed", 14, count=2, types={"seed": part}))
+
+    assert learn_type("seed", [nearly_round(0.93)], HOME).part.symmetry == 2
+    differing = [nearly_round(squeezed) for squeezed in (0.88, 1.0, 1.12)]
+    assert learn_type("seed", differing, HOME).part.symmetry == 0
 
 
 def test_an_outline_with_too_many_corners_is_refused(draw_types):
@@ -143,6 +168,7 @@ def folder(tmp_path, monkeypatch, draw_types):
         rng = np.random.default_rng(len(name))
         poses = [(name, x, y, rng.uniform(-3, 3)) for x, y in PLACES if name != "bare"]
         cv2.imwrite(f"{name}.png", draw_types(TYPES, poses, rng, to_image=to_image))
+    cv2.imwrite("small.png", np.full((30, 40, 3), 200, np.uint8))
     return tmp_path
 
 
@@ -166,9 +192,28 @@ def test_the_program_teaches_lists_renames_merges_and_deletes(folder, capsys):
     assert [*load_part_types("parts.yaml")] == []
 
 
+def test_parts_are_marked_in_pictures_of_any_size_and_one_scale(tmp_path, monkeypatch, draw_types):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(15)
+    poses = [("nut", -0.06, 0.02, 0.4), ("bar", 0.06, 0.0, 0.2), ("nut", 0.01, -0.02, 1.0)]
+    cv2.imwrite("tray.png", draw_types(TYPES, poses, rng, size_px=SIZE_PX))
+    boxes = [f"--box={x - 14},{y - 14},28,28" for x, y in ((60, 60), (130, 100))]
+    main(["nut", "tray.png", "--scale", "1", *boxes])
+    assert apart(load_part_types("parts.yaml")["nut"], TYPES["nut"], 1000.0)[0] < 0.3
+    cv2.imwrite("one.png", cv2.imread("tray.png")[30:130, 145:215])
+    cv2.imwrite("two.png", cv2.imread("tray.png")[20:150, 140:220])
+    main(["bar", "one.png", "two.png", "--scale", "1"])
+    assert apart(load_part_types("parts.yaml")["bar"], TYPES["bar"], 1000.0)[0] < 0.3
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["nut", "screw.png", "small.png"], "small.png: 40 x 30 px, allowed: "),
+        (["nut", "screw.png", "small.png", "--box", "1,1,9,9"], "--box: 2 pictures, allowed: one"),
+        (["nut", "small.png", "--box", "1,1,99,9"], "box is 1,1,99,9, allowed: within 40 x 30 px"),
+        (["nut", "small.png", "--box", "1,9"], "box is '1,9', allowed: x, y, width and height"),
+        (["nut", "small.png", "--scale", "0"], "scale is '0', allowed: 0.01 to 1000 px/mm"),
         (["nut", "nothing.png"], "nothing.png: no such file or folder"),
         (["nut", "bare.png", "--bare", "bare.png"], "nothing lies there"),
         (["list", "--out", "no.yaml"], "no.yaml"),
@@ -180,4 +225,4 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, words, message):
     assert end.value.code == 2
     said = capsys.readouterr().err.splitlines()
     assert message in said[-1]
-    assert said[-1].startswith("error: ")
+    assert "error: " in said[-1]

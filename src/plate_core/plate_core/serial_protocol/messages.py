@@ -132,8 +132,8 @@ class Trigger:
 
 @dataclass(frozen=True)
 class Begin:
-    """Host: a table comes for the second buffer; its knots, their CRC-32, and the time of the knot
-    where the next table may take over and else the tail begins [TICK_S]; 0: it has no tail."""
+    """Host: a table comes; its knots, their CRC-32, and the time of the knot where the next table
+    may take over and else the tail begins [TICK_S]; 0: it has no tail."""
 
     table: int = field(metadata=_wire("H"))
     knots: int = field(metadata=_wire("H"))

@@ -204,7 +204,7 @@ class Stream(Table):
 
 @dataclass(frozen=True)
 class PendingTable:
-    """The second buffer: a table that is being filled, and checked piece by piece.
+    """A table that is being filled, and checked piece by piece.
 
     Attributes
     ----------

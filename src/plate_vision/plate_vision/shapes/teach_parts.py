@@ -18,12 +18,26 @@ from plate_core.rig import PartType
 
 from ..camera import read_pictures, rig_of_picture
 from ..errors import TeachError
+from ..recognition import calibrate_by_scale
 from ..vision import make_vision
 from .part_files import OUT, add_type, colour_text, load_bare, read_types, save_part_types, told
 from .teaching import Example, apart, merged
 
 COMMANDS = ("list", "merge", "rename", "delete")
 """Words that are no names of types."""
+
+BOX = (
+    "only the part in this box of the picture, from its left upper corner [px]; up to five, each "
+    "after a --box (all parts in the picture)"
+)
+
+SCALE = (
+    "of pictures of any size, taken from above, all with one camera from one height (the rig's "
+    "camera)"
+)
+
+AROUND = 1.0
+"""What is seen around a box, in its sides: enough of the plate."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -49,6 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     add("pictures", metavar="PICTURES", type=Path, nargs="+", help="one to five, or a folder")
     add("--rig", default="", help="rig file, or a name in config/rigs (the default rig)")
     add("--bare", type=Path, help="picture of the bare plate, or a folder of them")
+    add("--box", type=_box, action="append", default=[], metavar="X,Y,WIDTH,HEIGHT", help=BOX)
+    add("--scale", type=_scale, metavar="PX_PER_MM", help=SCALE)
     add("--out", type=Path, default=OUT, help="file of types, written or added to (parts.yaml)")
     parser.set_defaults(run=_teach)
     return parser
@@ -80,26 +96,92 @@ def _managing_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _box(text: str) -> tuple[int, int, int, int]:
+    try:
+        x, y, width, height = (int(word) for word in text.split(","))
+    except ValueError:
+        x = y = width = height = -1
+    if min(x, y) < 0 or min(width, height) < 1:
+        allowed = "allowed: x, y, width and height in pixels, such as 120,80,60,40"
+        raise argparse.ArgumentTypeError(f"box is {text!r}, {allowed}")
+    return x, y, width, height
+
+
+def _scale(text: str) -> float:
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = float("nan")
+    if not 0.01 <= scale <= 1000:
+        raise argparse.ArgumentTypeError(f"scale is {text!r}, allowed: 0.01 to 1000 px/mm")
+    return scale
+
+
 def _teach(args: argparse.Namespace) -> None:
-    examples = [
-        Example(picture, name=name)
-        for path in args.pictures
-        for name, picture in read_pictures(path)
-    ]
-    rig = load_rig(args.rig)
-    height, width = examples[0].image.shape[:2]
-    rig, doubt = rig_of_picture(rig, (width, height))
-    if doubt:
-        print(f"warning: {examples[0].name}: {doubt}", file=sys.stderr)
-    bare = None if args.bare is None else load_bare(args.bare, (width, height))
+    pictures = [named for path in args.pictures for named in read_pictures(path)]
+    if args.box and len(pictures) > 1:
+        raise TeachError(f"--box: {len(pictures)} pictures, allowed: one, in which the boxes are")
+    name, picture = pictures[0]
+    size = picture.shape[1], picture.shape[0]
+    for x, y, width, height in args.box:
+        if x + width > size[0] or y + height > size[1]:
+            where = f"--box: box is {x},{y},{width},{height}"
+            raise TeachError(f"{where}, allowed: within {size[0]} x {size[1]} px of {name}")
+    region = None
+    if args.scale is not None:
+        calibration = calibrate_by_scale(1e3 * args.scale)
+    else:
+        for other, pixels in pictures:
+            _check_size(other, pixels, size)
+        rig, doubt = rig_of_picture(load_rig(args.rig), size)
+        if doubt:
+            print(f"warning: {name}: {doubt}; or give --scale", file=sys.stderr)
+        try:
+            vision = make_vision(rig)
+        except PlateError as error:
+            hint = "; if it does not show the whole plate, give --scale" if doubt else ""
+            raise TeachError(f"{name}: {error}{hint}") from None
+        calibration, region = vision.calibration, vision.region
+    bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
         print("no bare plate (--bare): its light is taken from each picture", file=sys.stderr)
-    vision = make_vision(rig)
-    lesson = add_type(args.out, args.name, examples, vision.calibration, bare, vision.region)
+    else:
+        for other, pixels in pictures:
+            _check_size(other, pixels, size)
+    if args.box:
+        cuts = args.scale is not None and bare is None  # then the place does not count
+        examples = [
+            _boxed(picture, box, f"{name}, box {','.join(map(str, box))}", cuts) for box in args.box
+        ]
+    else:
+        examples = [Example(pixels, name=other) for other, pixels in pictures]
+    lesson = add_type(args.out, args.name, examples, calibration, bare, region)
     for problem in lesson.unused:
         print(f"warning: not used: {problem}", file=sys.stderr)
+    for doubt in lesson.doubts:
+        print(f"warning: {doubt}", file=sys.stderr)
     print(told(lesson))
     print(f"{args.out}: types; {args.out.with_name(lesson.part.picture)}: the part taught")
+
+
+def _check_size(name: str, picture: np.ndarray, size: tuple[int, int]) -> None:
+    here = picture.shape[1], picture.shape[0]
+    if here != size:
+        raise TeachError(
+            f"{name}: {here[0]} x {here[1]} px, allowed: {size[0]} x {size[1]} px, as the other "
+            "pictures; with --scale, and without --bare, any"
+        )
+
+
+def _boxed(picture: np.ndarray, box: tuple[int, int, int, int], name: str, cuts: bool) -> Example:
+    """Return the example in a box; `cuts`: of the picture only what is around the box."""
+    x, y, width, height = box
+    if not cuts:
+        return Example(picture, (x, y, x + width, y + height), name)
+    left, top = max(0, x - round(AROUND * width)), max(0, y - round(AROUND * height))
+    right, bottom = x + width + round(AROUND * width), y + height + round(AROUND * height)
+    inner = (x - left, y - top, x - left + width, y - top + height)
+    return Example(picture[top:bottom, left:right].copy(), inner, name)
 
 
 def _known(types: dict[str, PartType], name: str, path: Path) -> PartType:

@@ -75,6 +75,13 @@ MOST_SYMMETRY = 12
 PICTURE_PX = 320
 """Side of a type's picture."""
 
+BLUR_PX, BLUR_RADIUS = 2.0, 0.1
+"""A part whose rim is blurred by more, standard deviation, in pixels and in its radii, is badly
+seen."""
+
+BESIDE_PX, BESIDE_RADIUS = 9.0, 0.6
+"""How far to both sides of its rim a part's blur is looked for, in pixels and in its radii."""
+
 
 @dataclass(frozen=True, eq=False)
 class Example:
@@ -110,6 +117,8 @@ class Lesson:
         The first example, with the outline, and the direction of an angle of 0.
     unused : tuple of str
         What was wrong with examples that were not used.
+    doubts : tuple of str
+        What makes the type hard to know again.
     """
 
     part: PartType
@@ -117,15 +126,18 @@ class Lesson:
     size_m: np.ndarray
     picture: np.ndarray
     unused: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """A part in an example: its outline, and its colour (3,) CIE L, a, b."""
+    """A part in an example: its outline, its colour (3,) CIE L, a, b, and the blur of its rim, over
+    what is too much."""
 
     example: Example
     outline: Outline
     colour: np.ndarray
+    blur: float
 
 
 def teach(
@@ -176,9 +188,9 @@ def learn_type(
         the outline has more corners than are allowed.
     """
     if not examples:
-        raise TeachError(f"type {name}: no examples, allowed: 1 to {MOST_PICTURES} pictures of it")
+        raise TeachError(f"type {name}: no examples, allowed: 1 to {MOST_PICTURES}")
     if len(examples) > MOST_PICTURES:
-        raise TeachError(f"type {name}: {len(examples)} pictures, allowed: 1 to {MOST_PICTURES}")
+        raise TeachError(f"type {name}: {len(examples)} examples, allowed: 1 to {MOST_PICTURES}")
     shown: list[_Shown] = []
     unused: list[str] = []
     for example in examples:
@@ -193,7 +205,7 @@ def learn_type(
     outlines = [one.outline for one in shown]
     mean, pose, scatter = _mean_outline(outlines, scale)
     coloured = any(example.image.ndim == 3 for example in examples)
-    part = _simplified(name, mean, scale)
+    part = _simplified(name, mean, scale, scatter)
     colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
     part = replace(
         part,
@@ -203,7 +215,9 @@ def learn_type(
     )
     size = 2 * np.sqrt(np.array([o.area for o in outlines]) / np.pi)
     picture = _picture(part, shown[0].example, pose, calibration)
-    return Lesson(part, len(outlines), np.array([size.mean(), size.std()]), picture, tuple(unused))
+    doubts = _doubts(name, shown, colour, coloured)
+    size_m = np.array([size.mean(), size.std()])
+    return Lesson(part, len(outlines), size_m, picture, tuple(unused), doubts)
 
 
 def check_alike(part: PartType, types: Mapping[str, PartType], calibration: Calibration) -> None:
@@ -265,7 +279,7 @@ def merged(a: PartType, b: PartType) -> PartType:
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
     mean, _, scatter = _mean_outline([one.outline, other.outline], scale)
-    part = _simplified(a.name, mean, scale)
+    part = _simplified(a.name, mean, scale, scatter)
     colour = a.colour_lab or b.colour_lab
     if a.colour_lab is not None and b.colour_lab is not None:
         light, red, yellow = np.mean([a.colour_lab, b.colour_lab], axis=0)
@@ -304,7 +318,51 @@ def _measured(
     if any(patch.group for patch in kept):
         raise TeachError(f"type {name}: {example.name}: parts touch, allowed: parts apart")
     outlines, colours = measure_patches(example.image, kept, calibration, RIM_POINTS)
-    return [_Shown(example, *pair) for pair in zip(outlines, colours, strict=True)]
+    blurs = [
+        _blur_px(example.image, patch) / max(BLUR_PX, BLUR_RADIUS * patch.radius_px)
+        for patch in kept
+    ]
+    return [_Shown(example, *those) for those in zip(outlines, colours, blurs, strict=True)]
+
+
+def _blur_px(image: np.ndarray, patch: Patch) -> float:
+    """Return by how much a patch's rim is blurred, standard deviation [px]: its contrast over its
+    slope, the median around it."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    rim = patch.outline
+    along = np.roll(rim, -3, axis=0) - np.roll(rim, 3, axis=0)
+    across = np.column_stack([along[:, 1], -along[:, 0]])
+    across /= np.maximum(np.hypot(*across.T), 1e-9)[:, None]
+    steps = np.linspace(-1, 1, 13) * min(BESIDE_PX, BESIDE_RADIUS * patch.radius_px)
+    where = (rim[:, None] + steps[:, None] * across[:, None]).astype(np.float32)
+    levels = cv2.remap(grey, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    levels = levels.astype(float)
+    contrast = np.abs(levels[:, -1] - levels[:, 0])
+    slope = np.abs(np.diff(levels, axis=1)).max(axis=1) / (steps[1] - steps[0])
+    return float(np.median(contrast / (np.sqrt(2 * np.pi) * np.maximum(slope, 1e-9))))
+
+
+def _doubts(
+    name: str, shown: Sequence[_Shown], colour: np.ndarray, coloured: bool
+) -> tuple[str, ...]:
+    """Say what makes a type hard to know again: blurred examples, colours that differ."""
+    blurs: dict[str, float] = {}
+    for one in shown:
+        blurs[one.example.name] = max(one.blur, blurs.get(one.example.name, 0.0))
+    doubts = [
+        f"type {name}: {picture}: out of focus, or moved: rims are {blur:.1f} times as blurred as "
+        "they may be; sizes and angles become worse"
+        for picture, blur in blurs.items()
+        if blur > 1
+    ]
+    colours = np.array([one.colour for one in shown])
+    furthest = float(colour_distance(colours, colour, coloured).max())
+    if furthest > COLOUR_LAB:
+        doubts.append(
+            f"type {name}: colours are up to {furthest:.0f} Lab from their mean, allowed: "
+            f"{COLOUR_LAB:g}: many will be unknown; teach each colour as a type of its own"
+        )
+    return tuple(doubts)
 
 
 def _is_in(patch: Patch, box_px: tuple[float, float, float, float]) -> bool:
@@ -421,8 +479,9 @@ def _symmetry(mean: Outline, scale: float) -> int:
     return 1
 
 
-def _simplified(name: str, mean: Outline, scale: float) -> PartType:
-    """Return a type with a mean outline as a polygon, or as a disc.
+def _simplified(name: str, mean: Outline, scale: float, scatter: float) -> PartType:
+    """Return a type with a mean outline as a polygon, or as a disc where it is no less round than
+    its examples differ, by `scatter` [m]: its angle could not be told.
 
     Raises
     ------
@@ -437,7 +496,8 @@ def _simplified(name: str, mean: Outline, scale: float) -> PartType:
     around = np.hypot(*(outer.points - outer.centre).T)
     rough = float(np.std(around))
     data: dict[str, Any] = {"symmetry": _symmetry(mean, scale)}
-    if rough < max(ROUND * radius, ROUND_PX / scale) and np.hypot(*outer.centre) < ROUND * radius:
+    round_enough = max(ROUND * radius, ROUND_PX / scale, scatter)
+    if rough < round_enough and np.hypot(*outer.centre) < ROUND * radius:
         data = {"symmetry": 0, "radius_m": radius}
     else:
         data["outline_m"] = simplified(name, "outline", rings[0], mean.reach, scale).tolist()
