@@ -120,7 +120,7 @@ class PlannerParameters(NodeOptions):
     )  # fmt: skip
     answer_s: float = parameter(
         PlannerOptions.answer_s, "Unless the camera is triggered: time from an answer to the next "
-        "cycle [s], for solver, driver and line; a serial line needs 0.12", 0.01, 1.0,
+        "cycle [s], for solver, driver and line; a serial line needs 0.14", 0.01, 1.0,
     )  # fmt: skip
     lockstep: bool = parameter(
         False, "For a simulator in lockstep: an image is planned when plate_cycle has answered the "

@@ -75,7 +75,7 @@ class Options(NodeOptions):
     )  # fmt: skip
     handover_s: float = parameter(
         0.02, "A search begins no further start when its answer would come later than this before "
-        "its cycle begins [s]: driver and line need it; with a serial line 0.06. Where answers are "
+        "its cycle begins [s]: driver and line need it; with a serial line 0.08. Where answers are "
         "late all the same, up to 0.06 s is taken for a while. 0: it takes the time it needs, "
         "as in simulated time, where a seed gives the same cycles on any computer.",
         0.0, 1.0,

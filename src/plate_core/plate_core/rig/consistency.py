@@ -25,8 +25,8 @@ FINE_PX = 4.0
 """Radius from which parts are seen well [px]."""
 
 LEAST_GAMMA = 5.0
-"""Shaking ratio below which tasks take long, or fail for this reason alone [-]: all of 15 ended
-well at 5, 14 at 3, five at 2 (docs/hardware.md)."""
+"""Shaking ratio below which tasks take long, or fail for this reason alone [-]: docs/hardware.md
+has figures."""
 
 CYCLE_HZ = (5.0, 40.0)
 """Lowest and highest frequency in the solvers' cycles: one wave in 0.2 s, four in 0.1 s."""
