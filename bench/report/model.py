@@ -5,13 +5,13 @@ from __future__ import annotations
 from harness import shown
 from report.axis import Axis
 from report.chart import Chart, Data, Row, Sheet, by, column, table
-from report.panels import FAINT, OURS, PEER, SECOND, THIRD, Panels
+from report.panels import OURS, PEER, SECOND, THIRD, Panels
 
 COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
 """Of scenes."""
 
 LOOKS = {"one model": (OURS, "o", "-"), "by events": (SECOND, "s", "-"), "pymunk": (PEER, "D", "-")}
-"""Colour, marker and line of methods; what was here before is grey."""
+"""Colour, marker and line of methods."""
 
 LEAST_UM = 1e-4
 """Errors below this [um] are rounding, and drawn here."""
@@ -19,13 +19,7 @@ LEAST_UM = 1e-4
 
 def model_rows(data: Data) -> Sheet:
     """Return the rows of the chart of that name."""
-    now, old = table(data, "model", "model"), table(data, "model", "old_ladder")
-    before = [
-        r | {"method": f"before: {r['method']}"}
-        for r in old.rows
-        if r["method"] != "by events"  # the judge is the same
-    ]
-    return Sheet.of([*now.rows, *before], now.columns)
+    return table(data, "model", "model")
 
 
 def model(rows: list[Row]) -> Chart:
@@ -35,13 +29,12 @@ def model(rows: list[Row]) -> Chart:
         panel = panels.add(
             scene, Axis("parts", log=True), Axis("core time of a cycle [ms]", log=True)
         )
-        old = iter((("v", ":"), ("^", "--"), ("x", ":"), ("D", ":")))
         for method, these in by(mine, "method").items():
-            look = LOOKS.get(method) or (FAINT, *next(old))
             notes = [f"error {shown(r['error_um'])} µm" for r in these]
             panel.points(
-                method, column(these, "parts"), column(these, "cpu_ms"), *look, notes=notes
-            )
+                method, column(these, "parts"), column(these, "cpu_ms"), *LOOKS[method],
+                notes=notes,
+            )  # fmt: skip
     last = panels.add(
         "Error of the one model",
         Axis("parts", log=True),
@@ -58,8 +51,7 @@ def model(rows: list[Row]) -> Chart:
         "model", "c", "Simulator: no more is computed than a scene needs",
         "A cycle of the plate of 100 ms, by what the scene has: nothing that touches, parts that "
         "touch, a plate that turns, one on flexures. By events is the judge, points that neither "
-        "meet nor turn; in grey the ladder of models that was here before, measured once. "
-        "Down is better.",
+        "meet nor turn. Down is better.",
         f"One model, {most[0]['parts']} parts, core time of a cycle [ms]: {told}.",
         "The one model: contacts, turning and suspension cost nothing where a scene has none.",
         panels,

@@ -2,15 +2,13 @@
 
 Scenes where nothing touches, parts touch, the plate turns, or hangs on flexures; for each number of
 parts the cost of a plate cycle and the error at its end. Beside it the judge (points, event by
-event), pymunk, and the ladder of models that was here before (`old_ladder.csv`, measured once).
+event) and pymunk.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,9 +49,6 @@ PEER_STEP = 1e-3
 """Of pymunk [s]."""
 
 MODEL, JUDGE, PYMUNK = "one model", "by events", "pymunk"
-
-OLD = Path(__file__).with_name("old_ladder.csv")
-"""Figures of the ladder of models by scene and number of parts; its first line tells the commit."""
 
 
 @dataclass(frozen=True)
@@ -156,10 +151,7 @@ def measure(quick: bool) -> Result:
         "meet, and pymunk's parts do not turn with the plate: so they err where parts do."
     )
     return Result(
-        [
-            Table("model", "What a plate cycle costs, by what the scene has", columns, rows, note),
-            Table("old_ladder", "The ladder of models that was here before", columns, old_rows()),
-        ],
+        [Table("model", "What a plate cycle costs, by what the scene has", columns, rows, note)],
         lines + ([] if pymunk else [missing_peer(PYMUNK)]),
     )
 
@@ -181,11 +173,3 @@ def scene_rows(scene: Scene, pymunk: Any, seconds: float) -> list[dict[str, Any]
         }
         for name in runs
     ]  # fmt: skip
-
-
-def old_rows() -> list[dict[str, Any]]:
-    """Return the figures of the ladder as they were measured."""
-    with OLD.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    numbers = {"parts": int, "cpu_ms": float, "error_um": float}
-    return [{k: numbers.get(k, str)(v) for k, v in row.items()} for row in rows]
