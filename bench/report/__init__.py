@@ -26,7 +26,7 @@ from report.forces import (
     rotations_rows,
 )  # fmt: skip
 from report.loop import bound, cameras, control, crowds, rigs, tracking
-from report.model import model, model_rows
+from report.model import model
 from report.page import write_report
 from report.results import read_facts, write_results
 from report.solver import options, solver, solver_rows, steering
@@ -60,7 +60,7 @@ CHARTS: tuple[Entry, ...] = (
     Entry("rotations", rotations, rotations_rows, ("rotations",)),
     of_table(inversion, "inversion", "fate"),
     Entry("sim", sim, sim_rows, ("sim", "bodies")),
-    Entry("model", model, model_rows, ("model",)),
+    of_table(model, "model"),
     of_table(vision, "vision"),
     of_table(control, "control"),
     of_table(tracking, "tracking"),

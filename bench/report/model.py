@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from harness import shown
 from report.axis import Axis
-from report.chart import Chart, Data, Row, Sheet, by, column, table
+from report.chart import Chart, Row, by, column
 from report.panels import OURS, PEER, SECOND, THIRD, Panels
 
 COLOURS = (OURS, PEER, SECOND, THIRD, "#8a6d00")
@@ -15,11 +15,6 @@ LOOKS = {"one model": (OURS, "o", "-"), "by events": (SECOND, "s", "-"), "pymunk
 
 LEAST_UM = 1e-4
 """Errors below this [um] are rounding, and drawn here."""
-
-
-def model_rows(data: Data) -> Sheet:
-    """Return the rows of the chart of that name."""
-    return table(data, "model", "model")
 
 
 def model(rows: list[Row]) -> Chart:
