@@ -69,8 +69,8 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     parts = [
         ABOUT,
         "\n".join([*lines, f"All measurements behind the charts: {minutes:.0f} minutes."]) + "\n",
-        "## Summary\n",
-        *(f"- [{one.full_title}](#{anchor(one.full_title)}): {one.finding}" for one in charts),
+        "## Charts\n",
+        *(f"- [{one.full_title}](#{anchor(one.full_title)})" for one in charts),
         "",
         *(section(one, facts, commit) for one in charts),
         demos(folder),
