@@ -335,8 +335,8 @@ def _blur_px(image: np.ndarray, patch: Patch) -> float:
     across /= np.maximum(np.hypot(*across.T), 1e-9)[:, None]
     steps = np.linspace(-1, 1, 13) * min(BESIDE_PX, BESIDE_RADIUS * patch.radius_px)
     where = (rim[:, None] + steps[:, None] * across[:, None]).astype(np.float32)
-    levels = cv2.remap(grey, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    levels = levels.astype(float)
+    x, y = cv2.split(where)
+    levels = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
     contrast = np.abs(levels[:, -1] - levels[:, 0])
     slope = np.abs(np.diff(levels, axis=1)).max(axis=1) / (steps[1] - steps[0])
     return float(np.median(contrast / (np.sqrt(2 * np.pi) * np.maximum(slope, 1e-9))))
