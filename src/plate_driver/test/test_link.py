@@ -111,8 +111,14 @@ def test_order_of_an_upload():
     assert [k for m in said(knots) for k in m.knots] == KNOTS
     link, last = done(link, knots, 0.03).due(0.03)
     assert said(last) == [Commit(3, 5)]
-    # The next one does not wait until this one plays.
-    link, packets = done(link, last, 0.035).uploading(4, KNOTS, 5).due(0.035)
+    link = done(link, last, 0.035)
+    # The next one does not wait until this one plays, unless it goes on from there in motion.
+    assert [m.table for m in said(link.uploading(4, KNOTS, 5).due(0.035)[1])] == [4]
+    link = link.uploading(4, KNOTS, 5, follows=3)
+    assert said(link.due(0.035)[1]) == []
+    link = link.heard(told(State.PLAYING, waiting=3), 0.04)
+    assert said(link.due(0.04)[1]) == []
+    link, packets = link.heard(told(State.PLAYING), 0.05).due(0.05)
     assert [m.table for m in said(packets)] == [4]
 
 

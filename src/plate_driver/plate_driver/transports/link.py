@@ -110,6 +110,8 @@ class Link:
         Commands in order.
     next_table : tuple of Message
         The newest table, while another one is still on its way.
+    follows : int
+        The table that it goes on from in motion; 0: it begins at rest.
     device : Capabilities or None
         None until it has answered.
     telemetry : Telemetry or None
@@ -137,6 +139,7 @@ class Link:
     line: LineModel = field(default_factory=LineModel)
     queue: tuple[Pending, ...] = ()
     next_table: tuple[Message, ...] = ()
+    follows: int = 0
     sequence: int = 0
     device: Capabilities | None = None
     telemetry: Telemetry | None = None
@@ -176,24 +179,31 @@ class Link:
     # What the host wants
 
     def uploading(
-        self, table: int, knots: Sequence[Knot], repeats: int, splice_ticks: int = 0
+        self,
+        table: int,
+        knots: Sequence[Knot],
+        repeats: int,
+        splice_ticks: int = 0,
+        follows: int = 0,
     ) -> Link:
         """Return the link that sends a table, to be played so often unless another one comes.
 
-        It has a tail from `splice_ticks` on, unless that is 0.
+        It has a tail from `splice_ticks` on, unless that is 0. Where it goes on in motion from a
+        table with the number `follows`, it is held back until that one plays.
 
         An upload that is under way is finished first, or a quick planner would never see one
         through; of those that wait, the newest counts.
         """
         begin = Begin(table, len(knots), table_crc(knots), splice_ticks)
         parts = _parts(table, 0, knots, self.line.knots_per_message)
-        return replace(self, next_table=(begin, *parts, Commit(table, repeats)), in_turn=False)
+        upload = (begin, *parts, Commit(table, repeats))
+        return replace(self, next_table=upload, follows=follows, in_turn=False)
 
     def streaming(self, table: int, knots: Sequence[Knot]) -> Link:
         """Return the link that opens a stream with its first setpoints."""
         parts = _parts(table, 0, knots, self.line.knots_per_message)
         next_table = (Begin(table, 0, 0), *parts, Commit(table, 1))
-        return replace(self, next_table=next_table, in_turn=True)
+        return replace(self, next_table=next_table, follows=0, in_turn=True)
 
     def adding(self, table: int, first: int, knots: Sequence[Knot]) -> Link:
         """Return the link that adds setpoints, from number `first` on, to the stream that plays."""
@@ -390,6 +400,9 @@ class Link:
         """Return the link with the next table in an empty queue."""
         if self.queue or not self.next_table or self.device is None:
             return self
+        telemetry = self.fresh_telemetry
+        if self.follows and (telemetry is None or telemetry.waiting == self.follows):
+            return self  # begun any earlier it would be refused
         return replace(self, next_table=())._asked(*self.next_table)
 
     def _in_flight(self, pending: Pending, now: float) -> bool:

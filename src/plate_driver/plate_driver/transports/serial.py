@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import termios
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -281,7 +281,7 @@ class SerialTransport:
             raise CycleError(f"the device is {report.condition.value}{reason}, allowed: ready")
         repeats = plays(repeats, self.hold_s, table.cycle.period)
         if not self._streams:
-            sent, splice_ticks = wired(table, self._sent.values())
+            sent, splice_ticks, follows = wired(table, self._sent)
             if len(sent) > self.max_knots:
                 raise CycleError(
                     f"plate_cycle: {len(sent)} knots, allowed by the device: {self.max_knots}"
@@ -289,7 +289,7 @@ class SerialTransport:
             self._table = self._table % 65_535 + 1
             self._sent[self._table] = table
             self._sent = dict(list(self._sent.items())[-SENT_KEPT:])
-            self._link = self._link.uploading(self._table, sent, repeats, splice_ticks)
+            self._link = self._link.uploading(self._table, sent, repeats, splice_ticks, follows)
         elif self._streamed is not None and not self._streamed.ended:
             self._streamed = self._streamed.followed_by(table, repeats)
         else:
@@ -634,25 +634,29 @@ class SerialTransport:
                 self._note(f"serial port: {error}")
 
 
-def wired(table: MotorTable, before: Iterable[MotorTable]) -> tuple[tuple[Knot, ...], int]:
-    """Return a table's knots as they are sent, and when it is spliced [TICK_S]; 0: it has no tail.
+def wired(
+    table: MotorTable, before: Mapping[int, MotorTable]
+) -> tuple[tuple[Knot, ...], int, int]:
+    """Return a table's knots as they are sent, when it is spliced [TICK_S], 0 if it has no tail,
+    and the number of the table that it goes on from in motion, 0 if it begins at rest.
 
     Its first knot is, to the last bit, the knot in which one of the tables sent before, the last
     one first, is spliced, if they are alike but for rounding.
     """
     first, *rest = knots(table)
+    follows = 0
     state = np.array([first.position, first.velocity, first.acceleration])
-    for other in reversed(list(before)):
+    for number, other in reversed(before.items()):
         end = len(other.cycle.times) - 1
         splice = np.array([other.q[end], other.qd[end], other.qdd[end]], np.float32)
         if other.cycle.tail is not None and np.all(np.abs(splice - state) <= NEAR):
             q, qd, qdd = (tuple(row) for row in splice.tolist())
-            first = Knot(first.ticks, q, qd, qdd)
+            first, follows = Knot(first.ticks, q, qd, qdd), number
             break
     if table.cycle.tail is None:
-        return (first, *rest), 0
+        return (first, *rest), 0, follows
     end = len(table.cycle.times) - 1  # of this knot there are two
-    return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks
+    return (first, *rest[:end], *rest[end + 1 :]), rest[end].ticks, follows
 
 
 def named(faults: Fault) -> str:
