@@ -634,9 +634,7 @@ class SerialTransport:
                 self._note(f"serial port: {error}")
 
 
-def wired(
-    table: MotorTable, before: Mapping[int, MotorTable]
-) -> tuple[tuple[Knot, ...], int, int]:
+def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Knot, ...], int, int]:
     """Return a table's knots as they are sent, when it is spliced [TICK_S], 0 if it has no tail,
     and the number of the table that it goes on from in motion, 0 if it begins at rest.
 
