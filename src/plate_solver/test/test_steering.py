@@ -1,5 +1,7 @@
 """Steering by the true cycle map, judged by the simulator: another implementation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -344,3 +346,10 @@ def test_what_cannot_be_reached_is_said(rig, method):
     assert usage(rig, solution.cycle).worst <= 1
     got = moved(rig, solution, goal)[0] / unit
     assert 0.02 < got[0] < 0.5  # as far that way as it can
+
+
+def test_a_plate_that_shakes_little_goes_on_in_longer_cycles(rig):
+    weak = replace(rig, limits=replace(rig.limits, accel=5 * rig.friction.accel))
+    for one, period in ((rig, 0.1), (weak, 0.2)):
+        solver = SinusoidSolver(one)
+        assert solver.steering_period(4, lasting=True, goes_on=True) == period

@@ -644,7 +644,7 @@ def wired(table: MotorTable, before: Mapping[int, MotorTable]) -> tuple[tuple[Kn
     first, *rest = knots(table)
     follows = 0
     state = np.array([first.position, first.velocity, first.acceleration])
-    for number, other in reversed(before.items()):
+    for number, other in reversed(list(before.items())):
         end = len(other.cycle.times) - 1
         splice = np.array([other.q[end], other.qd[end], other.qdd[end]], np.float32)
         if other.cycle.tail is not None and np.all(np.abs(splice - state) <= NEAR):

@@ -38,8 +38,9 @@ LASTING_CYCLES = (4, 4, 0.1), (8, 6, 0.15), (math.inf, 8, 0.2)
 and for ways that last, by trial in the loop: few harmonics are soon searched, short cycles soon
 correct what friction does, long ones use the stroke."""
 
-GOING_ON = 8, 0.1
-"""Harmonics and period [s] of cycles that need not end at rest."""
+GOING_ON = (15.0, 8, 0.2), (math.inf, 8, 0.1)
+"""Greatest Gamma, harmonics and period [s] of cycles that need not end at rest, by trial in the
+loop: a plate that shakes little moves parts further in long ones."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class SinusoidSolver(MotionSolver):
     def __init__(self, rig: Rig, **options: float) -> None:
         self.options: SinusoidOptions = make_options(SinusoidOptions, options)
         super().__init__(rig, self.options.seed)
+        self._gamma = rig.gamma
         self._searches: dict[tuple[int, float, bool], tuple[Motions, np.ndarray]] = {}
         self._warm: dict[tuple[int, float, bool], np.ndarray] = {}
         self._steering = SinusoidSteering(
@@ -215,7 +217,7 @@ class SinusoidSolver(MotionSolver):
     def _steering_key(self, constraints: int, lasting: bool, goes_on: bool) -> tuple[int, float]:
         """Return harmonics and period of the cycles of `steer`."""
         if lasting and goes_on and not self.options.harmonics:
-            return GOING_ON
+            return next((n, s) for most, n, s in GOING_ON if self._gamma <= most)
         return self._key(constraints, True, lasting)[:2]
 
     def harmonics(self, constraints: int) -> int:
