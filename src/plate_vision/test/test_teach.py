@@ -115,15 +115,27 @@ def test_what_makes_a_type_hard_to_know_is_said(draw_types):
 
 
 def test_what_is_rounder_than_its_examples_are_alike_is_a_disc(draw_types):
-    def nearly_round(squeezed):
-        turn = 2 * np.pi * np.arange(30) / 30
-        ring = 0.012 * np.column_stack([np.cos(turn), squeezed * np.sin(turn)])
+    def seed(number):
+        rng, turn = np.random.default_rng(number), 2 * np.pi * np.arange(30) / 30
+        waves = [np.cos(k * turn + rng.uniform(0, 2 * np.pi)) for k in (2, 3, 4, 5)]
+        radius = 0.012 * (1 + 0.03 * np.sum(waves, axis=0))
+        ring = radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
         part = PartType("seed", outline=tuple(map(tuple, ring.tolist())), colour_lab=(40.0, 0, 0))
         return Example(picture(draw_types, "seed", 14, count=2, types={"seed": part}))
 
-    assert learn_type("seed", [nearly_round(0.93)], HOME).part.symmetry == 2
-    differing = [nearly_round(squeezed) for squeezed in (0.88, 1.0, 1.12)]
-    assert learn_type("seed", differing, HOME).part.symmetry == 0
+    assert learn_type("seed", [seed(0)], HOME).part.symmetry == 1
+    assert learn_type("seed", [seed(number) for number in range(5)], HOME).part.symmetry == 0
+
+
+def test_nuts_of_different_sizes_keep_their_angle(draw_types):
+    def nut(size):
+        ring = size * np.array(TYPES["nut"].outline)
+        part = replace(TYPES["nut"], outline=tuple(map(tuple, ring.tolist())), holes=())
+        return Example(picture(draw_types, "nut", 16, count=2, types={"nut": part}))
+
+    part = learn_type("nut", [nut(size) for size in (1.0, 1.3, 1.6)], HOME).part
+    assert part.scatter_m > 0.1 * part.reach_m
+    assert part.symmetry == 6
 
 
 def test_an_outline_with_too_many_corners_is_refused(draw_types):

@@ -127,12 +127,13 @@ def _teach(args: argparse.Namespace) -> None:
         if x + width > size[0] or y + height > size[1]:
             where = f"--box: box is {x},{y},{width},{height}"
             raise TeachError(f"{where}, allowed: within {size[0]} x {size[1]} px of {name}")
+    if args.scale is None or args.bare is not None:
+        for other, pixels in pictures:
+            _check_size(other, pixels, size)
     region = None
     if args.scale is not None:
         calibration = calibrate_by_scale(1e3 * args.scale)
     else:
-        for other, pixels in pictures:
-            _check_size(other, pixels, size)
         rig, doubt = rig_of_picture(load_rig(args.rig), size)
         if doubt:
             print(f"warning: {name}: {doubt}; or give --scale", file=sys.stderr)
@@ -145,9 +146,6 @@ def _teach(args: argparse.Namespace) -> None:
     bare = None if args.bare is None else load_bare(args.bare, size)
     if bare is None:
         print("no bare plate (--bare): its light is taken from each picture", file=sys.stderr)
-    else:
-        for other, pixels in pictures:
-            _check_size(other, pixels, size)
     if args.box:
         cuts = args.scale is not None and bare is None  # then the place does not count
         examples = [

@@ -59,6 +59,10 @@ ROUND = 0.018
 ROUND_PX = 0.12
 """The same of small ones, by noise [px]."""
 
+UNEVEN = 2.0
+"""A mean outline that deviates from a circle by less than so many times as its examples do from it
+has no angle: of outlines of chance, laid onto each other, it is 1.5."""
+
 ALIKE = 2.0
 """Two types must be so far apart, in the standard deviations by which parts of one type differ, to
 be told from each other."""
@@ -203,9 +207,9 @@ def learn_type(
     scale = float(np.median(calibration.scale(np.array([one.outline.centre for one in shown]))))
     shown = _agreeing(name, shown, scale, unused)
     outlines = [one.outline for one in shown]
-    mean, pose, scatter = _mean_outline(outlines, scale)
+    mean, pose, scatter, unlike = _mean_outline(outlines, scale)
     coloured = any(example.image.ndim == 3 for example in examples)
-    part = _simplified(name, mean, scale, scatter)
+    part = _simplified(name, mean, scale, unlike)
     colour = np.mean([one.colour for one in shown], axis=0) * (1.0, coloured, coloured)
     part = replace(
         part,
@@ -278,8 +282,8 @@ def merged(a: PartType, b: PartType) -> PartType:
     the first."""
     one, other = make_template(a), make_template(b)
     scale = 1 / (0.02 * a.reach_m)
-    mean, _, scatter = _mean_outline([one.outline, other.outline], scale)
-    part = _simplified(a.name, mean, scale, scatter)
+    mean, _, scatter, _ = _mean_outline([one.outline, other.outline], scale)
+    part = _simplified(a.name, mean, scale)
     colour = a.colour_lab or b.colour_lab
     if a.colour_lab is not None and b.colour_lab is not None:
         light, red, yellow = np.mean([a.colour_lab, b.colour_lab], axis=0)
@@ -413,16 +417,19 @@ def _agreeing(name: str, shown: Sequence[_Shown], scale: float, unused: list[str
     return kept
 
 
-def _mean_outline(outlines: Sequence[Outline], scale: float) -> tuple[Outline, np.ndarray, float]:
-    """Return the mean of outlines, as the first one lies; its pose (3,) in the first; and how far
-    outlines are from it, RMS [m]."""
+def _mean_outline(
+    outlines: Sequence[Outline], scale: float
+) -> tuple[Outline, np.ndarray, float, float]:
+    """Return the mean of outlines, as the first one lies; its pose (3,) in the first; how far
+    outlines are from it, RMS [m]; and how far once they have one size."""
     # The one of middle size first: the others are laid onto it.
     first = int(np.argsort([outline.area for outline in outlines])[len(outlines) // 2])
     mean = _shifted(outlines[first], outlines[first].centre)
-    scatter = 0.0
+    scatter = unlike = 0.0
     for _ in range(2 if len(outlines) > 1 else 0):
         fits = [lay_on(_as_template(mean), outline, scale) for outline in outlines]
         scatter = math.sqrt(float(np.mean([fit[3] ** 2 + fit[4] ** 2 for fit in fits])))
+        unlike = math.sqrt(float(np.mean([fit[4] ** 2 for fit in fits])))
         laid = [_turned(outline, fit[:3]) for outline, fit in zip(outlines, fits, strict=True)]
         mean = _average(mean, laid)
     symmetry = _symmetry(mean, scale)
@@ -432,7 +439,7 @@ def _mean_outline(outlines: Sequence[Outline], scale: float) -> tuple[Outline, n
     pose = lay_on(_as_template(mean), outlines[0], scale)[:3]
     # As the first lies, so does the mean.
     mean = _turned(mean, np.array([0, 0, -pose[2]]))
-    return mean, np.array([pose[0], pose[1], 0.0]), scatter
+    return mean, np.array([pose[0], pose[1], 0.0]), scatter, unlike
 
 
 def _as_template(outline: Outline) -> Template:
@@ -479,9 +486,9 @@ def _symmetry(mean: Outline, scale: float) -> int:
     return 1
 
 
-def _simplified(name: str, mean: Outline, scale: float, scatter: float) -> PartType:
-    """Return a type with a mean outline as a polygon, or as a disc where it is no less round than
-    its examples differ, by `scatter` [m]: its angle could not be told.
+def _simplified(name: str, mean: Outline, scale: float, unlike: float = 0.0) -> PartType:
+    """Return a type with a mean outline as a polygon, or as a disc where the outlines of its
+    examples differ so much, by `unlike`, RMS [m], that its angle could not be measured.
 
     Raises
     ------
@@ -496,7 +503,7 @@ def _simplified(name: str, mean: Outline, scale: float, scatter: float) -> PartT
     around = np.hypot(*(outer.points - outer.centre).T)
     rough = float(np.std(around))
     data: dict[str, Any] = {"symmetry": _symmetry(mean, scale)}
-    round_enough = max(ROUND * radius, ROUND_PX / scale, scatter)
+    round_enough = max(ROUND * radius, ROUND_PX / scale, UNEVEN * unlike)
     if rough < round_enough and np.hypot(*outer.centre) < ROUND * radius:
         data = {"symmetry": 0, "radius_m": radius}
     else:
