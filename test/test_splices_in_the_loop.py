@@ -6,10 +6,12 @@ answers would be refused, and the plate would rest for ever.
 """
 
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 import pytest
 
+from plate_bringup.loop import Setup, run
 from plate_core import CycleError, Parts, PlateCycle, load_rig
 from plate_core.tasks import load_scenario
 from plate_planner import Planner, PlannerOptions
@@ -203,3 +205,9 @@ def test_clocks_that_are_set_cost_a_tail_and_a_rest(put):
     assert all(moving(line.played[begin + 5 :]))
     assert all(cycle.tail for cycle in line.played[begin + 6 :])
     assert line.run().phase == "done"
+
+
+@pytest.mark.parametrize(("scenario", "rests"), [("sort_10", False), ("sort_50", True)])
+def test_a_crowd_is_moved_from_rest_to_rest(scenario, rests):
+    moments = islice(run(Setup(scenario, effort={"iterations": 2, "restarts": 0})), 8)
+    assert all(moment.answer.cycle.closes for moment in moments) == rests

@@ -161,7 +161,7 @@ def train(steps: int, seed: int, workers: int, state: Path) -> Network:
         images, maps = tensors(rng, those)
         warm = min(1.0, (step + 1) / 100)
         for group in optimiser.param_groups:
-            group["lr"] = RATE * warm * (0.5 * (1 + np.cos(np.pi * step / steps)) + 0.01)
+            group["lr"] = float(RATE * warm * (0.5 * (1 + np.cos(np.pi * step / steps)) + 0.01))
         said = network(images)
         loss = loss_of(said, maps)
         optimiser.zero_grad()

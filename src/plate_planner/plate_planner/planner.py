@@ -44,7 +44,7 @@ from .supervision import (
     started,
     stopped,
 )
-from .tasks import Assessment, DriftRequest, Situation, TaskOptions, TaskRules, rules_for
+from .tasks import CROWD, Assessment, DriftRequest, Situation, TaskOptions, TaskRules, rules_for
 
 NOTHING = Wanted.make(Parts.make((), np.zeros((0, 2))))
 """Nothing is asked of any part: the plate rests."""
@@ -421,7 +421,7 @@ class Planner:
         start = estimator.start_of(parts)
         state = replace(state, estimator=estimator.ask(parts.ids, drift, force))
         in_time = not estimator.log.reported or self.options.answer_s < IN_MOTION_S
-        plate = estimator.next_plate if in_time else None
+        plate = estimator.next_plate if in_time and len(parts) <= CROWD else None
         return state, Wanted.make(
             parts, force, tolerance, None, period, start, request.targets, plate
         )

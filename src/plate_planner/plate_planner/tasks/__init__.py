@@ -17,9 +17,11 @@ from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
+from .targets import CROWD
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 __all__ = [
+    "CROWD",
     "SLOWED",
     "Assembler",
     "Assessment",

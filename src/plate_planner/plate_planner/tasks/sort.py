@@ -16,16 +16,16 @@ from plate_core import Parts, Rig, ScenarioError, Targets, part_class
 from plate_core.rig import contains, rim_distance
 from plate_core.tasks import Bin, Scenario, Side, SortTask, behind_wall
 
-from .targets import GAP, assign, way_weight
+from .targets import CROWD, GAP, assign, way_weight
 from .task import Assessment, DriftRequest, Situation, TaskRules
 
 MARGIN, END = 0.03, 0.85
 """How far beyond the goal line parts are to go, and how much of a side or corner holds parts
 [fraction of the half length and width]."""
 
-LANE, LANE_M, LANE_AT = 0.1, 0.1, 0.25
-"""What a metre beside its lane counts for a part with a way as long as the second [m] or longer;
-and where lanes begin [fraction of the half width]."""
+LANE, CROWDED_LANE, LANE_M, LANE_AT = 0.1, 0.3, 0.1, 0.25
+"""What a metre beside its lane counts for a part with a way as long as the third [m] or longer, and
+in a crowd; and where lanes begin [fraction of the half width]."""
 
 SWITCH = 0.3
 """The hand of a swirl changes if parts are on average so far on the wrong side [fraction of the
@@ -153,7 +153,8 @@ class Sorter(TaskRules):
         asked = (low > -half) | (high < half)
         weight = np.where(asked, way_weight(way), 0.0)
         # Far from their sides, those for either keep to their half: so one swirl carries all.
-        lane = LANE * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
+        most = CROWDED_LANE if len(parts) > CROWD else LANE
+        lane = most * np.minimum(way[:, 0] / LANE_M, 1) * (sign[:, 0] != 0)
         if not _diagonal(sign):
             lane[sign[:, 1] != 0] = 0
         if np.all(sign[:, 0] >= 0) or np.all(sign[:, 0] <= 0):

@@ -21,6 +21,10 @@ FULL_WAY_M, LEAST_WAY_M = 0.006, 0.005
 """The longest way of all counts as if it were so long beside ways over an edge, so that those with
 the longest ways come first; ways below the second are no longer stretched so [m]."""
 
+CROWD = 40
+"""With more parts than this each moves a little in a cycle: a plate that rests between cycles, and
+lanes that count more, are sooner done with them, by trial (`sort_50`)."""
+
 GAP = 0.5
 """Least distance of the rims of two parts on their ways [radii of the rig's parts]."""
 
