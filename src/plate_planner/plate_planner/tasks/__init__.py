@@ -17,9 +17,11 @@ from .follow import SLOWED, Follower, FollowMemory, FollowOptions, pd_drift
 from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
-from .task import Assessment, DriftRequest, Situation, TaskRules
+from .task import SIGHT_M, SIGHT_RAD, Assessment, DriftRequest, Situation, TaskRules
 
 __all__ = [
+    "SIGHT_M",
+    "SIGHT_RAD",
     "SLOWED",
     "Assembler",
     "Assessment",
