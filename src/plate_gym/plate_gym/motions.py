@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plate_core import PlateCycle, Rig
+from plate_core.motion import control_points
 from plate_solver import EQUAL_WEIGHT, Limits, limit_use
 from plate_solver.sinusoids import sinusoid_basis
 
@@ -28,6 +29,8 @@ class Motions:
     def __init__(self, rig: Rig) -> None:
         self._basis = sinusoid_basis(HARMONICS, PERIOD_S, True)
         self._limits = Limits.of(rig, 1.0)
+        spline = self._basis.spline.reshape(len(self._basis.times) - 1, 6, -1)
+        self._bounds = [control_points(self._basis.times, spline, order, 1) for order in range(3)]
         self.size = 3 * self._basis.size
         self._scale = np.ones((self._basis.size, 3))
         alone = [self._use(row.reshape(-1, 3)) for row in np.eye(self.size)]
@@ -51,5 +54,5 @@ class Motions:
 
     def _use(self, own: np.ndarray) -> float:
         """Return the greatest share of a limit that coefficients (h, 3) use: a bound."""
-        pose, twist, accel = np.split(self._basis.hull @ own, 3)
-        return float(limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, False))
+        pose, twist, accel = (bound @ own for bound in self._bounds)
+        return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)

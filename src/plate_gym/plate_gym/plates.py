@@ -135,16 +135,13 @@ class Plate:
         all_ = np.column_stack([seen.position, seen.velocity, seen.angle, age])
         return np.clip(all_, *self._shared.bounds)
 
-    def step(self, action: Any) -> None:
-        """Let the cycle that runs end; what the action asks for comes after it."""
-        cycle = self._answer(action)
-        running = self._playback.cycle
-        self.simulation.run(running)
-        self.time += running.period
+    def begin(self, cycle: PlateCycle) -> None:
+        """Take in that the cycle that ran has ended, and begin the next."""
+        self.time += self._playback.cycle.period
         self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
         self._look()
 
-    def _answer(self, action: Any) -> PlateCycle:
+    def answer(self, action: Any) -> PlateCycle:
         """Return the cycle of an action, within the limits."""
         level = self._shared.action
         if level == "motion":
@@ -259,20 +256,17 @@ class Plates:
 
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
         """Let a cycle pass on some plates."""
-        jobs = [(self.plates[row], action) for row, action in zip(rows, actions, strict=True)]
-
-        def work(mine: list[tuple[Plate, Any]]) -> None:
-            for plate, action in mine:
-                plate.step(action)
-
-        if self._pool is None:
-            work(jobs)
-        else:
-            list(self._pool.map(work, [jobs[k :: self._threads] for k in range(self._threads)]))
+        plates = [self.plates[row] for row in rows]
+        each = map if self._pool is None or self.action == "motion" else self._pool.map
+        answers = list(each(Plate.answer, plates, actions))
+        worlds, running = [p.simulation for p in plates], [p.running for p in plates]
+        Simulation.run_together(worlds, running, self._threads)
+        each = map if self._pool is None or self.observation == "parts" else self._pool.map
+        list(each(Plate.begin, plates, answers))
         score = self._score(rows)
-        count = len(jobs)
+        count = len(plates)
         reward, ended, over = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
-        for k, (plate, _) in enumerate(jobs):
+        for k, plate in enumerate(plates):
             lost = plate.simulation.state.dropped - plate.dropped
             gained = (plate.to_go_m - score.to_go_m[k]) / plate.first_m
             plate.dropped, plate.to_go_m = plate.dropped + lost, score.to_go_m[k]
