@@ -4,7 +4,7 @@ and random motions."""
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -28,8 +28,8 @@ class Agent(Protocol):
         Of the environment that it wants.
     """
 
-    action: ClassVar[str]
-    observation: ClassVar[str]
+    action: str
+    observation: str
 
     def __init__(self, env: PlateEnv, seed: int) -> None: ...
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +19,7 @@ from .plates import Plates
 from .spaces import action_space, observation_space
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
 NO_WINDOW = "render_mode is 'human', and there is no window: {}"
 
@@ -51,7 +52,7 @@ class PlateEnv(gym.Env):
         If one of them is unknown.
     """
 
-    metadata: ClassVar[dict[str, Any]] = METADATA
+    metadata = METADATA
 
     def __init__(
         self,
@@ -117,7 +118,7 @@ class PlateVectorEnv(VectorEnv):
         As of `PlateEnv`; there is no window.
     """
 
-    metadata: ClassVar[dict[str, Any]] = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = MANY
 
     def __init__(
         self,
@@ -167,7 +168,7 @@ class PlateVectorEnv(VectorEnv):
         """Let the cycle that runs end, on each plate."""
         each = list(iterate(self.action_space, actions))
         check_actions(self.single_action_space, each)
-        anew, rows = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
+        anew, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
         info: dict[str, Any] = {}
         reward = np.zeros(self.num_envs)
         ended, over = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
@@ -209,7 +210,11 @@ def check_actions(space: gym.Space, actions: Sequence[Any]) -> None:
     """Refuse what is not in the space."""
     for action in actions:
         if not space.contains(action):
-            raise PlateError(f"action is {action!r}, allowed: {space}")
+            said = type(action).__name__
+            if isinstance(action, np.ndarray) and action.size:
+                low, high = np.min(action), np.max(action)
+                said = f"{action.dtype} of shape {action.shape}, from {low:g} to {high:g}"
+            raise PlateError(f"action is {said}, allowed: {space}")
 
 
 def checked_mode(mode: str | None) -> str | None:

@@ -20,7 +20,7 @@ from plate_solver import Controller
 
 from .judge import Judge, Score
 from .motions import Motions
-from .tasks import TASKS, WORLDS, chosen, scenario_of
+from .tasks import WORLDS, chosen, scenario_of
 
 ACTIONS = ("motion", "forces", "progress", "cycle")
 OBSERVATIONS = ("parts", "image")
@@ -39,8 +39,8 @@ GAP = 0.5
 """Least distance of the rims of two parts on their way, in `progress` [part radii]."""
 
 OUT_M, FASTEST_MPS, NEVER_S = 0.05, 2.0, 1000.0
-"""Bounds of `parts`: how far beyond the plate's edges [m], how fast [m/s], and how long ago a part was
-seen that never was [s]."""
+"""Bounds of `parts`: how far beyond the plate's edges [m], how fast [m/s], and how long ago a part
+was seen that never was [s]."""
 
 LEAST_WAY_M = 0.01
 """A task with less of a way counts as one with so much, in rewards [m]."""
@@ -105,7 +105,7 @@ class Plate:
         self.dropped, self.to_go_m, self.first_m = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
         self.image = np.zeros(shared.image_shape, np.uint8)
-        self.bare: np.ndarray | None = None
+        self.bare = np.zeros(0)
         self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
         state = self.simulation.state
         none = np.zeros_like(state.position)
@@ -222,16 +222,16 @@ class Plates:
         chosen("observation", observation, dict.fromkeys(OBSERVATIONS))
         if observation == "image" and action not in ("motion", "cycle"):
             raise PlateError(
-                f"action is {action!r} with images, allowed: motion, cycle (the others are of parts "
-                "that are known by name)"
+                f"action is {action!r} with images, allowed: motion, cycle (the others are of "
+                "parts that are known by name)"
             )
         self.world = chosen("world", world, WORLDS)
         self.scenario, self.rig = scenario_of(task)
         self.action, self.observation = action, observation
         self.judge, self.motions = Judge(self.scenario.task, self.rig), Motions(self.rig)
         types = [self.rig.part_type(label) for label in self.scenario.labels]
-        self.friction_limit = np.array([t.mu * (t.mass_kg or 0.0) for t in types])
-        self.friction_limit *= self.rig.friction.gravity
+        mu, mass = (np.array([getattr(t, k) for t in types], float) for k in ("mu", "mass_kg"))
+        self.friction_limit = mu * mass * self.rig.friction.gravity
         self.reach_m = np.array([t.reach_m for t in types])
         self.turned = any(t.symmetry for t in types)
         high = np.array([*(self.rig.plate.half + OUT_M), FASTEST_MPS, FASTEST_MPS, np.pi, NEVER_S])
@@ -251,8 +251,8 @@ class Plates:
             plate = self.plates[row]
             plate.to_go_m, plate.first_m = to_go, max(to_go, LEAST_WAY_M)
         info = self._info(rows, score)
-        bare = [self.plates[row].bare for row in rows]
-        return info if bare[0] is None else info | {"bare_images": np.stack(bare)}
+        bare = [plate.bare for row in rows if len((plate := self.plates[row]).bare)]
+        return info | {"bare_images": np.stack(bare)} if bare else info
 
     def step(self, rows: Sequence[int], actions: Sequence[Any]) -> Step:
         """Let a cycle pass on some plates."""

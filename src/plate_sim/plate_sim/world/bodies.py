@@ -142,7 +142,11 @@ class Shapes(NamedTuple):
         bodies[:, 1] = discs[2] = 1.0
         bodies[:count, 0] = discs[0, :count] = mu_g
         bodies[:count, 1:6] = disc.inertial
-        discs[1, :count], discs[2, :count], discs[3, :count] = disc.radius * disc.radius, disc.gyration2, 1.0
+        discs[1, :count], discs[2, :count], discs[3, :count] = (
+            disc.radius * disc.radius,
+            disc.gyration2,
+            1.0,
+        )
         return cls(bodies, discs, *NO_POINTS)
 
 

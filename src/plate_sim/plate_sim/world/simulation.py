@@ -67,8 +67,8 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sight:
-    """What an image shows: the place (M, 2) [m, plate_home] and angle (M,) [rad] of each part, which
-    of them are `seen` (M,), and the places (F, 2) of false parts."""
+    """What an image shows: place (M, 2) [m, plate_home] and angle (M,) [rad] of each part, which of
+    them are `seen` (M,), and the places (F, 2) of false parts [m]."""
 
     position: np.ndarray
     angle: np.ndarray

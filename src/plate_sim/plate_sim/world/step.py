@@ -102,9 +102,10 @@ def _run(
 
 def moved(state: WorldState, path: BodyTrajectory) -> WorldState:
     """Return the parts at the end of their paths."""
-    end = (getattr(path, name)[-1].copy() for name in ("position", "velocity"))
-    turned = (getattr(path, name)[-1].copy() for name in ("angle", "spin"))
-    return WorldState(state.ids, *end, path.on_plate, *turned)
+    position, velocity, angle, spin = (
+        getattr(path, name)[-1].copy() for name in ("position", "velocity", "angle", "spin")
+    )
+    return WorldState(state.ids, position, velocity, path.on_plate, angle, spin)
 
 
 def run_together(
