@@ -184,7 +184,7 @@ def line(task: str, found: dict[str, Any]) -> str:
     took = f"{found['time_s']:6.1f} s" if "time_s" in found else "     - s"
     return (
         f"{task:12s} {100 * found['success']:4.0f} % ({low:.0f} to {high:.0f})  {took}  return "
-        f"{found['return']:6.2f}  dropped {found['dropped']}  {found['decision_ms']:.1f} ms/decision"
+        f"{found['return']:6.2f}  dropped {found['dropped']}  {found['decision_ms']:.1f} ms each"
     )
 
 

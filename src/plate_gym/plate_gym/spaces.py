@@ -28,6 +28,10 @@ class CycleSpace(spaces.Space):
         """Whether it is a motion."""
         return isinstance(x, PlateCycle)
 
+    def __repr__(self) -> str:
+        """Its name."""
+        return "CycleSpace"
+
     @property
     def is_np_flattenable(self) -> bool:
         """It cannot be made a row of numbers."""

@@ -135,18 +135,15 @@ class Shapes(NamedTuple):
 
     @classmethod
     def _alike(cls, disc: Footprint, mu_g: np.ndarray) -> Shapes:
-        """Return the same of discs that are all alike, ten times as fast."""
+        """Return the same of discs that are all alike, in a fraction of the time."""
         count = len(mu_g)
         lanes = ceil(count / LANES) * LANES
         bodies, discs = np.zeros((lanes + 1, 10)), np.zeros((4, lanes))
         bodies[:, 1] = discs[2] = 1.0
         bodies[:count, 0] = discs[0, :count] = mu_g
         bodies[:count, 1:6] = disc.inertial
-        discs[1, :count], discs[2, :count], discs[3, :count] = (
-            disc.radius * disc.radius,
-            disc.gyration2,
-            1.0,
-        )
+        discs[1, :count] = disc.radius * disc.radius
+        discs[2, :count], discs[3, :count] = disc.gyration2, 1.0
         return cls(bodies, discs, *NO_POINTS)
 
 
