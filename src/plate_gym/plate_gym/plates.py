@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -49,24 +48,6 @@ ROUNDING_S = 1e-6
 """Sums of periods that differ by less are the same [s]."""
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What is known of M parts, and when it was seen.
-
-    Attributes
-    ----------
-    position, velocity : (M, 2)
-        Places [m], and drift from the sighting before [m/s].
-    angle, time : (M,)
-        [rad], [s].
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    angle: np.ndarray
-    time: np.ndarray
-
-
 class Step(NamedTuple):
     """What a cycle has brought on N plates.
 
@@ -107,9 +88,9 @@ class Plate:
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
-        state = self.simulation.state
-        none = np.zeros_like(state.position)
-        self.seen = Seen(none, none, state.angle * 0, np.full(len(none), -np.inf))
+        # x, y, drift along x and y, angle, time: as the parts were seen last
+        self.seen = np.zeros((len(self.simulation.state.ids), 6))
+        self.seen[:, 5] = -np.inf
         if shared.observation == "image" and shared.rig.types:
             bare = [self.simulation.capture_bare() for _ in range(BARE_IMAGES)]
             self.bare = np.stack(bare)
@@ -130,15 +111,17 @@ class Plate:
         """What is seen: see `observation_space`."""
         if self._shared.observation == "image":
             return self.image
-        seen = self.seen
-        age = np.minimum(self.time - seen.time, NEVER_S)
-        all_ = np.column_stack([seen.position, seen.velocity, seen.angle, age])
-        return np.clip(all_, *self._shared.bounds)
+        result = self.seen.copy()
+        result[:, 5] = np.minimum(self.time - result[:, 5], NEVER_S)
+        return np.clip(result, *self._shared.bounds, out=result)
 
     def begin(self, cycle: PlateCycle) -> None:
         """Take in that the cycle that ran has ended, and begin the next."""
         self.time += self._playback.cycle.period
-        self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
+        if self._shared.action == "motion":  # from rest to rest
+            self._playback = Playback(cycle)
+        else:
+            self._playback = next_playback(self._playback, cycle, HOLD_CYCLES, IDLE_S)
         self._look()
 
     def answer(self, action: Any) -> PlateCycle:
@@ -157,8 +140,8 @@ class Plate:
 
     def _parts(self) -> Parts:
         """The parts as they were seen last."""
-        seen, names = self.seen, self.simulation.state.ids
-        return Parts.make(names, seen.position, seen.velocity, seen.angle)
+        seen = self.seen
+        return Parts.make(self.simulation.state.ids, seen[:, :2], seen[:, 2:4], seen[:, 4])
 
     def _forces(self, action: np.ndarray) -> Wanted:
         """Return what (M, 2), in mu m g, asks for."""
@@ -166,12 +149,11 @@ class Plate:
 
     def _progress(self, action: np.ndarray) -> Wanted:
         """Return what places, weights, and angles with their weights, (M, 3) or (M, 5), ask for."""
-        rig, seen = self._shared.rig, self.seen
+        rig, angle = self._shared.rig, self.seen[:, 4]
         place, weight = action[:, :2] * rig.plate.half, np.repeat(np.abs(action[:, 2:3]), 2, axis=1)
         angles = None
         if action.shape[1] == 5:
-            missing = (np.pi * action[:, 3] - seen.angle + np.pi) % (2 * np.pi) - np.pi
-            goal = seen.angle + missing
+            goal = angle + (np.pi * action[:, 3] - angle + np.pi) % (2 * np.pi) - np.pi
             angles = AngleTargets(goal, goal, np.abs(action[:, 4]) * self._shared.reach_m)
         gap = GAP * rig.parts.radius_m
         return Wanted.make(self._parts(), targets=Targets(place, place, weight, gap, angles))
@@ -187,16 +169,12 @@ class Plate:
             return
         before, rows = self.seen, sight.seen & self.simulation.state.on_plate
         noise = self._noise.standard_normal((len(rows), 3))
-        place = sight.position + CENTRE_NOISE_M * noise[:, :2]
-        turned = sight.angle + ANGLE_NOISE * noise[:, 2]
-        since = self.time - before.time
-        drift = np.where(np.isfinite(since), 1 / since, 0.0)[:, None] * (place - before.position)
-        self.seen = Seen(
-            np.where(rows[:, None], place, before.position),
-            np.where(rows[:, None], drift, before.velocity),
-            np.where(rows, (turned + np.pi) % (2 * np.pi) - np.pi, before.angle),
-            np.where(rows, self.time, before.time),
-        )
+        now = np.empty_like(before)
+        now[:, :2] = sight.position + CENTRE_NOISE_M * noise[:, :2]
+        now[:, 2:4] = (now[:, :2] - before[:, :2]) / (self.time - before[:, 5:])
+        now[:, 4] = (sight.angle + ANGLE_NOISE * noise[:, 2] + np.pi) % (2 * np.pi) - np.pi
+        now[:, 5] = self.time
+        self.seen = np.where(rows[:, None], now, before)
 
 
 class Plates:

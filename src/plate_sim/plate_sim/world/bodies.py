@@ -21,7 +21,7 @@ from plate_core import PlateCycle, PlateError
 
 from .. import _kernels
 from ..contacts import INELASTIC, Contacts
-from ..friction.checks import check_motion, for_each, friction_accel, pairs, whole
+from ..friction.checks import LARGEST, check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
 from ..friction.step import BODY, LANES
 from ..plate.ground import LEVEL, Ground
@@ -345,7 +345,14 @@ def _columns(
     position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
 ) -> np.ndarray:
     """Return states (M, 6), checked."""
-    position = pairs("position", position)
+    count = len(position)
+    if np.shape(position) == np.shape(velocity) == (count, 2):
+        if np.shape(angle) == np.shape(spin) == (count,):
+            state = np.empty((count, 6))
+            state[:, :2], state[:, 2], state[:, 3:5], state[:, 5] = position, angle, velocity, spin
+            if np.abs(state).max(initial=0.0) <= LARGEST:
+                return state
+    position = pairs("position", position)  # says what is wrong
     count = len(position)
     velocity = pairs("velocity", velocity, count)
     angle, spin = for_each("angle", angle, count), for_each("spin", spin, count)
