@@ -1,4 +1,4 @@
-"""How many cycles a second environments do, one plate and many at once: `python -m plate_gym.speed`."""
+"""How many cycles a second environments do, one and many at once: `python -m plate_gym.speed`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Environments against Gymnasium's own checks, the loop without ROS, and the rules they state."""
 
+import re
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -273,3 +275,27 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
     assert usage(load_rig(), info["running"]).overall <= 1
     with pytest.raises(PlateError, match="action is int, allowed: CycleSpace"):
         env.step(3)
+
+
+def test_the_guide_is_right(capsys):
+    """Its programs run, and its table of environments says what their scenarios say."""
+    from plate_gym.tasks import TASKS, scenario_of
+
+    page = (Path(__file__).resolve().parents[3] / "docs/guide/gym.md").read_text(encoding="utf-8")
+    scope: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.S):
+        exec(block, scope)
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("True ")
+    assert float(first.split()[1]) < 8
+    assert second.startswith("(64, 10, 6) ")
+    own = scope["plate_gym"].PlateEnv("Sort4-v1")
+    seen, info = own.reset(seed=0)
+    assert own.action_space.contains(scope["Agent"](own, 0).act(seen, info))
+    assert set(info) <= set(re.findall(r"`(\w+)`", page))
+    table = page[page.index("| environment |") : page.index("A name never")]
+    for name in TASKS:
+        scenario, _ = scenario_of(name)
+        (row,) = [line for line in table.splitlines() if f"{name.removesuffix('-v1')}" in line]
+        assert f"{scenario.task.hold_s:.1f} |" in row
+        assert f"{scenario.time_limit_s:.0f}" in row.rsplit("|", 2)[1]

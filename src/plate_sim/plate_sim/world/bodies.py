@@ -346,12 +346,12 @@ def _columns(
 ) -> np.ndarray:
     """Return states (M, 6), checked."""
     count = len(position)
-    if np.shape(position) == np.shape(velocity) == (count, 2):
-        if np.shape(angle) == np.shape(spin) == (count,):
-            state = np.empty((count, 6))
-            state[:, :2], state[:, 2], state[:, 3:5], state[:, 5] = position, angle, velocity, spin
-            if np.abs(state).max(initial=0.0) <= LARGEST:
-                return state
+    pairs_are = np.shape(position) == np.shape(velocity) == (count, 2)
+    if pairs_are and np.shape(angle) == np.shape(spin) == (count,):
+        state = np.empty((count, 6))
+        state[:, :2], state[:, 2], state[:, 3:5], state[:, 5] = position, angle, velocity, spin
+        if np.abs(state).max(initial=0.0) <= LARGEST:
+            return state
     position = pairs("position", position)  # says what is wrong
     count = len(position)
     velocity = pairs("velocity", velocity, count)

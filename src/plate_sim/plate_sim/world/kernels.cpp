@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <thread>
+#include <typeinfo>
 #include <utility>
 #include <vector>
 
@@ -95,7 +96,11 @@ auto run_with(Job (*make)(Arguments...)) {
 template <class... Arguments, size_t... At>
 Job unpacked(const nb::tuple& call, Job (*make)(Arguments...), std::index_sequence<At...>) {
     require(call.size() == sizeof...(At), "run_many: a call has another number of arguments");
-    return make(nb::cast<Arguments>(call[At], false)...);
+    try {
+        return make(nb::cast<Arguments>(call[At], false)...);
+    } catch (const std::bad_cast&) {
+        throw nb::type_error("run_many: an argument has another type or shape");
+    }
 }
 
 // The calls of `run` in a list, on several cores: all are checked before the first begins.
