@@ -122,7 +122,7 @@ def test_our_agent_does_what_the_loop_does(gym, task):
     seen, info = env.reset(seed=3)
     agent = kind(env, 3)
     moved = 0
-    for moment in islice(run(Setup(gym.TASKS[task][0], 3)), 5):
+    for moment in islice(run(Setup(gym.TASKS[task][0], 3)), 4):
         assert np.array_equal(seen, moment.image)
         true = env.plates.plates[0].simulation.state.position
         assert true == pytest.approx(moment.world.position, abs=1e-12)
@@ -130,7 +130,7 @@ def test_our_agent_does_what_the_loop_does(gym, task):
         assert np.array_equal(cycle.knot_pose, moment.answer.cycle.knot_pose)
         moved += cycle.moves
         seen, *_, info = env.step(cycle)
-    assert moved >= 2
+    assert moved >= 1
 
 
 def test_motions_keep_the_limits_and_use_them(gym):
