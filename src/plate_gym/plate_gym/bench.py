@@ -196,7 +196,14 @@ def check(result: dict[str, Any], tell: Callable[[str], None] = lambda text: Non
     list of str
         What differs, but for computing times; empty if nothing does. A digest of places also
         differs between machines whose libraries compute other last bits.
+
+    Raises
+    ------
+    PlateError
+        If it is no result of `evaluate`, or its agent is not here.
     """
+    if lacking := [key for key in ("agent", "world", "tasks") if key not in result]:
+        raise PlateError(f"result has no {', '.join(lacking)}, allowed: what evaluate returns")
     wrong = []
     for task, claimed in result["tasks"].items():
         rows = claimed["rows"]
@@ -206,7 +213,7 @@ def check(result: dict[str, Any], tell: Callable[[str], None] = lambda text: Non
         again = summary(rows)
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary is not that of its rows")
-        picks = np.random.default_rng(len(rows)).permutation(len(rows))[:CHECKED]
+        picks = np.random.default_rng().permutation(len(rows))[:CHECKED]  # nobody knows which
         for row in (rows[k] for k in sorted(picks)):
             true = episode(result["agent"], result["world"], task, row["seed"])
             wrong += [
@@ -261,7 +268,10 @@ def main() -> int:
         result = evaluate(args.agent, tasks, args.seeds, args.world, max(args.workers, 1), print)
         if args.json:
             args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    except (PlateError, OSError, ValueError, KeyError) as error:
+    except json.JSONDecodeError as error:
+        print(f"error: {args.check} is no JSON: {error}", file=sys.stderr)
+        return 2
+    except (PlateError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

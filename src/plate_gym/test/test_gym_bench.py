@@ -117,3 +117,51 @@ def test_the_other_agents_act(bench, name):
         seen, *_, info = env.step(agent.act(seen, info))
     assert info["limit_share"] > 0.9
     assert name != "A" or info["to_go_m"] < 0.9 * way
+
+
+def ended(main):
+    """With which code a program has ended, by itself or by its parser."""
+    try:
+        return main()
+    except SystemExit as end:
+        return end.code
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
+        (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
+        (["--check", "text.json"], 2, "error: text.json is no JSON: "),
+        (["--check", "empty.json"], 2, "error: result has no agent, world, tasks, allowed: "),
+        (["--check", "false.json"], 1, "Sort4-v1, seed 0: dropped is 1, again: 0"),
+        (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
+    ],
+)
+def test_the_command_says_what_is_wrong(
+    bench, result, words, code, told, tmp_path, monkeypatch, capsys
+):
+    rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
+    monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
+    false = copy.deepcopy(result)
+    false["tasks"]["Sort4-v1"]["rows"][0]["dropped"] = 1
+    for name, text in (("text", "..."), ("empty", "{}"), ("false", json.dumps(false))):
+        (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["bench", *words])
+    assert ended(bench.main) == code
+    said = capsys.readouterr()
+    assert told in said.out + said.err
+
+
+def test_the_speed_of_each_size_is_told(monkeypatch, capsys):
+    from plate_gym import speed
+
+    for name in ("CYCLES", "MANY"):
+        monkeypatch.setattr(speed, name, 2)
+    monkeypatch.setattr(speed, "TASKS", ("Sort4-v1",))
+    monkeypatch.setattr(sys, "argv", ["speed"])
+    assert speed.main() == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in lines[1:3]] == [["Sort4-v1", "1"], ["Sort4-v1", "2"]]
+    assert all(float(number) > 0 for line in lines[1:] for number in line.split()[3:])
