@@ -5,7 +5,6 @@ line.
 """
 
 from harness.cache import Cache
-from harness.intervals import of_median, of_share, share
 from harness.measurements import LONG, MEASUREMENTS, is_done, read, run_all
 from harness.pool import cluster, parallel, processes, resumed
 from harness.race import LEAST_ROUNDS, Race, cpu_time, race
@@ -22,6 +21,7 @@ from harness.result import (
     text_table,
     write,
 )
+from plate_core.intervals import of_median, of_share, share
 
 __all__ = [
     "LEAST_ROUNDS",

@@ -50,7 +50,15 @@ from plate_planner import (
     PlannerState,
     Progress,
 )
-from plate_planner.tasks import Assembler, FeedReport, Follower, Poser, Sorter
+from plate_planner.tasks import (
+    SIGHT_M,
+    SIGHT_RAD,
+    Assembler,
+    FeedReport,
+    Follower,
+    Poser,
+    Sorter,
+)
 from plate_sim.camera import NOISE
 from plate_sim.plate import PlateMotion, Playback, next_playback
 from plate_sim.world import NONE, WORLD_RANGES, Disturbances, Simulation, WorldState
@@ -65,9 +73,6 @@ __all__ = [
 
 EFFORT = ("iterations", "restarts")
 """Options of the solvers that make an answer take longer, and better."""
-
-SIGHT_M, SIGHT_RAD = 3e-4, 0.01
-"""A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
 
 MOMENT_S = 1e-6
 """Least time that passes between two events [s]."""

@@ -30,6 +30,52 @@ def blank(simulation, rig=RIG, noise=0.0):
     return lambda position, pose: camera.render(position, grey, np.random.default_rng(0), pose=pose)
 
 
+def test_plates_together_do_as_each_alone():
+    """To the last bit, whatever the world, and however many cores there are."""
+    worlds = [NONE, Disturbances(friction_patches=0.3, tilt_x=0.01), Disturbances(latency=0.05)]
+    for name in ("sort_4", "sort_mixed"):
+        scenario = load_scenario(name)
+        rig = load_rig(scenario.rig)
+        alone, few, many = (
+            [Simulation(rig, scenario, k, world) for k, world in enumerate(worlds)]
+            for _ in range(3)
+        )
+        for turn in range(3):
+            cycles = [shaking(0.1 + 0.02 * k, seed=10 * turn + k) for k in range(3)]
+            for simulation, cycle in zip(alone, cycles, strict=True):
+                simulation.run(cycle)
+            Simulation.run_together(few, cycles, threads=1)
+            Simulation.run_together(many, cycles, threads=4)
+        for one, *others in zip(alone, few, many, strict=True):
+            assert np.ptp(one.state.velocity) > 0
+            for other in others:
+                for field in ("position", "velocity", "angle", "spin", "on_plate"):
+                    assert np.array_equal(getattr(one.state, field), getattr(other.state, field))
+
+
+def test_a_sight_is_what_an_image_shows():
+    """The same parts are hidden, the same false ones there, as late."""
+    world = Disturbances(missed_parts=0.3, false_parts=0.3, latency=0.05, blur=False)
+    drawn, told = (Simulation(RIG, SORT_4, 3, world, noise=0.0) for _ in range(2))
+    hidden = false = 0
+    for turn in range(6):
+        for simulation in (drawn, told):
+            simulation.run(shaking(seed=turn))
+        image, sight = drawn.capture(), told.sight()
+        places = np.vstack([sight.position[sight.seen], sight.false])
+        at = np.rint(to_image(RIG, places)).astype(int)
+        bare = drawn.capture_bare().astype(float)
+        dark = bare - image
+        assert np.all(dark[at[:, 1], at[:, 0]] > 20)
+        for x, y in at:
+            dark[y - 14 : y + 15, x - 14 : x + 15] = 0
+        inside = dark[115:365, 60:580]  # the plate's edges were elsewhere
+        assert np.max(np.abs(inside)) < 5  # nothing else is there
+        hidden, false = hidden + np.sum(~sight.seen), false + len(sight.false)
+    assert hidden > 2
+    assert false > 2
+
+
 @pytest.mark.parametrize("setting", [{"noise": -5.0}, {"noise": np.nan}, {"mu_scale": 0.0}])
 def test_a_setting_out_of_range_is_refused(setting):
     with pytest.raises(PlateError, match=f"{next(iter(setting))} is .*, allowed: 0"):

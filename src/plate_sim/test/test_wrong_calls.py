@@ -66,6 +66,21 @@ def test_a_run_of_parts_refuses(name, wrong):
         _kernels.run(**{**run_arguments(), name: wrong})
 
 
+@pytest.mark.parametrize(("name", "wrong"), [("table", np.zeros((1, 23))), ("here", np.ones(2))])
+def test_many_runs_refuse_what_one_refuses(name, wrong):
+    """Before any of them has begun."""
+    right = run_arguments()
+    right["table"][0, 8] = 1.0  # along x
+    before = right["state"].copy()
+    calls = [tuple(right.values()), tuple({**run_arguments(), name: wrong}.values())]
+    with pytest.raises((TypeError, ValueError)):
+        _kernels.run_many(calls, 2)
+    with pytest.raises(ValueError, match="another number of arguments"):
+        _kernels.run_many([calls[0], ()], 2)
+    assert np.array_equal(right["state"], before)
+    assert _kernels.run_many(calls[:1], 2) == [(-1, -1, 0.0, 0.0)]
+
+
 def part_arguments():
     """A square with a hole, in the order of the kernel."""
     edges = np.tile([[1.0, 0, 1], [0, 1, 1], [-1, 0, 1], [0, -1, 1]], (2, 1))

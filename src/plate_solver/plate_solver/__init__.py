@@ -6,7 +6,7 @@ Public: the names below and those of the chapters: `maps`, `fit`, `sinusoids`, `
 
 from .analysis import Manipulability, library_force, manipulability, manipulability_map
 from .controller import DRIFT_TOLERANCE, EFFORT, EXACT_MISS, METHODS, Answer, Controller
-from .limits import Limits
+from .limits import EQUAL_WEIGHT, Limits, limit_use
 from .maps import average_force
 from .rehearsal import Rehearsal, Verdict, judge_task, rehearse
 from .requests import Goal, Solution, Status
@@ -16,6 +16,7 @@ from .sinusoids.solver import SinusoidSolver
 __all__ = [
     "DRIFT_TOLERANCE",
     "EFFORT",
+    "EQUAL_WEIGHT",
     "EXACT_MISS",
     "METHODS",
     "Answer",
@@ -32,6 +33,7 @@ __all__ = [
     "average_force",
     "judge_task",
     "library_force",
+    "limit_use",
     "manipulability",
     "manipulability_map",
     "rehearse",

@@ -18,10 +18,13 @@ from .move import MoveMemory, Mover
 from .pose import PoseMemory, Poser
 from .sort import Sorter
 from .targets import CROWD
-from .task import Assessment, DriftRequest, Situation, TaskRules
-
+from .task import SIGHT_M, SIGHT_RAD, Assessment, DriftRequest, Situation, TaskRules
+    "SIGHT_M",
 __all__ = [
+    "SIGHT_RAD",
+from .task import Assessment, DriftRequest, Situation, TaskRules
     "CROWD",
+
     "SLOWED",
     "Assembler",
     "Assessment",

@@ -10,6 +10,9 @@ import numpy as np
 from plate_core import Parts, Rig, Targets, part_class
 from plate_core.tasks import Scenario
 
+SIGHT_M, SIGHT_RAD = 3e-4, 0.01
+"""A task is judged by what the camera sees: the truth may differ by so much [m, rad]."""
+
 NEARER_M = 0.002
 """What counts as nearer to the goal, summed over parts [m]: more than the camera's noise."""
 

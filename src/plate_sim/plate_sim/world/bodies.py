@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from plate_core import PlateCycle, PlateError
 
 from .. import _kernels
 from ..contacts import INELASTIC, Contacts
-from ..friction.checks import check_motion, for_each, friction_accel, pairs, whole
+from ..friction.checks import LARGEST, check_motion, for_each, friction_accel, pairs, whole
 from ..friction.footprint import Footprint
 from ..friction.step import BODY, LANES
 from ..plate.ground import LEVEL, Ground
@@ -36,6 +36,9 @@ SAMPLES = 64
 
 START_OVERLAP = 0.1
 """Greatest overlap at the start, as a share of half the slimmer part's width."""
+
+NO_POINTS = np.zeros((7, 0)), np.empty((0, 2), np.int64), np.empty((0, 5))
+"""Mesh, pieces and corners of discs alone."""
 
 ENDLESS = np.full(2, np.inf)
 """Half sides of an endless plate [m]."""
@@ -103,14 +106,13 @@ class Shapes(NamedTuple):
     def of(cls, footprints: Sequence[Footprint], mu_g: np.ndarray) -> Shapes:
         """Put footprints one after the other, of parts with mu g of `mu_g` (M,) [m/s2]."""
         count = len(footprints)
+        first = footprints[0] if count else None
+        if first is not None and first.even and all(part is first for part in footprints):
+            return cls._alike(first, mu_g)
         bodies = np.zeros(ceil(count / LANES) * LANES + 1, BODY)
         bodies["gyration2"] = 1.0
         mesh, corners, pieces = [np.empty((0, 4))], [np.empty((0, 5))], [np.empty((0, 2), np.int64)]
         point = piece = corner = 0
-        first = footprints[0] if count else None
-        if first is not None and first.even and all(part is first for part in footprints):
-            bodies[:count] = (0.0, *first.inertial, 0, 0, 0, 0)
-            footprints = ()
         for i, part in enumerate(footprints):
             outline = () if part.radius else part.outline
             bodies[i] = (
@@ -130,6 +132,19 @@ class Shapes(NamedTuple):
             bodies.view(float).reshape(-1, 10), np.ascontiguousarray(discs[:, :-1]), points,
             np.concatenate(pieces), np.concatenate(corners),
         )  # fmt: skip
+
+    @classmethod
+    def _alike(cls, disc: Footprint, mu_g: np.ndarray) -> Shapes:
+        """Return the same of discs that are all alike, in a fraction of the time."""
+        count = len(mu_g)
+        lanes = ceil(count / LANES) * LANES
+        bodies, discs = np.zeros((lanes + 1, 10)), np.zeros((4, lanes))
+        bodies[:, 1] = discs[2] = 1.0
+        bodies[:count, 0] = discs[0, :count] = mu_g
+        bodies[:count, 1:6] = disc.inertial
+        discs[1, :count] = disc.radius * disc.radius
+        discs[2, :count], discs[3, :count] = disc.gyration2, 1.0
+        return cls(bodies, discs, *NO_POINTS)
 
 
 def simulate_bodies(
@@ -238,73 +253,110 @@ def run_bodies(
     ids : sequence of str, optional
         Names of the parts in messages, by default 0, 1, ...
     """
+    job = job_of(
+        motion, footprint, limit, start, on_plate, gravity, contacts, ground, half, steps, cycles,
+        every, ids,
+    )  # fmt: skip
+    return job.outcome(_kernels.run(*job.arguments))
+
+
+class Job(NamedTuple):
+    """A call of the kernel, and what is needed to read its outcome.
+
+    Attributes
+    ----------
+    arguments : tuple
+        Of `_kernels.run`.
+    order : (M,)
+        Which part each of the kernel's is.
+    names : sequence
+        Of the parts, in messages.
+    """
+
+    arguments: tuple
+    order: np.ndarray
+    names: Sequence[Any]
+
+    def outcome(self, overlap: tuple[int, int, float, float]) -> BodyTrajectory:
+        """Return what has become of the parts, if the kernel found no overlap.
+
+        Parameters
+        ----------
+        overlap : i, j, depth, share
+            Parts that overlap most at the start, by how much [m], and as a share of the slimmer
+            one: if that is more than `START_OVERLAP` nothing has moved.
+        """
+        i, j, depth, share = overlap
+        if share > START_OVERLAP:
+            first, second = sorted(str(self.names[self.order[k]]) for k in (i, j))
+            raise PlateError(
+                f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
+                f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
+            )
+        table, steps, cycles, every = self.arguments[:4]
+        state, here, record = self.arguments[7], *self.arguments[-2:]
+        back = np.argsort(self.order)
+        period = table[-1, 1]
+        if not len(record):
+            end = state[:, back].T[None]
+            return BodyTrajectory.of_states(np.array([period * cycles]), end, here[back])
+        time = np.arange(len(record)) * (period / steps * every)
+        return BodyTrajectory.of_states(time, record[:, back], here[back])
+
+
+def job_of(
+    motion: PlateCycle | PlateMotion,
+    footprint: Footprint | Sequence[Footprint],
+    limit: np.ndarray,
+    start: tuple[np.ndarray, float | np.ndarray, np.ndarray, float | np.ndarray],
+    on_plate: np.ndarray,
+    gravity: float,
+    contacts: Contacts | None,
+    ground: Ground,
+    half: np.ndarray,
+    steps: int,
+    cycles: int,
+    every: int,
+    ids: Sequence[str] | None,
+) -> Job:
+    """Return the call that `run_bodies` makes, all checked."""
     check_motion(motion, cycles)
-    position = pairs("position", start[0])
-    count = len(position)
-    names = [str(i) for i in range(count)] if ids is None else list(ids)
-    velocity = pairs("velocity", start[2], count)
-    angle, spin = for_each("angle", start[1], count), for_each("spin", start[3], count)
+    started = _columns(*start)
+    count = len(started)
     parts = [footprint] * count if isinstance(footprint, Footprint) else list(footprint)
     if len(parts) != count or not all(isinstance(part, Footprint) for part in parts):
         raise PlateError(f"footprint is a list of {len(parts)}, allowed: {count} Footprints, or 1")
-    order = np.lexsort((position[:, 1], position[:, 0]))
+    order = np.lexsort((started[:, 1], started[:, 0]))
     shapes = Shapes.of([parts[i] for i in order], limit[order])
     state = np.zeros((6, len(shapes.bodies)))
-    state[:, :count] = np.column_stack([position, angle, velocity, spin])[order].T
+    state[:, :count] = started[order].T
     here = np.array(on_plate, bool)[order]
     record = np.empty((cycles * steps // every + 1 if every else 0, count, 6))
-    i, j, depth, share = run(
-        tabulate(motion)[0], steps, cycles, max(every, 1), ground.effect(gravity), state, shapes,
-        contacts, np.asarray(half, float), here, record,
-    )  # fmt: skip
-    if share > START_OVERLAP:
-        first, second = sorted((names[order[i]], names[order[j]]))
-        raise PlateError(
-            f"parts {first} and {second} overlap by {1e3 * depth:.3g} mm, "
-            f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
-        )
-    back = np.argsort(order)
-    if not every:
-        record = state[:, :count].T[None]
-        return BodyTrajectory.of_states(
-            np.array([motion.period * cycles]), record[:, back], here[back]
-        )
-    time = np.arange(len(record)) * (motion.period / steps * every)
-    return BodyTrajectory.of_states(time, record[:, back], here[back])
-
-
-def run(table, steps, cycles, every, ground, state, shapes, contacts, half, here, record):
-    """Advance parts through cycles of the plate, in place.
-
-    Parameters
-    ----------
-    table, steps, cycles : (K, 24), int, int
-        The plate's motion as `pieces.tabulate` makes it; equal steps in a cycle; cycles.
-    every : int
-        Steps from one recorded state to the next.
-    ground : GroundEffect
-    state : (6, P)
-        As in `friction.step`; changed.
-    shapes : Shapes
-    contacts : Contacts or None
-    half : (2,)
-        Half sides of the plate [m]; infinite if it is endless.
-    here : (M,)
-        Which parts are on the plate; changed.
-    record : (cycles * steps // every + 1, M, 6) or (0, M, 6)
-        Filled, unless empty.
-
-    Returns
-    -------
-    i, j, depth, share : int, int, float, float
-        Parts that overlap most at the start, by how much [m], and as a share of the slimmer one: if
-        that is more than `START_OVERLAP` nothing has moved.
-    """
     touch = contacts or INELASTIC
-    return _kernels.run(
-        table, steps, cycles, every, *ground, state, *shapes, touch.restitution, touch.friction,
-        contacts is not None, touch.walls, START_OVERLAP, half, here, record,
+    arguments = (
+        tabulate(motion)[0], steps, cycles, max(every, 1), *ground.effect(gravity), state, *shapes,
+        touch.restitution, touch.friction, contacts is not None, touch.walls, START_OVERLAP,
+        np.asarray(half, float), here, record,
     )  # fmt: skip
+    return Job(arguments, order, range(count) if ids is None else ids)
+
+
+def _columns(
+    position: np.ndarray, angle: float | np.ndarray, velocity: np.ndarray, spin: float | np.ndarray
+) -> np.ndarray:
+    """Return states (M, 6), checked."""
+    count = len(position)
+    pairs_are = np.shape(position) == np.shape(velocity) == (count, 2)
+    if pairs_are and np.shape(angle) == np.shape(spin) == (count,):
+        state = np.empty((count, 6))
+        state[:, :2], state[:, 2], state[:, 3:5], state[:, 5] = position, angle, velocity, spin
+        if np.abs(state).max(initial=0.0) <= LARGEST:
+            return state
+    position = pairs("position", position)  # says what is wrong
+    count = len(position)
+    velocity = pairs("velocity", velocity, count)
+    angle, spin = for_each("angle", angle, count), for_each("spin", spin, count)
+    return np.column_stack([position, angle, velocity, spin])
 
 
 def equal_steps(time: float, step: float) -> int:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from plate_core.tasks import CLASSES, FeedTask, Scenario
 
 from ..camera import NOISE, Camera, Lighting, part_colours
 from ..contacts import INELASTIC, Contacts
+from ..friction.outline import footprint_of
 from ..plate import PlateMotion, PlateState, realise
 from .disturbances import NONE, Disturbances
 from .feeding import (
@@ -31,7 +33,7 @@ from .feeding import (
 from .friction_field import FrictionField
 from .history import History, Passage
 from .state import WorldState
-from .step import record_cycle, run_cycle
+from .step import record_cycle, run_cycle, run_together
 
 EXPOSURES, LONGEST_STEP_S = 5, 3e-3
 """Least number of times during an image at which parts and plate are looked up, and the greatest
@@ -61,6 +63,17 @@ class Shot:
     middle: float
     stamp: float
     delivered: float
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What an image shows: place (M, 2) [m, plate_home] and angle (M,) [rad] of each part, which of
+    them are `seen` (M,), and the places (F, 2) of false parts [m]."""
+
+    position: np.ndarray
+    angle: np.ndarray
+    seen: np.ndarray
+    false: np.ndarray
 
 
 class Simulation:
@@ -128,8 +141,7 @@ class Simulation:
         self.disturbances = disturbances
         self._rig, self._contacts = rig, contacts
         self._field = FrictionField.draw(disturbances, len(self.state.ids), field)
-        self._camera = Camera(rig, noise)
-        self._mu_scale = mu_scale
+        self._noise, self._mu_scale = noise, mu_scale
         self._marked = scenario.marked
         self._feed = scenario.task if isinstance(scenario.task, FeedTask) else None
         self._flow, self._time = Flow(), 0.0
@@ -144,8 +156,14 @@ class Simulation:
         """Look up what the parts are."""
         labels = [part_class(name) for name in self.state.ids]
         self._types = [self._rig.part_type(label) for label in labels]
+        self._footprints = [footprint_of(part) for part in self._types]
         self._grey = part_colours(self._types, self._rig.camera.colour)
         self._typed = any(label in self._rig.types for label in labels)
+
+    @cached_property
+    def _camera(self) -> Camera:
+        """Made for the first image: it takes as long as a hundred cycles."""
+        return Camera(self._rig, self._noise)
 
     @property
     def mu(self) -> np.ndarray:
@@ -164,7 +182,8 @@ class Simulation:
             If noise or mu_scale is out of range.
         """
         _check(noise=noise, mu_scale=mu_scale)
-        self.disturbances, self._mu_scale, self._camera.noise = disturbances, mu_scale, noise
+        self.disturbances, self._mu_scale, self._noise = disturbances, mu_scale, noise
+        self._camera.noise = noise
         self._field = replace(
             self._field, spread=disturbances.friction_spread, share=disturbances.friction_patches
         )
@@ -424,15 +443,12 @@ class Simulation:
         `age` is the time since the middle of its exposure [s]; if None its exposure began
         `latency` ago.
         """
-        missed = self._image_rng.random() < self.disturbances.missed_images
-        count = len(self._types)
-        hidden = self._part_rng.random(count) < self.disturbances.missed_parts
-        false = self._part_rng.binomial(count, self.disturbances.false_parts)
-        place = self._rig.plate.half * self._part_rng.uniform(-1, 1, (false, 2))
-        like = self._part_rng.choice(count, false)
-        if missed:
+        shown = self._chance()
+        if shown is None:
             return None
+        hidden, place, like = shown
         path, angle, seen, pose = self._view(age)
+        false = len(like)
         drawn = np.append(np.flatnonzero(seen & ~hidden), like)
         spots = np.broadcast_to(place, (len(path), false, 2))
         there = path[:, drawn[: len(drawn) - false]]
@@ -449,6 +465,28 @@ class Simulation:
             lighting=Lighting(self.disturbances.highlights, self.disturbances.shadows),
             gripper=self._robot_ago(self.disturbances.latency if age is None else age),
         )
+
+    def sight(self, age: float | None = None) -> Sight | None:
+        """Return what that image, in place of `capture`, would show to one who sees exactly."""
+        shown = self._chance()
+        if shown is None:
+            return None
+        hidden, place, _ = shown
+        path, angle, seen, _ = self._view(age)
+        return Sight(path[len(path) // 2], angle, seen & ~hidden, place)
+
+    def _chance(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Draw which parts an image hides (M,), the places (F, 2) of false ones [m], and which part
+        (F,) each looks like; None: the image is missed."""
+        count, world = len(self._types), self.disturbances
+        if not (world.missed_images or world.missed_parts or world.false_parts):
+            return np.zeros(count, bool), np.zeros((0, 2)), np.zeros(0, np.int64)
+        missed = self._image_rng.random() < self.disturbances.missed_images
+        hidden = self._part_rng.random(count) < self.disturbances.missed_parts
+        false = self._part_rng.binomial(count, self.disturbances.false_parts)
+        place = self._rig.plate.half * self._part_rng.uniform(-1, 1, (false, 2))
+        like = self._part_rng.choice(count, false)
+        return None if missed else (hidden, place, like)
 
     def capture_bare(self) -> np.ndarray:
         """Return an image (height, width) or (height, width, 3), uint8, of the bare plate at
@@ -491,6 +529,32 @@ class Simulation:
         self.state, run = record_cycle(self.state, motion, self._rig, mu, **world)
         plate = PlateMotion(motion.times, motion.coefficients)
         self._history = self._history.after(Passage(plate, run, self.state.on_plate), self._past)
+
+    @staticmethod
+    def run_together(
+        simulations: Sequence[Simulation], cycles: Sequence[PlateCycle], threads: int
+    ) -> None:
+        """Do what `run` does, on plates with one rig, in one call on several cores: the same to the
+        last bit."""
+        plain = []
+        for own, cycle in zip(simulations, cycles, strict=True):
+            if own._past or own._feed or own._taken or own._rig.suspension is not None:
+                own.run(cycle)
+            else:
+                plain.append((own, cycle))
+                own._time += cycle.period
+        if not plain:
+            return
+        worlds = [own for own, _ in plain]
+        gravity = worlds[0]._rig.friction.gravity
+        states = run_together(
+            [own.state for own in worlds], [cycle for _, cycle in plain],
+            [own._footprints for own in worlds], [own.mu * gravity for own in worlds],
+            worlds[0]._rig, worlds[0]._contacts, [own.disturbances.ground for own in worlds],
+            threads,
+        )  # fmt: skip
+        for own, state in zip(worlds, states, strict=True):
+            own.state = state
 
     @property
     def _past(self) -> float:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig, part_class
 
+from .. import _kernels
 from ..contacts import INELASTIC, Contacts
 from ..friction.checks import friction_accel
+from ..friction.footprint import Footprint
 from ..friction.outline import footprint_of
 from ..plate import LEVEL, Ground, PlateMotion
-from .bodies import STEP, BodyTrajectory, equal_steps, run_bodies
+from .bodies import STEP, BodyTrajectory, equal_steps, job_of, run_bodies
 from .state import WorldState
 
 
@@ -88,16 +90,54 @@ def _run(
     if mu is None:
         mu = np.array([types[label].mu for label in labels], dtype=float)
     limit = friction_accel(mu, gravity, count)
-    on_plate = np.array(state.on_plate, bool)
-    if on_plate.shape != (count,):
-        raise PlateError(f"on_plate has shape {on_plate.shape}, allowed: ({count},)")
+    if np.shape(state.on_plate) != (count,):
+        raise PlateError(f"on_plate has shape {np.shape(state.on_plate)}, allowed: ({count},)")
     path = run_bodies(
         cycle, [footprints[label] for label in labels], limit,
-        (state.position, state.angle, state.velocity, state.spin), on_plate, gravity, contacts,
-        ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
+        (state.position, state.angle, state.velocity, state.spin), state.on_plate, gravity,
+        contacts, ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
     )  # fmt: skip
-    end = replace(
-        state, position=path.position[-1].copy(), velocity=path.velocity[-1].copy(),
-        angle=path.angle[-1].copy(), spin=path.spin[-1].copy(), on_plate=path.on_plate,
-    )  # fmt: skip
-    return end, path
+    return moved(state, path), path
+
+
+def moved(state: WorldState, path: BodyTrajectory) -> WorldState:
+    """Return the parts at the end of their paths."""
+    position, velocity, angle, spin = (
+        getattr(path, name)[-1].copy() for name in ("position", "velocity", "angle", "spin")
+    )
+    return WorldState(state.ids, position, velocity, path.on_plate, angle, spin)
+
+
+def run_together(
+    states: Sequence[WorldState],
+    motions: Sequence[PlateCycle | PlateMotion],
+    footprints: Sequence[Sequence[Footprint]],
+    limits: Sequence[np.ndarray],
+    rig: Rig,
+    contacts: Contacts,
+    grounds: Sequence[Ground],
+    threads: int,
+) -> list[WorldState]:
+    """Return what `run_cycle` does of the parts on many plates, in one call.
+
+    Parameters
+    ----------
+    footprints, limits : sequences of M Footprints, and of arrays (M,)
+        Of the parts on each plate; mu g [m/s2].
+    threads : int
+        Cores that may work at the same time.
+    """
+    gravity, half = rig.friction.gravity, rig.plate.half
+    jobs = [
+        job_of(
+            motion, own, limit, (state.position, state.angle, state.velocity, state.spin),
+            state.on_plate, gravity, contacts, ground, half, equal_steps(motion.period, STEP), 1, 0,
+            state.ids,
+        )
+        for state, motion, own, limit, ground in zip(
+            states, motions, footprints, limits, grounds, strict=True
+        )
+    ]  # fmt: skip
+    found = _kernels.run_many([job.arguments for job in jobs], threads)
+    paths = (job.outcome(overlap) for job, overlap in zip(jobs, found, strict=True))
+    return [moved(state, path) for state, path in zip(states, paths, strict=True)]

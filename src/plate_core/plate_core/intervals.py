@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+__all__ = ["of_median", "of_share", "share"]
+
 
 def of_share(good: int, runs: int) -> tuple[float, float]:
     """Return the interval (Wilson's) of the share of good runs, 0 to 1."""

@@ -1,0 +1,144 @@
+"""Agents to be beaten: ours (Methods B and A on the cycle map, B by images, B on the averaged map)
+and random motions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from plate_core import Parts, PlateCycle, Wanted
+from plate_planner import Planner
+from plate_solver import Controller, SinusoidSolver
+from plate_vision import Prediction, Tracker, make_vision, observe
+from plate_vision.shapes import learn_plate
+
+from .env import PlateEnv
+from .plates import IDLE_S
+
+
+class Agent(Protocol):
+    """What `evaluate` judges: one is made for each episode, from the environment and a seed of its
+    own chance.
+
+    Attributes
+    ----------
+    action, observation : str
+        Of the environment that it wants.
+    """
+
+    action: str
+    observation: str
+
+    def __init__(self, env: PlateEnv, seed: int) -> None: ...
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> Any:
+        """Return the action that answers what is seen now."""
+
+
+class Random:
+    """Any motion, evenly drawn."""
+
+    action, observation = "motion", "parts"
+
+    def __init__(self, env: PlateEnv, seed: int) -> None:
+        self._size, self._rng = env.plates.motions.size, np.random.default_rng(seed)
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+        """Return a motion."""
+        return self._rng.uniform(-1, 1, self._size)
+
+
+class Ours:
+    """Planner and solver of this project: Method B, sinusoids on the cycle map."""
+
+    action, observation, method = "cycle", "parts", "sinusoids"
+
+    def __init__(self, env: PlateEnv, seed: int) -> None:
+        self._rig, scenario = env.plates.rig, env.plates.scenario
+        self._ids = env.plates.plates[0].simulation.state.ids
+        self._planner = Planner(self._rig, scenario)
+        self._state = self._planner.start(self._planner.initial())
+        self._controller = Controller(self._rig, self.method, seed)
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
+        """Return the cycle that the planner's wishes lead to."""
+        time, running = float(info["time_s"]), info["running"]
+        self._state = self._planner.started(self._state, running, time, True)
+        parts = self._parts(observation, time)
+        if not len(parts):  # no image has come
+            return running if running.closes else PlateCycle.rest(IDLE_S)
+        self._state = self._planner.see(self._state, parts, time)
+        self._state, wanted, _ = self._planner.answer(self._state)
+        cycle = self._answer(wanted, running)
+        self._state = self._planner.hear(self._state, cycle, time)
+        return cycle
+
+    def _parts(self, seen: np.ndarray, time: float) -> Parts:
+        """Return the parts of the last image, by rows as `observation_space` has them."""
+        rows = np.flatnonzero(seen[:, 5] == 0)
+        names = tuple(self._ids[row] for row in rows)
+        return Parts.make(names, seen[rows, :2], seen[rows, 2:4], seen[rows, 4])
+
+    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
+        return self._controller.answer(wanted, running).cycle
+
+
+class MethodA(Ours):
+    """The same with Method A, rotations about few centres."""
+
+    method = "rotations"
+
+
+class ByImage(Ours):
+    """`Ours`, with our vision."""
+
+    observation = "image"
+
+    def __init__(self, env: PlateEnv, seed: int) -> None:
+        super().__init__(env, seed)
+        self._vision, self._tracker = make_vision(self._rig), Tracker()
+        self._expected: Prediction | None = None
+
+    def act(self, observation: np.ndarray, info: dict[str, Any]) -> PlateCycle:
+        """Return the cycle that the planner's wishes lead to; the first image comes with those of
+        the bare plate, where these are needed."""
+        if "bare_images" in info:
+            self._vision = replace(self._vision, background=learn_plate(info["bare_images"]))
+        return super().act(observation, info)
+
+    def _parts(self, seen: np.ndarray, time: float) -> Parts:
+        self._tracker = observe(self._vision, self._tracker, seen, time, self._expected)
+        return self._tracker.parts
+
+    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
+        self._expected = None
+        if wanted.start is not None:
+            next_start = self._state.estimator.next_start
+            self._expected = Prediction(wanted.parts.ids, next_start, wanted.start[:, :2])
+        return super()._answer(wanted, running)
+
+
+class Averaged(Ours):
+    """The paper's way: the planner's forces on the averaged map, as if parts lay still."""
+
+    def __init__(self, env: PlateEnv, seed: int) -> None:
+        super().__init__(env, seed)
+        self._solver = SinusoidSolver(self._rig, seed=seed, at_rest=True)
+        self._limit = dict(zip(self._ids, env.plates.friction_limit, strict=True))
+
+    def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
+        parts = wanted.parts
+        if not len(parts):
+            return PlateCycle.rest(IDLE_S)
+        limit = np.array([[self._limit[name]] for name in parts.ids])
+        place = parts.position if wanted.start is None else wanted.start[:, :2]
+        force, tolerance = wanted.force / limit, wanted.tolerance / limit
+        return self._solver.solve(place, force, tolerance=tolerance).cycle
+
+
+AGENTS: dict[str, type[Agent]] = {
+    "B": Ours, "A": MethodA, "B_by_image": ByImage, "averaged": Averaged, "random": Random
+}  # fmt: skip
+"""Those that this package has, by name."""

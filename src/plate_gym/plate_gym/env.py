@@ -1,0 +1,293 @@
+"""The environments: one plate (`PlateEnv`), and many at once (`PlateVectorEnv`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space, iterate
+
+from plate_core import PlateError
+from plate_sim.world import Simulation
+
+from .plates import Plates
+from .spaces import action_space, observation_space
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
+MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+
+NO_WINDOW = "render_mode is 'human', and there is no window: {}"
+
+SEEDS = 2**31
+"""Of worlds where none is given: below this."""
+
+
+class PlateEnv(gym.Env):
+    """One plate and one task.
+
+    A step is one cycle of the plate. As on the real plate, the image that is answered was taken at
+    the start of the cycle that runs, and the answer is played in the next one.
+
+    Parameters
+    ----------
+    task : str
+        Key of `TASKS`, such as `Sort10-v1`.
+    world : str
+        Key of `WORLDS`.
+    action : str
+        `motion`, `forces`, `progress` or `cycle`: see `action_space`.
+    observation : str
+        `parts` or `image`: see `observation_space`.
+    render_mode : str, optional
+        `rgb_array`, or `human`: a window.
+
+    Raises
+    ------
+    PlateError
+        If one of them is unknown.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self,
+        task: str,
+        world: str = "nominal",
+        action: str = "motion",
+        observation: str = "parts",
+        render_mode: str | None = None,
+    ) -> None:
+        self.plates = Plates(task, world, action, observation)
+        self.action_space = action_space(self.plates)
+        self.observation_space = observation_space(self.plates)
+        self.render_mode = checked_mode(render_mode)
+        self._film: Film | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin in the world of a seed: of `bench/closed_loop.py` too; drawn if none is given."""
+        super().reset(seed=seed)
+        info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
+        self._show()
+        return self.plates.plates[0].observation, first(info)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Let the cycle that runs end; what the action asks for comes after it."""
+        check_actions(self.action_space, [action])
+        reward, ended, over, info = self.plates.step([0], [action])
+        self._show()
+        seen = self.plates.plates[0].observation
+        return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture (height, width, 3) of the true parts; None in a window."""
+        return None if self.render_mode != "rgb_array" else self._picture()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._film is not None:
+            self._film.close()
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._picture()
+
+    def _picture(self) -> np.ndarray:
+        self._film = self._film or Film(self.plates, self.render_mode == "human")
+        return self._film.picture(0)
+
+
+class PlateVectorEnv(VectorEnv):
+    """N plates with one task each, in one call: the same as N of `PlateEnv`, to the last bit.
+
+    A plate whose episode has ended begins anew at the next step, whose action does not count.
+
+    Parameters
+    ----------
+    num_envs : int
+        N.
+    threads : int, optional
+        Cores that may work at the same time; by default all there are.
+    task, world, action, observation, render_mode
+        As of `PlateEnv`; there is no window.
+    """
+
+    metadata = MANY
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        world: str = "nominal",
+        action: str = "motion",
+        observation: str = "parts",
+        render_mode: str | None = None,
+        threads: int | None = None,
+    ) -> None:
+        if num_envs < 1:
+            raise PlateError(f"num_envs is {num_envs}, allowed: at least 1")
+        threads = len(os.sched_getaffinity(0)) if threads is None else threads
+        self.num_envs = num_envs
+        self.plates = Plates(task, world, action, observation, num_envs, min(threads, num_envs))
+        self.single_action_space = action_space(self.plates)
+        self.single_observation_space = observation_space(self.plates)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.render_mode = checked_mode(render_mode)
+        self._chance = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._ended = np.zeros(num_envs, bool)
+        self._film: Film | None = None
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin on all plates: with seeds `seed`, `seed` + 1, ..., or those of a list."""
+        seeds = [None] * self.num_envs if seed is None else seed
+        seeds = [seeds + k for k in range(self.num_envs)] if isinstance(seeds, int) else seeds
+        worlds = []
+        for k, own in enumerate(seeds):
+            if own is not None:
+                self._chance[k] = seeding.np_random(own)[0]
+            worlds.append(drawn(self._chance[k]) if own is None else own)
+        self._ended[:] = False
+        info = self.plates.reset(range(self.num_envs), worlds)
+        return self._seen(), self._whole(info, np.ones(self.num_envs, bool))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Let the cycle that runs end, on each plate."""
+        each = list(iterate(self.action_space, actions))
+        check_actions(self.single_action_space, each)
+        anew, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
+        info: dict[str, Any] = {}
+        reward = np.zeros(self.num_envs)
+        ended, over = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
+        if len(anew):
+            worlds = [drawn(self._chance[k]) for k in anew]
+            info = self._whole(self.plates.reset(anew, worlds), self._ended)
+        if len(rows):
+            step = self.plates.step(rows, [each[row] for row in rows])
+            reward[rows], ended[rows], over[rows] = step.reward, step.ended, step.over
+            info = self._whole(step.info, ~self._ended, info)
+        self._ended = ended | over
+        return self._seen(), reward, ended, over, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture (height, width, 3) of each plate."""
+        if self.render_mode is None:
+            return None
+        self._film = self._film or Film(self.plates, False)
+        return tuple(self._film.picture(row) for row in range(self.num_envs))
+
+    def _seen(self) -> np.ndarray:
+        return np.stack([plate.observation for plate in self.plates.plates])
+
+    def _whole(
+        self, info: dict[str, np.ndarray], rows: np.ndarray, others: dict[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """Return what is known of the plates in `rows` (N,), and of `others`, as arrays (N, ...),
+        each with a mask `_NAME` (N,) that tells of which plates it is known."""
+        result = dict(others or {})
+        for name, values in info.items():
+            there = result.setdefault(f"_{name}", np.zeros(self.num_envs, bool))
+            whole = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
+            whole = result.setdefault(name, whole)
+            whole[rows], there[rows] = values, True
+        return result
+
+
+def check_actions(space: gym.Space, actions: Sequence[Any]) -> None:
+    """Refuse what is not in the space."""
+    for action in actions:
+        if not space.contains(action):
+            said = type(action).__name__
+            if isinstance(action, np.ndarray) and action.size:
+                low, high = np.min(action), np.max(action)
+                said = f"{action.dtype} of shape {action.shape}, from {low:g} to {high:g}"
+            raise PlateError(f"action is {said}, allowed: {space}")
+
+
+def checked_mode(mode: str | None) -> str | None:
+    """Return a way to render, if it is known."""
+    if mode not in (None, *METADATA["render_modes"]):
+        raise PlateError(f"render_mode is {mode!r}, allowed: None, rgb_array, human")
+    return mode
+
+
+def drawn(chance: np.random.Generator) -> int:
+    """Draw the seed of a world."""
+    return int(chance.integers(SEEDS))
+
+
+def first(info: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return what is known of the only plate."""
+    return {name: values[0] for name, values in info.items()}
+
+
+class Film:
+    """Pictures of plates, by a camera of its own in an undisturbed world; and a window for them."""
+
+    def __init__(self, plates: Plates, window: bool) -> None:
+        self._plates = plates
+        self._scene = Simulation(plates.rig, plates.scenario)
+        self._window = Window() if window else None
+
+    def picture(self, row: int) -> np.ndarray:
+        """Return the picture (height, width, 3) of a plate's true parts now, and show it."""
+        self._scene.state = self._plates.plates[row].simulation.state
+        image = self._scene.capture()
+        assert image is not None
+        colours = image[..., ::-1] if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        colours = np.ascontiguousarray(colours)
+        if self._window is not None:
+            self._window.show(colours)
+        return colours
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+
+class Window:
+    """A window of the desktop; where there is none, a warning in its place."""
+
+    def __init__(self) -> None:
+        self._root: Any = None
+        try:
+            import tkinter  # not every Python has it
+        except ImportError as problem:
+            return gym.logger.warn(NO_WINDOW.format(problem))
+        try:
+            self._root = tkinter.Tk()
+        except tkinter.TclError as problem:
+            return gym.logger.warn(NO_WINDOW.format(problem))
+        self._root.title("plate")
+        self._label = tkinter.Label(self._root)
+        self._label.pack()
+        self._picture = tkinter.PhotoImage
+
+    def show(self, image: np.ndarray) -> None:
+        """Show a picture (height, width, 3)."""
+        if self._root is None:
+            return
+        height, width = image.shape[:2]
+        self._shown = self._picture(data=b"P6 %d %d 255 " % (width, height) + image.tobytes())
+        self._label.configure(image=self._shown)
+        self._root.update()
+
+    def close(self) -> None:
+        """Close it."""
+        if self._root is not None:
+            self._root.destroy()
+            self._root = None

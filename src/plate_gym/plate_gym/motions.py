@@ -1,0 +1,58 @@
+"""The raw level of action: a plate motion as coefficients of sinusoids, within the rig's limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plate_core import PlateCycle, Rig
+from plate_core.motion import control_points
+from plate_solver import EQUAL_WEIGHT, Limits, limit_use
+from plate_solver.sinusoids import sinusoid_basis
+
+HARMONICS, PERIOD_S = 4, 0.1
+"""Of every motion: sines and cosines of 10, 20, 30 and 40 Hz that begin and end at rest."""
+
+CERTAIN = 0.999
+"""Share of the limits that a motion uses at most, by bounds of its peaks."""
+
+
+class Motions:
+    """Equation (13) of the paper with the plate at rest at both ends: 6 functions of time for each
+    of x, y and theta.
+
+    Attributes
+    ----------
+    size : int
+        Numbers of an action.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self._basis = sinusoid_basis(HARMONICS, PERIOD_S, True)
+        self._limits = Limits.of(rig, 1.0)
+        spline = self._basis.spline.reshape(len(self._basis.times) - 1, 6, -1)
+        self._bounds = [control_points(self._basis.times, spline, order, 1) for order in range(3)]
+        self.size = 3 * self._basis.size
+        self._scale = np.ones((self._basis.size, 3))
+        alone = [self._use(row.reshape(-1, 3)) for row in np.eye(self.size)]
+        self._scale = CERTAIN / np.array(alone).reshape(-1, 3)
+
+    def cycle(self, action: np.ndarray) -> tuple[PlateCycle, float]:
+        """Return the motion of an action, and the share of the limits that it uses, at most 1.
+
+        Parameters
+        ----------
+        action : (size,)
+            From -1 to 1: for each function of time x, y and theta. One alone uses the whole of a
+            limit at 1. Together they are scaled down, all alike, as far as they exceed the limits.
+        """
+        own = self._scale * action.reshape(-1, 3)
+        used = self._use(own)
+        while used > CERTAIN:  # turns enter with their square: twice at most, as a rule
+            own = own * (CERTAIN**2 / used)
+            used = self._use(own)
+        return self._basis.cycle(own), used
+
+    def _use(self, own: np.ndarray) -> float:
+        """Return the greatest share of a limit that coefficients (h, 3) use: a bound."""
+        pose, twist, accel = (bound @ own for bound in self._bounds)
+        return limit_use(pose, twist, accel, EQUAL_WEIGHT, self._limits, False)

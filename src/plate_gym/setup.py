@@ -1,0 +1,27 @@
+"""Build plate_gym as an ament_python package, or by `pip install ./src/plate_gym` without ROS."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "plate_gym"
+CLONE = Path(__file__).resolve().parents[2]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    # Of the other packages pip installs the library, from this clone; colcon builds each by itself.
+    install_requires=["gymnasium>=1.0", f"vibrating-plate @ {CLONE.as_uri()}"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="The plate developers",
+    maintainer_email="plate@example.org",
+    description="The plate as a benchmark: environments of Gymnasium, agents and their judge.",
+    license="Apache-2.0",
+)

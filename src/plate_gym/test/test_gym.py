@@ -1,0 +1,301 @@
+"""Environments against Gymnasium's own checks, the loop without ROS, and the rules they state."""
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plate_bringup.loop import Setup, run
+from plate_core import PlateCycle, PlateError, load_rig
+from plate_core.motion import usage
+
+pytestmark = pytest.mark.needs("gymnasium")
+
+
+@pytest.fixture
+def gym():
+    import plate_gym
+
+    return plate_gym
+
+
+def played(env, actions, seed=0):
+    """Observations, rewards and information of one plate, from a seed on."""
+    results = [env.reset(seed=seed)]
+    results += [env.step(action) for action in actions]
+    return results
+
+
+def of_plate(result, k):
+    """The same of plate `k` of many."""
+    *arrays, info = result
+    known = {name: info[name][k] for name in info if name[0] != "_" and info[f"_{name}"][k]}
+    return [array[k] for array in arrays], known
+
+
+def equal(one, many):
+    assert np.array_equal(one[0], many[0][0])
+    assert one[1:-1] == tuple(many[0][1:])
+    assert set(one[-1]) == set(many[1])
+    for name, value in many[1].items():
+        assert np.array_equal(one[-1][name], value), name
+
+
+@pytest.mark.parametrize(
+    ("task", "action", "observation"),
+    [
+        ("Sort10-v1", "motion", "parts"), ("Sort4-v1", "forces", "parts"),
+        ("Letters-v1", "progress", "parts"), ("Assemble8-v1", "cycle", "image"),
+    ],
+)  # fmt: skip
+def test_gymnasium_finds_nothing_wrong(gym, task, action, observation, recwarn):
+    from gymnasium.utils.env_checker import check_env
+
+    env = gym.PlateEnv(task, action=action, observation=observation)
+    check_env(env, skip_render_check=True)
+    assert not [str(w.message) for w in recwarn if "custom" not in str(w.message)]
+
+
+def test_all_tasks_are_registered(gym):
+    import gymnasium
+
+    for task in gym.TASKS:
+        assert gymnasium.spec(f"plate/{task}").kwargs == {"task": task}
+    many = gymnasium.make_vec("plate/Sort4-v1", num_envs=2, world="friction")
+    assert isinstance(many.unwrapped, gym.PlateVectorEnv)
+
+
+def test_tasks_say_what_they_said(gym):
+    """Whoever changes a scenario or a rig of a task makes a new version of it."""
+    from plate_gym.tasks import digest
+
+    assert {name: digest(scenario) for name, (scenario, _) in gym.TASKS.items()} == {
+        name: mark for name, (_, mark) in gym.TASKS.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("task", "settings", "steps"),
+    [
+        ("Sort10-v1", {}, 6),
+        ("Sort4-v1", {"world": "held_out"}, 4),
+        ("Letters-v1", {"world": "friction"}, 3),
+        ("Sort4-v1", {"world": "misses", "observation": "image"}, 2),
+        ("Sort4-v1", {"action": "forces"}, 2),
+    ],
+)
+def test_many_plates_do_as_one(gym, task, settings, steps):
+    """To the last bit, on two cores and on one."""
+    many = gym.PlateVectorEnv(task, 3, threads=2, **settings)
+    rng = np.random.default_rng(5)
+    actions = rng.uniform(-1, 1, (steps, *many.action_space.shape))
+    together = played(many, actions, seed=7)
+    for k in range(3):
+        alone = played(gym.PlateEnv(task, **settings), actions[:, k], seed=7 + k)
+        for one, all_ in zip(alone, together, strict=True):
+            equal(one, of_plate(all_, k))
+
+
+def test_a_plate_that_has_ended_begins_anew(gym):
+    """In the world that `reset` without a seed gives one plate alone."""
+    many, one = gym.PlateVectorEnv("Sort4-v1", 2), gym.PlateEnv("Sort4-v1")
+    many.reset(seed=3)
+    many.plates.plates[1].time = many.plates.scenario.time_limit_s
+    still = np.zeros(many.action_space.shape)
+    assert many.step(still)[3].tolist() == [False, True]
+    seen, reward, ended, over, info = many.step(still)
+    one.reset(seed=4)
+    assert np.array_equal(seen[1], one.reset()[0])
+    assert info["time_s"].tolist() == [0.2, 0.0]
+    assert not np.any([reward[1:], ended[1:], over[1:]])
+
+
+@pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
+def test_our_agent_does_what_the_loop_does(gym, task):
+    """The same images lead to the same motions, and these to the same places."""
+    from plate_gym.agents import AGENTS
+
+    kind = AGENTS["B_by_image"]
+    env = gym.PlateEnv(task, action=kind.action, observation=kind.observation)
+    seen, info = env.reset(seed=3)
+    agent = kind(env, 3)
+    moved = 0
+    for moment in islice(run(Setup(gym.TASKS[task][0], 3)), 4):
+        assert np.array_equal(seen, moment.image)
+        true = env.plates.plates[0].simulation.state.position
+        assert true == pytest.approx(moment.world.position, abs=1e-12)
+        cycle = agent.act(seen, info)
+        assert np.array_equal(cycle.knot_pose, moment.answer.cycle.knot_pose)
+        moved += cycle.moves
+        seen, *_, info = env.step(cycle)
+    assert moved >= 1
+
+
+def test_motions_keep_the_limits_and_use_them(gym):
+    """By the exact check of whole motions, which knows nothing of bounds."""
+    from plate_gym.motions import Motions
+
+    rig, rng = load_rig(), np.random.default_rng(1)
+    motions = Motions(rig)
+    wild = [np.sign(rng.normal(size=motions.size)), *rng.uniform(-1, 1, (3, motions.size))]
+    for action in [*wild, *np.eye(motions.size)[:4]]:
+        cycle, share = motions.cycle(action)
+        true = usage(rig, cycle).overall
+        assert 0.9 < true <= share <= 1
+    small, _ = motions.cycle(0.01 * wild[1])
+    assert usage(rig, small).overall < 0.2
+
+
+def test_what_counts(gym):
+    """Parts put where they belong: done after `hold_s`. One that is put off the plate is lost."""
+    env = gym.PlateEnv("Sort4-v1")
+    _, info = env.reset(seed=1)
+    plate, still = env.plates.plates[0], np.zeros(env.action_space.shape)
+    way, simulation = info["to_go_m"], plate.simulation
+    assert way > 0.1
+    for k, name in enumerate(simulation.state.ids):
+        side = -0.25 if name.startswith("black") else 0.25
+        simulation.place(name, "", np.array([side, 0.05 * k - 0.1]))
+    rewards, ended = [], False
+    while not ended:
+        _, reward, ended, over, info = env.step(still)
+        rewards.append(reward)
+        assert not over
+        assert len(rewards) < 20
+    assert rewards == pytest.approx([1, *[0] * (len(rewards) - 2), 1])
+    assert info["success"]
+    assert info["there"] == 4
+    assert info["time_s"] == pytest.approx(0.6)  # seen there at 0.1 s, held for 0.5 s
+
+    env.reset(seed=1)
+    state = env.plates.plates[0].simulation.state
+    state.position[0], state.velocity[0] = [0.299, 0.0], [2.0, 0.0]
+    *_, ended, over, info = env.step(still)
+    assert ended
+    assert not over
+    assert info["dropped"] == 1
+    assert not info["success"]
+
+
+def test_what_is_seen(gym):
+    """Parts where they are but for noise, as late and as often missed as the world has them."""
+    env = gym.PlateEnv("Sort10-v1")
+    true = env.reset(seed=2)[0], env.plates.plates[0].simulation.state
+    error = true[0][:, :2] - true[1].position
+    assert 1e-6 < np.std(error) < 1e-4
+    assert np.all(true[0][:, 5] == 0)
+
+    rng, late = np.random.default_rng(0), gym.PlateEnv("Sort10-v1", world="latency")
+    late.reset(seed=2)
+    actions = rng.uniform(-1, 1, (3, *env.action_space.shape))
+    for action in actions:
+        seen = late.step(action)[0]
+    plate = late.plates.plates[0].simulation
+    before = plate._history.ago(0.05).position
+    assert seen[:, :2] == pytest.approx(before, abs=2e-4)
+    assert np.max(np.abs(before - plate.state.position)) > 5e-4
+
+    missing = gym.PlateVectorEnv("Sort50-v1", 6, world="misses")
+    ages = missing.reset(seed=0)[0][..., 5]
+    assert 0.005 < np.mean(ages > 0) < 0.08  # 3 % of 300
+
+
+def test_a_rendered_picture_shows_the_parts(gym):
+    env = gym.PlateEnv("Sort4-v1", render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    assert before.shape == (480, 640, 3)
+    again = env.render()
+    assert np.mean(before != again) < 0.9  # noise alone
+    plate = env.plates.plates[0].simulation
+    plate.place("black_1", "", np.array([0.0, 0.1]))
+    assert np.max(np.abs(env.render().astype(float) - again)) > 50
+    seen = gym.PlateEnv("Sort4-v1").reset(seed=0)[0]
+    assert np.array_equal(env.reset(seed=0)[0], seen)  # pictures change nothing
+
+
+def test_a_rest_after_motion_is_reached_by_the_tail(gym):
+    """What an agent sends that does not begin where the plate is waits until it rests."""
+    from plate_gym.agents import AGENTS
+
+    env = gym.PlateEnv("Sort10-v1", action="cycle")
+    seen, info = env.reset(seed=3)
+    agent = AGENTS["B"](env, 3)
+    while info["running"].tail is None:
+        seen, *_, info = env.step(agent.act(seen, info))
+    tail = info["running"].tail
+    *_, info = env.step(PlateCycle.rest(0.1))
+    assert info["running"] is tail
+    *_, info = env.step(PlateCycle.rest(0.1))
+    assert not info["running"].moves
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"task": "Sort11-v1"}, "task is 'Sort11-v1', did you mean 'Sort10-v1'?"),
+        ({"world": "moon"}, "world is 'moon', allowed: nominal, "),
+        ({"action": "wish"}, "action is 'wish', allowed: motion, "),
+        ({"observation": "smell"}, "observation is 'smell', allowed: parts, image"),
+        ({"action": "forces", "observation": "image"}, "action is 'forces' with images, allowed: "),
+        ({"render_mode": "ansi"}, "render_mode is 'ansi', allowed: None, rgb_array, human"),
+    ],
+)
+def test_wrong_settings_are_refused(gym, settings, words):
+    with pytest.raises(PlateError) as problem:
+        gym.PlateEnv(**{"task": "Sort4-v1", **settings})
+    assert words.replace(", did you mean 'Sort10-v1'?", "") in str(problem.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (np.full(18, 1.1), "float64 of shape (18,), from 1.1 to 1.1"),
+        (np.full(18, np.nan), "float64 of shape (18,), from nan to nan"),
+        (np.zeros(17), "float64 of shape (17,), from 0 to 0"),
+    ],
+)
+def test_wrong_actions_are_refused(gym, wrong, words):
+    env = gym.PlateEnv("Sort4-v1")
+    env.reset(seed=0)
+    with pytest.raises(PlateError) as problem:
+        env.step(wrong)
+    assert str(problem.value) == f"action is {words}, allowed: Box(-1.0, 1.0, (18,), float64)"
+
+
+def test_motions_beyond_the_limits_are_scaled_down(gym):
+    env = gym.PlateEnv("Sort4-v1", action="cycle")
+    env.reset(seed=0)
+    wild = env.action_space.sample().scaled(5.0)
+    *_, info = env.step(wild)
+    assert info["scaled"]
+    assert info["limit_share"] <= 1
+    assert usage(load_rig(), info["running"]).overall <= 1
+    with pytest.raises(PlateError, match="action is int, allowed: CycleSpace"):
+        env.step(3)
+
+
+def test_the_guide_is_right(capsys):
+    """Its programs run, and its table of environments says what their scenarios say."""
+    from plate_gym.tasks import TASKS, scenario_of
+
+    page = (Path(__file__).resolve().parents[3] / "docs/guide/gym.md").read_text(encoding="utf-8")
+    scope: dict = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.S):
+        exec(block, scope)
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("True ")
+    assert float(first.split()[1]) < 12
+    assert second.startswith("(64, 10, 6) ")
+    own = scope["plate_gym"].PlateEnv("Sort4-v1")
+    seen, info = own.reset(seed=0)
+    assert own.action_space.contains(scope["Agent"](own, 0).act(seen, info))
+    assert set(info) <= set(re.findall(r"`(\w+)`", page))
+    table = page[page.index("| environment |") : page.index("A name never")]
+    for name in TASKS:
+        scenario, _ = scenario_of(name)
+        (row,) = [line for line in table.splitlines() if f"{name.removesuffix('-v1')}" in line]
+        assert f"{scenario.task.hold_s:.1f} |" in row
+        assert f"{scenario.time_limit_s:.0f}" in row.rsplit("|", 2)[1]
