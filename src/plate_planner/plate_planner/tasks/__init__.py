@@ -19,12 +19,11 @@ from .pose import PoseMemory, Poser
 from .sort import Sorter
 from .targets import CROWD
 from .task import SIGHT_M, SIGHT_RAD, Assessment, DriftRequest, Situation, TaskRules
-    "SIGHT_M",
-__all__ = [
-    "SIGHT_RAD",
-from .task import Assessment, DriftRequest, Situation, TaskRules
-    "CROWD",
 
+__all__ = [
+    "CROWD",
+    "SIGHT_M",
+    "SIGHT_RAD",
     "SLOWED",
     "Assembler",
     "Assessment",
