@@ -81,7 +81,7 @@ def _program(tmp_path_factory):
     if compiler is None:
         pytest.skip("no C compiler `cc` on this machine: the firmware is not tested")
     program = tmp_path_factory.mktemp("firmware") / "host"
-    sources = sorted(map(str, [*FIRMWARE.glob("*.c"), FIRMWARE / "host" / "host.c"]))
+    sources = sorted(map(str, [*FIRMWARE.glob("*.c"), FIRMWARE / "host/host.c", FIRMWARE / "host/motors.c"]))
     built = None
     for extra in (SANITIZED, []):  # not every compiler has sanitizers
         command = [compiler, *STRICT, *extra, "-o", str(program), *sources, "-lm"]

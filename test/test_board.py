@@ -80,7 +80,7 @@ def expected(limits: DeviceLimits) -> dict[str, list[np.float32]]:
     return {k: [np.float32(v) for v in np.ravel(values)] for k, values in vars(limits).items()}
 
 
-@pytest.mark.parametrize("path", ["boards/stm32f405/limits_default.h", "host/host.c"])
+@pytest.mark.parametrize("path", ["boards/stm32f405/limits_default.h", "host/motors.c"])
 def test_limits_in_c_are_those_of_the_rig_file(path):
     text = (ROOT / "firmware" / path).read_text(encoding="utf-8")
     limits = DeviceLimits.of_rig(load_rig(ROOT / "config" / "rig.yaml"))

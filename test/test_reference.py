@@ -48,6 +48,9 @@ RIG["types"] = {
     },
     "coin": {"radius_m": 0.01, "symmetry": 0},
 }
+for node, motor in enumerate(RIG["motors"].values(), 1):
+    motor |= {"drive": "cia402", "node": node, "counts_per_m": 1e6, "sign": -1}
+    motor |= {"home": "absolute", "serial": 7}
 RIG["camera"]["colour"] = True
 RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}

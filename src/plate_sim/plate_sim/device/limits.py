@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 
 from plate_core import Rig
-from plate_core.rig import motor_levers, plate_mass
+from plate_core.rig import Drive, motor_levers, plate_mass
 
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
@@ -93,14 +94,17 @@ class DeviceLimits:
         return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]
 
 
-def c_header(limits: DeviceLimits, name: str) -> str:
-    """Return the C header that firmware is built with: `LIMITS`, in single precision.
+def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
+    """Return the C header that firmware is built with: `LIMITS`, in single precision, and, where
+    motors have drives, `DRIVES`.
 
     Parameters
     ----------
     limits : DeviceLimits
     name : str
         Of the rig file, for those who read the header.
+    drives : sequence of Drive
+        Of all motors, or none.
     """
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
     lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
@@ -109,8 +113,15 @@ def c_header(limits: DeviceLimits, name: str) -> str:
         "static const Limits LIMITS = {",
         *lines,
         "};",
+        *(["static const Drive DRIVES[MOTORS] = {", *map(_drive, drives), "};"] if drives else []),
         "",
     ])  # fmt: skip
+
+
+def _drive(drive: Drive) -> str:
+    """Return C for a drive."""
+    scale, absolute = _literal(np.float32(drive.counts_per_m)), str(drive.absolute).lower()
+    return f"    {{{drive.node}, {scale}, {drive.sign}, {absolute}, {drive.serial}u}},"
 
 
 def _literal(value: np.ndarray) -> str:
