@@ -182,7 +182,8 @@ def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, k
                 finally:
                     place[key.name] = before
                 assert f"{key.name} is " in message
-                assert f"{key.kind.low:g} to {key.kind.high:g}" in message
+                form = "" if isinstance(key.kind, Whole) else "g"
+                assert f"{key.kind.low:{form}} to {key.kind.high:{form}}" in message
                 tried += 1
     if key.name not in ("stiffness", "damping", "spline_m"):  # in place of others, none here
         assert tried >= 2
