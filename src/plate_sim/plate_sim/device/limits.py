@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from plate_core import Rig
+from plate_core import Rig, load_rig
 from plate_core.rig import Drive, motor_levers, plate_mass
 
 SLACK = np.float32(1) + np.float32(2e-3)
@@ -92,6 +93,19 @@ class DeviceLimits:
         Each is summed from the first motor to the last, as the firmware does.
         """
         return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]
+
+
+def rig_header(path: str) -> str:
+    """Return the C header of a rig file.
+
+    Raises
+    ------
+    PlateError
+        If the file is wrong.
+    """
+    rig = load_rig(path)
+    drives = [motor.drive for motor in rig.motors if motor.drive is not None]
+    return c_header(DeviceLimits.of_rig(rig), Path(path).name, drives)
 
 
 def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:

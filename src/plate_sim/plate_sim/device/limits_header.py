@@ -5,24 +5,10 @@ python -m plate_sim.device.limits_header RIG.yaml > limits_rig.h
 
 import argparse
 import sys
-from pathlib import Path
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError
 
-from .limits import DeviceLimits, c_header
-
-
-def rig_header(path: str) -> str:
-    """Return the header of a rig file.
-
-    Raises
-    ------
-    PlateError
-        If the file is wrong.
-    """
-    rig = load_rig(path)
-    drives = [motor.drive for motor in rig.motors if motor.drive is not None]
-    return c_header(DeviceLimits.of_rig(rig), Path(path).name, drives)
+from .limits import rig_header
 
 
 def main() -> int:
