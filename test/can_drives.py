@@ -65,20 +65,24 @@ def eds(node: int, without: tuple[int, ...] = (), **values: int) -> str:
     return "\n".join([*lines, ""])
 
 
+def crc15(bits: str) -> int:
+    """Return the CRC of a frame's bits (ISO 11898-1)."""
+    crc = 0
+    for bit in bits:
+        crc = crc << 1 ^ (0x4599 if (bit == "1") != bool(crc & 0x4000) else 0)
+        crc &= 0x7FFF
+    return crc
+
+
 def frame_bits(identifier: int, data: bytes) -> int:
     """Return the bits of a data frame with an identifier of 11 bits on the bus.
 
     With its stuffed bits (ISO 11898-1: after five alike one of the other kind, from the start of
     the frame to the CRC's end) and the three bits between two frames.
     """
-    size = len(data)
-    head = f"0{identifier:011b}000{size:04b}" + "".join(f"{byte:08b}" for byte in data)
-    crc = 0
-    for bit in head:
-        crc = crc << 1 ^ (0x4599 if (bit == "1") != bool(crc & 0x4000) else 0)
-        crc &= 0x7FFF
+    head = f"0{identifier:011b}000{len(data):04b}" + "".join(f"{byte:08b}" for byte in data)
     stuffed, run, last = 0, 0, ""
-    for bit in head + f"{crc:015b}":
+    for bit in head + f"{crc15(head):015b}":
         run = run + 1 if bit == last else 1
         last = bit
         if run == 5:
@@ -136,14 +140,31 @@ class Drive(canopen.LocalNode):
         file.name = "drive.eds"
         super().__init__(node, canopen.import_od(file, node))
         self.state, self.position, self.start, self.goal = "switch on disabled", 0.0, 0.0, 0.0
-        self.into, self.lag_ms, self.jammed, self.mute, self.stuck = 0.0, lag_ms, False, False, False
+        self.into, self.lag_ms, self.jammed, self.mute, self.stuck = (
+            0.0,
+            lag_ms,
+            False,
+            False,
+            False,
+        )
         self.word, self.heard, self.enables = 0, math.inf, 0
         self.deaf = True  # its supply is off
         self.history: list[str] = []
+        self.add_write_callback(self.on_write)
         network.create_node(self)
         network.subscribe(0, self.on_nmt)
         network.subscribe(0x80, self.on_sync)
         network.subscribe(0x700 + MASTER, self.on_master)
+
+    def swap(self, **of_eds) -> "Drive":
+        """Another drive in its place."""
+        for identifier, call in (
+            (0, self.on_nmt), (0x80, self.on_sync), (0x700 + MASTER, self.on_master),
+        ):  # fmt: skip
+            self.network.unsubscribe(identifier, call)
+        other = Drive(self.network, self.id, **of_eds)
+        other.position = self.position
+        return other
 
     def value(self, index: int, sub: int = 0) -> int:
         obj = self._find_object(index, sub)
@@ -171,6 +192,10 @@ class Drive(canopen.LocalNode):
                     pdo.read()
                 self.heard = self.network.now
 
+    def on_write(self, index, data, **_) -> None:
+        if index == 0x6040:
+            self.controlled(int.from_bytes(data, "little"))
+
     def on_master(self, *_) -> None:
         self.heard = self.network.now
 
@@ -191,7 +216,6 @@ class Drive(canopen.LocalNode):
         if rpdo.is_received:
             for each in rpdo.map:
                 self.set_data(each.index, each.subindex, each.get_data())
-            self.controlled(self.value(0x6040))
             self.start, self.goal, self.into = self.goal, self.value(0x607A), 0.0
             if self.state != "enabled":
                 self.start = self.goal
@@ -254,6 +278,7 @@ class CanBench:
     channel: str
     network: SteppedNetwork = field(init=False)
     sent: list[tuple[int, int, bytes]] = field(default_factory=list)  # [ms], id, data
+    both: list[tuple[int, int, bytes]] = field(default_factory=list)  # in both directions
     said: bytes = b""
     state: int = 0
     faults: int = 0
@@ -281,6 +306,8 @@ class CanBench:
             for drive in self.drives:
                 drive.pass_ms()
             while (message := self.own.recv(0)) is not None:
+                now = round(self.network.now)
+                self.both.append((now, message.arbitration_id, bytes(message.data)))
                 if not self.cut:
                     self.order(f"can {message.arbitration_id:x} {message.data.hex()}")
             self.order("run 1000")
@@ -290,6 +317,7 @@ class CanBench:
                 if kind == "can":
                     identifier, data = int(words[0], 16), bytes.fromhex("".join(words[1:]))
                     self.sent.append((round(self.network.now), identifier, data))
+                    self.both.append(self.sent[-1])
                     if not self.cut:
                         self.own.send(can.Message(
                             arbitration_id=identifier, data=data, is_extended_id=False,

@@ -27,7 +27,7 @@ PROGRAMS = {
 
 MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "distributed", "playwright",
-    "axe_playwright_python",
+    "axe_playwright_python", "can", "canopen",
 )  # fmt: skip
 """Of the wheels in `REQUIREMENTS`."""
 

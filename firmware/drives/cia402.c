@@ -170,12 +170,15 @@ static void enter(Axis *axis, Stage stage)
         axis->status = 0;
 }
 
-/* It is begun anew, after a while. */
+/* It is begun anew, after a while. A node that is not operational obeys no PDO: its current is
+   taken away by SDO too. */
 static void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
 {
+    const uint8_t disable[8] = {0x2B, 0x40, 0x60, 0, DISABLE};
     alarm(m, kind, object, code, FAULT_HARDWARE);
     enter(&axes[m], SILENT);
     axes[m].asked = true;
+    send((uint16_t)(SDO + drives[m].node), disable, 8);
 }
 
 /* Set-up, by SDO */
@@ -352,6 +355,8 @@ void drives_begin(void)
 
 static uint16_t controlword(Axis *axis)
 {
+    if (axis->stage != UP)
+        return DISABLE;
     if (in_fault(axis)) { /* without current; a person's enable is needed all the same */
         axis->resets = axis->resets ? (uint16_t)(axis->resets - 1) : BOOT_TICKS / CYCLE_TICKS;
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
@@ -385,8 +390,6 @@ static void cycle(void)
         Axis *axis = &axes[m];
         if (axis->stage == UP && !hurry)
             count_answers(m);
-        if (axis->stage != UP)
-            continue;
         if (!enabled(axis)) /* where it is: no jump once it has current */
             axis->target = axis->actual;
         axis->reached = axis->sent;

@@ -4,8 +4,8 @@ Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone. Files 
 """
 
 from .controller import Device, setpoint_allowed
-from .emulator import TICK_US, Emulator
 from .drives import BusJudge, SimulatedDrives
+from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
 from .firmware import FirmwareOnDesk
 from .limits import DeviceLimits, c_header, rig_header

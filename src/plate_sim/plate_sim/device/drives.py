@@ -1,4 +1,4 @@
-"""Four drives of CiA 402 on a CAN bus, as far as our master needs them; and a judge of the master.
+"""Four drives of CiA 402 on a CAN bus, as far as our master needs them; a judge of the master.
 
 A frame is its identifier and its data. The drives of the tests are others, on somebody else's stack.
 """
@@ -160,7 +160,7 @@ class SimulatedDrives:
         return beats
 
     def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """State a tick later, behind a setpoint that moves evenly to `wanted`, critically damped."""
+        """State a tick later, critically damped, behind a setpoint that moves evenly to `wanted`."""
         behind = self._state[0] - (wanted - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
         fade = np.exp(-rate * TICK_S)

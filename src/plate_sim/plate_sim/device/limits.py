@@ -134,7 +134,10 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
 
 def _drive(drive: Drive) -> str:
     """Return C for a drive."""
-    scale, absolute = _literal(np.float32(drive.counts_per_m)), str(drive.absolute).lower()
+    scale, absolute = (
+        _literal(np.asarray(drive.counts_per_m, np.float32)),
+        str(drive.absolute).lower(),
+    )
     return f"    {{{drive.node}, {scale}, {drive.sign}, {absolute}, {drive.serial}u}},"
 
 
