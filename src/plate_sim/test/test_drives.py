@@ -100,7 +100,8 @@ def test_a_rig_without_drives_and_a_program_that_is_not_there_are_said():
         FirmwareOnDesk("/bin/true", load_rig())
     with pytest.raises(PlateError, match="firmware is '/no/such': "):
         FirmwareOnDesk("/no/such", load_rig("linear_motors"))
-    ended = FirmwareOnDesk(shutil.which("cat"), load_rig("linear_motors"))
-    ended.close()
+    ended = FirmwareOnDesk(shutil.which("true"), load_rig("linear_motors"))
+    ended._process.wait(10)
     with pytest.raises(PlateError, match="the firmware has ended"):
         ended.tick()
+    ended.close()

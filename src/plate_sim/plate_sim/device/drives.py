@@ -1,6 +1,6 @@
 """Four drives of CiA 402 on a CAN bus, as far as our master needs them; a judge of the master.
 
-A frame is its identifier and its data. The drives of the tests are others, on somebody else's stack.
+A frame is its identifier and its data. The drives of `test/test_cia402.py` are others.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class SimulatedDrives:
         return beats
 
     def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
-        """State a tick later, critically damped, behind a setpoint that moves evenly to `wanted`."""
+        """State a tick later, critically damped, behind a setpoint on its way to `wanted`."""
         behind = self._state[0] - (wanted - slope * TICK_S)
         push = self._state[1] - slope + rate * behind
         fade = np.exp(-rate * TICK_S)
