@@ -127,17 +127,18 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
         "static const Limits LIMITS = {",
         *lines,
         "};",
-        *(["static const Drive DRIVES[MOTORS] = {", *map(_drive, drives), "};"] if drives else []),
+        *(DRIVES_HEAD + [*map(_drive, drives), "};"] if drives else []),
         "",
     ])  # fmt: skip
 
 
+DRIVES_HEAD = ["#define HAS_DRIVES", "static const Drive DRIVES[MOTORS] = {"]
+
+
 def _drive(drive: Drive) -> str:
     """Return C for a drive."""
-    scale, absolute = (
-        _literal(np.asarray(drive.counts_per_m, np.float32)),
-        str(drive.absolute).lower(),
-    )
+    scale = _literal(np.asarray(drive.counts_per_m, np.float32))
+    absolute = str(drive.absolute).lower()
     return f"    {{{drive.node}, {scale}, {drive.sign}, {absolute}, {drive.serial}u}},"
 
 
