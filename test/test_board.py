@@ -304,6 +304,25 @@ def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware, tmp_path)
 
 
 @emulated
+def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path):
+    """Of drives that follow at once, built into the image: there is no CAN controller."""
+    rig = ROOT / "config" / "rigs" / "linear_motors.yaml"
+    firmware = built(tmp_path, RIG=rig, CAN=ROOT / "test" / "ideal_drives.c")
+    with EmulatedBoard(firmware, tmp_path) as board:
+        for _ in range(400):
+            board.tick()
+        host = ready(board)
+        status, ticks = committed(host, 500, 1)
+        assert status is Status.DONE
+        assert 1000 < ticks.median < ticks.worst <= MOST
+        told = host.telemetry[-100:]
+        assert {message.state for message in told} >= {State.PLAYING}
+        assert max(abs(q) for message in told for q in message.position) > 1e-3
+        assert max(message.following_m for message in host.telemetry) < 1e-5
+        assert host.now().faults is Fault.NONE
+
+
+@emulated
 def test_a_tick_is_bounded_where_a_table_takes_over_in_motion(firmware, tmp_path):
     knots, middle = wave(500, 0.9), 250
     splice = knots[middle].ticks
