@@ -1,5 +1,7 @@
 """The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402` runs."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from device_orders import HELLO, say, spline, uploaded, wave
@@ -41,7 +43,7 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
     assert desk.state is State.PLAYING
     times = np.concatenate([s.start + s.times[:-1] for s in segments])
     places = np.concatenate([s.motors[:-1, 0] for s in segments])
-    gaps = [b.start - a.end for a, b in zip(segments, segments[1:], strict=False)]
+    gaps = [b.start - a.end for a, b in pairwise(segments)]
     assert np.max(np.abs(gaps)) < 1e-9
     late, curve = times > times[-1] - 0.5, spline(wave(0.004))
 
