@@ -151,7 +151,9 @@ def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
         assert drive.value(0x6060) == 8
         assert drive.value(0x1401, 1) >> 31 == drive.value(0x1801, 1) >> 31 == 1
         assert drive.value(0x1016, 1) == 127 << 16 | 150
-    assert Fault(heard(bench, Telemetry)[-1].faults) & Fault.HARDWARE  # of the time before
+    told = heard(bench, Telemetry)
+    assert {t.faults for t in told} == {Fault.NO_HOME}
+    assert {t.stop for t in told} == {bench.stop}  # to be set up is no stop
 
 
 def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
@@ -165,6 +167,31 @@ def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
         told = [row[3] for row in led(bench) if row[1] == motor and row[2] == 15]
         assert set(told) == {place}
     check_bus(bench)
+
+
+def test_an_enable_waits_for_drives_that_are_not_there_yet(bench):
+    bench.run(5)
+    tell(bench, HELLO)
+    tell(bench, say(101, Enable(bench.stop)))
+    bench.run(200)
+    for drive in bench.drives[:3]:
+        drive.boot()
+    live(bench, 400)
+    assert bench.state == State.HOMING
+    assert all(drive.history == [] for drive in bench.drives)  # all of them, or none
+    bench.drives[3].boot()
+    live(bench, 900)
+    assert bench.state == State.READY
+    check_bus(bench)
+
+
+def test_drives_that_are_not_there_are_named(bench):
+    bench.run(5)
+    tell(bench, HELLO)
+    bench.drives[0].boot()
+    live(bench, 1200)
+    assert Fault(bench.faults) == Fault.HARDWARE | Fault.NO_HOME
+    assert heard(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
 
 
 def test_the_drives_are_told_the_table_and_follow(bench):
@@ -260,6 +287,7 @@ def silent_fault(bench, drive):
 
 def pre_operational(bench, drive):
     drive.nmt.state = "PRE-OPERATIONAL"
+    bench.network.send_message(0x700 + drive.id, b"\x7f")  # its heartbeat, which is due now
 
 
 def second_master(bench, drive):

@@ -97,12 +97,13 @@ typedef struct {
     uint16_t alarm;    /* ticks for which `faults` are told on */
     uint16_t resets;   /* ticks to the next try to reset its fault */
     uint8_t faults;
+    bool lost;         /* it was in trouble, and is not up again yet: at power-up nothing is wrong */
 } Axis;
 
 static Drive drives[MOTORS];
 static Axis axes[MOTORS];
 static float commanded[MOTORS]; /* [m] */
-static bool wanted, was_ready, follows, hurry, home_lost;
+static bool wanted, was_ready, follows, hurry, home_known, home_lost;
 static uint8_t phase; /* ticks since the last cycle */
 static uint16_t beat; /* ticks since our heartbeat */
 static uint16_t bus_alarm;
@@ -112,12 +113,23 @@ static Trouble trouble;
 static bool in_fault(const Axis *axis) { return (axis->status & 0x48) == 0x08; }
 static bool enabled(const Axis *axis) { return (axis->status & 0x6F) == 0x27; }
 
+/* For long enough that a second drive of its number would have been noticed. */
+static bool is_up(const Axis *axis) { return axis->stage == UP && axis->since >= START_TICKS; }
+
+static bool all_up(void)
+{
+    bool all = true;
+    for (int m = 0; m < MOTORS; m++)
+        all = all && is_up(&axes[m]);
+    return all;
+}
+
 /* Whether a trouble lasts: what comes then is taken for its consequence. */
 static bool faulty(void)
 {
     bool any = bus_alarm > 0;
     for (int m = 0; m < MOTORS; m++)
-        any = any || axes[m].stage != UP || axes[m].alarm || in_fault(&axes[m]);
+        any = any || axes[m].lost || axes[m].alarm;
     return any;
 }
 
@@ -135,6 +147,7 @@ static void alarm(int m, uint8_t kind, uint16_t object, uint32_t code, uint8_t f
     bool anew = !faulty();
     axes[m].alarm = BOOT_TICKS;
     axes[m].faults |= faults;
+    axes[m].lost = true;
     note((uint8_t)(m + 1), kind, object, code, anew);
 }
 
@@ -249,7 +262,8 @@ static void heartbeat(int m, uint8_t state)
     Axis *axis = &axes[m];
     axis->unheard = 0;
     if (state == BOOT_UP) {
-        home_lost = true;
+        home_lost = home_lost || home_known;
+        home_known = false;
         if (axis->stage == UP || axis->stage == STARTING)
             alarm(m, TROUBLE_RESET, 0, 0, FAULT_HARDWARE);
         enter(axis, SETUP);
@@ -315,6 +329,7 @@ static void age(int m)
     axis->unheard = (uint16_t)(axis->unheard + (axis->unheard <= SILENT_TICKS));
     if (axis->alarm && !in_fault(axis) && --axis->alarm == 0)
         axis->faults = 0;
+    axis->lost = axis->lost && !is_up(axis);
     if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
         alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
         enter(axis, SILENT);
@@ -341,7 +356,7 @@ void drives_begin(void)
         bus_trouble(TROUBLE_BUS_OFF);
         for (int m = 0; m < MOTORS; m++) {
             enter(&axes[m], SILENT);
-            axes[m].asked = true;
+            axes[m].asked = axes[m].lost = true;
         }
     }
     for (int n = 0; n < READ_FRAMES && can_read(&frame); n++)
@@ -362,7 +377,7 @@ static uint16_t controlword(Axis *axis)
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
     axis->resets = BOOT_TICKS / CYCLE_TICKS;
-    if (!wanted)
+    if (!wanted || !all_up())
         return DISABLE;
     if ((axis->status & 0x4F) == 0x40) /* switch on disabled */
         return SHUTDOWN;
@@ -439,7 +454,7 @@ void drives_start(const Drive of[MOTORS])
     memcpy(drives, of, sizeof drives);
     memset(axes, 0, sizeof axes);
     memset(&trouble, 0, sizeof trouble);
-    wanted = was_ready = follows = hurry = home_lost = false;
+    wanted = was_ready = follows = hurry = home_known = home_lost = false;
     phase = 0;
     beat = HEARTBEAT_TICKS;
     bus_alarm = 0;
@@ -461,15 +476,16 @@ void hal_drive(bool on)
 
 bool hal_ready(void)
 {
-    bool all = wanted;
+    bool all = wanted && all_up();
     for (int m = 0; m < MOTORS; m++)
-        all = all && axes[m].stage == UP && enabled(&axes[m]);
+        all = all && enabled(&axes[m]);
     was_ready = was_ready || all;
     return all;
 }
 
 bool hal_home(void)
 {
+    home_known = true;
     for (int m = 0; m < MOTORS; m++)
         axes[m].home = drives[m].absolute ? 0 : axes[m].actual;
     return true;
@@ -508,7 +524,7 @@ uint8_t hal_faults(void)
         faults |= FAULT_HARDWARE;
     for (int m = 0; m < MOTORS; m++) {
         faults |= axes[m].faults;
-        if (axes[m].stage != UP || axes[m].since < START_TICKS)
+        if (axes[m].lost && !is_up(&axes[m]))
             faults |= FAULT_HARDWARE;
     }
     return faults;
