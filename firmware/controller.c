@@ -90,6 +90,19 @@ static void tell_state(Controller *c)
     send(c, TELEMETRY, fields, (size_t)(at - fields));
 }
 
+/* What a drive says of itself, beside telemetry, while there is something. */
+static void tell_trouble(Controller *c)
+{
+    Trouble trouble;
+    uint8_t fields[8];
+    if (!hal_trouble(&trouble))
+        return;
+    fields[0] = trouble.motor;
+    fields[1] = trouble.kind;
+    put_u32(put_u16(fields + 2, trouble.object), trouble.code);
+    send(c, DRIVE_TROUBLE, fields, sizeof fields);
+}
+
 /* Stops */
 
 /* A stop: brake, or current off at once; counted also where no current flows. */
@@ -524,6 +537,7 @@ void controller_tick(Controller *c)
     uint64_t silent_us = c->now_us - c->told_us; /* a slow line carries less of it, but never none */
     if (silent_us >= TELEMETRY_US && (hal_idle() || silent_us >= LONGEST_UNTOLD_US)) {
         c->told_us = c->now_us;
+        tell_trouble(c); /* before the fault that it explains */
         tell_state(c);
     }
     hal_watchdog();

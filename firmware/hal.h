@@ -31,6 +31,10 @@ bool hal_idle(void);
 /* Motor current on or off. Must work at any time. */
 void hal_drive(bool on);
 
+/* Whether the motors hold where they are, once current was switched on: called in each tick from
+   then on until they do. The next hal_measure tells where that is. */
+bool hal_ready(void);
+
 /* Where the motors must be now: travel [m], speed [m/s], acceleration [m/s2]. */
 void hal_command(const float position[MOTORS], const float velocity[MOTORS],
                  const float acceleration[MOTORS]);
@@ -45,8 +49,20 @@ bool hal_home(void);
 /* The camera's trigger line, high or low. Called once in a tick, after hal_command. */
 void hal_trigger(bool high);
 
-/* FAULT_SUPPLY, FAULT_HARDWARE or 0. Read once in a tick. */
+/* Faults of the board, FAULT_SUPPLY, FAULT_HARDWARE or FAULT_FOLLOWING, for as long as they last;
+   FAULT_NO_HOME for a tick, where it has lost home. Read once in a tick. */
 uint8_t hal_faults(void);
+
+/* What is wrong with a drive, in its own words. */
+typedef struct {
+    uint8_t motor;   /* 1 to 4; 0: the bus */
+    uint8_t kind;    /* TROUBLE_ of message.h */
+    uint16_t object; /* of its dictionary, or its error register */
+    uint32_t code;   /* emergency, abort, statusword or value */
+} Trouble;
+
+/* The first trouble since current was switched on last; false: there is none. */
+bool hal_trouble(Trouble *trouble);
 
 /* The longest tick since the last call, as a share of a tick's period; 0 if that is not known. */
 float hal_load(void);

@@ -55,10 +55,11 @@ void motion_enable(Controller *c)
     hal_drive(true);
 }
 
-/* Find home; the way there begins in the tick after, from what is then measured. */
+/* Wait for the motors and find home; the way there begins in the tick after, from what is then
+   measured. */
 static void search(Controller *c)
 {
-    if (hal_home())
+    if (hal_ready() && hal_home())
         c->faults &= (uint8_t)~FAULT_NO_HOME;
     else if (c->now_us - c->enabled_us >= SEARCH_US)
         motion_off(c, FAULT_HARDWARE);
@@ -184,7 +185,7 @@ bool motion_step(Controller *c, uint32_t dt_us, Setpoint *at)
         c->state = STATE_PLAYING;
         dt = 0; /* it begins now */
     }
-    if (c->state == STATE_HOMING && c->faults & FAULT_NO_HOME) {
+    if (c->state == STATE_HOMING && !c->going_home && (c->faults & FAULT_NO_HOME || !hal_ready())) {
         search(c);
         return false;
     }

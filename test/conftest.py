@@ -2,8 +2,6 @@
 
 import contextlib
 import os
-import shutil
-import subprocess
 from functools import partial
 from pathlib import Path
 
@@ -11,14 +9,7 @@ import pytest
 import yaml
 from device_orders import running, twin
 from graph.domains import own_domain
-from simulated_firmware import SimulatedFirmware
-
-FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
-STRICT = [
-    "-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion",
-    "-Wfloat-conversion", "-Werror",
-]  # fmt: skip
-SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+from simulated_firmware import SimulatedFirmware, compiled
 
 FOUR = {
     "description": "As `play`, but with few parts, far from the edges.",
@@ -77,18 +68,8 @@ def url(graph):
 
 @pytest.fixture(name="program", scope="session")
 def _program(tmp_path_factory):
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler `cc` on this machine: the firmware is not tested")
-    program = tmp_path_factory.mktemp("firmware") / "host"
-    sources = sorted(map(str, [*FIRMWARE.glob("*.c"), FIRMWARE / "host" / "host.c"]))
-    built = None
-    for extra in (SANITIZED, []):  # not every compiler has sanitizers
-        command = [compiler, *STRICT, *extra, "-o", str(program), *sources, "-lm"]
-        built = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        if built.returncode == 0:
-            return program
-    pytest.fail(built.stderr)
+    folder = tmp_path_factory.mktemp("firmware")
+    return compiled(folder, "*.c", "host/host.c", "host/motors.c")
 
 
 @pytest.fixture(name="device", params=["firmware", "twin"])

@@ -173,7 +173,7 @@ def changed(at: int, **values) -> tuple[Knot, ...]:
 
 
 class Twin:
-    """What firmware/host/host.c is, with the device in Python; collects what it prints."""
+    """What firmware/host is, with the device in Python; collects what it prints."""
 
     def __init__(self, *arguments: str) -> None:
         names = ("heat_s", "continuous_force", "force", "following_m")
@@ -243,7 +243,7 @@ are its arguments."""
 
 
 def twin(orders: str, *arguments: str) -> str:
-    """Do what firmware/host/host.c does, with the device in Python; returns what it prints.
+    """Do what firmware/host does, with the device in Python; returns what it prints.
 
     Orders that are those of the last run are not done again: a `Device` is a value.
     """

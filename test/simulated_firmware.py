@@ -1,6 +1,7 @@
 """The C firmware as a process in simulated time, on a line that damages, loses and delays bytes;
 and the driver's serial transport on it."""
 
+import shutil
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,9 +26,31 @@ from plate_driver.transports import (
     SerialTransport,
 )  # fmt: skip
 
+FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+STRICT = [
+    "-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion",
+    "-Wfloat-conversion", "-Werror",
+]  # fmt: skip
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
 RIG = load_rig()
 PERIOD = 0.1
 TICK_S = 1e-3
+
+
+def compiled(folder: Path, *patterns: str) -> Path:
+    """Build files of firmware/ for this machine, with headers of a folder; returns the program."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler `cc` on this machine: the firmware is not tested")
+    program = folder / "plate"
+    sources = sorted(str(path) for pattern in patterns for path in FIRMWARE.glob(pattern))
+    for extra in (SANITIZED, []):  # not every compiler has sanitizers
+        command = [compiler, *STRICT, *extra, f"-I{folder}", "-o", str(program), *sources, "-lm"]
+        built = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        if built.returncode == 0:
+            return program
+    pytest.fail(built.stderr)
 
 
 def shaking(amplitude: float, turns: int = 2) -> MotorTable:

@@ -80,7 +80,7 @@ def expected(limits: DeviceLimits) -> dict[str, list[np.float32]]:
     return {k: [np.float32(v) for v in np.ravel(values)] for k, values in vars(limits).items()}
 
 
-@pytest.mark.parametrize("path", ["boards/stm32f405/limits_default.h", "host/host.c"])
+@pytest.mark.parametrize("path", ["boards/stm32f405/limits_default.h", "host/motors.c"])
 def test_limits_in_c_are_those_of_the_rig_file(path):
     text = (ROOT / "firmware" / path).read_text(encoding="utf-8")
     limits = DeviceLimits.of_rig(load_rig(ROOT / "config" / "rig.yaml"))
@@ -301,6 +301,25 @@ def test_a_tick_is_bounded_while_tables_small_and_large_come(firmware, tmp_path)
         assert_moved_within_limits(board.record())
         assert host.now().faults is Fault.NONE
         assert host.refused == 0
+
+
+@emulated
+def test_a_tick_is_bounded_with_drives_on_a_bus(tmp_path):
+    """Of drives that follow at once, built into the image: there is no CAN controller."""
+    rig = ROOT / "config" / "rigs" / "linear_motors.yaml"
+    firmware = built(tmp_path, RIG=rig, CAN=ROOT / "test" / "ideal_drives.c")
+    with EmulatedBoard(firmware, tmp_path) as board:
+        for _ in range(400):
+            board.tick()
+        host = ready(board)
+        status, ticks = committed(host, 500, 1)
+        assert status is Status.DONE
+        assert 1000 < ticks.median < ticks.worst <= MOST
+        told = host.telemetry[-100:]
+        assert {message.state for message in told} >= {State.PLAYING}
+        assert max(abs(q) for message in told for q in message.position) > 1e-3
+        assert max(message.following_m for message in host.telemetry) < 1e-5
+        assert host.now().faults is Fault.NONE
 
 
 @emulated

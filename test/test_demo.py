@@ -83,6 +83,11 @@ def names_of(processes):
         ),
         (["--port", "/dev/null"], "port is '/dev/null' with transport sim, allowed with it: no"),
         (["--transport", "serial", "--lockstep"], "lockstep with transport serial, allowed: sim"),
+        (
+            ["--transport", "cia402", "--port", "/dev/null"],
+            "port is '/dev/null' with transport cia",
+        ),
+        (["--transport", "cia402", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),
     ],

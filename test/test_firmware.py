@@ -61,7 +61,7 @@ def test_bytes_are_those_of_the_document(device):
     host = b"".join(
         bytes.fromhex(h)
         for name, h in examples
-        if name not in ("Capabilities", "Acknowledgement", "Pulse", "Telemetry")
+        if name not in ("Capabilities", "Acknowledgement", "Pulse", "Telemetry", "DriveTrouble")
     )
     assert run(device, host, host[:-1] + b"\xff\0", 0.02).refused == 1
     done = run(device, host, 0.02)

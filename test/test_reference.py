@@ -48,6 +48,9 @@ RIG["types"] = {
     },
     "coin": {"radius_m": 0.01, "symmetry": 0},
 }
+for node, motor in enumerate(RIG["motors"].values(), 1):
+    motor |= {"drive": "cia402", "node": node, "counts_per_m": 1e6, "sign": -1}
+    motor |= {"home": "absolute", "serial": 7}
 RIG["camera"]["colour"] = True
 RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
@@ -179,7 +182,8 @@ def test_what_is_out_of_range_is_refused_with_key_and_range(tmp_path, section, k
                 finally:
                     place[key.name] = before
                 assert f"{key.name} is " in message
-                assert f"{key.kind.low:g} to {key.kind.high:g}" in message
+                form = "" if isinstance(key.kind, Whole) else "g"
+                assert f"{key.kind.low:{form}} to {key.kind.high:{form}}" in message
                 tried += 1
     if key.name not in ("stiffness", "damping", "spline_m"):  # in place of others, none here
         assert tried >= 2

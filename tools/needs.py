@@ -27,7 +27,7 @@ PROGRAMS = {
 
 MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "distributed", "gymnasium",
-    "playwright", "axe_playwright_python",
+    "playwright", "axe_playwright_python", "can", "canopen",
 )  # fmt: skip
 """Of the wheels in `REQUIREMENTS`."""
 

@@ -63,6 +63,8 @@ def _default(key: Key) -> str:
         return key.otherwise
     if key.required:
         return "must be there"
+    if isinstance(key.default, str):
+        return key.default
     if isinstance(key.default, bool):
         return str(key.default).lower()
     if isinstance(key.default, tuple):

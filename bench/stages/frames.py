@@ -54,7 +54,7 @@ LIMITS = np.array([[0.010], [1.0], [100.0]]) * 1.002
 """Of the default rig: stroke [m], speed [m/s], acceleration [m/s2]."""
 
 ZERO = (0.0,) * 4
-SOURCES = ("*.c", "host/host.c")
+SOURCES = ("*.c", "host/host.c", "host/motors.c")
 
 
 def table(size: float) -> list[Knot]:

@@ -38,6 +38,7 @@ from plate_sim.world import Disturbances
 from plate_solver import METHODS
 
 from .domains import own_domain
+from .firmware import build
 from .observer import Observer, Record
 from .processes import Interrupted, ros_environment, signals_raise, signals_wait
 from .robot import Grip, Robot, feed_result
@@ -61,6 +62,10 @@ FEEDER_S = 10.0
 
 MOST_PICKS = 10_000
 """Parts that a robot may be asked to take."""
+
+DRIVES, DRIVES_RIG = "cia402", "linear_motors"
+"""What stands for the firmware on this computer with simulated drives, and its rig unless one is
+named."""
 
 LAST = Path("out/demo")
 """A link to the folder of the last demo."""
@@ -130,8 +135,10 @@ def checked(args: argparse.Namespace) -> Plan:
         Names the argument, its value and what is allowed.
     """
     scenario = load_scenario(args.scenario)
-    rig_file = args.rig or scenario.rig
+    drives = args.transport == DRIVES
+    rig_file = args.rig or scenario.rig or (DRIVES_RIG if drives else "")
     rig = load_rig(rig_file)
+    transport = "serial" if drives else args.transport
     if args.method not in METHODS:
         raise PlateError(
             f"method is {args.method!r}{did_you_mean(args.method, METHODS)}, "
@@ -141,8 +148,13 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
         raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
-    check_transport(args.transport, args.port or "of the simulated device")
-    if args.lockstep and args.transport == "serial":
+    check_transport(transport, args.port or "of the simulated device")
+    if drives and args.port:
+        raise PlateError(
+            f"port is {args.port!r} with transport {DRIVES}, allowed with it: none (a board is "
+            "transport serial)"
+        )
+    if args.lockstep and transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
     if args.image_rate and args.lockstep:
         raise PlateError(f"image rate is {args.image_rate:g}, allowed: 0 with --lockstep")
@@ -165,13 +177,15 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.port:
         open_port(args.port).close()
     out = args.out or own_folder(scenario.name)
+    firmware = build(rig_file, out / "firmware").absolute() if drives else ""
     options = RunOptions(
         scenario=absolute(args.scenario),
         method=METHODS[args.method],
         seed=args.seed,
-        transport=args.transport,
+        transport=transport,
         port=args.port,
         link=str((out / "device").absolute()),
+        firmware=str(firmware),
         lockstep=args.lockstep,
         image_rate=args.image_rate,
         rig_file=absolute(rig_file),

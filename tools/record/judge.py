@@ -24,6 +24,10 @@ from .limits import limit_shares, thermal_load
 WAITS = {"held_cycles": "cycles held because no answer came", "late_cycles": "late cycles"}
 """The sentence about a machine that was too slow."""
 
+BUS = {"stroke": 1.002, "speed": 1.002, "acceleration": 1.1}
+"""What the firmware may ask of drives on a bus, as shares of the limits: more than a table, since
+motors' splines differ from the plate's, and a brake adds a tenth."""
+
 ROUNDING = 1e-6
 """Share of a limit that rounding may add."""
 
@@ -101,10 +105,14 @@ def judge(
     follows = isinstance(task, FollowTask)
     poses = isinstance(task, PoseTask)
     follows &= float(record.last("planner", "max_error_m")) > 0
+    bus = {name: float(record.last("device", f"{name} asked of the drives", "nan")) for name in BUS}
+    kept = limits.tables > 0 and not limits.faults
+    if options.firmware:
+        kept &= all(bus[name] <= most for name, most in BUS.items())
     return {
         "scenario": options.scenario,
         "method": options.method,
-        "transport": options.transport,
+        "transport": "cia402" if options.firmware else options.transport,
         "seed": options.seed,
         "lockstep": options.lockstep,
         "success": record.done and film.dropped == 0,
@@ -120,7 +128,8 @@ def judge(
         "nodes": seen,
         "exit_codes": exit_codes,
         "motor_setpoints": limits.tables,
-        "setpoints_within_limits": limits.tables > 0 and not limits.faults,
+        "setpoints_within_limits": kept,
+        "bus_shares_max": bus if options.firmware else None,
         "limit_faults": list(limits.faults[:5]),
         "stroke_share_max": round(limits.stroke, 4),
         "speed_share_max": round(limits.speed, 4),

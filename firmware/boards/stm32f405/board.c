@@ -1,8 +1,13 @@
 /* The controller on an STM32F405: a tick each ms, the line in between, a watchdog over both. */
 #include "../../controller.h"
 
+#include "../../drives/drives.h"
 #include "board.h"
 #include "limits_rig.h"
+
+#if defined CIA402 != defined HAS_DRIVES
+#error "DRIVES of make and `drive` of the rig file differ"
+#endif
 
 Record record;
 
@@ -105,8 +110,14 @@ static void keep(uint32_t lasted)
 void tick(void)
 {
     tick_began = counts();
+#ifdef CIA402
+    drives_begin();
+    controller_tick(&controller);
+    drives_end();
+#else
     motors_measure();
     controller_tick(&controller);
+#endif
     keep(counts() - tick_began);
 }
 
@@ -135,7 +146,12 @@ int main(void)
     RCC_AHB1ENR |= AHB1_GPIOA | AHB1_GPIOB | AHB1_GPIOC;
     pin_mode(GPIOB, PIN_TRIGGER, 1);
     clock_start();
+#ifdef CIA402
+    drives_start(DRIVES);
+    can_start();
+#else
     motors_start(&LIMITS);
+#endif
     boot = boot_number();
     usart_start();
     controller_start(&controller, LIMITS);

@@ -26,6 +26,8 @@
 #define PIN_BRIDGE_FAULT 6   /* PA6, TIM8's break: low is a fault; pulled up at the bridges */
 #define PIN_ENABLE 10        /* PB10: high lets the bridges drive; pulled down at the bridges */
 #define PIN_TRIGGER 1        /* PB1: the camera's trigger line; pulled down at the camera */
+#define PIN_CAN_RX 8         /* PB8, PB9: CAN1, where motors have drives; then there are no bridges, */
+#define PIN_CAN_TX 9         /* and PB10 is high while the board is sound: for the drives' STO */
 #define PIN_DIRECTION 12     /* PB12 to PB15: high is positive force, motors 1 to 4 */
 #define PIN_HOME 0           /* PC0 to PC3: high where motor 1 to 4 is beyond home, q > 0 */
 #define PIN_PWM 6            /* PC6 to PC9, TIM8 */
@@ -101,8 +103,9 @@ void pin_function(Gpio *port, unsigned pin, unsigned function);
 void clock_start(void);
 void usart_start(void);
 void usart_drain(void); /* what is to be sent, as far as the line takes it; from the main loop */
-void motors_start(const Limits *limits);
-void motors_measure(void); /* at the start of each tick */
+void motors_start(const Limits *limits); /* bridges: */
+void motors_measure(void);               /* at the start of each tick */
+void can_start(void);                    /* drives */
 
 /* No current, whatever the processor does next. Needs no memory and no clock but the pins'. */
 static inline void motors_cut(void)

@@ -151,6 +151,15 @@ void hal_drive(bool on)
     driving = true;
 }
 
+bool hal_ready(void) { return true; }
+
+/* Bridges have no words. */
+bool hal_trouble(Trouble *trouble)
+{
+    (void)trouble;
+    return false;
+}
+
 /* Whether a motor is beyond home. */
 static bool beyond(int motor) { return GPIOC->IDR >> (PIN_HOME + motor) & 1; }
 

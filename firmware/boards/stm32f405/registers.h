@@ -19,7 +19,9 @@
 #define SYSTICK_RVR REGISTER(0xE000E014u)
 #define SYSTICK_CVR REGISTER(0xE000E018u)
 
-enum { IRQ_PVD = 1, IRQ_USART1 = 37, IRQS = 82 };
+#define NVIC_ISPR(n) REGISTER(0xE000E200u + 4u * (n))
+
+enum { IRQ_PVD = 1, IRQ_CAN1_TX = 19, IRQ_CAN1_RX0 = 20, IRQ_USART1 = 37, IRQS = 82 };
 
 /* Clocks */
 #define RCC_CR REGISTER(0x40023800u)
@@ -46,6 +48,7 @@ enum { IRQ_PVD = 1, IRQ_USART1 = 37, IRQS = 82 };
 #define AHB1_GPIOC BIT(2)
 #define AHB2_RNG BIT(6)
 #define APB1_TIM2 BIT(0)
+#define APB1_CAN1 BIT(25)
 #define APB1_PWR BIT(28)
 #define APB2_TIM8 BIT(1)
 #define APB2_USART1 BIT(4)
@@ -82,6 +85,32 @@ typedef struct {
 #define CR1_TE BIT(3)
 #define CR1_RXNEIE BIT(5)
 #define CR1_UE BIT(13)
+
+/* CAN bus: three mailboxes to send from, two queues of three frames that came */
+typedef struct {
+    volatile uint32_t IR, DTR, DLR, DHR;
+} CanBox;
+typedef struct {
+    volatile uint32_t MCR, MSR, TSR, RFR[2], IER, ESR, BTR, gap[88];
+    CanBox TX[3], RX[2];
+    volatile uint32_t gap_2[12], FMR, FM1R, gap_3, FS1R, gap_4, FFA1R, gap_5, FA1R, gap_6[8], FR[2];
+} Can;
+#define CAN1 ((Can *)0x40006400u)
+#define MCR_INRQ BIT(0)
+#define MCR_TXFP BIT(2) /* in the order in which they were asked for */
+#define MCR_ABOM BIT(6) /* back on the bus by itself */
+#define MSR_INAK BIT(0)
+#define TSR_RQCP (BIT(0) | BIT(8) | BIT(16))
+#define TSR_TME(box) BIT(26 + (box))
+#define TSR_ABRQ (BIT(7) | BIT(15) | BIT(23))
+#define RFR_FMP 3u
+#define RFR_RFOM BIT(5)
+#define IER_TMEIE BIT(0)
+#define IER_FMPIE0 BIT(1)
+#define ESR_BOFF BIT(2)
+#define FMR_FINIT BIT(0)
+#define IR_TXRQ BIT(0)
+#define IR_RTR_OR_IDE 6u
 
 /* Timers: TIM2 counts time, TIM8 makes the bridges' PWM */
 typedef struct {

@@ -8,6 +8,8 @@ void reset(void);
 void crash(void);
 void tick(void);
 void usart(void);
+void can_sent(void) __attribute__((weak, alias("crash"))); /* a board with bridges has no bus */
+void can_came(void) __attribute__((weak, alias("crash")));
 
 volatile Survivor survivor __attribute__((section(".noinit")));
 
@@ -63,7 +65,10 @@ __attribute__((section(".vectors"), used)) static const struct {
     .irq = {
         [0] = crash,
         [IRQ_PVD] = crash, /* the chip's own supply falls: while it can, it lets go of the motors */
-        [2 ... IRQ_USART1 - 1] = crash,
+        [2 ... IRQ_CAN1_TX - 1] = crash,
+        [IRQ_CAN1_TX] = can_sent,
+        [IRQ_CAN1_RX0] = can_came,
+        [IRQ_CAN1_RX0 + 1 ... IRQ_USART1 - 1] = crash,
         [IRQ_USART1] = usart,
         [IRQ_USART1 + 1 ... IRQS - 1] = crash,
     },

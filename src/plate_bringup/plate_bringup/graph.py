@@ -125,6 +125,8 @@ class RunOptions:
         Nothing stands in for the hardware; so too if there is a port.
     link : str
         The simulated device's port.
+    firmware : str
+        Program of the firmware for drives, which the simulated device runs; empty: its twin.
     lockstep : bool
         The simulator waits for every answer; time is the simulator's.
     rate : float
@@ -154,6 +156,7 @@ class RunOptions:
     port: str = ""
     hardware: bool = False
     link: str = "/tmp/plate_device"
+    firmware: str = ""
     lockstep: bool = False
     rate: float = 1.0
     simulated_time: bool = False
@@ -217,6 +220,8 @@ class RunOptions:
                 values["port"] = self.robot_port
         if node.name == "device":
             values["link"] = self.link
+            if self.firmware:
+                values["firmware"] = self.firmware
         if node.name == "simulator" and self.over_link:
             values["driven_by"] = "device"
         serial = self.transport == "serial" and not self.hardware  # that has a file of its own

@@ -22,7 +22,11 @@ MARKERS = {
 OTHER_PLATE = [[170, 390], [470, 390], [470, 90], [170, 90]]
 MIRRORED = [[617.82, 389.50], [21.01, 387.25], [26.86, 91.35], [614.33, 93.94]]
 
+DRIVE = {"point_m": [-0.30, 0.10], "direction": [1, 0], "drive": "cia402", "node": 1}
+DRIVE |= {"counts_per_m": 1e6}
+
 IMPOSSIBLE = [
+    (("motors", "motor_1"), DRIVE, "motor_2: drive is 'bridge' and motor_1 has 'cia402', allowed"),
     (("motors", "motor_1", "point_m"), [-3.0, 0.1], r"motor_1: point_m is \[-3, 0.1\], 2.7 m outs"),
     (("camera", "corners_px"), OTHER_PLATE, r"sides are as 1 to 1, no view of one of 0.6 x 0.3 m"),
     (("camera", "corners_px"), MIRRORED, "go round the other way, as in a mirror, allowed: the im"),
@@ -194,6 +198,47 @@ def test_command_tells_all_that_is_wrong(spoilt, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
     code, _, err = check_rig("desc")
     assert code == 2
-    assert (
-        "rig is 'desc' (did you mean desk?), allowed: desk, shapes, voice_coils, washers, or" in err
+    assert "rig is 'desc' (did you mean desk?), allowed: desk, linear_motors, shapes, voice" in err
+
+
+def drives(*values, **limits):
+    """The rig with linear motors; `values` are node and scale of its drives."""
+    rig = load_rig("linear_motors")
+    values = values or [(n, 1e6) for n in (1, 2, 3, 4)]
+    motors = tuple(
+        replace(motor, drive=replace(motor.drive, node=node, counts_per_m=scale))
+        for motor, (node, scale) in zip(rig.motors, values, strict=True)
     )
+    return replace(rig, motors=motors, limits=replace(rig.limits, **limits))
+
+
+GOOD = (3, 1e6), (4, 1e6)
+
+
+@pytest.mark.parametrize(
+    ("rig", "impossible", "text"),
+    [
+        (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as that of motor_2, allo"),
+        (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
+        (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: a count is 20"),
+        (drives(following_error_m=0.0), False, "following_error_m is 0: nobody but the drives the"),
+    ],
+)
+def test_drives_that_do_not_fit_are_named(rig, impossible, text):
+    [doubt] = doubts(rig)
+    assert doubt.impossible == impossible
+    assert text in doubt.text
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"node": 0}, "motor_1: node is 0, allowed: a whole number from 1 to 126"),
+        ({"sign": 0}, "motor_1: sign is 0, allowed: 1 or -1"),
+        ({"drive": "odrive"}, "motor_1: drive is 'odrive', allowed: one of bridge, cia402"),
+        ({"drive": "bridge"}, "motor_1: unknown key node, allowed: direction, drive, point_m"),
+    ],
+)
+def test_keys_of_a_drive_are_checked(spoilt, change, text):
+    with pytest.raises(RigError, match=text):
+        load_rig(spoilt(("motors", "motor_1"), DRIVE | change))

@@ -17,6 +17,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Begin,
     Capabilities,
     Commit,
+    DriveTrouble,
     Enable,
     Fault,
     Heartbeat,
@@ -33,6 +34,7 @@ from plate_core.serial_protocol import (  # fmt: skip
     Stop,
     Telemetry,
     Trigger,
+    Trouble,
     frame,
     newer,
     pack,
@@ -89,6 +91,7 @@ SAID = [
             *f32(1e-4, 0.125),
         ),
     ),
+    Packet(6, DriveTrouble(2, Trouble.EMERGENCY, 0x20, 0x8611)),
 ]
 
 

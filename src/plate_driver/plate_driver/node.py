@@ -571,6 +571,8 @@ class DriverNode(SafeLifecycleNode[Options]):
             response.message = "calibration_file is '', allowed: the name of a file"
         elif transport is None or not transport.calibrates:
             response.message = "transport is sim or streams, allowed: serial with cycles"
+        elif any(motor.drive for motor in self._rig.motors):
+            response.message = "the rig has drives, which tell no acceleration, allowed: bridges"
         elif status.state is not DriverState.READY:
             response.message = f"the driver is {status.text}, allowed: ready"
         else:

@@ -34,6 +34,12 @@ CYCLE_HZ = (5.0, 40.0)
 LEAST_FOLLOWING_M = 1e-5
 """Following error below which every motor would be at fault [m]: no drive is better than this."""
 
+COARSEST_M = 1e-5
+"""Count of a drive's position that is still good [m]."""
+
+MOST_COUNTS = 2**24
+"""Of a stroke: beyond, single precision loses counts."""
+
 OUTSIDE, BESIDE = 0.5, 0.1
 """How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
 from where on there is a warning."""
@@ -95,6 +101,7 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
                 f"a bracket up to {OUTSIDE * size:.3g} m outside",
                 away > OUTSIDE * size,
             )
+    yield from _drives(rig)
     scale = np.array([1, 1, float(np.hypot(*rig.plate.half))])
     sizes = np.linalg.svd(motor_levers(rig) / scale, compute_uv=False)
     if sizes[-1] < 0.05 * sizes[0]:
@@ -105,6 +112,43 @@ def _motors(rig: Rig) -> Iterator[Doubt]:
             "neither are all parallel nor all meet in one point",
             bool(sizes[-1] < 1e-3 * sizes[0]),
         )
+
+
+def _drives(rig: Rig) -> Iterator[Doubt]:
+    drives = {motor.name: motor.drive for motor in rig.motors if motor.drive is not None}
+    if not drives:
+        return
+    bare = [motor.name for motor in rig.motors if motor.name not in drives]
+    if bare:
+        yield Doubt(
+            "motors", f"motors: {bare[0]}: drive is 'bridge' and {next(iter(drives))} has "
+            "'cia402', allowed: the same for all four", True,
+        )  # fmt: skip
+    nodes: dict[int, str] = {}
+    for name, drive in drives.items():
+        if drive.node in nodes:
+            yield Doubt(
+                "motors", f"motors: {name}: node is {drive.node}, as that of {nodes[drive.node]}, "
+                "allowed: another one for each motor", True,
+            )  # fmt: skip
+        nodes[drive.node] = name
+        coarse = 1 / drive.counts_per_m
+        if coarse > COARSEST_M:
+            yield Doubt(
+                "motors", f"motors: {name}: counts_per_m is {drive.counts_per_m:g}: a count is "
+                f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
+            )  # fmt: skip
+        if drive.counts_per_m * rig.limits.stroke_m > MOST_COUNTS:
+            yield Doubt(
+                "motors", f"motors: {name}: counts_per_m is {drive.counts_per_m:g}, allowed with a "
+                f"stroke of {rig.limits.stroke_m:g} m: {MOST_COUNTS / rig.limits.stroke_m:g} or "
+                "less", True,
+            )  # fmt: skip
+    if rig.limits.following_error_m == 0:
+        yield Doubt(
+            "limits", "limits: following_error_m is 0: nobody but the drives themselves notices "
+            "one that does not follow, or counts wrong; better: more than 0",
+        )  # fmt: skip
 
 
 def _limits(rig: Rig) -> Iterator[Doubt]:

@@ -23,6 +23,28 @@ MOTOR = Section(
             "direction", Numbers((2,), -1, 1), "The way it pushes when its setpoint is positive "
             "[x, y]; of any length but 0.",
         ),
+        Key(
+            "drive", Choice(("bridge", "cia402")), "What gives it its current: a bridge of the "
+            "board, or a drive of CiA 402 on CANopen; the same kind for all four.", "bridge",
+        ),
+        Key(
+            "node", Whole(1, 126), "CANopen node number of its drive.", None, "needed with `drive`",
+        ),
+        Key(
+            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position for a metre.",
+            None, "needed with `drive`",
+        ),
+        Key(
+            "sign", Whole(-1, 1), "-1 where the drive counts against `direction`, else 1.", 1,
+        ),
+        Key(
+            "home", Choice(("here", "absolute")), "here: home is where the plate hangs at the "
+            "first enable. absolute: the drive's position is 0 at home.", "here",
+        ),
+        Key(
+            "serial", Whole(1, 2**32 - 1), "Serial number of its drive (object 1018h:04), which is "
+            "then looked at.", None, "any",
+        ),
     ),
 )  # fmt: skip
 

@@ -135,13 +135,39 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Drive:
+    """A motor's drive of CiA 402 on CANopen.
+
+    Attributes
+    ----------
+    node : int
+        1 to 126.
+    counts_per_m : float
+        Counts of its position for a metre.
+    sign : int
+        -1 where it counts against the motor's direction, else 1.
+    absolute : bool
+        Whether its position is 0 at home; if not, home is where the plate hangs.
+    serial : int
+        Object 1018h:04; 0: any.
+    """
+
+    node: int
+    counts_per_m: float
+    sign: int = 1
+    absolute: bool = False
+    serial: int = 0
+
+
+@dataclass(frozen=True)
 class Motor:
     """A linear motor: name, point where its shaft meets the plate at rest (x, y) [m, plate_home],
-    unit direction in which it pushes."""
+    unit direction in which it pushes; and its drive, unless a bridge of the board drives it."""
 
     name: str
     point: tuple[float, float]
     direction: tuple[float, float]
+    drive: Drive | None = None
 
 
 @dataclass(frozen=True)
@@ -360,11 +386,25 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
         length = float(np.hypot(*direction))
         if length < 1e-6:
             raise child.fail("direction", "a vector that is not zero")
+        unit = (direction[0] / length, direction[1] / length)
+        motors.append(Motor(name, (point[0], point[1]), unit, _drive(child)))
         child.finish()
-        motors.append(
-            Motor(name, (point[0], point[1]), (direction[0] / length, direction[1] / length))
-        )
     return tuple(motors)
+
+
+def _drive(fields: Fields) -> Drive | None:
+    if fields.value(keys.MOTOR["drive"]) == "bridge":
+        return None
+    sign = fields.value(keys.MOTOR["sign"])
+    if sign == 0:
+        raise fields.fail("sign", "1 or -1")
+    return Drive(
+        fields.value(required(keys.MOTOR["node"])),
+        fields.value(required(keys.MOTOR["counts_per_m"])),
+        sign,
+        fields.value(keys.MOTOR["home"]) == "absolute",
+        fields.value(keys.MOTOR["serial"]) or 0,
+    )
 
 
 def _camera(fields: Fields) -> Camera:

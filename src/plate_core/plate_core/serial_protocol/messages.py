@@ -69,6 +69,25 @@ class Fault(IntFlag):
     FOLLOWING = 128  # the motors were not where they were told to be
 
 
+class Trouble(IntEnum):
+    """What is wrong with a drive that the device leads by a bus."""
+
+    SILENT = 1  # it does not answer, or its heartbeat is missing
+    RESET = 2  # it has begun anew
+    NOT_OPERATIONAL = 3  # by its heartbeat; code: its state
+    REFUSED = 4  # an object in its set-up; code: SDO abort
+    WRONG_DRIVE = 5  # an object has another value, the code
+    EMERGENCY = 6  # code: of the emergency; object: error register
+    FAULT = 7  # by its statusword, the code
+    LEFT = 8  # it has left operation; code: statusword
+    NOT_ENABLED = 9  # it does not go into operation; code: statusword
+    KEEPS = 10  # its current, although it was told not to; code: statusword
+    NO_POSITION = 11  # it does not tell where it is
+    TWICE = 12  # two drives have its number
+    BUS_OFF = 13
+    OTHER_MASTER = 14  # somebody else leads the drives
+
+
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
     """Metadata of a field: `count` values, coded by a letter of `struct`, of an enum or a tuple."""
     return {"code": code, "count": count, "kind": kind}
@@ -216,9 +235,43 @@ class Telemetry:
     load: float = field(metadata=_wire("f"))  # longest tick since the last one, over its period
 
 
+@dataclass(frozen=True)
+class DriveTrouble:
+    """Device: the first trouble with a drive since the last enable, in the drive's own words."""
+
+    motor: int = field(metadata=_wire("B", kind=tuple(range(MOTORS + 1))))  # 0: the bus
+    kind: Trouble = field(metadata=_wire("B", kind=Trouble))
+    object: int = field(metadata=_wire("H"))
+    code: int = field(metadata=_wire("I"))
+
+    @property
+    def words(self) -> str:
+        """What it says, for a person."""
+        whose = f"motor_{self.motor}" if self.motor else "bus"
+        return f"{whose}: " + WORDS[self.kind].format(object=self.object, code=self.code)
+
+
+WORDS = {
+    Trouble.SILENT: "the drive does not answer",
+    Trouble.RESET: "the drive was reset",
+    Trouble.NOT_OPERATIONAL: "the drive is not operational (NMT state {code})",
+    Trouble.REFUSED: "the drive refuses object {object:04X}h in its set-up (abort {code:08X}h)",
+    Trouble.WRONG_DRIVE: "not the drive of the rig file: object {object:04X}h is {code:08X}h",
+    Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h",
+    Trouble.FAULT: "the drive is in fault (statusword {code:04X}h)",
+    Trouble.LEFT: "the drive has left operation (statusword {code:04X}h)",
+    Trouble.NOT_ENABLED: "the drive does not go into operation (statusword {code:04X}h)",
+    Trouble.KEEPS: "the drive keeps its current (statusword {code:04X}h): cut the power by hand",
+    Trouble.NO_POSITION: "the drive does not tell its position",
+    Trouble.TWICE: "two drives have its node number",
+    Trouble.BUS_OFF: "bus off: look at wires, termination and bit rate",
+    Trouble.OTHER_MASTER: "another master is on it",
+}
+
+
 Message = (
     Hello | Heartbeat | Enable | Stop | Home | Trigger | Begin | Knots | Commit
-    | Capabilities | Acknowledgement | Pulse | Telemetry
+    | Capabilities | Acknowledgement | Pulse | Telemetry | DriveTrouble
 )  # fmt: skip
 
 TYPES: dict[int, type] = {
@@ -235,6 +288,7 @@ TYPES: dict[int, type] = {
     0x82: Acknowledgement,
     0x83: Pulse,
     0x84: Telemetry,
+    0x85: DriveTrouble,
 }
 CODES = {kind: code for code, kind in TYPES.items()}
 

@@ -14,6 +14,7 @@ from plate_core.serial_protocol import (
     Begin,
     Capabilities,
     Commit,
+    DriveTrouble,
     Enable,
     Heartbeat,
     Hello,
@@ -120,6 +121,8 @@ class Link:
         When it came [s].
     fresh_telemetry : Telemetry or None
         The same, but None after each command that changes what it says, until the next one.
+    trouble : DriveTrouble or None
+        What the device has said of a drive since the motors were enabled.
     answer : Answer or None
         What became of the last Stop, Enable or Home.
     flight : tuple of (float, int)
@@ -145,6 +148,7 @@ class Link:
     telemetry: Telemetry | None = None
     telemetry_at: float = float("-inf")
     fresh_telemetry: Telemetry | None = None
+    trouble: DriveTrouble | None = None
     clock: DeviceClock = field(default_factory=DeviceClock)
     heartbeat_at: float = float("-inf")
     answer: Answer | None = None
@@ -254,6 +258,8 @@ class Link:
         link, message = replace(self, heard_at=now), packet.message
         if isinstance(message, Telemetry):
             return link._reported(message)
+        if isinstance(message, DriveTrouble):
+            return replace(link, trouble=message)
         if isinstance(message, Pulse):
             if now - message.host_ns * 1e-9 > MOST_TRIP_S:
                 return link  # it waited while we stood still, or answers no heartbeat of ours
@@ -271,7 +277,7 @@ class Link:
             clock=self.clock.stamped(telemetry.device_us, self.heard_at),
         )  # fmt: skip
         if telemetry.state in MOVABLE:
-            return link
+            return replace(link, trouble=None)
         # A device that has stopped takes no table, and must not find one when it is enabled.
         queue = tuple(p for p in self.queue if not isinstance(p.message, Begin | Knots | Commit))
         return replace(link, queue=queue, next_table=())

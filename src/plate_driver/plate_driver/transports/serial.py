@@ -91,6 +91,9 @@ REASONS = {
 """Of several faults the first one here is the reason; where home is not known the next enable finds
 it, which is no reason to look at the rig."""
 
+OF_DRIVES = Fault.HARDWARE | Fault.SUPPLY | Fault.FOLLOWING
+"""What a drive's words explain."""
+
 REFUSED = {
     Status.WRONG_STOP: "wrong stop: another stop has come since; call enable again",
     Status.WRONG_STATE: "wrong state: it brakes, or a fault of the board is still there",
@@ -358,6 +361,8 @@ class SerialTransport:
             return Report(condition)
         reasons = (reason for fault, reason in REASONS.items() if fault & telemetry.faults)
         text = named(telemetry.faults & ~Fault.NO_HOME)
+        if self._link.trouble is not None and telemetry.faults & OF_DRIVES:
+            text += f": {self._link.trouble.words}"
         return Report(condition, next(reasons, DriverReason.NONE), text)
 
     @property

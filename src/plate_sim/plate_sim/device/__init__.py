@@ -4,9 +4,11 @@ Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone. Files 
 """
 
 from .controller import Device, setpoint_allowed
+from .drives import BusJudge, SimulatedDrives
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
-from .limits import DeviceLimits, c_header
+from .firmware import FirmwareOnDesk
+from .limits import DeviceLimits, c_header, rig_header
 from .piece import check_pieces, states_of
 from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
@@ -14,17 +16,21 @@ from .serial_line import Line
 
 __all__ = [
     "TICK_US",
+    "BusJudge",
     "Device",
     "DeviceLimits",
     "Emulator",
     "FaultSchedule",
+    "FirmwareOnDesk",
     "Line",
     "LineFaults",
     "PseudoTerminal",
     "Segment",
+    "SimulatedDrives",
     "SuspendedPlate",
     "c_header",
     "check_pieces",
+    "rig_header",
     "setpoint_allowed",
     "states_of",
 ]

@@ -17,6 +17,7 @@ from plate_core.serial_protocol import (
     Begin,
     Capabilities,
     Commit,
+    DriveTrouble,
     Enable,
     Fault,
     Heartbeat,
@@ -366,7 +367,7 @@ class Device:
         except FrameError:
             return self, b"", work
         message, number = packet.message, packet.sequence
-        if isinstance(message, Capabilities | Acknowledgement | Pulse | Telemetry):
+        if isinstance(message, Capabilities | Acknowledgement | Pulse | Telemetry | DriveTrouble):
             return self, b"", work
         device = changed(self, frame_us=self.now_us)
         if isinstance(message, Knots) and self.session is not None:

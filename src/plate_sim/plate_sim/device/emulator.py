@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +78,25 @@ class Emulator:
     def now(self) -> float:
         """The device's clock [s]."""
         return self.device.now_us * 1e-6
+
+    @property
+    def now_us(self) -> int:
+        """The same [us]."""
+        return self.device.now_us
+
+    @property
+    def faults(self) -> Fault:
+        """Faults of the device."""
+        return self.device.motion.faults
+
+    def values(self) -> Mapping[str, object]:
+        """Return what is to be reported, name to value."""
+        device = self.device
+        return {
+            "state": device.motion.state.name.lower(),
+            "damaged frames": device.reader.refused,
+            "hottest motor": f"{device.heat.max() / device.limits.continuous_square:.3f}",
+        }
 
     @property
     def plate(self) -> np.ndarray:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from plate_core import Rig
-from plate_core.rig import motor_levers, plate_mass
+from plate_core import Rig, load_rig
+from plate_core.rig import Drive, motor_levers, plate_mass
 
 SLACK = np.float32(1) + np.float32(2e-3)
 """A limit may be passed by this factor: the host keeps it on the plate's spline, and the motors'
@@ -93,14 +95,30 @@ class DeviceLimits:
         return np.add.accumulate(self.loads * acceleration[..., None, :], axis=-1)[..., -1]
 
 
-def c_header(limits: DeviceLimits, name: str) -> str:
-    """Return the C header that firmware is built with: `LIMITS`, in single precision.
+def rig_header(path: str) -> str:
+    """Return the C header of a rig file.
+
+    Raises
+    ------
+    PlateError
+        If the file is wrong.
+    """
+    rig = load_rig(path)
+    drives = [motor.drive for motor in rig.motors if motor.drive is not None]
+    return c_header(DeviceLimits.of_rig(rig), Path(path).name, drives)
+
+
+def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> str:
+    """Return the C header that firmware is built with: `LIMITS`, in single precision, and, where
+    motors have drives, `DRIVES`.
 
     Parameters
     ----------
     limits : DeviceLimits
     name : str
         Of the rig file, for those who read the header.
+    drives : sequence of Drive
+        Of all motors, or none.
     """
     values = [(field.name, getattr(limits, field.name)) for field in fields(limits)]
     lines = [f"    .{key} = {_literal(np.asarray(value, np.float32))}," for key, value in values]
@@ -109,8 +127,19 @@ def c_header(limits: DeviceLimits, name: str) -> str:
         "static const Limits LIMITS = {",
         *lines,
         "};",
+        *(DRIVES_HEAD + [*map(_drive, drives), "};"] if drives else []),
         "",
     ])  # fmt: skip
+
+
+DRIVES_HEAD = ["#define HAS_DRIVES", "static const Drive DRIVES[MOTORS] = {"]
+
+
+def _drive(drive: Drive) -> str:
+    """Return C for a drive."""
+    scale = _literal(np.asarray(drive.counts_per_m, np.float32))
+    absolute = str(drive.absolute).lower()
+    return f"    {{{drive.node}, {scale}, {drive.sign}, {absolute}, {drive.serial}u}},"
 
 
 def _literal(value: np.ndarray) -> str:

@@ -5,24 +5,23 @@ python -m plate_sim.device.limits_header RIG.yaml > limits_rig.h
 
 import argparse
 import sys
-from pathlib import Path
 
-from plate_core import PlateError, load_rig
+from plate_core import PlateError
 
-from .limits import DeviceLimits, c_header
+from .limits import rig_header
 
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("rig", metavar="RIG.yaml", help="rig file")
-    rig = parser.parse_args().rig
+    path = parser.parse_args().rig
     try:
-        limits = DeviceLimits.of_rig(load_rig(rig))
+        header = rig_header(path)
     except PlateError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    sys.stdout.write(c_header(limits, Path(rig).name))
+    sys.stdout.write(header)
     return 0
 
 

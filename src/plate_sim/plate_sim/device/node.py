@@ -25,6 +25,7 @@ from plate_core.status import Finding, Level
 
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
+from .firmware import FirmwareOnDesk
 from .limits import DeviceLimits
 from .plate import Segment, SuspendedPlate
 from .pty import PseudoTerminal
@@ -51,6 +52,9 @@ class Options(NodeOptions):
 
     link: str = parameter("/tmp/plate_device", "Name of the serial port that is made.")
     seed: int = parameter(0, "Seed of what goes wrong.", 0, 2**31 - 1)
+    firmware: str = parameter(
+        "", "The firmware's program for drives of CiA 402, on simulated ones; empty: its twin."
+    )
     baud: float = parameter(921_600.0, "Speed of the line [bit/s]; 0: none.", 0, 1e9, live=True)
     dropped: float = _fraction("Bytes that vanish on the line [fraction].")
     corrupted: float = _fraction("Bytes that change on the line [fraction].")
@@ -91,9 +95,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
         """Read the rig, and make the port."""
         options = self.options
         self._rig = load_rig(options.rig_file)
-        plate = SuspendedPlate(self._rig, TICK_US * 1e-6) if self._rig.suspension else None
-        limits = DeviceLimits.of_rig(self._rig)
-        self._emulator = Emulator(limits, options.seed, options.schedule, plate=plate)
+        self._emulator = self._made()
         self._terminal = PseudoTerminal(options.link)
         self.keep(PseudoTerminal.unplug, self._terminal)
         self._terminal.plug()
@@ -102,9 +104,19 @@ class DeviceNode(SafeLifecycleNode[Options]):
         self.managed_timer(SERVE_PERIOD_S, self._serve)
         self.get_logger().info(f"serial port: {options.link}")
 
+    def _made(self) -> Emulator | FirmwareOnDesk:
+        options, rig = self.options, self._rig
+        if options.firmware:
+            desk = FirmwareOnDesk(options.firmware, rig, options.seed, options.schedule)
+            self.keep(FirmwareOnDesk.close, desk)
+            return desk
+        plate = SuspendedPlate(rig, TICK_US * 1e-6) if rig.suspension else None
+        limits = DeviceLimits.of_rig(rig)
+        return Emulator(limits, options.seed, options.schedule, plate=plate)
+
     def begin(self) -> None:
         """Switch the device on."""
-        now_us = self._emulator.device.now_us
+        now_us = self._emulator.now_us
         self._begin_ns = self.get_clock().now().nanoseconds - 1_000 * now_us
         self._steady_ns = time.monotonic_ns() - 1_000 * now_us
         self._late_ms = self._lost_ms = 0.0
@@ -121,7 +133,7 @@ class DeviceNode(SafeLifecycleNode[Options]):
     def _serve(self) -> None:
         """Let the device catch up with the clock."""
         emulator, came = self._emulator, self._terminal.read()
-        due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.device.now_us
+        due = (time.monotonic_ns() - self._steady_ns) // 1_000 - emulator.now_us
         self._late_ms = max(self._late_ms, due * 1e-3 - 1e3 * SERVE_PERIOD_S)
         lost = max(0, due - MOST_BEHIND_US)
         due -= lost
@@ -151,17 +163,14 @@ class DeviceNode(SafeLifecycleNode[Options]):
         return to_time(self._begin_ns + round(time_s * 1e9))
 
     def _find(self, _: float) -> Finding:
-        motion = self._emulator.device.motion
-        names = [fault.name.lower().replace("_", " ") for fault in motion.faults if fault.name]
-        level = Level.WARN if motion.faults else Level.OK
-        return Finding(level, ", ".join(names) or motion.state.name.lower())
+        faults = self._emulator.faults
+        names = [fault.name.lower().replace("_", " ") for fault in faults if fault.name]
+        level = Level.WARN if faults else Level.OK
+        return Finding(level, ", ".join(names) or str(self._emulator.values()["state"]))
 
     def _values(self) -> Mapping[str, object]:
-        device = self._emulator.device
         return {
-            "state": device.motion.state.name.lower(),
-            "damaged frames": device.reader.refused,
-            "hottest motor": f"{device.heat.max() / device.limits.continuous_square:.3f}",
+            **self._emulator.values(),
             "latest tick [ms]": f"{self._late_ms:.1f}",
             "clock stood still [ms]": f"{self._lost_ms:.0f}",
         }

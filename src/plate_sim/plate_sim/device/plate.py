@@ -86,16 +86,17 @@ class Recorder:
         return np.stack([place, speed, -(COAST_RATE**2) * place - 2 * COAST_RATE * speed])
 
     def followed(
-        self, now: float, motion: Motion, at: np.ndarray | None, triggered: bool = False
+        self, now: float, motion: Motion | None, at: np.ndarray | None, triggered: bool = False
     ) -> list[Segment]:
         """Return the segments that have ended by `now` [s], when `at` was commanded and, maybe, the
-        camera triggered."""
+        camera triggered; without a motion nobody knows the tables."""
         done = []
-        table = motion.playing if motion.state is State.PLAYING else None
+        playing = motion is not None and motion.state is State.PLAYING
+        table = motion.playing if motion is not None and playing else None
         if isinstance(table, Stream):
             table = None  # it has no cycles
-        play = (id(table), motion.played) if table is not None else None
-        if table is not None and play != self._play:
+        play = (id(table), motion.played) if motion is not None and table is not None else None
+        if motion is not None and table is not None and play != self._play:
             done = self._cut(now - motion.time * TICK_S, table)
             self._whole = table
         elif table is None:

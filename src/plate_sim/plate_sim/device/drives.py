@@ -1,0 +1,205 @@
+"""Four drives of CiA 402 on a CAN bus, as far as our master needs them; a judge of the master.
+
+A frame is its identifier and its data. The drives of `test/test_cia402.py` are others.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plate_core.rig import Drive, Limits
+
+from .plate import COAST_RATE
+
+Frame = tuple[int, bytes]
+
+SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600, 0x700
+
+OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
+"""Statuswords of the power states."""
+
+NEXT = {
+    (OFF, 6): READY, (READY, 7): SWITCHED_ON, (SWITCHED_ON, 15): ENABLED, (SWITCHED_ON, 6): READY,
+    (ENABLED, 7): SWITCHED_ON, (ENABLED, 6): READY,
+}  # fmt: skip
+"""Power state after a state and a controlword."""
+
+BANDWIDTH = 2 * np.pi * 150
+"""Of a drive's position loop with feed-forward of speed, critically damped [rad/s]."""
+
+TICK_S = 1e-3
+CYCLE_S = 2e-3
+"""Between two SYNCs [s]: over it a drive interpolates."""
+
+NO_OBJECT = 0x06020000
+
+
+@dataclass
+class _Node:
+    """The protocol's side of a drive."""
+
+    drive: Drive
+    zero: int  # its position where the plate hangs [counts]
+    operational: bool = False
+    status: int = OFF
+    order: int = 0  # controlword and target of the last RPDO: SYNC makes them count
+    goal: int = 0
+    target: int = 0
+    objects: dict[tuple[int, int], int] = field(default_factory=dict)
+
+    def booted(self) -> list[Frame]:
+        """Forget all, and say so."""
+        known = {(0x1000, 0): 0x20192, (0x6502, 0): 0x80, (0x1018, 4): self.drive.serial}
+        self.operational, self.status, self.objects = False, OFF, known
+        return [(HEARTBEAT + self.drive.node, b"\0")]
+
+    def answered(self, request: bytes) -> list[Frame]:
+        """Answer to an expedited SDO."""
+        command, index, sub, value = struct.unpack("<BHBI", request)
+        if command != 0x40:
+            self.objects[index, sub], command, value = value, 0x60, 0
+        elif (index, sub) in self.objects:
+            command, value = 0x43, self.objects[index, sub]
+        else:
+            command, value = 0x80, NO_OBJECT
+        return [(ANSWER + self.drive.node, struct.pack("<BHBI", command, index, sub, value))]
+
+    def synchronised(self, counts: int) -> list[Frame]:
+        """Tell status and place, and obey the last RPDO."""
+        if not self.operational:
+            return []
+        told = struct.pack("<Hi", self.status, counts)
+        kept = self.status if self.order & 2 else OFF  # disable voltage
+        self.status = NEXT.get((self.status, self.order), kept)
+        self.target = self.goal
+        return [(TPDO + self.drive.node, told)]
+
+
+class SimulatedDrives:
+    """Four drives and the motors behind them; one tick is a millisecond.
+
+    Without current flexures bring the motors home.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        Of motor_1 to motor_4.
+    """
+
+    def __init__(self, drives: Sequence[Drive]) -> None:
+        zeros = [0 if drive.absolute else 100_000 * drive.node for drive in drives]
+        self._nodes = [_Node(drive, zero) for drive, zero in zip(drives, zeros, strict=True)]
+        self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
+        self.zeros = np.array(zeros)
+        """Their positions at home [counts]."""
+        self._state = np.zeros((3, len(drives)))
+        self._from = self._to = np.zeros(len(drives))  # setpoints of this bus cycle [m]
+        self._into = 0.0
+        self._now_ms = 0
+
+    @property
+    def motors(self) -> np.ndarray:
+        """Travel [m], speed [m/s] and acceleration [m/s2] of the motors (3, 4)."""
+        return self._state
+
+    @property
+    def enabled(self) -> np.ndarray:
+        """Which motors have current (4,)."""
+        return np.array([node.status == ENABLED for node in self._nodes])
+
+    def heard(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Take what the master has sent; returns what the drives answer."""
+        answers: list[Frame] = []
+        for identifier, data in frames:
+            if identifier == SYNC:
+                answers += self._synchronised()
+                continue
+            for node in self._nodes:
+                if identifier == RPDO + node.drive.node:
+                    node.order, node.goal = struct.unpack("<Hi", data)
+                elif identifier == REQUEST + node.drive.node:
+                    answers += node.answered(data)
+                elif identifier == 0 and data[1] in (0, node.drive.node):
+                    if data[0] in (0x81, 0x82):
+                        answers += node.booted()
+                    else:
+                        node.operational = data[0] == 1
+        return answers
+
+    def _synchronised(self) -> list[Frame]:
+        counts = np.rint(self._state[0] * self._scale).astype(int) + self.zeros
+        answers = []
+        for node, place in zip(self._nodes, counts.tolist(), strict=True):
+            answers += node.synchronised(place)
+        self._from = self._to
+        self._to = (np.array([node.target for node in self._nodes]) - self.zeros) / self._scale
+        self._into = 0.0
+        return answers
+
+    def passed(self) -> list[Frame]:
+        """Let a tick pass; returns heartbeats."""
+        self._now_ms += 1
+        before, self._into = self._into, min(self._into + TICK_S, CYCLE_S)
+        whole = (self._to - self._from) / CYCLE_S
+        slope = whole * (self._into - before) / TICK_S
+        driven = self._followed(self._from + whole * self._into, slope, BANDWIDTH)
+        if not self.enabled.all():
+            rest = np.zeros_like(slope)
+            driven = np.where(self.enabled, driven, self._followed(rest, rest, COAST_RATE))
+        self._state = driven
+        beats = []
+        for node in self._nodes:
+            period = node.objects.get((0x1017, 0), 0)
+            if period and self._now_ms % period == 0:
+                state = b"\5" if node.operational else b"\x7f"
+                beats.append((HEARTBEAT + node.drive.node, state))
+        return beats
+
+    def _followed(self, wanted: np.ndarray, slope: np.ndarray, rate: float) -> np.ndarray:
+        """State a tick later, critically damped, behind a setpoint on its way to `wanted`."""
+        behind = self._state[0] - (wanted - slope * TICK_S)
+        push = self._state[1] - slope + rate * behind
+        fade = np.exp(-rate * TICK_S)
+        behind = (behind + push * TICK_S) * fade
+        speed = push * fade - rate * behind
+        return np.stack([wanted + behind, slope + speed, -rate * (2 * speed + rate * behind)])
+
+
+class BusJudge:
+    """Looks at what a master tells the drives, at each SYNC, against the rig's limits.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+    zeros : (4,)
+        Their positions at home [counts].
+    limits : Limits
+        Of the rig.
+    """
+
+    def __init__(self, drives: Sequence[Drive], zeros: np.ndarray, limits: Limits) -> None:
+        self._places = {RPDO + drive.node: m for m, drive in enumerate(drives)}
+        self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
+        self._zeros, self._targets = zeros, np.zeros(len(drives), int)
+        self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
+        self._led: list[np.ndarray] = []  # the last three targets with current [m]
+        self.shares = np.zeros(3)
+        """Greatest shares of the limits of stroke, speed and acceleration that were asked for."""
+
+    def heard(self, frames: Sequence[Frame], led: bool) -> None:
+        """Take the master's frames of a tick; `led`: whether all motors have current."""
+        for identifier, data in frames:
+            if identifier in self._places:
+                self._targets[self._places[identifier]] = struct.unpack("<Hi", data)[1]
+            elif identifier == SYNC:
+                places = [*self._led[-2:], (self._targets - self._zeros) / self._scale]
+                self._led = places if led else []
+                steps = np.diff(places, axis=0) / CYCLE_S
+                if led:
+                    found = (places, steps, np.diff(steps, axis=0) / CYCLE_S)
+                    most = [np.max(np.abs(each), initial=0.0) for each in found]
+                    self.shares = np.maximum(self.shares, most / self._most)

@@ -1,0 +1,139 @@
+"""The firmware itself, as a process of this computer, with line, CAN bus and simulated drives."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from plate_core import PlateError, Rig
+from plate_core.serial_protocol import Fault, State
+
+from .drives import BusJudge, Frame, SimulatedDrives
+from .emulator import TICK_US
+from .faults import FaultSchedule
+from .plate import Recorder, Segment
+from .serial_line import Line
+
+
+class FirmwareOnDesk:
+    """The firmware with drives of CiA 402, in steps of one tick, as `Emulator` is its twin.
+
+    The motors are where the simulated drives have brought them, not where they were told to be.
+
+    Parameters
+    ----------
+    program : path
+        firmware/host, built with can.c, the drives and the rig's limits.
+    rig : Rig
+        With drives.
+    seed : int
+        Of what goes wrong on the line.
+    schedule : FaultSchedule
+        Of which the line's faults count.
+
+    Raises
+    ------
+    PlateError
+        If the rig's motors have no drives, or the program does not start.
+    """
+
+    connected = True
+
+    def __init__(
+        self, program: str | Path, rig: Rig, seed: int = 0, schedule: FaultSchedule | None = None
+    ) -> None:
+        drives = [motor.drive for motor in rig.motors if motor.drive is not None]
+        if not drives:
+            raise PlateError("firmware with drives: the rig has none, allowed: `drive: cia402`")
+        try:
+            self._process = subprocess.Popen(
+                [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+        except OSError as error:
+            raise PlateError(f"firmware is {str(program)!r}: {error}") from None
+        generators = np.random.default_rng(seed).spawn(2)
+        line = (schedule or FaultSchedule()).line
+        self.to_device, self.to_host = Line(line, generators[0]), Line(line, generators[1])
+        self.drives = SimulatedDrives(drives)
+        self.judge = BusJudge(drives, self.drives.zeros, rig.limits)
+        self.now_us = 0
+        self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0
+        self.triggered = False
+        """Whether the camera's line has risen in the last tick."""
+        self._recorder = Recorder()
+        self._coming: list[Frame] = []
+
+    @property
+    def now(self) -> float:
+        """The device's clock [s]."""
+        return self.now_us * 1e-6
+
+    def configure(self, schedule: FaultSchedule) -> None:
+        """Change what goes wrong on the line from now on."""
+        self.to_device.faults = self.to_host.faults = schedule.line
+
+    def reset(self) -> None:
+        """Restart the firmware; the drives go on, and notice."""
+        self._say("reset")
+        self.to_device.cut()
+        self.to_host.cut()
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.communicate()
+
+    def values(self) -> Mapping[str, object]:
+        """Return what is to be reported, name to value."""
+        stroke, speed, accel = self.judge.shares
+        return {
+            "state": self.state.name.lower(),
+            "damaged frames": self._refused,
+            "stroke asked of the drives": f"{stroke:.4f}",
+            "speed asked of the drives": f"{speed:.4f}",
+            "acceleration asked of the drives": f"{accel:.4f}",
+        }
+
+    def tick(self) -> list[Segment]:
+        """Let a tick pass; returns what the motors have done up to an image."""
+        self.now_us += TICK_US
+        if came := self.to_device.arrived(self.now):
+            self._say(f"rx {came.hex()}")
+        for identifier, data in self._coming + self.drives.passed():
+            self._say(f"can {identifier:x} {data.hex()}")
+        self._say(f"run {TICK_US}")
+        frames = self._heard()
+        self._coming = self.drives.heard(frames)
+        self.judge.heard(frames, bool(self.drives.enabled.all()))
+        return self._recorder.followed(self.now, None, self.drives.motors, self.triggered)
+
+    def _say(self, order: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(order + "\n")
+
+    def _heard(self) -> list[Frame]:
+        """Take what the firmware says in a tick; returns its frames."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        frames: list[Frame] = []
+        self.triggered = False
+        try:
+            self._process.stdin.flush()
+        except OSError as error:
+            raise PlateError(f"the firmware has ended: {error}") from None
+        for line in iter(self._process.stdout.readline, ""):
+            kind, *words = line.split()
+            if kind == "can":
+                frames.append((int(words[0], 16), bytes.fromhex("".join(words[1:]))))
+            elif kind == "tx":
+                self.to_host.sent(bytes.fromhex(words[0]), self.now)
+            elif kind == "trigger":
+                self.triggered = words[1] == "1"
+            elif kind == "state":
+                self.state, self.faults = State(int(words[0])), Fault(int(words[1]))
+                self._refused = int(words[2])
+                return frames
+        raise PlateError("the firmware has ended")

@@ -1,0 +1,107 @@
+"""Simulated drives behind the firmware: their motion, and what the judge of the bus sees."""
+
+import shutil
+import struct
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from plate_core import PlateError, load_rig
+from plate_core.rig import Drive, Limits
+from plate_sim.device import BusJudge, FirmwareOnDesk, SimulatedDrives, c_header
+from plate_sim.device.drives import BANDWIDTH, CYCLE_S, OFF, RPDO, SYNC
+from plate_sim.device.limits import DeviceLimits
+
+DRIVES = [Drive(node, 1e6, -1 if node == 2 else 1) for node in (1, 2, 3, 4)]
+LIMITS = Limits(0.01, 1.0, 100.0)
+
+
+def frames(drives, place, word=15):
+    """What a master says in a cycle: all motors to a place [m]."""
+    told = [
+        (RPDO + d.node, struct.pack("<Hi", word, round(d.sign * d.counts_per_m * place) + zero))
+        for d, zero in zip(DRIVES, drives.zeros.tolist(), strict=True)
+    ]
+    return [*told, (SYNC, b"")]
+
+
+def enabled():
+    drives = SimulatedDrives(DRIVES)
+    drives.heard([(0, b"\x82\0"), (0, b"\1\0")])
+    for word in (6, 7, 15):
+        drives.heard(frames(drives, 0.0, word))
+    assert drives.enabled.all()
+    return drives
+
+
+def test_a_drive_follows_as_the_equation_of_motion_says():
+    drives, places = enabled(), np.cumsum([0, 1e-4, 3e-4, 2e-4, 0, 0, 0, 0])
+
+    def change(t, y):
+        k = min(int(t / CYCLE_S), len(places) - 2)
+        slope = (places[k + 1] - places[k]) / CYCLE_S
+        goal = places[k] + slope * (t - k * CYCLE_S)
+        return [y[1], BANDWIDTH**2 * (goal - y[0]) + 2 * BANDWIDTH * (slope - y[1])]
+
+    end = CYCLE_S * (len(places) - 1)
+    truth = solve_ivp(change, (0, end), [0, 0], max_step=1e-5, t_eval=np.arange(1, 15) * 1e-3)
+    seen = []
+    for place in places[1:]:
+        drives.heard(frames(drives, place))
+        for _ in range(2):
+            drives.passed()
+            seen.append(drives.motors[:2].copy())
+    np.testing.assert_allclose(np.array(seen)[:, :, 1], truth.y.T, atol=2e-6 * BANDWIDTH)
+    np.testing.assert_allclose(np.array(seen)[:, 0, 0], truth.y[0], atol=1e-7)
+
+
+def test_only_the_states_in_order_give_current():
+    drives = SimulatedDrives(DRIVES)
+    drives.heard(frames(drives, 0.0))
+    assert not drives.enabled.any()  # not operational
+    drives.heard([(0, b"\1\0"), *frames(drives, 0.0)])
+    assert not drives.enabled.any()
+    drives = enabled()
+    drives.heard(frames(drives, 0.0, 0))
+    answers = drives.heard([(SYNC, b"")])
+    assert [struct.unpack("<Hi", data)[0] for _, data in answers] == [OFF] * 4
+
+
+@pytest.mark.parametrize(
+    ("places", "share", "value"),
+    [
+        ([0, 0.0101], 0, 1.01),
+        ([0, 0.0021, 0.0042], 1, 1.05),
+        ([0, 0.0, 0.00044], 2, 1.1),
+    ],
+)
+def test_the_judge_sees_what_is_beyond(places, share, value):
+    drives = enabled()
+    judge = BusJudge(DRIVES, drives.zeros, LIMITS)
+    for place in places:
+        judge.heard(frames(drives, place), True)
+    assert judge.shares[share] == pytest.approx(value, rel=1e-3)
+    before = judge.shares.copy()
+    judge.heard(frames(drives, 1.0), False)  # without current nothing counts
+    assert (judge.shares == before).all()
+
+
+def test_a_header_has_the_drives():
+    drives = [Drive(7, 2e5, -1), Drive(8, 3e5, absolute=True, serial=2**32 - 1)]
+    text = c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml", drives)
+    assert "static const Drive DRIVES[MOTORS] = {\n    {7, 200000.0f, -1, false, 0u},\n" in text
+    assert "    {8, 300000.0f, 1, true, 4294967295u},\n" in text
+    assert "DRIVES" not in c_header(DeviceLimits.of_rig(load_rig()), "rig.yaml")
+
+
+def test_a_rig_without_drives_and_a_program_that_is_not_there_are_said():
+    with pytest.raises(PlateError, match="the rig has none, allowed: `drive: cia402`"):
+        FirmwareOnDesk("/bin/true", load_rig())
+    with pytest.raises(PlateError, match="firmware is '/no/such': "):
+        FirmwareOnDesk("/no/such", load_rig("linear_motors"))
+    ended = FirmwareOnDesk(shutil.which("true"), load_rig("linear_motors"))
+    ended._process.wait(10)
+    with pytest.raises(PlateError, match="the firmware has ended"):
+        ended.tick()
+    ended.close()

@@ -1,0 +1,534 @@
+"""The firmware leads drives of CiA 402 over CANopen: judged by somebody else's stack, `canopen`,
+and by what is on the bus."""
+
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+from device_orders import ENABLE, HELLO, ordered, say, spline, uploaded, wave
+from simulated_firmware import compiled
+
+from plate_core import load_rig
+from plate_core.driver_status import DriverReason
+from plate_core.rig import Drive as RigDrive
+from plate_core.serial_protocol import (
+    VERSION,
+    DriveTrouble,
+    Enable,
+    Fault,
+    Heartbeat,
+    Hello,
+    Home,
+    Reader,
+    State,
+    Stop,
+    Telemetry,
+    Trouble,
+    parse,
+)
+from plate_driver.transports import Condition, SerialTransport
+from plate_sim.device import DeviceLimits, c_header
+
+pytestmark = pytest.mark.needs("can", "canopen")
+
+RIG = load_rig()
+NODES, SIGNS, SCALE = (1, 2, 3, 5), (1, -1, 1, 1), 1e6
+DRIVES = [RigDrive(node, SCALE, sign) for node, sign in zip(NODES, SIGNS, strict=True)]
+DRIVES[3] = RigDrive(5, SCALE, 1, absolute=True, serial=705)
+HOMES = (5000, -70_000, 2**31 - 20_000, 0)
+"""Where the drives stand at home [counts]: the third one near the end of its range."""
+
+RPDO, SYNC = 0x200, 0x80
+FOLLOWED_MS = 12
+
+
+@pytest.fixture(name="leader", scope="module")
+def _leader(tmp_path_factory):
+    """The firmware for drives, built for this machine."""
+    folder = tmp_path_factory.mktemp("leader")
+    header = c_header(DeviceLimits.of_rig(RIG), "rig.yaml", DRIVES)
+    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
+    return compiled(folder, "*.c", "drives/*.c", "host/host.c", "host/can.c")
+
+
+@pytest.fixture(name="bench")
+def _bench(leader, request):
+    """The firmware, and four drives that are off."""
+    from can_drives import CanBench, Drive
+
+    bench = CanBench(leader, request.node.name)
+    bench.drives = [Drive(bench.network, node) for node in NODES]
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = float(home)
+    yield bench
+    bench.end()
+
+
+def tell(bench, data):
+    bench.order(f"rx {data.hex()}")
+
+
+def boot(bench):
+    """Switch the drives on, and wait until the firmware has set them up."""
+    bench.run(5)
+    for drive in bench.drives:
+        drive.boot()
+    bench.run(300)
+    tell(bench, HELLO)
+    bench.run(5)
+
+
+def live(bench, ms):
+    """Let time pass with a host that lives."""
+    for _ in range(0, ms, 50):
+        tell(bench, say(1, Heartbeat(1)))
+        bench.run(50)
+
+
+def enable(bench, sequence=101):
+    tell(bench, say(sequence, Enable(bench.stop)))
+    live(bench, 600)
+
+
+def ready(bench):
+    boot(bench)
+    enable(bench)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+
+
+def playing(bench, size=0.004):
+    ready(bench)
+    for data in uploaded(7, wave(size), 200, 90):
+        tell(bench, data)
+    live(bench, 150)
+    assert bench.state == State.PLAYING
+
+
+def heard(bench, kind):
+    packets = Reader().fed(bench.said)[1]
+    return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]
+
+
+def led(bench, since=0):
+    """Controlword and target of each RPDO: rows of time [ms], motor, word, target."""
+    rows = []
+    for at, identifier, data in bench.sent:
+        if at >= since and identifier - RPDO in NODES:
+            word, target = struct.unpack("<Hi", data)
+            rows.append((at, NODES.index(identifier - RPDO), word, target))
+    return np.array(rows).reshape(-1, 4)
+
+
+def travel(rows, motor):
+    """Times [ms] and where a motor was told to be [m]."""
+    own = rows[(rows[:, 1] == motor) & (rows[:, 2] == 15)]
+    return own[:, 0], (own[:, 3] - HOMES[motor]) / (SCALE * SIGNS[motor])
+
+
+def check_bus(bench, since=0):
+    """No target leaves the limits, or jumps, while there is current."""
+    rows = led(bench, since)
+    for motor in range(4):
+        at, place = travel(rows, motor)
+        steps = np.diff(place)[np.diff(at) <= 2]
+        assert np.max(np.abs(place), initial=0) <= RIG.limits.stroke_m * 1.002 + 1 / SCALE
+        assert np.max(np.abs(steps), initial=0) <= RIG.limits.speed * 2.004e-3 + 1 / SCALE
+
+
+# Set up, enable, play
+
+
+def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
+    boot(bench)
+    live(bench, 300)
+    assert [drive.nmt.state for drive in bench.drives] == ["OPERATIONAL"] * 4
+    assert [drive.history for drive in bench.drives] == [[]] * 4
+    assert set(led(bench)[:, 2]) == {0}
+    for drive in bench.drives:
+        assert [(v.index, v.length) for v in drive.rpdo[1].map] == [(0x6040, 16), (0x607A, 32)]
+        assert [(v.index, v.length) for v in drive.tpdo[1].map] == [(0x6041, 16), (0x6064, 32)]
+        assert drive.value(0x6060) == 8
+        assert drive.value(0x1401, 1) >> 31 == drive.value(0x1801, 1) >> 31 == 1
+        assert drive.value(0x1016, 1) == 127 << 16 | 150
+    told = heard(bench, Telemetry)
+    assert {t.faults for t in told} == {Fault.NO_HOME}
+    assert {t.stop for t in told} == {bench.stop}  # to be set up is no stop
+
+
+def test_current_comes_by_the_states_of_the_standard_and_without_a_jump(bench):
+    boot(bench)
+    places = [drive.position for drive in bench.drives]
+    enable(bench)
+    assert bench.state == State.READY
+    for drive in bench.drives:
+        assert drive.history == ["ready", "switched on", "enabled"]
+    for motor, place in enumerate(places):
+        told = [row[3] for row in led(bench) if row[1] == motor and row[2] == 15]
+        assert set(told) == {place}
+    check_bus(bench)
+
+
+def test_an_enable_waits_for_drives_that_are_not_there_yet(bench):
+    bench.run(5)
+    tell(bench, HELLO)
+    tell(bench, say(101, Enable(bench.stop)))
+    bench.run(200)
+    for drive in bench.drives[:3]:
+        drive.boot()
+    live(bench, 400)
+    assert bench.state == State.HOMING
+    assert all(drive.history == [] for drive in bench.drives)  # all of them, or none
+    bench.drives[3].boot()
+    live(bench, 900)
+    assert bench.state == State.READY
+    check_bus(bench)
+
+
+def test_drives_that_are_not_there_are_named(bench):
+    bench.run(5)
+    tell(bench, HELLO)
+    bench.drives[0].boot()
+    live(bench, 1200)
+    assert Fault(bench.faults) == Fault.HARDWARE | Fault.NO_HOME
+    assert heard(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
+
+
+def test_the_drives_are_told_the_table_and_follow(bench):
+    playing(bench)
+    live(bench, 500)
+    check_bus(bench)
+    rows = led(bench)
+    curve = spline(wave(0.004))
+    moving = [travel(rows, m) for m in range(4)]
+    began = min(at[np.flatnonzero(np.abs(place) > 2e-6)[0]] for at, place in moving)
+    late = []
+    for motor, (at, place) in enumerate(moving):
+        inside = (at > began + 10) & (at < began + 400)
+
+        def miss(shift, motor=motor, at=at[inside], place=place[inside]):
+            wanted = curve(1e-3 * (at - began + shift) % 0.1)[..., motor]
+            return float(np.max(np.abs(wanted - place)))
+
+        best = min(range(8), key=miss)
+        assert miss(best) <= 1.5 / SCALE  # of rounding
+        late.append(best)
+    assert len(set(late)) == 1
+    for drive, motor in zip(bench.drives, range(4), strict=True):
+        assert drive.enables == 1
+        assert abs(travel(led(bench), motor)[1][-1]) < 0.0041
+    errors = [t.following_m for t in heard(bench, Telemetry)]
+    assert 1e-5 < max(errors) < 1e-3  # of the drives' lag, not of the bus's delay
+
+
+def test_a_host_that_falls_silent_stops_the_drives_at_home(bench):
+    playing(bench)
+    bench.run(1200)
+    assert (bench.state, Fault(bench.faults)) == (State.OFF, Fault.HOST_SILENT)
+    assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        assert abs(drive.position - home) <= 2
+    check_bus(bench)
+
+
+def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
+    playing(bench)
+    tell(bench, say(300, Stop(1)))
+    before = bench.network.now
+    bench.run(1)
+    now = [(i, d) for at, i, d in bench.sent if at > before]
+    assert [i for i, _ in now] == [*(RPDO + node for node in NODES), SYNC]
+    assert {d[:2] for i, d in now if i != SYNC} == {b"\0\0"}
+    bench.run(3)
+    assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
+
+
+def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
+    playing(bench)
+    bench.cut = True
+    bench.run(200)
+    assert all(drive.state == "quick stop" for drive in bench.drives)
+
+
+# What goes wrong
+
+
+def lose_heartbeat(bench, drive):
+    drive.nmt.stop_heartbeat()
+
+
+def reset(bench, drive):
+    drive.boot()
+
+
+def emergency(bench, drive):
+    drive.fail(0x8611, 0x20)
+
+
+def low_voltage(bench, drive):
+    drive.fail(0x3220, 0x04)
+
+
+def jam(bench, drive):
+    drive.jammed = True
+
+
+def mute(bench, drive):
+    drive.mute = True
+
+
+def leave(bench, drive):
+    drive.enter("quick stop")
+
+
+def silent_fault(bench, drive):
+    drive.enter("fault")
+
+
+def pre_operational(bench, drive):
+    drive.nmt.state = "PRE-OPERATIONAL"
+    bench.network.send_message(0x700 + drive.id, b"\x7f")  # its heartbeat, which is due now
+
+
+def second_master(bench, drive):
+    bench.network.send_message(SYNC, b"")
+
+
+def bus_off(bench, drive):
+    bench.order("busoff")
+
+
+FAULTS = [
+    (lose_heartbeat, Trouble.SILENT, 0, Fault.HARDWARE),
+    (reset, Trouble.RESET, 0, Fault.HARDWARE),
+    (emergency, Trouble.EMERGENCY, 0x8611, Fault.FOLLOWING),
+    (low_voltage, Trouble.EMERGENCY, 0x3220, Fault.SUPPLY),
+    (jam, None, 0, Fault.FOLLOWING),
+    (mute, Trouble.NO_POSITION, 0, Fault.HARDWARE),
+    (leave, Trouble.LEFT, 0x217, Fault.HARDWARE),
+    (silent_fault, Trouble.FAULT, 0x218, Fault.HARDWARE),
+    (pre_operational, Trouble.NOT_OPERATIONAL, 127, Fault.HARDWARE),
+    (second_master, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (bus_off, Trouble.BUS_OFF, 0, Fault.HARDWARE),
+]
+
+
+@pytest.mark.parametrize(("trouble", "kind", "code", "fault"), FAULTS)
+def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code, fault):
+    playing(bench, 0.008)
+    drive, stop, since = bench.drives[1], bench.stop, bench.network.now
+    trouble(bench, drive)
+    live(bench, 250)
+    assert bench.state == State.OFF
+    assert bench.stop != stop
+    assert fault in Fault(bench.faults)
+    words = led(bench, since)
+    off = words[words[:, 2] == 0][0, 0]
+    assert off - since <= {lose_heartbeat: 203, jam: 40, bus_off: 60}.get(trouble, FOLLOWED_MS)
+    assert 15 not in words[words[:, 0] > off, 2]
+    assert all(d.state != "enabled" for d in bench.drives)
+    told = heard(bench, DriveTrouble)
+    if kind is None:
+        assert not told  # the board itself has seen it
+    else:
+        motor = 0 if kind in (Trouble.OTHER_MASTER, Trouble.BUS_OFF) else 2
+        assert {(t.motor, t.kind, t.code) for t in told} == {(motor, kind, code)}
+    check_bus(bench)
+
+
+@pytest.mark.parametrize("trouble", [reset, emergency, bus_off])
+def test_once_it_is_over_a_person_enables_again(bench, trouble):
+    playing(bench)
+    trouble(bench, bench.drives[1])
+    live(bench, 2600)
+    assert all(drive.enables == 1 for drive in bench.drives)  # nothing moves unasked
+    assert bench.state == State.OFF
+    enable(bench, 400)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+    assert all(drive.enables == 2 for drive in bench.drives)
+    check_bus(bench)
+
+
+def test_a_drive_whose_fault_stays_is_not_enabled(bench):
+    playing(bench)
+    bench.drives[2].stuck = True
+    bench.drives[2].fail(0x4210)
+    live(bench, 2500)
+    enable(bench, 400)
+    assert bench.state == State.OFF
+    assert all(drive.enables == 1 for drive in bench.drives)
+    assert heard(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
+
+
+def test_a_drive_that_does_not_go_into_operation_is_named(bench):
+    boot(bench)
+    bench.drives[3].stuck = True
+    enable(bench)
+    assert bench.state == State.HOMING
+    live(bench, 4700)
+    assert bench.state == State.OFF
+    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 0x233)
+    assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
+
+
+WRONG = [
+    ({"x1000_0": 0x191}, Trouble.WRONG_DRIVE, 0x1000, 0x191),  # an I/O module
+    ({"x6502_0": 0x1}, Trouble.WRONG_DRIVE, 0x6502, 0x1),
+    ({"x1018_4": 701}, Trouble.WRONG_DRIVE, 0x1018, 701),  # swapped with another
+    ({"without": (0x6007,)}, Trouble.REFUSED, 0x6007, 0x06020000),
+    ({"without": (0x60C2,)}, Trouble.REFUSED, 0x60C2, 0x06020000),
+]
+
+
+@pytest.mark.parametrize(("of_eds", "kind", "index", "code"), WRONG)
+def test_a_wrong_drive_is_named_and_none_gets_current(bench, of_eds, kind, index, code):
+    bench.drives[3] = bench.drives[3].swap(**of_eds)
+    boot(bench)
+    enable(bench)
+    assert bench.state == State.OFF
+    assert all(drive.history == [] for drive in bench.drives)
+    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, kind, index, code)
+
+
+def test_two_drives_of_one_number_get_no_current(bench):
+    from can_drives import Drive, SteppedNetwork
+
+    network = SteppedNetwork(bench.channel)
+    other, take = Drive(network, NODES[1]), bench.network.take
+    bench.network.take = lambda: (network.take(), take())
+    other.deaf = False
+    boot(bench)
+    enable(bench)
+    assert bench.state == State.OFF
+    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
+    assert all(drive.history == [] for drive in [*bench.drives, other])
+    network.bus.shutdown()
+
+
+def test_a_drive_without_what_may_be_missing_will_do(bench):
+    bench.drives[0] = bench.drives[0].swap(without=(0x605A,))
+    ready(bench)
+
+
+UNDOING = {  # the first ones while nothing else is wrong
+    "the same enable again": lambda b: tell(b, say(101, Enable(b.old))),
+    "an enable for the stop before": lambda b: tell(b, say(420, Enable(b.old))),
+    "a new session": lambda b: tell(b, say(99, Hello(VERSION, 78))),
+    "a table": lambda b: [tell(b, data) for data in uploaded(8, wave(0.002), 430, 9)],
+    "home": lambda b: tell(b, say(440, Home())),
+    "a drive's reset": lambda b: b.drives[0].boot(),
+    "all drives' reset": lambda b: [drive.boot() for drive in b.drives],
+    "a drive that goes into operation by itself": lambda b: b.drives[2].enter("enabled"),
+    "a fault's reset": lambda b: b.drives[1].fail(0x2310),
+    "NMT start by another": lambda b: b.network.send_message(0, b"\1\0"),
+    "a controlword by another": lambda b: b.network.send_message(RPDO + 1, b"\x0f\0\0\0\0\0"),
+    "bus off": lambda b: b.order("busoff"),
+    "the board's reset": lambda b: b.order("reset"),
+}
+
+
+def test_nothing_undoes_a_stop(bench):
+    ready(bench)
+    bench.old = bench.stop
+    tell(bench, say(300, Stop(1)))
+    bench.run(30)
+    since = bench.network.now + 1
+    for way in UNDOING.values():
+        way(bench)
+        live(bench, 150)
+        assert bench.state == State.OFF
+        assert set(led(bench, since)[:, 2]) <= {0, 0x80}
+        assert all(drive.state != "enabled" for drive in bench.drives)
+
+
+def test_100_000_frames_of_noise_enable_nobody(leader):
+    rng, count = np.random.default_rng(5), 100_000
+    kinds = np.array([0, 0x80, 0x180, 0x200, 0x580, 0x600, 0x700])
+    known = rng.choice(kinds, count) + rng.choice(NODES, count)
+    identifiers = np.where(rng.random(count) < 0.8, known, rng.integers(0x800, size=count))
+    noise, sizes = rng.bytes(8 * count).hex(), 2 * rng.integers(9, size=count)
+    text = [ordered(HELLO, ENABLE)]
+    for k, (identifier, size) in enumerate(zip(identifiers.tolist(), sizes.tolist(), strict=True)):
+        text.append(f"can {identifier:x} {noise[16 * k : 16 * k + size]}")
+        if k % 20 == 0:
+            text.append("run 1000")
+    done = subprocess.run([leader], input="\n".join([*text, ""]), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    sent = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("can ")]
+    words = {data[0][:4] for name, *data in sent if int(name, 16) - RPDO in NODES}
+    assert words <= {"0000", "8000"}
+
+
+# What the host says of it
+
+
+class Port:
+    """The firmware's line, as the driver's transport has it."""
+
+    def __init__(self, bench):
+        self.bench, self.read_bytes = bench, 0
+
+    def read(self, size):
+        start, self.read_bytes = self.read_bytes, len(self.bench.said)
+        return self.bench.said[start:]
+
+    def write(self, data):
+        tell(self.bench, data)
+        return len(data)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("trouble", "reason", "text"),
+    [
+        (emergency, DriverReason.FOLLOWING, "following: motor_2: emergency 8611h, error register "),
+        (reset, DriverReason.HARDWARE, "hardware: motor_2: the drive was reset"),
+    ],
+)
+def test_the_driver_says_axis_and_the_drives_own_words(bench, trouble, reason, text):
+    transport = SerialTransport(lambda: Port(bench), lambda: 1e-3 * bench.network.now, 7)
+
+    def passed(ms):
+        for _ in range(0, ms, 5):
+            bench.run(5)
+            transport.poll()
+
+    boot(bench)
+    transport.open()
+    passed(200)
+    order = transport.enable()
+    passed(700)
+    assert order.done
+    assert transport.report().condition is Condition.READY
+    trouble(bench, bench.drives[1])
+    passed(100)
+    report = transport.report()
+    assert (report.condition, report.reason) == (Condition.OFF, reason)
+    assert report.text.startswith(text)
+
+
+# How full the bus is
+
+
+def test_crc_of_a_frame_is_that_of_the_catalogue():
+    from can_drives import crc15
+
+    assert crc15("".join(f"{byte:08b}" for byte in b"123456789")) == 0x059E
+
+
+def test_four_axes_fill_half_of_the_bus(bench):
+    from can_drives import frame_bits
+
+    playing(bench, 0.009)
+    live(bench, 500)
+    bits: dict[int, int] = {}
+    for at, identifier, data in bench.both:
+        size = len(data)
+        own = frame_bits(identifier, data)
+        assert 47 + 8 * size <= own <= 47 + 8 * size + (34 + 8 * size - 1) // 4
+        bits[at // 2] = bits.get(at // 2, 0) + own
+    late = [count for cycle, count in bits.items() if cycle > 400]
+    assert max(late) <= 0.65 * 2000  # bits of 2 ms at 1 Mbit/s
+    assert np.median(late) > 0.3 * 2000
