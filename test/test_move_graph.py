@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from graph.session import session
+from light_graph import LightOptions
 
-from plate_bringup import RunOptions
 from plate_client import PlateClient
 from plate_core.ros import DATA, LATCHED, msg_to_parts
 from plate_core.tasks import PartTarget, load_scenario
@@ -30,7 +30,7 @@ def nearest(parts, place):
 
 
 def test_a_script_drags_parts_of_the_real_graph(tmp_path):
-    options = RunOptions(scenario="play", seed=1, lockstep=True, autostart=False)
+    options = LightOptions(scenario="play", seed=1, lockstep=True, autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
         observer, heard = graph.observer, {}
         for kind, topic, qos in (
