@@ -361,8 +361,7 @@ def homed(bench: Bench) -> None:
     assert bench.call(bench.clients["home"], Trigger.Request()).success
 
 
-WAYS = [again, lifecycle, anew, ended(signal.SIGINT), ended(signal.SIGTERM),
-        ended(signal.SIGKILL), homed]  # fmt: skip
+WAYS = [again, lifecycle, anew, ended(signal.SIGTERM), ended(signal.SIGKILL), homed]
 
 
 def test_no_way_undoes_a_stop(bench):
