@@ -1,7 +1,6 @@
 """Cycles that begin in motion where the last one ends, and tails that bring the plate to rest."""
 
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 import pytest
@@ -293,7 +292,7 @@ class Player:
     """What a device does with tables, by its documented rules; notes setpoints each `STEP`."""
 
     def __init__(self) -> None:
-        self.now, self._told = 0.0, []
+        self.now, self.rows = 0.0, []
         self.table = self.waiting = None
         self.began, self.spliced, self.tails = 0.0, 0, 0
 
@@ -344,26 +343,13 @@ class Player:
         for _ in range(round(seconds / STEP)):
             self.now += STEP
             self.pass_on()
-            into, way = self.now, None
+            rest = np.zeros((3, 4))
             if self.table is not None:
                 into, way = self.now - self.began, self.ways[0]
                 if into > self.table.cycle.period:
                     into, way = self.into_tail(), self.ways[-1]
-            self._told.append((way, into))
-
-    @property
-    def rows(self) -> np.ndarray:
-        """Setpoints (n, 3, 4), those on one way at once."""
-        rows = []
-        for way, told in groupby(self._told, lambda one: one[0]):
-            times = np.array([into for _, into in told])
-            rows.append(np.zeros((len(times), 3, 4)) if way is None else along(way, times))
-        return np.concatenate(rows)
-
-
-def along(way, times) -> np.ndarray:
-    """States (n, 3, 4) of a way at times (n,)."""
-    return np.stack([way(times, order) for order in range(3)], axis=1)
+                rest = np.stack([way(into, order) for order in range(3)])
+            self.rows.append(rest)
 
 
 def judge(rows) -> None:
@@ -451,12 +437,13 @@ def test_whatever_comes_through_the_guard_the_plate_never_jumps():
 # Streams
 
 
-def sampled(sent) -> np.ndarray:
+def sampled(sent) -> list[np.ndarray]:
     """Setpoints each `STEP` (n, 3, 4) of knots that were sent."""
     times = 1e-8 * np.array([knot.ticks for knot in sent])
     states = np.array([[k.position, k.velocity, k.acceleration] for k in sent])
     way = BPoly.from_derivatives(times, states)
-    return np.vstack([along(way, np.arange(0, times[-1], STEP)), states[-1:]])
+    rows = [np.stack([way(t, order) for order in range(3)]) for t in np.arange(0, times[-1], STEP)]
+    return [*rows, states[-1]]
 
 
 def test_a_stream_goes_on_in_motion_or_with_the_tail(pair):
