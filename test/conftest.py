@@ -33,13 +33,12 @@ def domain():
 def graph(tmp_path_factory, request):
     """A graph that runs, with the live page; in lockstep if the module says `LOCKSTEP = True`."""
     from graph.session import ANSWER_S, session  # only where there is ROS
-
-    from plate_bringup import RunOptions
+    from light_graph import LightOptions
 
     folder = tmp_path_factory.mktemp("logs")
     (folder / "four.yaml").write_text(yaml.safe_dump(FOUR), encoding="utf-8")
     lockstep = getattr(request.module, "LOCKSTEP", False)
-    options = RunOptions(scenario=str(folder / "four.yaml"), view=True, lockstep=lockstep)
+    options = LightOptions(scenario=str(folder / "four.yaml"), view=True, lockstep=lockstep)
     # The page's `teach` writes its file where the detector runs.
     with contextlib.chdir(folder), session(options, folder, pictures=False) as running:
         assert running.page(), running.processes.tail("page")

@@ -5,6 +5,9 @@ from typing import Any
 
 from plate_core.tasks import Scenario, load_scenario
 
+FEW_STARTS = {"restarts": 10}
+"""Effort of the solver in a loop under test: a quarter of the searches for each motion will do."""
+
 MIDDLE: dict[str, Any] = {
     "description": "Two parts change sides, far from the edges.",
     "parts": [

@@ -4,8 +4,10 @@ import sys
 import time
 
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.executors import TimeoutException
 from rclpy.time import Time
+
+from plate_core.ros import NodeExecutor
 
 STEP_S = 0.05
 """When nothing is left to do time goes on by so much, or to the next timer [s]."""
@@ -60,7 +62,7 @@ class SteppedClock:
             clock.set_ros_time_override(Time(nanoseconds=ns, clock_type=ClockType.ROS_TIME))
 
 
-class SteppedExecutor(SingleThreadedExecutor):
+class SteppedExecutor(NodeExecutor):
     """Moves a clock on when its nodes have nothing left to do."""
 
     def __init__(self, clock):

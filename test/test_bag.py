@@ -16,6 +16,7 @@ import rclpy  # noqa: E402
 from graph.domains import own_domain  # noqa: E402
 from graph.processes import Processes  # noqa: E402
 from graph.session import session  # noqa: E402
+from light_graph import LightOptions  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from record.bag import Recorder  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
@@ -25,7 +26,7 @@ from std_msgs.msg import String  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory  # noqa: E402
 
-from plate_bringup import RunOptions, load_graph  # noqa: E402
+from plate_bringup import load_graph  # noqa: E402
 from plate_client import PlateClient  # noqa: E402
 from plate_core.ros import CAMERA, DATA, LATCHED, nanoseconds  # noqa: E402
 from plate_core.tasks import load_scenario  # noqa: E402
@@ -84,7 +85,7 @@ def test_latched_and_sensor_topics_are_kept_as_they_are_offered(tmp_path):
     assert kept["/mixed"] == (1, [latched, data])  # heard from now on, as some offer no more
 
 
-OPTIONS = RunOptions(scenario="sort_4", lockstep=True, autostart=False)
+OPTIONS = LightOptions(scenario="sort_4", lockstep=True, autostart=False)
 CYCLES, FEWEST = 20, 8
 """Cycles that are recorded, and that are compared at least."""
 

@@ -104,7 +104,7 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         """Root mean square of the measured accelerations over that of the wanted ones (4,)."""
         data = serialize_message(cycle_to_msg(cycle, driver.get_clock().now().to_msg()))
         driver.take_cycle(data, len(data))
-        run(2.5)
+        run(1.5)
         return np.sqrt(np.mean(run(5 * PERIOD) ** 2, axis=0) / np.mean(wanted**2, axis=0))
 
     def calibrated() -> None:
@@ -116,9 +116,9 @@ def test_what_calibrate_has_learned_is_used_from_the_next_configure_on(monkeypat
         assert np.min(shaken()) > 2.8  # at the resonance of 3 %
         run(1.0)
         calibrated()
-        run(3.0)
+        run(1.0)
         emulator.reset()  # it fails, with the reason; nothing begins again by itself
-        run(3.0)
+        run(2.0)
         assert not learned.exists()
         assert driver._experiment is None
         assert driver.status.state is DriverState.STOPPED

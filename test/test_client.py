@@ -12,8 +12,9 @@ pytest.importorskip("rclpy")
 
 from goals import storm
 from graph.session import session
+from light_graph import LightOptions
 
-from plate_bringup import GraphError, RunOptions
+from plate_bringup import GraphError
 from plate_client import PlateClient
 from plate_core import PlateError
 from plate_core.tasks import load_scenario
@@ -22,7 +23,7 @@ SORT_4 = load_scenario("sort_4")
 
 
 def test_random_goals_are_all_answered_and_the_plate_rests(tmp_path, monkeypatch):
-    options = RunOptions(scenario="sort_4", autostart=False)
+    options = LightOptions(scenario="sort_4", autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
         graph.free()
         graph.observer.await_ready()

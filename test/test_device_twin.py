@@ -190,7 +190,7 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     statuses: set[Status] = set()
     faults = Fault.NONE
     count = pulses = 0
-    for trial in range(30):
+    for trial in range(18):
         orders = ordered(*drawn_orders(rng))
         heat = ["0.05", "20"] if trial % 5 == 0 else []
         printed = firmware(orders, *heat)
@@ -206,8 +206,8 @@ def test_twin_is_the_firmware_bit_by_bit(program):
     assert states == set(State)
     assert faults == ~Fault.LIMIT  # no setpoint was ever outside
     assert statuses >= set(Status) - {Status.TOO_LONG}
-    assert count > 10_000  # setpoints, all bits alike
-    assert pulses > 250  # of the camera's line, all at the same ticks
+    assert count > 6_000  # setpoints, all bits alike
+    assert pulses > 150  # of the camera's line, all at the same ticks
 
 
 def test_checks_take_as_long_on_both(program):

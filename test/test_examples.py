@@ -38,14 +38,15 @@ def test_a_planner_of_ones_own_moves_the_parts(tmp_path, domain, image_rate):
     from graph.observer import Observer
     from graph.processes import Processes, ros_environment
     from graph.session import ANSWER_S, START_S
+    from light_graph import LightOptions
     from rclpy.serialization import deserialize_message
 
-    from plate_bringup import RunOptions, load_graph
+    from plate_bringup import load_graph
     from plate_core import part_class
     from plate_core.ros import msg_to_parts
     from plate_interfaces.msg import Parts
 
-    options = RunOptions(
+    options = LightOptions(
         scenario="sort_4", lockstep=not image_rate, image_rate=image_rate, autostart=False
     )
     nodes = options.nodes(node for node in load_graph() if node.name != "planner")

@@ -10,9 +10,10 @@ pytest.importorskip("rclpy")
 from faults import Faults, Times
 from graph.observer import Observer
 from graph.processes import Processes
+from light_graph import LightOptions
 from short_task import MIDDLE
 
-from plate_bringup import RunOptions, load_graph
+from plate_bringup import load_graph
 
 START_S = 180.0
 TIMES = Times(work=0.5, watch=3.0, freeze=2.5, unasked=1.0)
@@ -29,7 +30,7 @@ EXPECTED = {
 
 
 def test_a_node_that_is_gone_is_named_and_nothing_moves_unasked(tmp_path, domain):
-    options = RunOptions(scenario=str(tmp_path / "middle.yaml"))
+    options = LightOptions(scenario=str(tmp_path / "middle.yaml"))
     Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     graph = options.nodes(load_graph())
     with (

@@ -8,10 +8,10 @@ pytest.importorskip("rclpy")
 
 from graph.robot import Robot, feed_result
 from graph.session import session
+from light_graph import LightOptions
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from plate_bringup import RunOptions
 from plate_core.ros import DATA
 from plate_interfaces.srv import PartQuantity
 
@@ -20,7 +20,7 @@ PICKS = 6
 
 @pytest.fixture(name="graph", scope="module")
 def _graph(tmp_path_factory):
-    options = RunOptions(scenario="feed", seed=1, autostart=False, robot_port=0, rate=0.5)
+    options = LightOptions(scenario="feed", seed=1, autostart=False, robot_port=0, rate=0.5)
     with session(options, tmp_path_factory.mktemp("feed"), pictures=False) as graph:
         graph.free()
         graph.observer.await_ready()

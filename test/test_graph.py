@@ -19,6 +19,7 @@ from graph import domains
 from graph.observer import Observer
 from graph.processes import MOST_ENDS, WITHIN_S, Ends, Processes
 from graph.session import session
+from light_graph import LightOptions
 from rcl_interfaces.srv import ListParameters
 from rclpy.client import Client
 from rclpy.serialization import deserialize_message
@@ -107,7 +108,7 @@ def by_stamp(record):
 
 def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
     rig_file = str(ROOT / "config" / "rig.yaml")
-    options = RunOptions(**SORT_4, rig_file=rig_file)
+    options = LightOptions(**SORT_4, rig_file=rig_file)
     with session(options, tmp_path / "processes") as graph:
         observer, record = graph.observer, graph.observer.record
         assert graph.nodes == NAMES
@@ -141,7 +142,7 @@ def test_parts_are_sorted_and_the_method_changes_meanwhile(tmp_path):
 
 def check_all_nodes_in_one_process(folder, before):
     """They sort the parts too, and a seed gives the same run to the last bit."""
-    with session(RunOptions(**SORT_4, one_process=True), folder) as graph:
+    with session(LightOptions(**SORT_4, one_process=True), folder) as graph:
         assert graph.nodes == NAMES
         assert graph.processes.names == ["one_process"]
         graph.begin()
@@ -195,7 +196,7 @@ WRONG_IMAGES = {
 def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
     nodes = [node for node in GRAPH.values() if node.on_hardware]
     with (
-        Processes(nodes, RunOptions(scenario="sort_4"), tmp_path, domain) as processes,
+        Processes(nodes, LightOptions(scenario="sort_4"), tmp_path, domain) as processes,
         Observer(domain, processes.check) as observer,
     ):
         observer.await_nodes(NAMES[1:], 120)
@@ -231,7 +232,7 @@ def test_images_that_do_not_fit_leave_the_plate_at_rest(tmp_path, domain):
 def test_a_node_that_is_deactivated_ends_the_task_and_works_again_when_it_is_activated(
     tmp_path, monkeypatch
 ):
-    options = RunOptions(scenario=str(tmp_path / "middle.yaml"), autostart=False)
+    options = LightOptions(scenario=str(tmp_path / "middle.yaml"), autostart=False)
     Path(options.scenario).write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
     with session(options, tmp_path, pictures=False) as graph:
         observer, record = graph.observer, graph.observer.record

@@ -3,7 +3,7 @@ without ROS, with a camera that runs free."""
 
 import pytest
 import yaml
-from short_task import MIDDLE, with_few
+from short_task import FEW_STARTS, MIDDLE, with_few
 
 from plate_bringup.loop import Direct, Setup, run, with_settings
 
@@ -29,13 +29,14 @@ class Late(Direct):
         return super().play(until)
 
 
-def late_run(scenario, seed, method="sinusoids"):
-    *_, last = run(with_settings(Setup(scenario, seed, method), FREE), transport=Late())
+def late_run(scenario, seed, method="sinusoids", effort=FEW_STARTS):
+    setup = with_settings(Setup(scenario, seed, method, effort=effort), FREE)
+    *_, last = run(setup, transport=Late())
     return last
 
 
 def test_parts_are_not_lost():
-    last = late_run(with_few("sort_4"), 2, "rotations")
+    last = late_run(with_few("sort_4"), 2, "rotations", {})
     assert last.progress.phase == "done", last.progress.text
     assert last.world.dropped == 0
 

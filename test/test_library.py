@@ -28,7 +28,15 @@ def test_it_is_installed_with_its_data_and_needs_no_ros(tmp_path):
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=skip)
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, source)
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-q"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "install",
+        "-q",
+        "--no-compile",
+    ]
     subprocess.run(  # kernels that set-up has compiled are taken
         [*pip, "--no-build-isolation", "--no-deps", "--no-index", "--target", target, source],
         check=True, timeout=300,

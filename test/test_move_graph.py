@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from graph.session import session
+from light_graph import LightOptions
 
-from plate_bringup import RunOptions
 from plate_client import PlateClient
 from plate_core.ros import DATA, LATCHED, msg_to_parts
 from plate_core.tasks import PartTarget, load_scenario
@@ -30,9 +30,9 @@ def nearest(parts, place):
 
 
 def test_a_script_drags_parts_of_the_real_graph(tmp_path):
-    options = RunOptions(scenario="play", seed=1, lockstep=True, autostart=False)
+    options = LightOptions(scenario="play", seed=1, lockstep=True, autostart=False)
     with session(options, tmp_path, pictures=False) as graph:
-        observer, heard = graph.observer, {}
+        observer, heard = graph.observer, {"part_targets": Targets()}  # none was told yet
         for kind, topic, qos in (
             (Parts, "ground_truth", DATA), (Parts, "parts", DATA),
             (Targets, "part_targets", LATCHED), (TaskStatus, "task_status", LATCHED),

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+from short_task import FEW_STARTS
 
 from plate_bringup.loop import Setup, run
 from plate_core.tasks import PartTarget
@@ -12,7 +13,9 @@ LIMIT_S = 40.0
 
 def dragged(target, seed):
     """The run of `play` in which black_1 has the target of a time [s]."""
-    for moment in run(Setup("play", seed), drag=lambda t: [PartTarget("black_1", target(t))]):
+    for moment in run(
+        Setup("play", seed, effort=FEW_STARTS), drag=lambda t: [PartTarget("black_1", target(t))]
+    ):
         assert moment.progress.phase == "running", moment.progress.text
         assert moment.world.dropped == 0
         yield moment

@@ -316,7 +316,7 @@ def test_a_browser_that_hangs_and_garbage_disturb_nobody(url):
 def test_a_flood_of_commands_ends_no_node_and_every_stop_is_answered(graph):
     from page_flood import Verdict, flooded
 
-    verdict = Verdict(minutes=0.05, sockets=3)
+    verdict = Verdict(minutes=0.03, sockets=3)
     flooded(graph, verdict, seed=0)
     assert verdict.sent > 0
     assert verdict.stops > 0

@@ -91,7 +91,7 @@ class Board:
         self.thread.start()
 
     def run(self) -> None:
-        while not self.ended.wait(0.001):
+        while not self.ended.wait(0.004):
             self.serve()
 
     def serve(self) -> None:

@@ -6,9 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from graph.series import STAGES, Series, Task, stages_ms, work_again
+from light_graph import LightOptions
 from soak import slope, summed_up, text
-
-from plate_bringup import RunOptions
 
 NODES = ("simulator", "detector", "planner", "solver", "driver")
 
@@ -54,8 +53,8 @@ def test_stages_add_up_to_the_whole():
 
 
 def test_two_tasks_beside_a_graph_that_forwards(tmp_path):
-    options = RunOptions(scenario="sort_16", autostart=False)
-    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, beside=True, longest_s=2.0)
+    options = LightOptions(scenario="sort_4", autostart=False)
+    many = work_again(options, tmp_path, lambda s: len(s.tasks) == 2, beside=True, longest_s=1.5)
     *_, series = many
     first, second = series.tasks
     for one in series.tasks:

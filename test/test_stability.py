@@ -89,10 +89,7 @@ def test_the_loop_swings_up_from_the_predicted_latency_on(rig):
     for friction in (1.0, 1.4):
         margin = linear.delay_margin(friction)
         ages = margin * np.array([0.6, 1.0, 1.4])
-        error = [
-            1e3 * np.mean([latency.Loop(rig, seed).run(friction, age) for seed in (1, 2)])
-            for age in ages
-        ]
+        error = [1e3 * latency.Loop(rig, 1).run(friction, age) for age in ages]
         observed = crossing(ages.tolist(), error, latency.LEVEL_MM)
         assert observed == pytest.approx(margin, rel=0.4)
 

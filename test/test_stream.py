@@ -166,7 +166,7 @@ def test_repeated_and_missing_messages(device):
 def test_twin_is_the_firmware_bit_by_bit_in_streams_too(program):
     firmware, rng = running(program), np.random.default_rng(7)
     states: set[Status] = set()
-    for _ in range(12):
+    for _ in range(8):
         knots = endless(int(rng.integers(6, 40)), float(rng.uniform(0.001, 0.011)))
         orders = streamed(knots, int(rng.integers(0, 2)) * int(rng.integers(20, 200)))
         for _ in range(int(rng.integers(0, 6))):  # lost, doubled, out of turn

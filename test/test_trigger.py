@@ -94,10 +94,10 @@ def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
     """Camera, all nodes and the device in real time: images at half of each cycle."""
     pytest.importorskip("rclpy")
     from graph.session import session
+    from light_graph import LightOptions
     from sensor_msgs.msg import Image
     from trajectory_msgs.msg import JointTrajectory
 
-    from plate_bringup import RunOptions
     from plate_core import config_path
     from plate_core.ros import DATA, IMAGE, msg_to_cycle, seconds
 
@@ -114,7 +114,7 @@ def test_images_are_taken_at_half_of_each_cycle_over_a_serial_line(tmp_path):
 
     scenario = tmp_path / "middle.yaml"
     scenario.write_text(yaml.safe_dump(MIDDLE), encoding="utf-8")
-    options = RunOptions(
+    options = LightOptions(
         scenario=str(scenario), transport="serial", rig_file=str(file), autostart=False,
         link=str(tmp_path / "port"),
     )  # fmt: skip

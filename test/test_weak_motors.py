@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from short_task import with_few
+from short_task import FEW_STARTS, with_few
 
 from plate_bringup.loop import Setup, run
 from plate_core import Rig, load_rig
@@ -27,12 +27,12 @@ def forces(rig: Rig, cycle) -> np.ndarray:
     return np.linalg.lstsq(np.column_stack([way, turn]).T, wrench.T, rcond=None)[0].T
 
 
-@pytest.mark.parametrize("method", ["sinusoids", "rotations"])
-def test_parts_are_sorted_within_force_and_heat(method):
+@pytest.mark.parametrize(("method", "effort"), [("sinusoids", FEW_STARTS), ("rotations", {})])
+def test_parts_are_sorted_within_force_and_heat(method, effort):
     rig, peak, continuous = load_rig(), 10.0, 5.0
     limits = replace(rig.limits, force=peak, continuous_force=continuous, thermal_time_s=1.0)
     rig, warm, most, moments = replace(rig, limits=limits), np.zeros(4), 0.0, []
-    for moment in run(Setup(with_few("sort_4"), 3, method), rig):
+    for moment in run(Setup(with_few("sort_4"), 3, method, effort=effort), rig):
         moments.append(moment)
         force = forces(rig, moment.answer.cycle)
         most = max(most, float(np.max(np.abs(force))))

@@ -40,7 +40,7 @@ REACHES = ("named", "subnet", "nobody")
 DOMAIN = 0
 """The machines have a network of their own, so no other domain is needed."""
 
-START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 5.0, 10.0
+START_S, TASK_S, ALONE_S, CARD_S = 180.0, 180.0, 3.0, 10.0
 DISCOVERY_S = 3.0
 """Participants that have begun announce themselves 20 times, each 0.1 s (config/fastdds.xml)."""
 POLL_S = 0.02

@@ -13,7 +13,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -24,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from plate_bringup import GraphError
 from plate_client import PlateClient, Task
 from plate_core import PlateError
-from plate_core.ros import CAMERA, LATCHED, msg_to_reports, nanoseconds
+from plate_core.ros import CAMERA, LATCHED, NodeExecutor, msg_to_reports, nanoseconds
 from plate_core.status import Level
 from plate_core.tasks import Scenario
 from plate_interfaces.msg import DriverStatus, Parts, TaskStatus
@@ -205,7 +204,7 @@ class Observer:
             signal_handler_options=SignalHandlerOptions.NO,
         )
         self.node = rclpy.create_node("observer")
-        self._executor = SingleThreadedExecutor()
+        self._executor = NodeExecutor()
         self._executor.add_node(self.node)
         record = self.record
 

@@ -302,8 +302,9 @@ def run_free(rate, latency, given=None, jitter=0.0, cycles=40, seed=0, later=0.0
         cycle = shaken(world.rng)
 
 
-@pytest.mark.parametrize("rate", [15.0, 47.0, 120.0])
-@pytest.mark.parametrize("latency", [0.0, 0.037, 0.08])
+@pytest.mark.parametrize(
+    ("rate", "latency"), [(15.0, 0.0), (15.0, 0.08), (47.0, 0.037), (47.0, 0.08), (120.0, 0.0)]
+)
 def test_images_of_any_time_tell_places_and_latency(rate, latency):
     errors = []
     for estimator, truth in run_free(rate, latency):

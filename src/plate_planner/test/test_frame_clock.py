@@ -30,7 +30,7 @@ def test_the_scatter_of_stamps_is_taken_out(rate, dropped):
 
 @pytest.mark.parametrize("rate", [60.0, 120.0])
 def test_a_late_stamp_is_not_taken_for_a_dropped_image(rate):
-    for seed in range(4):
+    for seed in range(2):
         _, errors = clocked(rate, seed=seed)
         assert np.mean(np.abs(errors - np.median(errors)) > 0.5 / rate) < 0.02
 
@@ -38,7 +38,7 @@ def test_a_late_stamp_is_not_taken_for_a_dropped_image(rate):
 @pytest.mark.parametrize("rate", [60.0, 120.0])
 @pytest.mark.parametrize("scatter", [0.0, 0.002])
 def test_dropped_images_do_not_lead_it_astray(rate, scatter):
-    for seed in range(4):
+    for seed in range(2):
         clock, errors = clocked(rate, scatter=scatter, dropped=0.02, seed=seed)
         assert np.mean(np.abs(errors) > 0.5 / rate) < 0.05
         assert clock.rate == pytest.approx(rate, rel=1e-3)
@@ -47,7 +47,7 @@ def test_dropped_images_do_not_lead_it_astray(rate, scatter):
 @pytest.mark.parametrize("rate", [15.0, 30.0, 60.0, 120.0])
 def test_its_error_is_as_large_as_it_says(rate):
     squares = []
-    for seed in range(8):
+    for seed in range(4):
         rng, clock, last = np.random.default_rng(seed), FrameClock(), -1.0
         for i in range(int(6 * rate)):
             last = max(i / rate + 0.005 * rng.standard_normal(), last + 1e-4)

@@ -90,7 +90,7 @@ def integrated(suspension, cycle, samples):
     for begin, end in zip(cycle.times[:-1], cycle.times[1:], strict=True):
         inside = samples[(samples >= begin) & (samples < end)]
         run = solve_ivp(
-            rates, (begin, end), z, method="DOP853", rtol=1e-12, atol=1e-14,
+            rates, (begin, end), z, method="DOP853", rtol=1e-10, atol=1e-13,
             t_eval=np.append(inside, end),
         )  # fmt: skip
         z = run.y[:, -1]

@@ -28,6 +28,7 @@ from .convert import (
     wanted_to_msg,
 )
 from .diagnostics import DIAGNOSTICS_PERIOD_S, Diagnostics, Report, msg_to_reports
+from .executor import NodeExecutor
 from .frames import FRAME, camera_to_msg, plate_to_msg
 from .goals import (
     ACTIONS,
@@ -58,6 +59,7 @@ __all__ = [
     "NEWEST",
     "TRANSFORMS",
     "Diagnostics",
+    "NodeExecutor",
     "NodeOptions",
     "Report",
     "SafeLifecycleNode",

@@ -12,7 +12,7 @@ from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -20,6 +20,7 @@ from ..ending import ends
 from ..errors import PlateError
 from ..network import choose_network, ros_domain
 from .console import never_held
+from .executor import NodeExecutor
 from .lifecycle import SafeLifecycleNode, start_nodes
 from .usage import answered, check_parameter_files
 
@@ -91,7 +92,7 @@ def _run(
         _init(args)
         # EventsExecutor takes half the time, but a node ends or crashes by a transition under load:
         # tools/lifecycle_flood.py.
-        executor = SingleThreadedExecutor()
+        executor = NodeExecutor()
         for make in makes.values():
             nodes.append(make())
             executor.add_node(nodes[-1])

@@ -1,0 +1,51 @@
+"""The nodes' executor: messages at once, events of the middleware once a second."""
+
+import time
+from types import SimpleNamespace
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+from rclpy.event_handler import PublisherEventCallbacks  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+from plate_core.ros import CAMERA, DATA, NodeExecutor  # noqa: E402
+from plate_core.ros.executor import EVENTS_S  # noqa: E402
+
+
+def test_a_partner_that_does_not_fit_is_told_of_within_a_second_and_messages_come_at_once(
+    monkeypatch,
+):
+    now, told, heard = [100.0], [], []
+    clock = SimpleNamespace(monotonic=lambda: now[0])
+    monkeypatch.setattr("plate_core.ros.executor.time", clock)
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node, executor = rclpy.create_node("node", context=context), NodeExecutor(context=context)
+    executor.add_node(node)
+
+    def until(true, seconds):
+        end = time.monotonic() + seconds
+        while not true() and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.01)
+        return true()
+
+    try:
+        executor.spin_once(timeout_sec=0)  # looks for events
+        events = PublisherEventCallbacks(incompatible_qos=told.append)
+        node.create_publisher(String, "unfit", CAMERA, event_callbacks=events)
+        node.create_subscription(String, "unfit", heard.append, DATA)
+        node.create_subscription(String, "fit", heard.append, DATA)
+        fit = node.create_publisher(String, "fit", DATA)
+        assert until(lambda: node.count_subscribers("unfit") and fit.get_subscription_count(), 30)
+        fit.publish(String(data="here"))
+        assert until(lambda: heard, 30)
+        until(lambda: False, 0.3)
+        assert not told
+        now[0] += EVENTS_S
+        assert until(lambda: told, 30)
+        assert heard == [String(data="here")]
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
