@@ -1,4 +1,4 @@
-"""From the network's maps to parts: pixels that point to one middle are one part."""
+"""From the network's maps to parts."""
 
 from __future__ import annotations
 
@@ -41,37 +41,48 @@ def make_maps(network: cv2.dnn.Net, image: np.ndarray) -> np.ndarray:
 
 
 def find_instances(maps: np.ndarray) -> np.ndarray:
-    """Return the number of the part of each pixel (h, w) int32 of maps (4, h, w); 0: ground."""
-    there, depth = maps[0] > THERE, maps[1]
-    count, cores = cv2.connectedComponents(((depth > CORE) & there).astype(np.uint8))
+    """Return the number of the part of each pixel (h, w) int32 of maps (4, h, w); 0: ground.
+
+    What hangs together is one part, unless cores of several lie in it: then its pixels are of the
+    middle that they point nearest to.
+    """
+    there, depth = _filled(maps[0] > THERE), maps[1]
+    count, patches, boxes, _ = cv2.connectedComponentsWithStats(there, connectivity=4)
+    core_count, cores = cv2.connectedComponents(((depth > CORE) & (there > 0)).astype(np.uint8))
     row, column = np.mgrid[: there.shape[0], : there.shape[1]].astype(np.float32)
     x, y = column + REACH_PX * maps[2], row + REACH_PX * maps[3]
-    middles, reaches = [], []
-    for number in range(1, count):
+    middles: dict[int, list[tuple[float, float, float]]] = {}
+    for number in range(1, core_count):
         core = cores == number
         if depth[core].max() > SURE_CORE:
-            middles.append((np.median(x[core]), np.median(y[core])))
-            reaches.append(np.sqrt(np.count_nonzero(core) / np.pi))
-    if not middles:
-        return np.zeros(there.shape, np.int32)
-    centres = _joined(np.array(middles), np.array(reaches))
-    votes = np.stack([x[there], y[there]], axis=1)
-    nearest = np.empty(len(votes), np.int32)
-    for begin in range(0, len(votes), 65_536):
-        some = votes[begin : begin + 65_536]
-        away = ((some[:, None] - centres) ** 2).sum(axis=2)
-        nearest[begin : begin + 65_536] = away.argmin(axis=1)
+            reach = np.sqrt(np.count_nonzero(core) / np.pi)
+            middle = np.median(x[core]), np.median(y[core]), reach
+            middles.setdefault(int(patches[core][0]), []).append(middle)
     parts = np.zeros(there.shape, np.int32)
-    parts[there] = nearest + 1
+    for number in range(1, count):
+        if boxes[number, cv2.CC_STAT_AREA] < LEAST_PX2:
+            continue
+        patch = patches == number
+        centres = _joined(np.array(middles.get(number, [(0.0, 0.0, 1.0)])))
+        votes = np.stack([x[patch], y[patch]], axis=1)
+        nearest = ((votes[:, None] - centres) ** 2).sum(axis=2).argmin(axis=1)
+        parts[patch] = parts.max() + 1 + nearest
     return parts
 
 
-def _joined(middles: np.ndarray, reaches: np.ndarray) -> np.ndarray:
-    """Return the middles (m, 2) of parts, of those of cores (n, 2) and their radii (n,)."""
-    order = np.argsort(-reaches)
+def _filled(there: np.ndarray) -> np.ndarray:
+    """Return pixels (h, w) uint8 with the holes among them."""
+    framed = np.pad(there.astype(np.uint8), 1)
+    ground = framed.copy()
+    cv2.floodFill(ground, None, (0, 0), 1)
+    return np.asarray(framed | (1 - ground))[1:-1, 1:-1].copy()
+
+
+def _joined(middles: np.ndarray) -> np.ndarray:
+    """Return the middles (m, 2) of parts, of those of cores and their radii (n, 3)."""
     kept: list[int] = []
-    for k in order:
-        gap = np.hypot(*(middles[kept] - middles[k]).T) if kept else np.array([np.inf])
-        if np.all(gap > 2 * ONE_MIDDLE * np.maximum(reaches[k], 1.0)):
+    for k in np.argsort(-middles[:, 2]):
+        gap = np.hypot(*(middles[kept] - middles[k])[:, :2].T) if kept else np.array([np.inf])
+        if np.all(gap > 2 * ONE_MIDDLE * max(middles[k, 2], 1.0)):
             kept.append(int(k))
-    return middles[kept]
+    return np.asarray(middles[kept, :2])
