@@ -113,6 +113,9 @@ class Options(NodeOptions):
         "friction_patches", "Friction varies over the plate by [share]."
     )
     static_ratio: float = _disturbance("static_ratio", "Static over dynamic friction [-].")
+    friction_slope: float = _disturbance(
+        "friction_slope", "How friction changes with the slip [1/(m/s)]."
+    )
     tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
     tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
     latency: float = _disturbance(
