@@ -207,8 +207,10 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     const Slip middle = slip(plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy,
                              m.vx + 0.5 * fall.x, m.vy + 0.5 * fall.y, m.spin);
     double dv = slow;
-    if (ground.slope != 0) [[unlikely]]  // by the slip in the middle: root mean square over a disc
-        dv *= ground.share(std::max(0.0, std::sqrt(dot(middle, middle, g2)) - 0.5 * slow));
+    if (ground.slope != 0) [[unlikely]] {  // by the slip in the middle: over a disc, the rms
+        const double speed = std::sqrt(dot(middle, middle, g2));
+        dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
+    }
     const auto [half, push] = midpoint(start, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh);
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
