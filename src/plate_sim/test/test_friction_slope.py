@@ -75,13 +75,15 @@ def test_a_part_rides_on_what_it_does_not_slip(slope):
 def test_a_slope_of_next_to_nothing_changes_next_to_nothing():
     """Discs are then moved one by one, not together: by the same law."""
     cycle = shaken(30)
-    with_it, without = (run(disc(RADIUS), [0.2, 0.3], 20, slope, None, cycle) for slope in (1e-9, 0))
+    with_it, without = (
+        run(disc(RADIUS), [0.2, 0.3], 20, slope, None, cycle) for slope in (1e-9, 0)
+    )
     np.testing.assert_allclose(with_it.position, without.position, atol=1e-7)
     np.testing.assert_allclose(with_it.spin, without.spin, atol=1e-3)
 
 
 def test_what_is_out_of_range_or_not_there_is_refused():
-    with pytest.raises(PlateError, match="friction_slope is 6.0, allowed: -5 to 5"):
+    with pytest.raises(PlateError, match=r"friction_slope is 6\.0, allowed: -5 to 5"):
         Ground(friction_slope=6.0)
     assert Disturbances(friction_slope=-1).ground == Ground(friction_slope=-1)
     with pytest.raises(PlateError, match="friction_slope is 1, allowed: 0 for point parts"):

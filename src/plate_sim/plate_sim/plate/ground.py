@@ -1,4 +1,4 @@
-"""How the plate carries parts, beyond one friction coefficient: breaking loose, fast slip, and tilt."""
+"""How the plate carries parts, beyond one friction coefficient: static, of fast slip; tilt."""
 
 from __future__ import annotations
 
