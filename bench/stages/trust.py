@@ -14,22 +14,28 @@ from harness import Result, Table, missing_peer, optional
 from plate_bringup.loop import Setup, summary, with_settings
 from plate_core import PlateCycle, Rig, load_rig
 from plate_sim import Ground, simulate, simulate_bodies
-from plate_sim.friction import disc, polygon
+from plate_sim.friction import Footprint, disc, polygon
 from plate_sim.world import STEP
 from stages.mujoco_scene import MASS, MujocoScene
 from stages.pymunk_scene import PymunkScene
 from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
 
+Run = Callable[[PlateCycle, float, float], float]
+"""Drift [m] in a plate's motion under a pull [mu g] after a time [s]."""
+
 CREEP_S = 10
 """Time in which a part should stay where it is on the plate [s]."""
 
 RIDES = {
-    "level plate, shaken at 0.9 mu g": (0.9, 0.0),
-    "still plate, tilt pulls 0.9 mu g": (0.0, 0.9),
-    "shaken at 0.45 mu g, tilt 0.45 mu g": (0.45, 0.45),
+    "level, shaken at 0.9 mu g": (0.9, 0.0),
+    "still, tilt pulls 0.9 mu g": (0.0, 0.9),
+    "0.45 mu g each": (0.45, 0.45),
 }
 """Scene -> peak acceleration of the plate, and the pull down the tilt, over mu g: below 1, so that
 friction holds the part and its true drift is none."""
+
+HOME = np.zeros((1, 2))
+"""Where the part lies at the start [m]."""
 
 SQUARE = polygon(0.016 * (np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5))
 
@@ -74,15 +80,15 @@ def measure(quick: bool) -> Result:
     """Measure creep and tasks, and estimate what is left out."""
     peers = {name: optional(name) for name in ("pymunk", "mujoco")}
     creep = creep_rows(peers, 0.5 if quick else CREEP_S)
-    ours = max(r["drift_um"] for r in creep if r["method"].startswith("plate_sim"))
+    ours = max(row[scene] for row in creep[:3] for scene in RIDES)
     return Result(
         [
             Table(
                 "creep",
                 "Drift in the plate of a part that friction holds",
                 {
-                    "scene": "scene", "method": "method", "step_ms": "step [ms]",
-                    "drift_um": "drift [um]",
+                    "method": "method", "step_ms": "step [ms]",
+                    **{scene: f"{scene} [um]" for scene in RIDES},
                 },
                 creep,
                 f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and "
@@ -114,68 +120,66 @@ def measure(quick: bool) -> Result:
 
 
 def creep_rows(peers: dict[str, Any], span: float) -> list[dict[str, Any]]:
-    """Drift of a part that rides, by scene and method."""
+    """Drift [um] of a part that rides, by method and scene."""
+    methods: list[tuple[str, float | None, Run]] = [
+        ("plate_sim, point by events", None, by_events),
+        ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
+        ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
+    ]
+    for peer, name, run in PEERS:
+        if peers[peer]:
+            methods += [(name, ms, partial(run, peers[peer], 1e-3 * ms)) for ms in (1.0, 0.1)]
     rows = []
-    for scene, (gamma, pull) in RIDES.items():
-        cycle = exact_cycle(gamma) if gamma else PlateCycle.rest(1 / FREQUENCY)
-        tilt = Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
-        cases: list[tuple[str, float | None, Callable[[], float]]] = [
-            ("plate_sim, point by events", None, partial(by_events, cycle, tilt, span)),
-            ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS), cycle, tilt, span)),
-            ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE, cycle, tilt, span)),
-        ]
-        for ms in (1.0, 0.1):
-            for peer, name, run in PEERS:
-                if peers[peer]:
-                    cases.append((name, ms, partial(run, peers[peer], cycle, pull, ms, span)))
-        rows += [
-            {"scene": scene, "method": method, "step_ms": ms, "drift_um": 1e6 * abs(run())}
-            for method, ms, run in cases
-        ]
+    for name, ms, run in methods:
+        row: dict[str, Any] = {"method": name, "step_ms": ms}
+        for scene, (gamma, pull) in RIDES.items():
+            cycle = exact_cycle(gamma) if gamma else PlateCycle.rest(1 / FREQUENCY)
+            row[scene] = 1e6 * abs(run(cycle, pull, span))
+        rows.append(row)
     return rows
 
 
-def by_events(cycle: PlateCycle, ground: Ground, span: float) -> float:
+def tilted(pull: float) -> Ground:
+    """The tilt that pulls so much [mu g] along x."""
+    return Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
+
+
+def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] of our judge's point; the plate is at home at the end."""
     cycles = round(span * FREQUENCY)
     start = cycle.twist(0.0)[:, :2]
-    run = simulate(cycle, [[0, 0]], start, MU, GRAVITY, cycles, 1, ground=ground)
+    run = simulate(cycle, HOME, start, MU, GRAVITY, cycles, 1, ground=tilted(pull))
     return float(run.position[-1, 0, 0])
 
 
-def in_steps(part: Any, cycle: PlateCycle, ground: Ground, span: float) -> float:
+def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] of our world's part."""
     start, cycles = cycle.twist(0.0)[:, :2], round(span * FREQUENCY)
     run = simulate_bodies(
-        cycle, part, [[0, 0]], 0, start, 0, MU, GRAVITY, cycles, 0, ground=ground
+        cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted(pull)
     )  # fmt: skip
     return float(run.position[-1, 0, 0])
 
 
-def in_pymunk(pymunk: Any, cycle: PlateCycle, pull: float, ms: float, span: float) -> float:
+def in_pymunk(pymunk: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in pymunk."""
-    scene = PymunkScene(
-        pymunk, cycle, 1e-3 * ms, span, np.zeros((1, 2)), MU_G, cycle.twist(0.0)[:, :2]
-    )
+    scene = PymunkScene(pymunk, cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
     scene.space.gravity = pull * MU_G, 0.0
     return float(scene.run()[0, 0] - scene.plate.position.x)
 
 
-def in_joints(mujoco: Any, cycle: PlateCycle, pull: float, ms: float, span: float) -> float:
+def in_joints(mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
     """Drift [m] in MuJoCo with friction in joints, as in the scene of `sim`."""
-    scene = MujocoScene(
-        mujoco, cycle, 1e-3 * ms, span, np.zeros((1, 2)), MU, cycle.twist(0.0)[:, :2]
-    )
+    scene = MujocoScene(mujoco, cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
     scene.shake[:, 0] += pull * MU_G
     return float(scene.run()[0, 0] - scene.moved[0])
 
 
 def in_contact(
-    mujoco: Any, cycle: PlateCycle, pull: float, ms: float, span: float, impratio: float = 1.0,
+    mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0,
     noslip: int = 0,
 ) -> float:  # fmt: skip
     """Drift [m] in MuJoCo of a cylinder on a plane, in the plate's frame."""
-    dt = 1e-3 * ms
     model = mujoco.MjModel.from_xml_string(
         IN_CONTACT.format(
             dt=dt, impratio=impratio, noslip=noslip, mu=MU, height=HEIGHT, radius=RADIUS, mass=MASS
