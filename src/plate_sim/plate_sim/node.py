@@ -134,9 +134,7 @@ class Options(NodeOptions):
         "missed_images", "Share of images that are never published."
     )
     highlights: float = _disturbance("highlights", "Share of each part that mirrors the light.")
-    shadows: float = _disturbance(
-        "shadows", "How much darker the plate is in parts' shadows [share]."
-    )
+    shadows: float = _disturbance("shadows", "Darkening of the plate in parts' shadows [share].")
     missed_parts: float = _disturbance(
         "missed_parts", "Share of parts that an image does not show."
     )
