@@ -17,6 +17,7 @@ ABOUT = {
     "stages": {
         "sim": "Parts on a shaken plate: error and speed of the simulator",
         "model": "The model of parts: cost and error by scene, beside the judge and pymunk",
+        "trust": "Creep beside the peers, what is left out, other laws of friction",
         "bodies": "A disc that slides and turns: error and speed, beside scipy",
         "force_map": "Average friction over a cycle: time and error",
         "solver": "Plate motions for wanted average forces, from a cold start",
@@ -74,7 +75,7 @@ LONG = {"feeding_hour", "sameness", "tasks"}
 
 EXPECTED_S = {
     "sim": 160.0, "bodies": 3.0, "force_map": 20.0, "solver": 15.0, "rotations": 40.0,
-    "inversion": 250.0, "model": 28.0, "stability": 200.0,
+    "inversion": 250.0, "model": 28.0, "trust": 170.0, "stability": 200.0,
     "steering": 320.0, "options": 150.0, "vision": 23.0, "stages": 70.0, "control": 200.0,
     "tracking": 53.0, "free_running": 280.0, "sizing": 90.0, "learning": 10.0,
     "bound": 350.0, "rigs": 800.0, "feeding": 640.0, "closed_loop": 750.0,

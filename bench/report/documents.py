@@ -14,7 +14,9 @@ from harness import ROOT
 from report.chart import Data
 from report.page import cells, common_commit, measured
 
-DOCUMENTS = ("README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/feeder.md")
+DOCUMENTS = (
+    "README.md", "docs/graph.md", "docs/hardware.md", "docs/guide/feeder.md", "docs/guide/trust.md",
+)  # fmt: skip
 
 BLOCK = re.compile(r"(<!-- measured: (\w+) (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

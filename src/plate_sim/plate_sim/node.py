@@ -113,6 +113,9 @@ class Options(NodeOptions):
         "friction_patches", "Friction varies over the plate by [share]."
     )
     static_ratio: float = _disturbance("static_ratio", "Static over dynamic friction [-].")
+    friction_slope: float = _disturbance(
+        "friction_slope", "How friction changes with the slip [1/(m/s)]."
+    )
     tilt_x: float = _disturbance("tilt_x", "Lean of the plate that pulls parts along +x [rad].")
     tilt_y: float = _disturbance("tilt_y", "Lean of the plate that pulls parts along +y [rad].")
     latency: float = _disturbance(
@@ -131,9 +134,7 @@ class Options(NodeOptions):
         "missed_images", "Share of images that are never published."
     )
     highlights: float = _disturbance("highlights", "Share of each part that mirrors the light.")
-    shadows: float = _disturbance(
-        "shadows", "How much darker the plate is in parts' shadows [share]."
-    )
+    shadows: float = _disturbance("shadows", "Darkening of the plate in parts' shadows [share].")
     missed_parts: float = _disturbance(
         "missed_parts", "Share of parts that an image does not show."
     )

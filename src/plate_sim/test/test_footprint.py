@@ -84,6 +84,29 @@ def test_greatest_error_of_friction_falls_as_one_by_the_number_of_points(shape):
     assert gap[192] < 0.011
 
 
+@pytest.mark.parametrize(
+    "part",
+    [disc(0.01), bar(0.03, 0.006), on_feet(disc(0.01), feet(0.008))],
+    ids=["disc", "bar", "feet"],
+)
+def test_friction_lies_on_a_convex_limit_surface_whose_normal_is_the_slip(part):
+    """Goyal, Ruina and Papadopoulos 1991: of all loads that friction can give, that of a slip takes
+    most power from it."""
+    rng = np.random.default_rng(0)
+    slips = rng.normal(size=(60, 3)) * [1, 1, 1 / 0.01]
+    loads = np.array([part.friction(slip)[0] for slip in slips])
+    power = slips @ loads.T  # of slip i under the load of slip j
+    assert np.all(power <= np.diag(power)[:, None] * (1 + 1e-12))
+
+
+def test_the_limit_surface_of_a_disc_is_five_percent_inside_an_ellipsoid():
+    """From the closed form, at slips as fast in the middle as turning makes the rim: E = 1."""
+    force, _, torque = disc(0.01).friction([1, 0, 1 / 0.01])[0]
+    size = np.hypot(force, torque / (0.01 * 2 / 3))
+    assert size == pytest.approx(np.hypot(8 / (3 * np.pi), 1.5 * 8 / (9 * np.pi)), rel=1e-9)
+    assert size == pytest.approx(0.949, abs=1e-3)
+
+
 def test_pressure_has_its_centre_below_the_centre_of_mass():
     part = polygon(TRIANGLE, centre=[0.006, 0.0065])
     assert part.weights @ part.points == pytest.approx(0, abs=1e-12)

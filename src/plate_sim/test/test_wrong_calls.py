@@ -22,7 +22,8 @@ def run_arguments():
     state[0, 0] = 1.0
     return {
         "table": table, "steps": 2, "cycles": 3, "every": 1, "gravity_x": 0.0, "gravity_y": 0.0,
-        "static_ratio": 1.0, "state": state, "bodies": bodies, "discs": np.zeros((4, 8)),
+        "static_ratio": 1.0, "slope": 0.0, "state": state, "bodies": bodies,
+        "discs": np.zeros((4, 8)),
         "mesh": np.ones((7, 3)), "pieces": np.array([[0, 4], [4, 8]]),
         "corners": np.column_stack([*np.tile(square, (2, 1)).T, np.ones((8, 3))]),
         "restitution": 0.0, "friction": 0.0, "meets": True, "walls": True, "allowed": 0.1,

@@ -86,7 +86,7 @@ def simulate(
     tolerance : float
         Wanted error of the displacement in one cycle [m].
     ground : Ground
-        Static friction and tilt.
+        Static friction and tilt; its friction must not change with the slip.
 
     Returns
     -------
@@ -106,6 +106,8 @@ def simulate(
     samples = whole("samples", SAMPLES if samples is None else samples)
     if not 0 < tolerance <= LARGEST:
         raise PlateError(f"tolerance is {tolerance!r} m, allowed: a positive number")
+    if ground.friction_slope != 0:
+        raise PlateError(f"friction_slope is {ground.friction_slope:g}, allowed: 0 for point parts")
     effect = ground.effect(gravity)
     table, scales = tabulate(cycle, effect[:2])
     if not scales.max() <= LARGEST:

@@ -194,9 +194,9 @@ inline Attempt ride(const PlateSample* plate, Vec fall, double static_dv, const 
 inline Attempt attempt(const PlateSample* plate, double h, bool last, double none,
                        const GroundEffect& ground, const Motion& m, const Body& body,
                        const Mesh& mesh) {
-    const double dv = body.mu_g * h, g2 = body.gyration2, static_dv = ground.static_ratio * dv;
+    const double slow = body.mu_g * h, g2 = body.gyration2, static_dv = ground.static_ratio * slow;
     const Vec fall{h * ground.gravity_x, h * ground.gravity_y};
-    if (dv <= 0) return {true, moved(m, h, m.vx + fall.x, m.vy + fall.y, m.spin)};
+    if (slow <= 0) return {true, moved(m, h, m.vx + fall.x, m.vy + fall.y, m.spin)};
     Slip start = slip(plate[0], m.x, m.y, m.vx, m.vy, m.spin);
     const double size2 = start.x * start.x + start.y * start.y + g2 * (start.turn * start.turn);
     const bool stuck = size2 <= none * none;
@@ -206,6 +206,11 @@ inline Attempt attempt(const PlateSample* plate, double h, bool last, double non
     }
     const Slip middle = slip(plate[1], m.x + 0.5 * h * m.vx, m.y + 0.5 * h * m.vy,
                              m.vx + 0.5 * fall.x, m.vy + 0.5 * fall.y, m.spin);
+    double dv = slow;
+    if (ground.slope != 0) [[unlikely]] {  // by the slip in the middle: over a disc, the rms
+        const double speed = std::sqrt(dot(middle, middle, g2));
+        dv = slow * ground.share(std::max(0.0, speed - 0.5 * slow * ground.share(speed)));
+    }
     const auto [half, push] = midpoint(start, middle, m.angle, 0.5 * h * m.spin, dv, body, mesh);
     Motion after = moved(m, h, m.vx + fall.x + push.x, m.vy + fall.y + push.y, m.spin + push.turn);
     const Slip end = slip(plate[2], after.x, after.y, after.vx, after.vy, after.spin);
@@ -367,7 +372,7 @@ inline void advance(Table table, double start, double step, const PlateSample* p
                         state(VX, i), state(VY, i), state(SPIN, i)};
     const double none = STUCK * body.mu_g * step;
     Attempt made{false, motion};
-    if (body.radius > 0 && motion.spin == 0 && body.even())
+    if (body.radius > 0 && motion.spin == 0 && body.even() && ground.slope == 0)
         made = reverse(plate, step, ground, motion, body);
     if (!made.fine) made = attempt(plate, step, false, none, ground, motion, body, mesh);
     if (!made.fine)

@@ -1,4 +1,4 @@
-"""How the plate carries parts, beyond one friction coefficient: breaking loose, and tilt."""
+"""How the plate carries parts, beyond one friction coefficient: static, of fast slip; tilt."""
 
 from __future__ import annotations
 
@@ -11,17 +11,21 @@ from plate_core import PlateError
 STATIC = (1.0, 10.0)
 """Allowed ratio of static to dynamic friction."""
 
+SLOPE = (-5.0, 5.0)
+"""Allowed change of friction with the slip [1/(m/s)]."""
+
 TILT = 0.5
 """Greatest tilt [rad]: about 29 degrees."""
 
 
 class GroundEffect(NamedTuple):
     """What the ground does to parts, for compiled code: gravity along the plate [m/s2, plate_home],
-    and static over dynamic friction."""
+    static over dynamic friction, and the change of that with the slip [1/(m/s)]."""
 
     gravity_x: float
     gravity_y: float
     static_ratio: float
+    slope: float
 
 
 @dataclass(frozen=True)
@@ -35,15 +39,23 @@ class Ground:
         take more than `static_ratio` mu g.
     tilt : (2,)
         How far the plate leans [rad]: parts are pulled down it, along +x and +y if positive.
+    friction_slope : float
+        How dynamic friction changes with the slip s [1/(m/s)]: by 1 + slope s if positive, by
+        1/(1 - slope s) if negative. Of a part that turns too, s is the root mean square over it.
     """
 
     static_ratio: float = 1.0
     tilt: tuple[float, float] = (0.0, 0.0)
+    friction_slope: float = 0.0
 
     def __post_init__(self) -> None:
         if not STATIC[0] <= self.static_ratio <= STATIC[1]:
             raise PlateError(
                 f"static_ratio is {self.static_ratio!r}, allowed: {STATIC[0]:g} to {STATIC[1]:g}"
+            )
+        if not SLOPE[0] <= self.friction_slope <= SLOPE[1]:
+            raise PlateError(
+                f"friction_slope is {self.friction_slope!r}, allowed: {SLOPE[0]:g} to {SLOPE[1]:g}"
             )
         tilt = tuple(self.tilt)
         if len(tilt) != 2 or not all(isfinite(t) for t in tilt) or hypot(*tilt) > TILT:
@@ -52,7 +64,9 @@ class Ground:
     def effect(self, gravity: float) -> GroundEffect:
         """Return what it does under a gravity [m/s2]."""
         x, y = (gravity * sin(angle) for angle in self.tilt)
-        return GroundEffect(float(x), float(y), float(self.static_ratio))
+        return GroundEffect(
+            float(x), float(y), float(self.static_ratio), float(self.friction_slope)
+        )
 
 
 LEVEL = Ground()

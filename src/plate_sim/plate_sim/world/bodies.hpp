@@ -83,7 +83,8 @@ inline contacts::Overlap run(Table table, int steps, int cycles, int every,
             if (record.size(0) && (std::int64_t{cycle} * steps + at) % every == 0)
                 note(state, count, record[recorded++]);
             std::fill(moved.begin(), moved.end(), 0.0);
-            if (together) glide(now, step, ground, state, {discs.data, discs.shape}, done);
+            if (together && ground.slope == 0)
+                glide(now, step, ground, state, {discs.data, discs.shape}, done);
             for (int i = 0; i < count; i++)
                 if (done(i) == 0 && here(i))
                     advance(table, at * step, step, now, ground, state, i, shapes.bodies[i],

@@ -189,7 +189,7 @@ def simulate_bodies(
     contacts : Contacts, optional
         How parts touch each other; if missing they never meet.
     ground : Ground
-        Tilt, and static friction.
+        Tilt, static friction, and friction that changes with the slip.
     half : (2,), optional
         Half sides of the plate [m]: a part whose centre passes its edge is gone, unless contacts
         have walls. If missing the plate is endless.
@@ -294,7 +294,7 @@ class Job(NamedTuple):
                 f"allowed: at most {1e3 * depth / share * START_OVERLAP:.3g} mm"
             )
         table, steps, cycles, every = self.arguments[:4]
-        state, here, record = self.arguments[7], *self.arguments[-2:]
+        state, here, record = self.arguments[8], *self.arguments[-2:]
         back = np.argsort(self.order)
         period = table[-1, 1]
         if not len(record):

@@ -6,12 +6,13 @@ from dataclasses import dataclass, fields
 
 from plate_core import PlateError
 
-from ..plate.ground import STATIC, TILT, Ground
+from ..plate.ground import SLOPE, STATIC, TILT, Ground
 
 RANGES: dict[str, tuple[float, float]] = {
     "friction_spread": (0.0, 0.9),
     "friction_patches": (0.0, 0.9),
     "static_ratio": STATIC,
+    "friction_slope": SLOPE,
     "tilt_x": (-TILT, TILT),
     "tilt_y": (-TILT, TILT),
     "latency": (0.0, 1.0),
@@ -42,6 +43,8 @@ class Disturbances:
         Friction differs over the plate by up to this share, evenly (`friction_field`).
     static_ratio : float
         Static over dynamic friction.
+    friction_slope : float
+        How friction changes with the slip [1/(m/s)] (`Ground`).
     tilt_x, tilt_y : float
         How far the plate leans [rad]: parts are pulled along +x and +y if positive.
     latency : float
@@ -76,6 +79,7 @@ class Disturbances:
     friction_spread: float = 0.0
     friction_patches: float = 0.0
     static_ratio: float = 1.0
+    friction_slope: float = 0.0
     tilt_x: float = 0.0
     tilt_y: float = 0.0
     latency: float = 0.0
@@ -104,7 +108,7 @@ class Disturbances:
     @property
     def ground(self) -> Ground:
         """Return the plate's surface."""
-        return Ground(self.static_ratio, (self.tilt_x, self.tilt_y))
+        return Ground(self.static_ratio, (self.tilt_x, self.tilt_y), self.friction_slope)
 
     @property
     def summary(self) -> str:

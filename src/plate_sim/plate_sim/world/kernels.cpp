@@ -43,7 +43,7 @@ struct Job {
 };
 
 Job checked(Array<const double, 2> table, int steps, int cycles, int every, double gravity_x,
-            double gravity_y, double static_ratio, Array<double, 2> state,
+            double gravity_y, double static_ratio, double slope, Array<double, 2> state,
             Array<const double, 2> bodies, Array<const double, 2> discs, Array<double, 2> mesh,
             Array<const int64_t, 2> pieces, Array<const double, 2> corners, double restitution,
             double friction, bool meets, bool walls, double allowed, Array<const double, 1> half,
@@ -75,8 +75,8 @@ Job checked(Array<const double, 2> table, int steps, int cycles, int every, doub
                     within(body.first_piece, body.end_piece, shapes.pieces.size()) &&
                     (!meets || body.radius > 0 || body.first_piece < body.end_piece),
                 "run: a body has no points or no pieces");
-    return {motion, steps, cycles, every, {gravity_x, gravity_y, static_ratio}, view(state), shapes,
-            {restitution, friction, meets, walls}, allowed, half.data(), view(here), view(record), {}};
+    return {motion, steps, cycles, every, {gravity_x, gravity_y, static_ratio, slope}, view(state),
+            shapes, {restitution, friction, meets, walls}, allowed, half.data(), view(here), view(record), {}};
 }
 
 // What Python calls for one of them.
@@ -107,7 +107,7 @@ Job unpacked(const nb::tuple& call, Job (*make)(Arguments...), std::index_sequen
 nb::list run_many(const nb::list& calls, int threads) {
     std::vector<Job> jobs;
     for (nb::handle call : calls)
-        jobs.push_back(unpacked(nb::cast<nb::tuple>(call), checked, std::make_index_sequence<21>()));
+        jobs.push_back(unpacked(nb::cast<nb::tuple>(call), checked, std::make_index_sequence<22>()));
     {
         nb::gil_scoped_release others_may_run;
         std::atomic<size_t> next{0};
@@ -130,8 +130,8 @@ void bind_world(nb::module_& m) {
     using nb::arg;
     m.def("run_many", run_many, arg("calls"), arg("threads"));
     m.def("run", run_with(checked), arg("table"), arg("steps"), arg("cycles"), arg("every"),
-          arg("gravity_x"), arg("gravity_y"), arg("static_ratio"), arg("state").noconvert(),
-          arg("bodies"), arg("discs"), arg("mesh").noconvert(), arg("pieces"), arg("corners"),
+          arg("gravity_x"), arg("gravity_y"), arg("static_ratio"), arg("slope"),
+          arg("state").noconvert(), arg("bodies"), arg("discs"), arg("mesh").noconvert(), arg("pieces"), arg("corners"),
           arg("restitution"), arg("friction"), arg("meets"), arg("walls"), arg("allowed"),
           arg("half"), arg("here").noconvert(), arg("record").noconvert());
 }

@@ -44,7 +44,7 @@ def run_cycle(
     cycles : int
         How often the cycle is run.
     ground : Ground
-        Static friction and tilt.
+        Static friction, friction that changes with the slip, and tilt.
 
     Raises
     ------

@@ -1,0 +1,278 @@
+"""How far the simulator can be believed: creep of parts that should ride, beside the peers; the
+size of what it leaves out; and what laws of friction that nobody told the loop do to tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from math import pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from harness import Result, Table, missing_peer, optional
+from plate_bringup.loop import Setup, summary, with_settings
+from plate_core import PlateCycle, Rig, load_rig
+from plate_sim import Ground, simulate, simulate_bodies
+from plate_sim.friction import Footprint, disc, polygon
+from plate_sim.world import STEP
+from stages.mujoco_scene import MASS, MujocoScene
+from stages.pymunk_scene import PymunkScene
+from stages.scenes import FREQUENCY, GRAVITY, MU, MU_G, RADIUS, exact_cycle
+
+Run = Callable[[PlateCycle, float, float], float]
+"""Drift [m] in a plate's motion under a pull [mu g] after a time [s]."""
+
+CREEP_S = 10
+"""Time in which a part should stay where it is on the plate [s]."""
+
+RIDES = {
+    "level, shaken at 0.9 mu g": (0.9, 0.0),
+    "still, tilt pulls 0.9 mu g": (0.0, 0.9),
+    "0.45 mu g each": (0.45, 0.45),
+}
+"""Scene -> peak acceleration of the plate, and the pull down the tilt, over mu g: below 1, so that
+friction holds the part and its true drift is none."""
+
+HOME = np.zeros((1, 2))
+"""Where the part lies at the start [m]."""
+
+SQUARE = polygon(0.016 * (np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5))
+
+IN_CONTACT = """<mujoco>
+<option timestep="{dt}" cone="elliptic" impratio="{impratio}" noslip_iterations="{noslip}"/>
+<worldbody><geom type="plane" size="1 1 1" friction="{mu} 0 0"/>
+<body pos="0 0 {height}"><freejoint/><geom type="cylinder" size="{radius} {height}" mass="{mass}"
+friction="{mu} 0 0"/></body></worldbody>
+</mujoco>"""
+"""A cylinder that lies on a plane."""
+
+HEIGHT = 0.003
+"""Half that of the cylinder [m]."""
+
+WORLDS: tuple[dict[str, float], ...] = (
+    {}, {"static_ratio": 1.3}, {"friction_slope": 0.5}, {"friction_slope": -0.5},
+    {"friction_slope": 2.0}, {"friction_slope": -2.0},
+)  # fmt: skip
+"""Laws of friction in which tasks are run; loop and planner believe the first."""
+
+DENSITY, STIFFNESS, PLATE_DENSITY, POISSON = 7850.0, 70e9, 2700.0, 0.33
+"""Of a steel part [kg/m3]; of an aluminium plate [Pa], [kg/m3], [-]."""
+
+OFF_PLANE_M, OUT_OF_PLANE = 1e-3, 0.01
+"""Assumed: the motors push so far beside the plate's middle plane [m], and the plate moves up and
+down by this share of its motion."""
+
+AIR_VISCOSITY, AIR_DENSITY, AIR_GAP_M = 1.8e-5, 1.2, 10e-6
+"""[Pa s], [kg/m3]; between two surfaces that touch at their peaks [m]."""
+
+CHARGE, VACUUM = 2.7e-5, 8.85e-12
+"""What air bears before a spark [C/m2]; [F/m]."""
+
+WEAR, HARDNESS = 1e-4, 1e9
+"""Archard's coefficient of dry sliding [-], and the softer one's hardness [Pa]."""
+
+PRESLIDING_M = 1e-6
+"""Way over which the contact's asperities give before they slide [m]."""
+
+
+def measure(quick: bool) -> Result:
+    """Measure creep and tasks, and estimate what is left out."""
+    peers = {name: optional(name) for name in ("pymunk", "mujoco")}
+    creep = creep_rows(peers, 0.5 if quick else CREEP_S)
+    ours = max(row[scene] for row in creep[:3] for scene in RIDES)
+    return Result(
+        [
+            Table(
+                "creep",
+                "Drift in the plate of a part that friction holds",
+                {
+                    "method": "method", "step_ms": "step [ms]",
+                    **{scene: f"{scene} [um]" for scene in RIDES},
+                },
+                creep,
+                f"After {CREEP_S} s; the truth is 0. MuJoCo's contacts have its own solref and "
+                "solimp.",
+            ),
+            Table(
+                "left_out",
+                "What is not modelled, and how large it is",
+                {
+                    "effect": "effect", "formula": "formula", "assumed": "assumed", "size": "size",
+                },
+                left_out(load_rig()),
+                "The default rig: `config/rig.yaml`.",
+            ),
+            Table(
+                "worlds",
+                "Tasks under laws of friction that the loop does not know",
+                {
+                    "world": "world", "scenario": "scenario", "runs": "runs", "success": "done",
+                    "dropped": "parts lost", "time_s": "time, median [s]",
+                },
+                world_rows(1 if quick else 3),
+                "Seeds 0, 1, 2, Method B.",
+            ),
+        ],
+        [f"parts at rest drift {ours:.1g} um at most in plate_sim"]
+        + [missing_peer(name) for name, module in peers.items() if not module],
+    )  # fmt: skip
+
+
+def creep_rows(peers: dict[str, Any], span: float) -> list[dict[str, Any]]:
+    """Drift [um] of a part that rides, by method and scene."""
+    methods: list[tuple[str, float | None, Run]] = [
+        ("plate_sim, point by events", None, by_events),
+        ("plate_sim, disc", 1e3 * STEP, partial(in_steps, disc(RADIUS))),
+        ("plate_sim, square", 1e3 * STEP, partial(in_steps, SQUARE)),
+    ]
+    for peer, name, run in PEERS:
+        if peers[peer]:
+            methods += [(name, ms, partial(run, peers[peer], 1e-3 * ms)) for ms in (1.0, 0.1)]
+    rows = []
+    for name, ms, run in methods:
+        row: dict[str, Any] = {"method": name, "step_ms": ms}
+        for scene, (gamma, pull) in RIDES.items():
+            cycle = exact_cycle(gamma) if gamma else PlateCycle.rest(1 / FREQUENCY)
+            row[scene] = 1e6 * abs(run(cycle, pull, span))
+        rows.append(row)
+    return rows
+
+
+def tilted(pull: float) -> Ground:
+    """The tilt that pulls so much [mu g] along x."""
+    return Ground(tilt=(float(np.arcsin(pull * MU)), 0.0))
+
+
+def by_events(cycle: PlateCycle, pull: float, span: float) -> float:
+    """Drift [m] of our judge's point; the plate is at home at the end."""
+    cycles = round(span * FREQUENCY)
+    start = cycle.twist(0.0)[:, :2]
+    run = simulate(cycle, HOME, start, MU, GRAVITY, cycles, 1, ground=tilted(pull))
+    return float(run.position[-1, 0, 0])
+
+
+def in_steps(part: Footprint, cycle: PlateCycle, pull: float, span: float) -> float:
+    """Drift [m] of our world's part."""
+    start, cycles = cycle.twist(0.0)[:, :2], round(span * FREQUENCY)
+    run = simulate_bodies(
+        cycle, part, HOME, 0, start, 0, MU, GRAVITY, cycles, 0, ground=tilted(pull)
+    )  # fmt: skip
+    return float(run.position[-1, 0, 0])
+
+
+def in_pymunk(pymunk: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+    """Drift [m] in pymunk."""
+    scene = PymunkScene(pymunk, cycle, dt, span, HOME, MU_G, cycle.twist(0.0)[:, :2])
+    scene.space.gravity = pull * MU_G, 0.0
+    return float(scene.run()[0, 0] - scene.plate.position.x)
+
+
+def in_joints(mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float) -> float:
+    """Drift [m] in MuJoCo with friction in joints, as in the scene of `sim`."""
+    scene = MujocoScene(mujoco, cycle, dt, span, HOME, MU, cycle.twist(0.0)[:, :2])
+    scene.shake[:, 0] += pull * MU_G
+    return float(scene.run()[0, 0] - scene.moved[0])
+
+
+def in_contact(
+    mujoco: Any, dt: float, cycle: PlateCycle, pull: float, span: float, impratio: float = 1.0,
+    noslip: int = 0,
+) -> float:  # fmt: skip
+    """Drift [m] in MuJoCo of a cylinder on a plane, in the plate's frame."""
+    model = mujoco.MjModel.from_xml_string(
+        IN_CONTACT.format(
+            dt=dt, impratio=impratio, noslip=noslip, mu=MU, height=HEIGHT, radius=RADIUS, mass=MASS
+        )
+    )
+    data = mujoco.MjData(model)
+    twist = cycle.twist((np.arange(round(span / dt) + 1) * dt) % cycle.period)[:, 0]
+    normal = GRAVITY * sqrt(1 - (pull * MU) ** 2)
+    for shake in pull * MU_G - np.diff(twist) / dt:
+        model.opt.gravity[:] = shake, 0.0, -normal
+        mujoco.mj_step(model, data)
+    return float(data.qpos[0])
+
+
+PEERS: tuple[tuple[str, str, Callable[..., float]], ...] = (
+    ("pymunk", "pymunk, pivot of limited force", in_pymunk),
+    ("mujoco", "MuJoCo, dry friction of joints", in_joints),
+    ("mujoco", "MuJoCo, contact", in_contact),
+    ("mujoco", "MuJoCo, contact, impratio 100", partial(in_contact, impratio=100.0)),
+    ("mujoco", "MuJoCo, contact, 10 noslip iterations", partial(in_contact, noslip=10)),
+)
+"""Peer, method, and what runs it."""
+
+
+def left_out(rig: Rig) -> list[dict[str, str]]:
+    """Return the size of what the simulator leaves out on a rig, each by a formula."""
+    mu, g, m, r = rig.friction.mu, rig.friction.gravity, rig.parts.mass_kg, rig.parts.radius_m
+    a, s = rig.limits.accel, 2 / pi * rig.limits.speed
+    push, area, length = mu * m * g, pi * r**2, rig.plate.length_m
+    height = m / (DENSITY * area)
+    thick = rig.plate.mass_kg / (PLATE_DENSITY * length * rig.plate.width_m)
+    rigid = STIFFNESS / (1 - POISSON**2) * thick**3 / 12
+    bend = 22.37 / (2 * pi * length**2) * sqrt(rigid / (PLATE_DENSITY * thick))
+    slope = rig.plate.mass_kg * a * OFF_PLANE_M / (rigid * rig.plate.width_m) * length / 2
+    shake = sqrt(a / rig.limits.stroke_m) / (2 * pi)
+    sag = 2 / 3 * slope * length
+    stretch = PLATE_DENSITY * a * length**2 / (2 * STIFFNESS)
+    film, drag = AIR_VISCOSITY * area * s / AIR_GAP_M, 0.5 * AIR_DENSITY * 2 * r * height * s**2
+    rows = [
+        ("plate moves up and down: weight changes", "r a/g", f"r = {100 * OUT_OF_PLANE:g} %",
+         f"{percent(OUT_OF_PLANE * a / g)} of mu m g, to and fro"),
+        ("part leaves the plate and bounces", "r > g/a", "",
+         f"not below r = {percent(g / a)}"),
+        ("plate bends: its first mode", "22.4/(2 pi L^2) sqrt(D/(rho h))",
+         f"free aluminium plate, h = {1e3 * thick:.1f} mm", f"{bend:.0f} Hz"),
+        ("plate bends: tilt at its ends, below that", "M a e L/(2 D W)",
+         f"motors e = {1e3 * OFF_PLANE_M:g} mm beside the middle plane",
+         f"{percent(slope / mu)} of mu m g"),
+        ("plate bends: weight at its ends changes", "M a e L^2/(3 D W) w^2/g",
+         f"the same, at {shake:.0f} Hz",
+         f"{percent(sag * (2 * pi * shake) ** 2 / g)} of mu m g, to and fro"),
+        ("plate stretches", "rho a L^2/(2 E)", "pushed at one end", f"{1e6 * stretch:.1f} um"),
+        ("parts push the plate back", "10 mu m g/(M a)", "ten parts",
+         f"{percent(10 * push / (rig.plate.mass_kg * a))} of its acceleration"),
+        ("friction shifts the pressure", "mu h/2", f"steel part, h = {1e3 * height:.1f} mm",
+         f"{1e3 * mu * height / 2:.1f} mm; tips above h = {1e3 * 2 * r / mu:.0f} mm"),
+        ("the same: side force on a part that turns", "(mu h/2) w/s",
+         "w = 1 rad/s more than the plate",
+         f"{percent(mu * height / 2 / s)} of mu m g"),
+        ("contact gives before it slides", "sqrt(2 d/a)/(T/4)",
+         f"d = {1e6 * PRESLIDING_M:g} um, T = 0.1 s",
+         f"{percent(sqrt(2 * PRESLIDING_M / a) / 0.025)} of the time between reversals"),
+        ("air film", "eta A s/d", f"d = {1e6 * AIR_GAP_M:g} um",
+         f"{percent(film / push)} of mu m g"),
+        ("drag of the air", "rho s^2 R h", "", f"{percent(drag / push)} of mu m g"),
+        ("static charge", "q^2 A/(2 eps)", "as much as air bears",
+         f"{percent(CHARGE**2 / (2 * VACUUM) * area / (m * g))} of the weight, at most"),
+        ("wear of a part", "k m g s t/(H A)", "k = 1e-4, H = 1 GPa, an hour",
+         f"{1e6 * WEAR * m * g * s * 3600 / (HARDNESS * area):.2f} um"),
+    ]  # fmt: skip
+    return [dict(zip(("effect", "formula", "assumed", "size"), row, strict=True)) for row in rows]
+
+
+def percent(share: float) -> str:
+    """Write a share in two digits."""
+    return f"{100 * share:.2g} %"
+
+
+def world_rows(seeds: int) -> list[dict[str, Any]]:
+    """Run tasks in each world."""
+    rows = []
+    for world in WORLDS:
+        for scenario in ("sort_4", "sort_10"):
+            settings = {key: str(value) for key, value in world.items()}
+            setups = [with_settings(Setup(scenario, k), settings) for k in range(seeds)]
+            runs: list[dict[str, Any]] = [summary(setup, load_rig()) for setup in setups]
+            done = [run["time_s"] for run in runs if run["success"]]
+            rows.append(
+                {
+                    "world": ", ".join(f"{k} {v:g}" for k, v in world.items()) or "as believed",
+                    "scenario": scenario, "runs": seeds, "success": len(done),
+                    "dropped": sum(run["dropped"] for run in runs),
+                    "time_s": float(np.median(done)) if done else None,
+                }
+            )  # fmt: skip
+    return rows
