@@ -6,7 +6,19 @@ import subprocess
 
 import numpy as np
 import pytest
-from device_orders import ENABLE, HELLO, ordered, say, spline, uploaded, wave
+from device_orders import (
+    ENABLE,
+    HELLO,
+    enable,
+    heard,
+    live,
+    ordered,
+    say,
+    spline,
+    tell,
+    uploaded,
+    wave,
+)
 from simulated_firmware import compiled
 
 from plate_core import load_rig
@@ -65,10 +77,6 @@ def _bench(leader, request):
     bench.end()
 
 
-def tell(bench, data):
-    bench.order(f"rx {data.hex()}")
-
-
 def boot(bench):
     """Switch the drives on, and wait until the firmware has set them up."""
     bench.run(5)
@@ -77,18 +85,6 @@ def boot(bench):
     bench.run(300)
     tell(bench, HELLO)
     bench.run(5)
-
-
-def live(bench, ms):
-    """Let time pass with a host that lives."""
-    for _ in range(0, ms, 50):
-        tell(bench, say(1, Heartbeat(1)))
-        bench.run(50)
-
-
-def enable(bench, sequence=101):
-    tell(bench, say(sequence, Enable(bench.stop)))
-    live(bench, 600)
 
 
 def ready(bench):
@@ -103,11 +99,6 @@ def playing(bench, size=0.004):
         tell(bench, data)
     live(bench, 150)
     assert bench.state == State.PLAYING
-
-
-def heard(bench, kind):
-    packets = Reader().fed(bench.said)[1]
-    return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]
 
 
 def led(bench, since=0):

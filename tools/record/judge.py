@@ -112,7 +112,7 @@ def judge(
     return {
         "scenario": options.scenario,
         "method": options.method,
-        "transport": "cia402" if options.firmware else options.transport,
+        "transport": rig.motors[0].drive.kind if options.firmware else options.transport,
         "seed": options.seed,
         "lockstep": options.lockstep,
         "success": record.done and film.dropped == 0,
