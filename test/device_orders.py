@@ -291,9 +291,9 @@ def live(bench, ms):
         bench.run(50)
 
 
-def enable(bench, sequence=101):
+def enable(bench, sequence=101, ms=600):
     tell(bench, say(sequence, Enable(bench.stop)))
-    live(bench, 600)
+    live(bench, ms)
 
 
 def heard(bench, kind):

@@ -61,7 +61,9 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     axis->unheard = 0;
     axis->errors = errors;
     axis->status = state;
-    if (axis->stage == UP && tried(axis) && !bitten && !was_tried)
+    if (axis->stage == SILENT && !axis->lost && axis->since > START_TICKS)
+        axis->asked = false; /* it has power now */
+    if (axis->stage == UP && tried(axis) && !was_tried)
         axis->since = START_TICKS;
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
         enter(axis, UP);
@@ -166,7 +168,7 @@ void cycle(void)
         uint32_t step = (uint32_t)axis->target - (uint32_t)axis->sent;
         axis->reached = (int32_t)((uint32_t)axis->sent + (uint32_t)((int32_t)step / 2));
         axis->sent = axis->target;
-        if (polled)
+        if (polled && axis->stage == UP)
             set_position(m);
         order(m);
         if (polled)
