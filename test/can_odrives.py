@@ -1,6 +1,6 @@
 """ODrives for the firmware in simulated time: frames are read and written by the DBC of CANSimple
-(firmware 0.6.10) that the package `odrive_can` brings, on the bus of `python-can`; states and motion
-are written here, from the manual."""
+(firmware 0.6.10) that the package `odrive_can` brings, on the bus of `python-can`; states and
+motion are written here, from the manual."""
 
 from importlib.util import find_spec
 from pathlib import Path

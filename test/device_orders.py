@@ -296,6 +296,6 @@ def enable(bench, sequence=101, ms=600):
     live(bench, ms)
 
 
-def heard(bench, kind):
+def said_by(bench, kind):
     packets = Reader().fed(bench.said)[1]
     return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]

@@ -10,9 +10,9 @@ from device_orders import (
     ENABLE,
     HELLO,
     enable,
-    heard,
     live,
     ordered,
+    said_by,
     say,
     spline,
     tell,
@@ -29,15 +29,12 @@ from plate_core.serial_protocol import (
     DriveTrouble,
     Enable,
     Fault,
-    Heartbeat,
     Hello,
     Home,
-    Reader,
     State,
     Stop,
     Telemetry,
     Trouble,
-    parse,
 )
 from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, c_header
@@ -142,7 +139,7 @@ def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
         assert drive.value(0x6060) == 8
         assert drive.value(0x1401, 1) >> 31 == drive.value(0x1801, 1) >> 31 == 1
         assert drive.value(0x1016, 1) == 127 << 16 | 150
-    told = heard(bench, Telemetry)
+    told = said_by(bench, Telemetry)
     assert {t.faults for t in told} == {Fault.NO_HOME}
     assert {t.stop for t in told} == {bench.stop}  # to be set up is no stop
 
@@ -182,7 +179,7 @@ def test_drives_that_are_not_there_are_named(bench):
     bench.drives[0].boot()
     live(bench, 1200)
     assert Fault(bench.faults) == Fault.HARDWARE | Fault.NO_HOME
-    assert heard(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
+    assert said_by(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
 
 
 def test_the_drives_are_told_the_table_and_follow(bench):
@@ -208,7 +205,7 @@ def test_the_drives_are_told_the_table_and_follow(bench):
     for drive, motor in zip(bench.drives, range(4), strict=True):
         assert drive.enables == 1
         assert abs(travel(led(bench), motor)[1][-1]) < 0.0041
-    errors = [t.following_m for t in heard(bench, Telemetry)]
+    errors = [t.following_m for t in said_by(bench, Telemetry)]
     assert 1e-5 < max(errors) < 1e-3  # of the drives' lag, not of the bus's delay
 
 
@@ -318,7 +315,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     assert off - since <= {lose_heartbeat: 203, jam: 40, bus_off: 60}.get(trouble, FOLLOWED_MS)
     assert 15 not in words[words[:, 0] > off, 2]
     assert all(d.state != "enabled" for d in bench.drives)
-    told = heard(bench, DriveTrouble)
+    told = said_by(bench, DriveTrouble)
     if kind is None:
         assert not told  # the board itself has seen it
     else:
@@ -348,7 +345,7 @@ def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     enable(bench, 400)
     assert bench.state == State.OFF
     assert all(drive.enables == 1 for drive in bench.drives)
-    assert heard(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
+    assert said_by(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
 
 
 def test_a_drive_that_does_not_go_into_operation_is_named(bench):
@@ -358,7 +355,7 @@ def test_a_drive_that_does_not_go_into_operation_is_named(bench):
     assert bench.state == State.HOMING
     live(bench, 4700)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 0x233)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 0x233)
     assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
 
 
@@ -378,7 +375,7 @@ def test_a_wrong_drive_is_named_and_none_gets_current(bench, of_eds, kind, index
     enable(bench)
     assert bench.state == State.OFF
     assert all(drive.history == [] for drive in bench.drives)
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, kind, index, code)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, kind, index, code)
 
 
 def test_two_drives_of_one_number_get_no_current(bench):
@@ -391,7 +388,7 @@ def test_two_drives_of_one_number_get_no_current(bench):
     boot(bench)
     enable(bench)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
     assert all(drive.history == [] for drive in [*bench.drives, other])
     network.bus.shutdown()
 

@@ -1,4 +1,5 @@
-"""The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402`, or odrive, runs."""
+"""The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402` runs, or
+=odrive."""
 
 from itertools import pairwise
 
@@ -61,5 +62,7 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
 
 @pytest.mark.parametrize(("rig", "has"), [("desk", "bridge"), ("odrives", "odrive")])
 def test_a_rig_without_such_drives_is_refused(tmp_path, rig, has):
-    with pytest.raises(PlateError, match=rf"rig {rig}.yaml: its motors have {has}, allowed: cia402"):
+    with pytest.raises(
+        PlateError, match=rf"rig {rig}.yaml: its motors have {has}, allowed: cia402"
+    ):
         build(rig, "cia402", tmp_path)

@@ -10,9 +10,9 @@ from device_orders import (
     ENABLE,
     HELLO,
     enable,
-    heard,
     live,
     ordered,
+    said_by,
     say,
     spline,
     tell,
@@ -145,12 +145,12 @@ def check_bus(bench):
 # Enable, play
 
 
-def test_nothing_has_current_before_an_enable(bench, ms=900):
+def test_nothing_has_current_before_an_enable(bench):
     boot(bench)
     live(bench, 300)
     assert [drive.history for drive in bench.drives] == [[]] * 4
     assert {state for *_, state in states(bench)} <= {1}
-    told = heard(bench, Telemetry)
+    told = said_by(bench, Telemetry)
     assert {t.faults for t in told} == {Fault.NO_HOME}
     assert {t.stop for t in told} == {bench.stop}
 
@@ -176,7 +176,7 @@ def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
     boot(bench)
     enable(bench, ms=900)
     assert bench.state == State.OFF
-    trouble = heard(bench, DriveTrouble)[-1]
+    trouble = said_by(bench, DriveTrouble)[-1]
     assert trouble == DriveTrouble(3, Trouble.NO_WATCHDOG, 0, 0)
     assert "enable_watchdog" in trouble.words
     assert all(drive.state == 1 for drive in bench.drives)
@@ -204,7 +204,7 @@ def test_the_drives_are_told_the_table_with_its_speed_and_torque(bench):
     torque = force * np.array(SIGNS)[own[1]] / (2 * np.pi * TURNS)  # work of a turn
     assert np.max(np.abs(torque)) > 0.05
     assert np.max(np.abs(torque - late[:, 4])) < 2e-3
-    errors = [t.following_m for t in heard(bench, Telemetry)]
+    errors = [t.following_m for t in said_by(bench, Telemetry)]
     assert 1e-5 < max(errors) < 1e-3
 
 
@@ -308,7 +308,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(
     assert {state for *_, state in told} == {1}
     assert {m for at, m, _ in told if at <= since + most_ms} == {0, 1, 2, 3}
     assert all(d.state == 1 for d in bench.drives if not d.off)
-    found = heard(bench, DriveTrouble)
+    found = said_by(bench, DriveTrouble)
     if kind is None:
         assert not found  # the board itself has seen it
     else:
@@ -332,7 +332,7 @@ def test_its_own_words_are_told(bench):
     playing(bench)
     bench.drives[1].disarm("low voltage")
     live(bench, 100)
-    words = heard(bench, DriveTrouble)[-1].words
+    words = said_by(bench, DriveTrouble)[-1].words
     assert words == "motor_2: errors of the drive: DC_BUS_UNDER_VOLTAGE (00000200h)"
 
 
@@ -361,7 +361,7 @@ def test_a_drive_that_does_not_go_into_operation_is_named(bench):
     assert bench.state == State.HOMING
     live(bench, 4400)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 1)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 1)
 
 
 def test_a_drive_that_keeps_its_current_gets_an_estop(bench):
@@ -370,7 +370,7 @@ def test_a_drive_that_keeps_its_current_gets_an_estop(bench):
     tell(bench, say(300, Stop(1)))
     live(bench, 200)
     assert bench.drives[0].history[-1] == "ESTOP"
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(1, Trouble.KEEPS, 0, 8)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(1, Trouble.KEEPS, 0, 8)
 
 
 def test_a_wrong_firmware_is_named_and_none_gets_current(bench):
@@ -379,7 +379,7 @@ def test_a_wrong_firmware_is_named_and_none_gets_current(bench):
     enable(bench, ms=900)
     assert bench.state == State.OFF
     assert all(drive.history == [] for drive in bench.drives)
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0, 1)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0, 1)
 
 
 def test_two_drives_of_one_number_get_no_current(bench, dbc):
@@ -389,7 +389,7 @@ def test_two_drives_of_one_number_get_no_current(bench, dbc):
     boot(bench)
     enable(bench, ms=900)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
     assert all(drive.history == [] for drive in bench.drives)
 
 
@@ -402,9 +402,7 @@ UNDOING = {
     "a drive's reset": lambda b: b.drives[0].boot(),
     "a drive that goes into operation by itself": lambda b: vars(b.drives[2]).update(state=8),
     "an error that passes": lambda b: b.drives[1].disarm("spinout"),
-    "a state told by another": lambda b: b.network.send_message(
-        1 << 5 | 7, bytes([8, *[0] * 7])
-    ),
+    "a state told by another": lambda b: b.network.send_message(1 << 5 | 7, bytes([8, *[0] * 7])),
     "bus off": lambda b: b.order("busoff"),
     "the board's reset": lambda b: b.order("reset"),
 }

@@ -15,7 +15,9 @@ FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 
 
 def build(rig_file: str, kind: str, folder: Path) -> Path:
-    """Compile the firmware with a rig's limits and drives, `kind` cia402 or odrive; returns the program.
+    """Compile the firmware with a rig's limits and drives; returns the program.
+
+    `kind` is cia402 or odrive.
 
     Raises
     ------
@@ -29,7 +31,9 @@ def build(rig_file: str, kind: str, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "limits_rig.h").write_text(rig_header(str(path)), encoding="utf-8")
     program = folder / "plate"
-    sources = sorted(str(source) for pattern in (*SOURCES, f"drives/{kind}.c") for source in FOLDER.glob(pattern))
+    sources = sorted(
+        str(source) for pattern in (*SOURCES, f"drives/{kind}.c") for source in FOLDER.glob(pattern)
+    )
     command = ["cc", *FLAGS, f"-I{folder}", "-o", str(program), *sources, "-lm"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

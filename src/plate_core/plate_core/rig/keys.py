@@ -27,13 +27,13 @@ MOTOR = Section(
             "[x, y]; of any length but 0.",
         ),
         Key(
-            "drive", Choice(("bridge", "cia402", "odrive")), "What gives it its current: a bridge of "
-            "the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same kind for all "
+            "drive", Choice(("bridge", "cia402", "odrive")), "What gives it its current: a "
+            "bridge of the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same kind for all "
             "four.", "bridge",
         ),
         Key(
-            "node", Whole(1, 126), "Node number of its drive on the bus; up to 62 for an ODrive.", None,
-            "needed with a drive",
+            "node", Whole(1, 126), "Node number of its drive on the bus; up to 62 for an ODrive.",
+            None, "needed with a drive",
         ),
         Key(
             "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position for a metre; of "

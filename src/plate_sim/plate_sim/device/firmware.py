@@ -47,7 +47,9 @@ class FirmwareOnDesk:
     ) -> None:
         drives = [motor.drive for motor in rig.motors if motor.drive is not None]
         if not drives:
-            raise PlateError("firmware with drives: the rig has none, allowed: `drive: cia402` or odrive")
+            raise PlateError(
+                "firmware with drives: the rig has none, allowed: `drive: cia402` or odrive"
+            )
         try:
             self._process = subprocess.Popen(
                 [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
