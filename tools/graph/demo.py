@@ -151,8 +151,8 @@ def checked(args: argparse.Namespace) -> Plan:
     check_transport(transport, args.port or "of the simulated device")
     if drives and args.port:
         raise PlateError(
-            f"port is {args.port!r} with transport {args.transport}, allowed with it: none (a board "
-            "is transport serial)"
+            f"port is {args.port!r} with transport {args.transport}, allowed with it: none (a "
+            "board is transport serial)"
         )
     if args.lockstep and transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")

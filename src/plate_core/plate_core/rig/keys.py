@@ -28,8 +28,8 @@ MOTOR = Section(
         ),
         Key(
             "drive", Choice(("bridge", "cia402", "odrive")), "What gives it its current: a "
-            "bridge of the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same kind for all "
-            "four.", "bridge",
+            "bridge of the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same "
+            "kind for all four.", "bridge",
         ),
         Key(
             "node", Whole(1, 126), "Node number of its drive on the bus; up to 62 for an ODrive.",
