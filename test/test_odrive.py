@@ -328,6 +328,22 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     assert (bench.state, bench.faults) == (State.READY, 0)
 
 
+def test_a_reset_while_it_is_off_loses_home(bench):
+    ready(bench)
+    tell(bench, say(300, Stop(1)))
+    live(bench, 100)
+    drive = bench.drives[0]
+    drive.off = True
+    live(bench, 50)
+    drive.boot()
+    drive.position = 0.0  # it counts from here
+    live(bench, 2500)
+    assert Fault.NO_HOME in Fault(bench.faults)
+    enable(bench, 400, ms=900)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+    assert abs(drive.position) < FINE  # and stays
+
+
 def test_its_own_words_are_told(bench):
     playing(bench)
     bench.drives[1].disarm("low voltage")

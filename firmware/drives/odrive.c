@@ -12,7 +12,7 @@
 #define PROTOCOL 2         /* that Get_Version tells: of firmware 0.6 */
 #define AGAIN_CYCLES 50    /* between two tries to get it into operation */
 #define CLEAR_CYCLES 500   /* between two tries to clear its errors */
-#define DOG_TICKS 200      /* for its watchdog to bite, and for that to be told */
+#define DOG_TICKS 250      /* for its watchdog to bite, and for that to be told */
 #define FRESH_CYCLES 3     /* for a position, once that is asked for again */
 
 enum { GET_VERSION = 0x00, HEARTBEAT_OF = 0x01, ESTOP = 0x02, GET_ERROR = 0x03, SET_STATE = 0x07,
