@@ -29,7 +29,7 @@ checks:
 	@tools/setup.sh --quiet --checks
 
 # What is set after `make` reaches the shell as a variable of the environment, whatever is in it.
-demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial|cia402]
+demo: workspace ## Run the closed loop: [SCENARIO=sort_10] [RIG=...] [METHOD=...] [TRANSPORT=sim|serial|cia402|odrive]
 	@$(ENTER) exec python tools/demo.py $${SCENARIO:+--scenario "$$SCENARIO"} $${RIG:+--rig "$$RIG"} \
 	    $${METHOD:+--method "$$METHOD"} $${TRANSPORT:+--transport "$$TRANSPORT"} $(ARGS)
 

@@ -6,6 +6,7 @@ import math
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import can
 import canopen
@@ -75,12 +76,15 @@ def crc15(bits: str) -> int:
 
 
 def frame_bits(identifier: int, data: bytes) -> int:
-    """Return the bits of a data frame with an identifier of 11 bits on the bus.
+    """Return the bits of a frame on the bus: of data, or with 0x800 a request for eight bytes.
 
     With its stuffed bits (ISO 11898-1: after five alike one of the other kind, from the start of
     the frame to the CRC's end) and the three bits between two frames.
     """
-    head = f"0{identifier:011b}000{len(data):04b}" + "".join(f"{byte:08b}" for byte in data)
+    remote = identifier >> 11
+    size = 8 if remote else len(data)
+    head = f"0{identifier & 0x7FF:011b}{remote}00{size:04b}"
+    head += "".join(f"{byte:08b}" for byte in data)
     stuffed, run, last = 0, 0, ""
     for bit in head + f"{crc15(head):015b}":
         run = run + 1 if bit == last else 1
@@ -276,7 +280,7 @@ class CanBench:
 
     program: Path
     channel: str
-    network: SteppedNetwork = field(init=False)
+    network: Any = None
     sent: list[tuple[int, int, bytes]] = field(default_factory=list)  # [ms], id, data
     both: list[tuple[int, int, bytes]] = field(default_factory=list)  # in both directions
     said: bytes = b""
@@ -286,7 +290,7 @@ class CanBench:
     cut: bool = False  # the firmware's wire
 
     def __post_init__(self) -> None:
-        self.network = SteppedNetwork(self.channel)
+        self.network = self.network or SteppedNetwork(self.channel)
         self.own = can.Bus(interface="virtual", channel=self.channel)
         self.process = subprocess.Popen(
             [self.program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -320,7 +324,9 @@ class CanBench:
                     self.both.append(self.sent[-1])
                     if not self.cut:
                         self.own.send(can.Message(
-                            arbitration_id=identifier, data=data, is_extended_id=False,
+                            arbitration_id=identifier & 0x7FF, is_extended_id=False,
+                            is_remote_frame=identifier > 0x7FF, data=data,
+                            dlc=8 if identifier > 0x7FF else len(data),
                         ))  # fmt: skip
                 elif kind == "tx":
                     self.said += bytes.fromhex(words[0])

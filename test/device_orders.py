@@ -278,3 +278,24 @@ def running(program: Path):
         return done.stdout
 
     return run
+
+
+def tell(bench, data):
+    bench.order(f"rx {data.hex()}")
+
+
+def live(bench, ms):
+    """Let time pass with a host that lives."""
+    for _ in range(0, ms, 50):
+        tell(bench, say(1, Heartbeat(1)))
+        bench.run(50)
+
+
+def enable(bench, sequence=101, ms=600):
+    tell(bench, say(sequence, Enable(bench.stop)))
+    live(bench, ms)
+
+
+def said_by(bench, kind):
+    packets = Reader().fed(bench.said)[1]
+    return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]

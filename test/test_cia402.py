@@ -6,7 +6,19 @@ import subprocess
 
 import numpy as np
 import pytest
-from device_orders import ENABLE, HELLO, ordered, say, spline, uploaded, wave
+from device_orders import (
+    ENABLE,
+    HELLO,
+    enable,
+    live,
+    ordered,
+    said_by,
+    say,
+    spline,
+    tell,
+    uploaded,
+    wave,
+)
 from simulated_firmware import compiled
 
 from plate_core import load_rig
@@ -17,15 +29,12 @@ from plate_core.serial_protocol import (
     DriveTrouble,
     Enable,
     Fault,
-    Heartbeat,
     Hello,
     Home,
-    Reader,
     State,
     Stop,
     Telemetry,
     Trouble,
-    parse,
 )
 from plate_driver.transports import Condition, SerialTransport
 from plate_sim.device import DeviceLimits, c_header
@@ -49,7 +58,7 @@ def _leader(tmp_path_factory):
     folder = tmp_path_factory.mktemp("leader")
     header = c_header(DeviceLimits.of_rig(RIG), "rig.yaml", DRIVES)
     (folder / "limits_rig.h").write_text(header, encoding="utf-8")
-    return compiled(folder, "*.c", "drives/*.c", "host/host.c", "host/can.c")
+    return compiled(folder, "*.c", "drives/axes.c", "drives/cia402.c", "host/host.c", "host/can.c")
 
 
 @pytest.fixture(name="bench")
@@ -65,10 +74,6 @@ def _bench(leader, request):
     bench.end()
 
 
-def tell(bench, data):
-    bench.order(f"rx {data.hex()}")
-
-
 def boot(bench):
     """Switch the drives on, and wait until the firmware has set them up."""
     bench.run(5)
@@ -77,18 +82,6 @@ def boot(bench):
     bench.run(300)
     tell(bench, HELLO)
     bench.run(5)
-
-
-def live(bench, ms):
-    """Let time pass with a host that lives."""
-    for _ in range(0, ms, 50):
-        tell(bench, say(1, Heartbeat(1)))
-        bench.run(50)
-
-
-def enable(bench, sequence=101):
-    tell(bench, say(sequence, Enable(bench.stop)))
-    live(bench, 600)
 
 
 def ready(bench):
@@ -103,11 +96,6 @@ def playing(bench, size=0.004):
         tell(bench, data)
     live(bench, 150)
     assert bench.state == State.PLAYING
-
-
-def heard(bench, kind):
-    packets = Reader().fed(bench.said)[1]
-    return [m for m in (parse(p).message for p in packets) if isinstance(m, kind)]
 
 
 def led(bench, since=0):
@@ -151,7 +139,7 @@ def test_drives_are_set_up_and_nothing_has_current_before_an_enable(bench):
         assert drive.value(0x6060) == 8
         assert drive.value(0x1401, 1) >> 31 == drive.value(0x1801, 1) >> 31 == 1
         assert drive.value(0x1016, 1) == 127 << 16 | 150
-    told = heard(bench, Telemetry)
+    told = said_by(bench, Telemetry)
     assert {t.faults for t in told} == {Fault.NO_HOME}
     assert {t.stop for t in told} == {bench.stop}  # to be set up is no stop
 
@@ -191,7 +179,7 @@ def test_drives_that_are_not_there_are_named(bench):
     bench.drives[0].boot()
     live(bench, 1200)
     assert Fault(bench.faults) == Fault.HARDWARE | Fault.NO_HOME
-    assert heard(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
+    assert said_by(bench, DriveTrouble)[-1].words == "motor_2: the drive does not answer"
 
 
 def test_the_drives_are_told_the_table_and_follow(bench):
@@ -217,7 +205,7 @@ def test_the_drives_are_told_the_table_and_follow(bench):
     for drive, motor in zip(bench.drives, range(4), strict=True):
         assert drive.enables == 1
         assert abs(travel(led(bench), motor)[1][-1]) < 0.0041
-    errors = [t.following_m for t in heard(bench, Telemetry)]
+    errors = [t.following_m for t in said_by(bench, Telemetry)]
     assert 1e-5 < max(errors) < 1e-3  # of the drives' lag, not of the bus's delay
 
 
@@ -327,7 +315,7 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     assert off - since <= {lose_heartbeat: 203, jam: 40, bus_off: 60}.get(trouble, FOLLOWED_MS)
     assert 15 not in words[words[:, 0] > off, 2]
     assert all(d.state != "enabled" for d in bench.drives)
-    told = heard(bench, DriveTrouble)
+    told = said_by(bench, DriveTrouble)
     if kind is None:
         assert not told  # the board itself has seen it
     else:
@@ -357,7 +345,7 @@ def test_a_drive_whose_fault_stays_is_not_enabled(bench):
     enable(bench, 400)
     assert bench.state == State.OFF
     assert all(drive.enables == 1 for drive in bench.drives)
-    assert heard(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
+    assert said_by(bench, DriveTrouble)[-1].words == "motor_3: emergency 4210h, error register 01h"
 
 
 def test_a_drive_that_does_not_go_into_operation_is_named(bench):
@@ -367,7 +355,7 @@ def test_a_drive_that_does_not_go_into_operation_is_named(bench):
     assert bench.state == State.HOMING
     live(bench, 4700)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 0x233)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 0x233)
     assert [drive.state for drive in bench.drives] == ["switch on disabled"] * 4
 
 
@@ -387,7 +375,7 @@ def test_a_wrong_drive_is_named_and_none_gets_current(bench, of_eds, kind, index
     enable(bench)
     assert bench.state == State.OFF
     assert all(drive.history == [] for drive in bench.drives)
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(4, kind, index, code)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, kind, index, code)
 
 
 def test_two_drives_of_one_number_get_no_current(bench):
@@ -400,7 +388,7 @@ def test_two_drives_of_one_number_get_no_current(bench):
     boot(bench)
     enable(bench)
     assert bench.state == State.OFF
-    assert heard(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
     assert all(drive.history == [] for drive in [*bench.drives, other])
     network.bus.shutdown()
 

@@ -87,6 +87,10 @@ def names_of(processes):
             ["--transport", "cia402", "--port", "/dev/null"],
             "port is '/dev/null' with transport cia",
         ),
+        (
+            ["--transport", "odrive", "--rig", "linear_motors"],
+            "rig linear_motors.yaml: its motors have",
+        ),
         (["--transport", "cia402", "--lockstep"], "lockstep with transport serial, allowed: sim"),
         (["--image-rate", "0.5"], "image_rate is 0.5, allowed: 0, or 1 to 200"),
         (["--domain", "500"], "domain is 500, allowed: 0 to 101"),

@@ -1,4 +1,5 @@
-"""The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402` runs."""
+"""The firmware on this computer with simulated drives: what `make demo TRANSPORT=cia402` runs, or
+=odrive."""
 
 from itertools import pairwise
 
@@ -12,9 +13,10 @@ from plate_core.serial_protocol import Enable, Heartbeat, Reader, State, Telemet
 from plate_sim.device import FirmwareOnDesk
 
 
-@pytest.fixture(name="desk")
-def _desk(tmp_path):
-    desk = FirmwareOnDesk(build("linear_motors", tmp_path), load_rig("linear_motors"))
+@pytest.fixture(name="desk", params=[("cia402", "linear_motors"), ("odrive", "odrives")])
+def _desk(tmp_path, request):
+    kind, rig = request.param
+    desk = FirmwareOnDesk(build(rig, kind, tmp_path), load_rig(rig))
     yield desk
     desk.close()
 
@@ -35,7 +37,7 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
     said = Reader().fed(desk.to_host.arrived(desk.now))[1]
     stop = [m for m in (parse(p).message for p in said) if isinstance(m, Telemetry)][-1].stop
     desk.to_device.sent(say(101, Enable(stop)), desk.now)
-    passed(desk, 700)
+    passed(desk, 900)
     assert (desk.state, desk.faults) == (State.READY, 0)
     for data in uploaded(7, wave(0.004), 102, 40):
         desk.to_device.sent(data, desk.now)
@@ -58,8 +60,9 @@ def test_the_motors_are_where_the_drives_have_brought_them(desk):
     assert np.all(desk.judge.shares < 1)
 
 
-def test_a_rig_without_drives_is_refused(tmp_path):
+@pytest.mark.parametrize(("rig", "has"), [("desk", "bridge"), ("odrives", "odrive")])
+def test_a_rig_without_such_drives_is_refused(tmp_path, rig, has):
     with pytest.raises(
-        PlateError, match=r"rig desk.yaml: its motors have no drives, allowed: `dri"
+        PlateError, match=rf"rig {rig}.yaml: its motors have {has}, allowed: cia402"
     ):
-        build("desk", tmp_path)
+        build(rig, "cia402", tmp_path)

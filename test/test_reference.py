@@ -51,6 +51,11 @@ RIG["types"] = {
 for node, motor in enumerate(RIG["motors"].values(), 1):
     motor |= {"drive": "cia402", "node": node, "counts_per_m": 1e6, "sign": -1}
     motor |= {"home": "absolute", "serial": 7}
+ODRIVES = {
+    name: {key: motor[key] for key in motor if key not in ("counts_per_m", "serial")}
+    | {"drive": "odrive", "turns_per_m": 25}
+    for name, motor in RIG["motors"].items()
+}
 RIG["camera"]["colour"] = True
 RIG["camera"] |= {"trigger_phase": 0.5, "trigger_pulse_s": 0.002}
 CIRCLE = {"centre_m": [0, 0], "radius_m": 0.1, "start_deg": 0, "turn": "left"}
@@ -125,7 +130,9 @@ def scenario(kind):
     }
 
 
-FILES = [(load_rig, RIG)] + [(load_scenario, scenario(kind)) for kind in TASKS]
+FILES = [(load_rig, RIG), (load_rig, RIG | {"motors": ODRIVES})] + [
+    (load_scenario, scenario(kind)) for kind in TASKS
+]
 
 
 def places(data):
@@ -251,6 +258,8 @@ def test_what_is_asked_of_a_rig_file_is_what_the_reference_says(tmp_path, asked)
     servo = {"stiffness_npm": 100, "damping_nspm": 1}
     suspension = RIG["suspension"] | {"servo": servo}
     path.write_text(yaml.safe_dump(RIG | {"suspension": suspension}))
+    load_rig(path)
+    path.write_text(yaml.safe_dump(RIG | {"motors": ODRIVES}))
     load_rig(path)
     assert asked.pop("") == set(sections)
     for place, names in asked.items():

@@ -45,7 +45,11 @@ def arguments() -> argparse.Namespace:
     add("--scenario", default="sort_10", help="name in config/scenarios or .yaml file (sort_10)")
     add("--rig", default="", help="name in config/rigs or .yaml file (the scenario's)")
     add("--method", default="sinusoids", help="rotations (A) or sinusoids (B, the default)")
-    add("--transport", default="sim", help="what moves the plate: sim (default), serial or cia402")
+    add(
+        "--transport",
+        default="sim",
+        help="what moves the plate: sim (default), serial, cia402 or odrive",
+    )
     add(
         "--port",
         default="",

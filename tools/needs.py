@@ -27,7 +27,7 @@ PROGRAMS = {
 
 MODULES = (
     "plotly", "kaleido", "pandas", "tabulate", "numba", "skimage", "distributed", "gymnasium",
-    "playwright", "axe_playwright_python", "can", "canopen",
+    "playwright", "axe_playwright_python", "can", "canopen", "cantools", "odrive_can",
 )  # fmt: skip
 """Of the wheels in `REQUIREMENTS`."""
 

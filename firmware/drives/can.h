@@ -5,8 +5,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#define CAN_REMOTE 0x800 /* with an id: not data, but a request for so much */
+
 typedef struct {
-    uint16_t id;  /* 11 bits */
+    uint16_t id;  /* 11 bits, and CAN_REMOTE */
     uint8_t size; /* of its data, 8 at most */
     uint8_t data[8];
 } CanFrame;

@@ -7,14 +7,15 @@
 
 /* Of one motor; from the rig file, compiled in like its limits. */
 typedef struct {
-    uint8_t node;       /* 1 to 126 */
+    uint8_t node;
     float counts_per_m; /* of the drive's position */
     float sign;         /* 1, or -1 where the drive counts against the motor's direction */
     bool absolute;      /* its position is 0 at home; else home is where the plate hangs */
     uint32_t serial;    /* object 1018h:04; 0: any */
 } Drive;
 
-void drives_start(const Drive drives[MOTORS]);
+/* `load`: forces that the motors need for accelerations of all of them [kg]; it must stay. */
+void drives_start(const Drive drives[MOTORS], const float load[MOTORS][MOTORS]);
 void drives_begin(void); /* before each controller_tick: take what came */
 void drives_end(void);   /* after it: send what is due */
 

@@ -4,7 +4,7 @@
      can ID HEX   a frame comes, ID in hex
      busoff       the bus is lost for a moment
 
-   Printed: `can ID HEX` of each frame that is sent. */
+   Printed: `can ID HEX` of each frame that is sent; of a request ID with 800h, and no HEX. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -33,7 +33,7 @@ bool can_read(CanFrame *frame)
 void can_write(const CanFrame *frame)
 {
     printf("can %x ", frame->id);
-    for (int i = 0; i < frame->size; i++)
+    for (int i = 0; i < frame->size && !(frame->id & CAN_REMOTE); i++)
         printf("%02x", frame->data[i]);
     printf("\n");
 }
@@ -47,7 +47,7 @@ bool can_off(void)
 
 Limits motors_start(void)
 {
-    drives_start(DRIVES);
+    drives_start(DRIVES, LIMITS.load);
     return LIMITS;
 }
 

@@ -63,7 +63,7 @@ FEEDER_S = 10.0
 MOST_PICKS = 10_000
 """Parts that a robot may be asked to take."""
 
-DRIVES, DRIVES_RIG = "cia402", "linear_motors"
+DRIVES = {"cia402": "linear_motors", "odrive": "odrives"}
 """What stands for the firmware on this computer with simulated drives, and its rig unless one is
 named."""
 
@@ -135,8 +135,8 @@ def checked(args: argparse.Namespace) -> Plan:
         Names the argument, its value and what is allowed.
     """
     scenario = load_scenario(args.scenario)
-    drives = args.transport == DRIVES
-    rig_file = args.rig or scenario.rig or (DRIVES_RIG if drives else "")
+    drives = args.transport in DRIVES
+    rig_file = args.rig or scenario.rig or DRIVES.get(args.transport, "")
     rig = load_rig(rig_file)
     transport = "serial" if drives else args.transport
     if args.method not in METHODS:
@@ -151,8 +151,8 @@ def checked(args: argparse.Namespace) -> Plan:
     check_transport(transport, args.port or "of the simulated device")
     if drives and args.port:
         raise PlateError(
-            f"port is {args.port!r} with transport {DRIVES}, allowed with it: none (a board is "
-            "transport serial)"
+            f"port is {args.port!r} with transport {args.transport}, allowed with it: none (a "
+            "board is transport serial)"
         )
     if args.lockstep and transport == "serial":
         raise PlateError("lockstep with transport serial, allowed: sim (the device keeps time)")
@@ -177,7 +177,7 @@ def checked(args: argparse.Namespace) -> Plan:
     if args.port:
         open_port(args.port).close()
     out = args.out or own_folder(scenario.name)
-    firmware = build(rig_file, out / "firmware").absolute() if drives else ""
+    firmware = build(rig_file, args.transport, out / "firmware").absolute() if drives else ""
     options = RunOptions(
         scenario=absolute(args.scenario),
         method=METHODS[args.method],

@@ -109,10 +109,11 @@ def judge(
     kept = limits.tables > 0 and not limits.faults
     if options.firmware:
         kept &= all(bus[name] <= most for name, most in BUS.items())
+    drive = rig.motors[0].drive
     return {
         "scenario": options.scenario,
         "method": options.method,
-        "transport": "cia402" if options.firmware else options.transport,
+        "transport": drive.kind if drive and options.firmware else options.transport,
         "seed": options.seed,
         "lockstep": options.lockstep,
         "success": record.done and film.dropped == 0,

@@ -5,7 +5,7 @@
 #include "board.h"
 #include "limits_rig.h"
 
-#if defined CIA402 != defined HAS_DRIVES
+#if defined CIA402 != defined HAS_CIA402 || defined ODRIVE != defined HAS_ODRIVE
 #error "DRIVES of make and `drive` of the rig file differ"
 #endif
 
@@ -110,7 +110,7 @@ static void keep(uint32_t lasted)
 void tick(void)
 {
     tick_began = counts();
-#ifdef CIA402
+#ifdef HAS_DRIVES
     drives_begin();
     controller_tick(&controller);
     drives_end();
@@ -146,8 +146,8 @@ int main(void)
     RCC_AHB1ENR |= AHB1_GPIOA | AHB1_GPIOB | AHB1_GPIOC;
     pin_mode(GPIOB, PIN_TRIGGER, 1);
     clock_start();
-#ifdef CIA402
-    drives_start(DRIVES);
+#ifdef HAS_DRIVES
+    drives_start(DRIVES, LIMITS.load);
     can_start();
 #else
     motors_start(&LIMITS);

@@ -30,7 +30,7 @@ void can_sent(void)
         CAN1->TX[box].DTR = frame->size;
         CAN1->TX[box].DLR = d[0] | (uint32_t)d[1] << 8 | (uint32_t)d[2] << 16 | (uint32_t)d[3] << 24;
         CAN1->TX[box].DHR = d[4] | (uint32_t)d[5] << 8 | (uint32_t)d[6] << 16 | (uint32_t)d[7] << 24;
-        CAN1->TX[box].IR = (uint32_t)frame->id << 21 | IR_TXRQ;
+        CAN1->TX[box].IR = (uint32_t)frame->id << 21 | IR_TXRQ | (frame->id & CAN_REMOTE ? IR_RTR : 0u);
         waiting.out++;
     }
 }

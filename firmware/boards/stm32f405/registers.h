@@ -110,6 +110,7 @@ typedef struct {
 #define ESR_BOFF BIT(2)
 #define FMR_FINIT BIT(0)
 #define IR_TXRQ BIT(0)
+#define IR_RTR 2u
 #define IR_RTR_OR_IDE 6u
 
 /* Timers: TIM2 counts time, TIM8 makes the bridges' PWM */

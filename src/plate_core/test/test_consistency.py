@@ -198,12 +198,15 @@ def test_command_tells_all_that_is_wrong(spoilt, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 10_000
     code, _, err = check_rig("desc")
     assert code == 2
-    assert "rig is 'desc' (did you mean desk?), allowed: desk, linear_motors, shapes, voice" in err
+    assert (
+        "rig is 'desc' (did you mean desk?), allowed: desk, linear_motors, odrives, shapes, vo"
+        in err
+    )
 
 
-def drives(*values, **limits):
+def drives(*values, of="linear_motors", **limits):
     """The rig with linear motors; `values` are node and scale of its drives."""
-    rig = load_rig("linear_motors")
+    rig = load_rig(of)
     values = values or [(n, 1e6) for n in (1, 2, 3, 4)]
     motors = tuple(
         replace(motor, drive=replace(motor.drive, node=node, counts_per_m=scale))
@@ -213,6 +216,13 @@ def drives(*values, **limits):
 
 
 GOOD = (3, 1e6), (4, 1e6)
+TURNS = [(n, 25 * 2**20) for n in (1, 2, 3, 4)]
+
+
+def mixed():
+    """CiA 402, and one ODrive."""
+    rig, other = load_rig("linear_motors"), load_rig("odrives")
+    return replace(rig, motors=(*rig.motors[:3], other.motors[3]))
 
 
 @pytest.mark.parametrize(
@@ -221,6 +231,17 @@ GOOD = (3, 1e6), (4, 1e6)
         (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as that of motor_2, allo"),
         (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
         (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: a count is 20"),
+        (mixed(), True, "motor_4: drive is 'odrive' and motor_1 has 'cia402', allowed: the same"),
+        (
+            drives(*TURNS[:3], (63, 2**20), of="odrives"),
+            True,
+            "motor_4: node is 63, allowed with a",
+        ),
+        (
+            drives(*TURNS[:3], (4, 40 * 2**20), of="odrives"),
+            False,
+            "turns_per_m is 40: at speed_mp",
+        ),
         (drives(following_error_m=0.0), False, "following_error_m is 0: nobody but the drives the"),
     ],
 )
@@ -235,7 +256,12 @@ def test_drives_that_do_not_fit_are_named(rig, impossible, text):
     [
         ({"node": 0}, "motor_1: node is 0, allowed: a whole number from 1 to 126"),
         ({"sign": 0}, "motor_1: sign is 0, allowed: 1 or -1"),
-        ({"drive": "odrive"}, "motor_1: drive is 'odrive', allowed: one of bridge, cia402"),
+        ({"drive": "odriv"}, "motor_1: drive is 'odriv'.*, allowed: one of bridge, cia402, odrive"),
+        ({"drive": "odrive"}, "motor_1: turns_per_m is missing"),
+        (
+            {"drive": "odrive", "turns_per_m": 25},
+            r"motor_1: unknown key counts_per_m .*, allowed: .*, node, point_m, sign, turns_per_m",
+        ),
         ({"drive": "bridge"}, "motor_1: unknown key node, allowed: direction, drive, point_m"),
     ],
 )

@@ -9,7 +9,13 @@ from scipy.integrate import solve_ivp
 
 from plate_core import PlateError, load_rig
 from plate_core.rig import Drive, Limits
-from plate_sim.device import BusJudge, FirmwareOnDesk, SimulatedDrives, c_header
+from plate_sim.device import (
+    BusJudge,
+    FirmwareOnDesk,
+    SimulatedDrives,
+    SimulatedODrives,
+    c_header,
+)
 from plate_sim.device.drives import BANDWIDTH, CYCLE_S, OFF, RPDO, SYNC
 from plate_sim.device.limits import DeviceLimits
 
@@ -54,6 +60,56 @@ def test_a_drive_follows_as_the_equation_of_motion_says():
             seen.append(drives.motors[:2].copy())
     np.testing.assert_allclose(np.array(seen)[:, :, 1], truth.y.T, atol=2e-6 * BANDWIDTH)
     np.testing.assert_allclose(np.array(seen)[:, 0, 0], truth.y[0], atol=1e-7)
+
+
+ODRIVES = [Drive(n, 25 * 2.0**20, -1 if n == 2 else 1, kind="odrive") for n in (1, 2, 3, 4)]
+
+
+def odrive_frames(drives, place, speed=0.0):
+    """What a master says in a cycle: all motors to a place [m], with their speed [m/s]."""
+    return [
+        (d.node << 5 | 0x0C, struct.pack("<fhh", turns, round(25e3 * d.sign * speed), 0))
+        for d, zero in zip(ODRIVES, drives.zeros.tolist(), strict=True)
+        for turns in [25 * d.sign * place + zero / 2**20]
+    ]
+
+
+def test_an_odrive_follows_as_the_equation_of_motion_says():
+    drives, places, ff = (
+        SimulatedODrives(ODRIVES),
+        [1e-4, 3e-4, 2e-4, 0, 0],
+        [0.1, 0.05, -0.1, 0, 0],
+    )
+    drives.heard([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
+    assert drives.enabled.all()
+
+    def change(t, y, goal, speed):
+        return [y[1], BANDWIDTH**2 * (goal - y[0]) + 2 * BANDWIDTH * (speed - y[1])]
+
+    truth = [0.0, 0.0]
+    for goal, speed in zip(places, ff, strict=True):
+        drives.heard(odrive_frames(drives, goal, speed))
+        for _ in range(2):
+            drives.passed()
+            truth = solve_ivp(change, (0, 1e-3), truth, max_step=1e-5, args=(goal, speed)).y[:, -1]
+            np.testing.assert_allclose(drives.motors[0], truth[0], atol=2e-7)
+            np.testing.assert_allclose(drives.motors[1], truth[1], atol=2e-7 * BANDWIDTH)
+
+
+def test_an_odrive_that_is_told_nothing_lets_go():
+    drives = SimulatedODrives(ODRIVES)
+    drives.heard([(d.node << 5 | 7, bytes([8, *[0] * 7])) for d in ODRIVES])
+    beats = [frame for _ in range(121) for frame in drives.passed()]
+    assert not drives.enabled.any()
+    assert beats[-1][1] == struct.pack("<IBBBB", 1 << 24, 1, 0, 0, 0)
+
+
+def test_the_judge_sees_what_odrives_are_told_beyond():
+    drives = SimulatedODrives(ODRIVES)
+    judge = BusJudge(ODRIVES, drives.zeros, LIMITS)
+    for place in (0.0, 0.0021, 0.0042):
+        judge.heard(odrive_frames(drives, place), True)
+    assert judge.shares[1] == pytest.approx(1.05, rel=1e-3)
 
 
 def test_only_the_states_in_order_give_current():

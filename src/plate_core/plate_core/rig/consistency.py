@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import RigError
 from .frames import fit_homography, part_radius_px
+from .keys import ODRIVE_COUNTS
 from .motors import motor_levers
 
 if TYPE_CHECKING:
@@ -39,6 +40,10 @@ COARSEST_M = 1e-5
 
 MOST_COUNTS = 2**24
 """Of a stroke: beyond, single precision loses counts."""
+
+ODRIVE_NODES, ODRIVE_SPEED = 62, 32.767
+"""Greatest node number of an ODrive, 63 being that of one that has none; and greatest speed of its
+feed-forward [turns/s]."""
 
 OUTSIDE, BESIDE = 0.5, 0.1
 """How far outside the plate a motor may push it, over the plate's longer side: on a bracket; and
@@ -118,11 +123,12 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
     drives = {motor.name: motor.drive for motor in rig.motors if motor.drive is not None}
     if not drives:
         return
-    bare = [motor.name for motor in rig.motors if motor.name not in drives]
-    if bare:
+    kinds = {motor.name: motor.drive.kind if motor.drive else "bridge" for motor in rig.motors}
+    first, kind = next((name, drive.kind) for name, drive in drives.items())
+    for name in [name for name in kinds if kinds[name] != kind][:1]:
         yield Doubt(
-            "motors", f"motors: {bare[0]}: drive is 'bridge' and {next(iter(drives))} has "
-            "'cia402', allowed: the same for all four", True,
+            "motors", f"motors: {name}: drive is {kinds[name]!r} and {first} has {kind!r}, "
+            "allowed: the same for all four", True,
         )  # fmt: skip
     nodes: dict[int, str] = {}
     for name, drive in drives.items():
@@ -132,17 +138,31 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
                 "allowed: another one for each motor", True,
             )  # fmt: skip
         nodes[drive.node] = name
+        odrive = drive.kind == "odrive"
+        if odrive and drive.node > ODRIVE_NODES:
+            yield Doubt(
+                "motors", f"motors: {name}: node is {drive.node}, allowed with an ODrive: 1 to "
+                f"{ODRIVE_NODES}", True,
+            )  # fmt: skip
+        key, unit = ("turns_per_m", ODRIVE_COUNTS) if odrive else ("counts_per_m", 1)
+        scale = drive.counts_per_m / unit
+        if odrive and scale * rig.limits.speed > ODRIVE_SPEED:
+            yield Doubt(
+                "motors", f"motors: {name}: turns_per_m is {scale:g}: at speed_mps "
+                f"{rig.limits.speed:g} that is {scale * rig.limits.speed:.3g} turns/s, and its "
+                f"feed-forward ends at {ODRIVE_SPEED:g}; better: less of either",
+            )  # fmt: skip
         coarse = 1 / drive.counts_per_m
         if coarse > COARSEST_M:
             yield Doubt(
-                "motors", f"motors: {name}: counts_per_m is {drive.counts_per_m:g}: a count is "
+                "motors", f"motors: {name}: {key} is {scale:g}: a count is "
                 f"{1e6 * coarse:.3g} um, better: {1e6 * COARSEST_M:g} um or less",
             )  # fmt: skip
         if drive.counts_per_m * rig.limits.stroke_m > MOST_COUNTS:
             yield Doubt(
-                "motors", f"motors: {name}: counts_per_m is {drive.counts_per_m:g}, allowed with a "
-                f"stroke of {rig.limits.stroke_m:g} m: {MOST_COUNTS / rig.limits.stroke_m:g} or "
-                "less", True,
+                "motors", f"motors: {name}: {key} is {scale:g}, allowed with a "
+                f"stroke of {rig.limits.stroke_m:g} m: "
+                f"{MOST_COUNTS / unit / rig.limits.stroke_m:g} or less", True,
             )  # fmt: skip
     if rig.limits.following_error_m == 0:
         yield Doubt(

@@ -8,6 +8,9 @@ from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Table, Wh
 FAR_M = 10.0
 """No coordinate is greater [m]."""
 
+ODRIVE_COUNTS = 2**20
+"""Counts of ours in a turn of an ODrive, which tells turns."""
+
 STIFFEST = 1e9
 """Greatest entry of a stiffness or damping matrix [N/m, N s/m and alike]: beyond is rigid."""
 
@@ -24,15 +27,21 @@ MOTOR = Section(
             "[x, y]; of any length but 0.",
         ),
         Key(
-            "drive", Choice(("bridge", "cia402")), "What gives it its current: a bridge of the "
-            "board, or a drive of CiA 402 on CANopen; the same kind for all four.", "bridge",
+            "drive", Choice(("bridge", "cia402", "odrive")), "What gives it its current: a "
+            "bridge of the board, a drive of CiA 402 on CANopen, or an ODrive on CAN; the same "
+            "kind for all four.", "bridge",
         ),
         Key(
-            "node", Whole(1, 126), "CANopen node number of its drive.", None, "needed with `drive`",
+            "node", Whole(1, 126), "Node number of its drive on the bus; up to 62 for an ODrive.",
+            None, "needed with a drive",
         ),
         Key(
-            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position for a metre.",
-            None, "needed with `drive`",
+            "counts_per_m", Number(1e3, 1e9), "Counts of the drive's position for a metre; of "
+            "cia402.", None, "needed with it",
+        ),
+        Key(
+            "turns_per_m", Number(0.1, 1e4), "Turns of the drive's position for a metre, with a "
+            "linear motor pairs of poles; of odrive.", None, "needed with it",
         ),
         Key(
             "sign", Whole(-1, 1), "-1 where the drive counts against `direction`, else 1.", 1,
@@ -43,7 +52,7 @@ MOTOR = Section(
         ),
         Key(
             "serial", Whole(1, 2**32 - 1), "Serial number of its drive (object 1018h:04), which is "
-            "then looked at.", None, "any",
+            "then looked at; of cia402.", None, "any",
         ),
     ),
 )  # fmt: skip

@@ -136,20 +136,22 @@ class Limits:
 
 @dataclass(frozen=True)
 class Drive:
-    """A motor's drive of CiA 402 on CANopen.
+    """A motor's drive on a CAN bus.
 
     Attributes
     ----------
     node : int
-        1 to 126.
+        1 to 126; of an ODrive to 62.
     counts_per_m : float
-        Counts of its position for a metre.
+        Counts of its position for a metre; of an ODrive, `ODRIVE_COUNTS` of keys.py in a turn.
     sign : int
         -1 where it counts against the motor's direction, else 1.
     absolute : bool
         Whether its position is 0 at home; if not, home is where the plate hangs.
     serial : int
         Object 1018h:04; 0: any.
+    kind : str
+        cia402 or odrive.
     """
 
     node: int
@@ -157,6 +159,7 @@ class Drive:
     sign: int = 1
     absolute: bool = False
     serial: int = 0
+    kind: str = "cia402"
 
 
 @dataclass(frozen=True)
@@ -393,17 +396,21 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
 
 
 def _drive(fields: Fields) -> Drive | None:
-    if fields.value(keys.MOTOR["drive"]) == "bridge":
+    kind = fields.value(keys.MOTOR["drive"])
+    if kind == "bridge":
         return None
+    odrive = kind == "odrive"
+    scale = fields.value(required(keys.MOTOR["turns_per_m" if odrive else "counts_per_m"]))
     sign = fields.value(keys.MOTOR["sign"])
     if sign == 0:
         raise fields.fail("sign", "1 or -1")
     return Drive(
         fields.value(required(keys.MOTOR["node"])),
-        fields.value(required(keys.MOTOR["counts_per_m"])),
+        scale * keys.ODRIVE_COUNTS if odrive else scale,
         sign,
         fields.value(keys.MOTOR["home"]) == "absolute",
-        fields.value(keys.MOTOR["serial"]) or 0,
+        0 if odrive else fields.value(keys.MOTOR["serial"]) or 0,
+        kind,
     )
 
 

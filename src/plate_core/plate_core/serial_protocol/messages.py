@@ -86,6 +86,8 @@ class Trouble(IntEnum):
     TWICE = 12  # two drives have its number
     BUS_OFF = 13
     OTHER_MASTER = 14  # somebody else leads the drives
+    ERROR = 15  # an ODrive has left operation, or has errors; code: these
+    NO_WATCHDOG = 16  # an ODrive would go on if the board were gone
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -248,7 +250,10 @@ class DriveTrouble:
     def words(self) -> str:
         """What it says, for a person."""
         whose = f"motor_{self.motor}" if self.motor else "bus"
-        return f"{whose}: " + WORDS[self.kind].format(object=self.object, code=self.code)
+        errors = [name for bit, name in ODRIVE_ERRORS.items() if self.code >> bit & 1]
+        return f"{whose}: " + WORDS[self.kind].format(
+            object=self.object, code=self.code, errors=", ".join(errors) or "none told"
+        )
 
 
 WORDS = {
@@ -260,13 +265,27 @@ WORDS = {
     Trouble.EMERGENCY: "emergency {code:04X}h, error register {object:02X}h",
     Trouble.FAULT: "the drive is in fault (statusword {code:04X}h)",
     Trouble.LEFT: "the drive has left operation (statusword {code:04X}h)",
-    Trouble.NOT_ENABLED: "the drive does not go into operation (statusword {code:04X}h)",
-    Trouble.KEEPS: "the drive keeps its current (statusword {code:04X}h): cut the power by hand",
+    Trouble.NOT_ENABLED: "the drive does not go into operation (status {code:04X}h)",
+    Trouble.KEEPS: "the drive keeps its current (status {code:04X}h): cut the power by hand",
     Trouble.NO_POSITION: "the drive does not tell its position",
     Trouble.TWICE: "two drives have its node number",
     Trouble.BUS_OFF: "bus off: look at wires, termination and bit rate",
     Trouble.OTHER_MASTER: "another master is on it",
+    Trouble.ERROR: "errors of the drive: {errors} ({code:08X}h)",
+    Trouble.NO_WATCHDOG: "the drive holds on in silence: set its enable_watchdog, and "
+    "watchdog_timeout to 0.1 s",
 }
+
+ODRIVE_ERRORS = {
+    0: "INITIALIZING", 1: "SYSTEM_LEVEL", 2: "TIMING_ERROR", 3: "MISSING_ESTIMATE",
+    4: "BAD_CONFIG", 5: "DRV_FAULT", 6: "MISSING_INPUT", 8: "DC_BUS_OVER_VOLTAGE",
+    9: "DC_BUS_UNDER_VOLTAGE", 10: "DC_BUS_OVER_CURRENT", 11: "DC_BUS_OVER_REGEN_CURRENT",
+    12: "CURRENT_LIMIT_VIOLATION", 13: "MOTOR_OVER_TEMP", 14: "INVERTER_OVER_TEMP",
+    15: "VELOCITY_LIMIT_VIOLATION", 16: "POSITION_LIMIT_VIOLATION", 24: "WATCHDOG_TIMER_EXPIRED",
+    25: "ESTOP_REQUESTED", 26: "SPINOUT_DETECTED", 27: "BRAKE_RESISTOR_DISARMED",
+    28: "THERMISTOR_DISCONNECTED", 30: "CALIBRATION_ERROR",
+}  # fmt: skip
+"""Names of an ODrive's errors, by bit (firmware 0.6)."""
 
 
 Message = (

@@ -4,7 +4,7 @@ Use `Emulator` with a `FaultSchedule`, or `Device`, the controller alone. Files 
 """
 
 from .controller import Device, setpoint_allowed
-from .drives import BusJudge, SimulatedDrives
+from .drives import BusJudge, SimulatedDrives, SimulatedODrives
 from .emulator import TICK_US, Emulator
 from .faults import FaultSchedule, LineFaults
 from .firmware import FirmwareOnDesk
@@ -27,6 +27,7 @@ __all__ = [
     "PseudoTerminal",
     "Segment",
     "SimulatedDrives",
+    "SimulatedODrives",
     "SuspendedPlate",
     "c_header",
     "check_pieces",

@@ -1,6 +1,8 @@
-"""Four drives of CiA 402 on a CAN bus, as far as our master needs them; a judge of the master.
+"""Four drives of CiA 402, or ODrives, on a CAN bus, as far as our master needs them; a judge of the
+master.
 
-A frame is its identifier and its data. The drives of `test/test_cia402.py` are others.
+A frame is its identifier and its data. The drives of `test/test_cia402.py` and
+`test/test_odrive.py` are others.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from plate_core.rig import Drive, Limits
+from plate_core.rig.keys import ODRIVE_COUNTS
 
 from .plate import COAST_RATE
 
@@ -27,6 +30,18 @@ NEXT = {
     (ENABLED, 7): SWITCHED_ON, (ENABLED, 6): READY,
 }  # fmt: skip
 """Power state after a state and a controlword."""
+
+REMOTE = 0x800
+"""With an identifier: not data, but a request for it."""
+
+GET_VERSION, ODRIVE_HEARTBEAT, ESTOP, GET_ERROR = 0x00, 0x01, 0x02, 0x03
+SET_STATE, GET_ESTIMATES, SET_POSITION, CLEAR_ERRORS = 0x07, 0x09, 0x0C, 0x18
+IDLE, CLOSED_LOOP = 1, 8
+WATCHDOG_TIMER_EXPIRED, ESTOP_REQUESTED = 1 << 24, 1 << 25
+"""Messages, states and errors of an ODrive."""
+
+WATCHDOG_MS, BEAT_MS = 100, 20
+"""An ODrive's watchdog_timeout, and its heartbeat_msg_rate_ms."""
 
 BANDWIDTH = 2 * np.pi * 150
 """Of a drive's position loop with feed-forward of speed, critically damped [rad/s]."""
@@ -80,7 +95,7 @@ class _Node:
 
 
 class SimulatedDrives:
-    """Four drives and the motors behind them; one tick is a millisecond.
+    """Four drives of CiA 402 and the motors behind them; one tick is a millisecond.
 
     Without current flexures bring the motors home.
 
@@ -92,7 +107,7 @@ class SimulatedDrives:
 
     def __init__(self, drives: Sequence[Drive]) -> None:
         zeros = [0 if drive.absolute else 100_000 * drive.node for drive in drives]
-        self._nodes = [_Node(drive, zero) for drive, zero in zip(drives, zeros, strict=True)]
+        self._start(drives, zeros)
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self.zeros = np.array(zeros)
         """Their positions at home [counts]."""
@@ -100,6 +115,9 @@ class SimulatedDrives:
         self._from = self._to = np.zeros(len(drives))  # setpoints of this bus cycle [m]
         self._into = 0.0
         self._now_ms = 0
+
+    def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
+        self._nodes = [_Node(drive, zero) for drive, zero in zip(drives, zeros, strict=True)]
 
     @property
     def motors(self) -> np.ndarray:
@@ -130,10 +148,12 @@ class SimulatedDrives:
                         node.operational = data[0] == 1
         return answers
 
+    def _counts(self) -> list[int]:
+        return (np.rint(self._state[0] * self._scale).astype(int) + self.zeros).tolist()
+
     def _synchronised(self) -> list[Frame]:
-        counts = np.rint(self._state[0] * self._scale).astype(int) + self.zeros
         answers = []
-        for node, place in zip(self._nodes, counts.tolist(), strict=True):
+        for node, place in zip(self._nodes, self._counts(), strict=True):
             answers += node.synchronised(place)
         self._from = self._to
         self._to = (np.array([node.target for node in self._nodes]) - self.zeros) / self._scale
@@ -143,14 +163,20 @@ class SimulatedDrives:
     def passed(self) -> list[Frame]:
         """Let a tick pass; returns heartbeats."""
         self._now_ms += 1
+        driven = self._driven()
+        if not self.enabled.all():
+            rest = np.zeros(len(driven[0]))
+            driven = np.where(self.enabled, driven, self._followed(rest, rest, COAST_RATE))
+        self._state = driven
+        return self._beats()
+
+    def _driven(self) -> np.ndarray:
         before, self._into = self._into, min(self._into + TICK_S, CYCLE_S)
         whole = (self._to - self._from) / CYCLE_S
         slope = whole * (self._into - before) / TICK_S
-        driven = self._followed(self._from + whole * self._into, slope, BANDWIDTH)
-        if not self.enabled.all():
-            rest = np.zeros_like(slope)
-            driven = np.where(self.enabled, driven, self._followed(rest, rest, COAST_RATE))
-        self._state = driven
+        return self._followed(self._from + whole * self._into, slope, BANDWIDTH)
+
+    def _beats(self) -> list[Frame]:
         beats = []
         for node in self._nodes:
             period = node.objects.get((0x1017, 0), 0)
@@ -169,8 +195,82 @@ class SimulatedDrives:
         return np.stack([wanted + behind, slope + speed, -rate * (2 * speed + rate * behind)])
 
 
+@dataclass
+class _ODrive:
+    """The protocol's side of an ODrive."""
+
+    drive: Drive
+    state: int = IDLE
+    errors: int = 0
+    fed_ms: int = 0
+    goal: float = 0.0  # [turns]
+    speed: float = 0.0  # [turns/s]
+
+    def told(self, message: int, data: bytes, now_ms: int, turns: float) -> list[Frame]:
+        """Obey or answer."""
+        self.fed_ms = now_ms
+        if message == SET_POSITION:
+            self.goal, speed, _ = struct.unpack("<fhh", data)
+            self.speed = 1e-3 * speed
+        elif message == SET_STATE and not (data[0] == CLOSED_LOOP and self.errors):
+            self.state = data[0]
+        elif message == CLEAR_ERRORS:
+            self.errors = 0
+        elif message == ESTOP:
+            self.state, self.errors = IDLE, ESTOP_REQUESTED
+        known = {
+            REMOTE | GET_VERSION: bytes([2, 4, 4, 58, 0, 6, 10, 0]),
+            REMOTE | GET_ERROR: struct.pack("<II", self.errors, self.errors),
+            REMOTE | GET_ESTIMATES: struct.pack("<ff", turns, 0.0),
+        }
+        if message not in known:
+            return []
+        return [(self.drive.node << 5 | message & 31, known[message])]
+
+
+class SimulatedODrives(SimulatedDrives):
+    """Four ODrives, and the motors behind them, which need no feed-forward of torque."""
+
+    def _start(self, drives: Sequence[Drive], zeros: Sequence[int]) -> None:
+        del zeros
+        self._odrives = {drive.node: _ODrive(drive) for drive in drives}
+
+    @property
+    def enabled(self) -> np.ndarray:
+        """Which motors have current (4,)."""
+        return np.array([node.state == CLOSED_LOOP for node in self._odrives.values()])
+
+    def heard(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Take what the master has sent; returns what the drives answer."""
+        answers: list[Frame] = []
+        turns = dict(zip(self._odrives, np.array(self._counts()) / ODRIVE_COUNTS, strict=True))
+        for identifier, data in frames:
+            number = identifier >> 5 & 63
+            if number in self._odrives:
+                message = identifier & (REMOTE | 31)
+                answers += self._odrives[number].told(message, data, self._now_ms, turns[number])
+        return answers
+
+    def _driven(self) -> np.ndarray:
+        # x'' = w^2 (goal - x) + 2 w (speed - x'): the setpoint stands until the next one comes.
+        told = np.array([(node.goal, node.speed) for node in self._odrives.values()]).T
+        goals, speeds = ODRIVE_COUNTS * told
+        wanted = (goals - self.zeros + 2 / BANDWIDTH * speeds) / self._scale
+        return self._followed(wanted, np.zeros(len(wanted)), BANDWIDTH)
+
+    def _beats(self) -> list[Frame]:
+        beats = []
+        for number, node in self._odrives.items():
+            if node.state == CLOSED_LOOP and self._now_ms - node.fed_ms > WATCHDOG_MS:
+                node.state, node.errors = IDLE, node.errors | WATCHDOG_TIMER_EXPIRED
+            if self._now_ms % BEAT_MS == 0:
+                data = struct.pack("<IBBBB", node.errors, node.state, 0, 0, 0)
+                beats.append((number << 5 | ODRIVE_HEARTBEAT, data))
+        return beats
+
+
 class BusJudge:
-    """Looks at what a master tells the drives, at each SYNC, against the rig's limits.
+    """Looks at what a master tells the drives, each cycle of the bus, against the rig's limits.
 
     Parameters
     ----------
@@ -182,7 +282,12 @@ class BusJudge:
     """
 
     def __init__(self, drives: Sequence[Drive], zeros: np.ndarray, limits: Limits) -> None:
-        self._places = {RPDO + drive.node: m for m, drive in enumerate(drives)}
+        self._odrives = drives[0].kind == "odrive"
+        self._places = {
+            drive.node << 5 | SET_POSITION if self._odrives else RPDO + drive.node: m
+            for m, drive in enumerate(drives)
+        }
+        self._last = max(self._places) if self._odrives else SYNC
         self._scale = np.array([drive.counts_per_m * drive.sign for drive in drives])
         self._zeros, self._targets = zeros, np.zeros(len(drives), int)
         self._most = np.array([limits.stroke_m, limits.speed, limits.accel])
@@ -194,8 +299,12 @@ class BusJudge:
         """Take the master's frames of a tick; `led`: whether all motors have current."""
         for identifier, data in frames:
             if identifier in self._places:
-                self._targets[self._places[identifier]] = struct.unpack("<Hi", data)[1]
-            elif identifier == SYNC:
+                if self._odrives:
+                    target = round(ODRIVE_COUNTS * struct.unpack("<f", data[:4])[0])
+                else:
+                    target = struct.unpack("<Hi", data)[1]
+                self._targets[self._places[identifier]] = target
+            if identifier == self._last:
                 places = [*self._led[-2:], (self._targets - self._zeros) / self._scale]
                 self._led = places if led else []
                 steps = np.diff(places, axis=0) / CYCLE_S

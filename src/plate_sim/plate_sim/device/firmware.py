@@ -11,7 +11,7 @@ import numpy as np
 from plate_core import PlateError, Rig
 from plate_core.serial_protocol import Fault, State
 
-from .drives import BusJudge, Frame, SimulatedDrives
+from .drives import BusJudge, Frame, SimulatedDrives, SimulatedODrives
 from .emulator import TICK_US
 from .faults import FaultSchedule
 from .plate import Recorder, Segment
@@ -19,7 +19,7 @@ from .serial_line import Line
 
 
 class FirmwareOnDesk:
-    """The firmware with drives of CiA 402, in steps of one tick, as `Emulator` is its twin.
+    """The firmware with drives on a CAN bus, in steps of one tick, as `Emulator` is its twin.
 
     The motors are where the simulated drives have brought them, not where they were told to be.
 
@@ -47,7 +47,9 @@ class FirmwareOnDesk:
     ) -> None:
         drives = [motor.drive for motor in rig.motors if motor.drive is not None]
         if not drives:
-            raise PlateError("firmware with drives: the rig has none, allowed: `drive: cia402`")
+            raise PlateError(
+                "firmware with drives: the rig has none, allowed: `drive: cia402` or odrive"
+            )
         try:
             self._process = subprocess.Popen(
                 [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -57,7 +59,8 @@ class FirmwareOnDesk:
         generators = np.random.default_rng(seed).spawn(2)
         line = (schedule or FaultSchedule()).line
         self.to_device, self.to_host = Line(line, generators[0]), Line(line, generators[1])
-        self.drives = SimulatedDrives(drives)
+        odrive = drives[0].kind == "odrive"
+        self.drives = SimulatedODrives(drives) if odrive else SimulatedDrives(drives)
         self.judge = BusJudge(drives, self.drives.zeros, rig.limits)
         self.now_us = 0
         self.state, self.faults, self._refused = State.OFF, Fault.NONE, 0

@@ -127,12 +127,15 @@ def c_header(limits: DeviceLimits, name: str, drives: Sequence[Drive] = ()) -> s
         "static const Limits LIMITS = {",
         *lines,
         "};",
-        *(DRIVES_HEAD + [*map(_drive, drives), "};"] if drives else []),
+        *(_drives(drives) if drives else []),
         "",
     ])  # fmt: skip
 
 
-DRIVES_HEAD = ["#define HAS_DRIVES", "static const Drive DRIVES[MOTORS] = {"]
+def _drives(drives: Sequence[Drive]) -> list[str]:
+    """Return C for drives, and of what kind they are."""
+    head = ["#define HAS_DRIVES", f"#define HAS_{drives[0].kind.upper()}"]
+    return [*head, "static const Drive DRIVES[MOTORS] = {", *map(_drive, drives), "};"]
 
 
 def _drive(drive: Drive) -> str:

@@ -1,0 +1,261 @@
+/* What the backends on a CAN bus share. */
+#include "axes.h"
+
+#include <math.h>
+#include <string.h>
+
+#define READ_FRAMES 24 /* in a tick; a bus of 1 Mbit/s carries 21 of the shortest */
+
+Drive drives[MOTORS];
+Axis axes[MOTORS];
+float led[3][MOTORS];
+bool wanted, was_ready, follows, hurry;
+static bool home_known, home_lost;
+const float (*loads)[MOTORS];
+static uint8_t phase; /* ticks since the last cycle */
+static uint16_t bus_alarm;
+static Trouble trouble;
+
+/* For long enough that a second drive of its number would have been noticed. */
+static bool is_up(const Axis *axis) { return axis->stage == UP && axis->since >= START_TICKS; }
+
+bool all_up(void)
+{
+    bool all = true;
+    for (int m = 0; m < MOTORS; m++)
+        all = all && is_up(&axes[m]);
+    return all;
+}
+
+/* Whether a trouble lasts: what comes then is taken for its consequence. */
+static bool faulty(void)
+{
+    bool any = bus_alarm > 0;
+    for (int m = 0; m < MOTORS; m++)
+        any = any || axes[m].lost || axes[m].alarm;
+    return any;
+}
+
+/* Keep the first trouble, but for an emergency, which tells more than the fault that it explains. */
+static void note(uint8_t motor, uint8_t kind, uint16_t object, uint32_t code, bool anew)
+{
+    bool explains = kind == TROUBLE_EMERGENCY && motor == trouble.motor &&
+                    (trouble.kind == TROUBLE_FAULT || trouble.kind == TROUBLE_LEFT);
+    if (trouble.kind == TROUBLE_NONE || anew || explains)
+        trouble = (Trouble){.motor = motor, .kind = kind, .object = object, .code = code};
+}
+
+void alarm(int m, uint8_t kind, uint16_t object, uint32_t code, uint8_t faults)
+{
+    bool anew = !faulty();
+    axes[m].alarm = BOOT_TICKS;
+    axes[m].faults |= faults;
+    axes[m].lost = true;
+    note((uint8_t)(m + 1), kind, object, code, anew);
+}
+
+void explain(int m, uint8_t kind, uint32_t code)
+{
+    if (trouble.motor == m + 1 && trouble.kind == kind)
+        trouble.code = code;
+}
+
+void bus_trouble(uint8_t kind)
+{
+    bool anew = !faulty();
+    bus_alarm = BOOT_TICKS;
+    note(0, kind, 0, 0, anew);
+}
+
+void send(uint16_t id, const uint8_t *data, uint8_t size)
+{
+    CanFrame frame = {.id = id, .size = size};
+    if (size)
+        memcpy(frame.data, data, size);
+    can_write(&frame);
+}
+
+void enter(Axis *axis, Stage stage)
+{
+    axis->stage = stage;
+    axis->since = 0;
+    axis->asked = false;
+    axis->step = 0;
+    axis->unheard = axis->missed = axis->doubled = axis->answers = 0;
+    if (stage != UP)
+        axis->status = 0;
+}
+
+void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
+{
+    alarm(m, kind, object, code, FAULT_HARDWARE);
+    enter(&axes[m], SILENT);
+    axes[m].asked = true;
+    cut(m);
+}
+
+void lose_home(void)
+{
+    home_lost = home_lost || home_known;
+    home_known = false;
+}
+
+/* How regularly the positions came since they were asked for last. */
+static void count_answers(int m)
+{
+    Axis *axis = &axes[m];
+    axis->missed = axis->answers == 0 ? (uint8_t)(axis->missed + 1) : 0;
+    axis->doubled = axis->answers > 1 ? (uint8_t)(axis->doubled + 1) : 0;
+    axis->answers = 0;
+    if (axis->missed == MISSED_CYCLES)
+        lose(m, TROUBLE_NO_POSITION, 0, 0);
+    else if (axis->doubled == MISSED_CYCLES)
+        lose(m, TROUBLE_TWICE, 0, 0);
+}
+
+/* What becomes of an axis with time */
+static void age(int m)
+{
+    Axis *axis = &axes[m];
+    axis->since = (uint16_t)(axis->since + (axis->since <= BOOT_TICKS));
+    axis->unheard = (uint16_t)(axis->unheard + (axis->unheard <= SILENT_TICKS));
+    if (axis->alarm && !in_fault(axis) && --axis->alarm == 0)
+        axis->faults = 0;
+    axis->lost = axis->lost && !is_up(axis);
+    if (axis->stage == SILENT && axis->since >= BOOT_TICKS) {
+        alarm(m, TROUBLE_SILENT, 0, 0, FAULT_HARDWARE);
+        enter(axis, SILENT);
+    } else if (axis->stage == SETUP && axis->asked && axis->since > ANSWER_TICKS)
+        lose(m, TROUBLE_SILENT, 0, 0);
+    else if (axis->stage == STARTING && axis->since > START_TICKS) {
+        axis->asked = false;
+        if (axis->step == STARTS)
+            lose(m, TROUBLE_SILENT, 0, 0);
+    } else if (axis->stage == UP && axis->unheard > SILENT_TICKS)
+        lose(m, TROUBLE_SILENT, 0, 0);
+    axis->keeps = wanted || !enabled(axis) ? 0 : (uint16_t)(axis->keeps + 1);
+    if (axis->keeps > KEEPS_TICKS) {
+        lose(m, TROUBLE_KEEPS, 0, axis->status);
+        axis->keeps = 0;
+        break_off(m);
+    }
+}
+
+void drives_begin(void)
+{
+    CanFrame frame;
+    if (can_off()) {
+        bus_trouble(TROUBLE_BUS_OFF);
+        for (int m = 0; m < MOTORS; m++) {
+            enter(&axes[m], SILENT);
+            axes[m].asked = axes[m].lost = true;
+        }
+    }
+    for (int n = 0; n < READ_FRAMES && can_read(&frame); n++)
+        take(&frame);
+    bus_alarm = (uint16_t)(bus_alarm - (bus_alarm > 0));
+    for (int m = 0; m < MOTORS; m++)
+        age(m);
+}
+
+void drives_end(void)
+{
+    if (++phase < CYCLE_TICKS && !hurry) {
+        between();
+        return;
+    }
+    phase = 0;
+    for (int m = 0; m < MOTORS; m++)
+        if (axes[m].stage == UP && !hurry)
+            count_answers(m);
+    cycle();
+    hurry = false;
+}
+
+void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS])
+{
+    memcpy(drives, of, sizeof drives);
+    memset(axes, 0, sizeof axes);
+    memset(&trouble, 0, sizeof trouble);
+    loads = load;
+    wanted = was_ready = follows = hurry = home_known = home_lost = false;
+    phase = 0;
+    bus_alarm = 0;
+}
+
+/* What the controller asks for */
+
+void hal_drive(bool on)
+{
+    for (int m = 0; m < MOTORS && wanted && !on && !was_ready; m++)
+        if (!enabled(&axes[m]))
+            note((uint8_t)(m + 1), TROUBLE_NOT_ENABLED, 0, axes[m].status, false);
+    if (on)
+        memset(&trouble, 0, sizeof trouble);
+    hurry = !on; /* at the end of this tick */
+    wanted = on;
+    was_ready = follows = false;
+}
+
+bool hal_ready(void)
+{
+    bool all = wanted && all_up();
+    for (int m = 0; m < MOTORS; m++)
+        all = all && enabled(&axes[m]) && axes[m].proven;
+    was_ready = was_ready || all;
+    return all;
+}
+
+bool hal_home(void)
+{
+    home_known = true;
+    for (int m = 0; m < MOTORS; m++)
+        axes[m].home = drives[m].absolute ? 0 : axes[m].actual;
+    return true;
+}
+
+void hal_command(const float position[MOTORS], const float velocity[MOTORS],
+                 const float acceleration[MOTORS])
+{
+    for (int m = 0; m < MOTORS; m++) {
+        float counts = position[m] * drives[m].counts_per_m * drives[m].sign;
+        axes[m].target = (int32_t)((uint32_t)axes[m].home + (uint32_t)lrintf(counts));
+    }
+    memcpy(led[0], position, sizeof led[0]);
+    memcpy(led[1], velocity, sizeof led[1]);
+    memcpy(led[2], acceleration, sizeof led[2]);
+    follows = true;
+}
+
+/* A position is as old as the bus: while it is led, what is told is where it would be now, with the
+   following error that it had then. The drives tell no acceleration. */
+void hal_measure(float position[MOTORS], float acceleration[MOTORS])
+{
+    for (int m = 0; m < MOTORS; m++) {
+        const Axis *axis = &axes[m];
+        int32_t place = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->home);
+        float counts = (float)(follows ? axis->error : place);
+        position[m] = (follows ? led[0][m] : 0) + counts * drives[m].sign / drives[m].counts_per_m;
+        acceleration[m] = 0;
+    }
+}
+
+uint8_t hal_faults(void)
+{
+    uint8_t faults = home_lost ? FAULT_NO_HOME : 0;
+    home_lost = false;
+    if (bus_alarm)
+        faults |= FAULT_HARDWARE;
+    for (int m = 0; m < MOTORS; m++) {
+        faults |= axes[m].faults;
+        if (axes[m].lost && !is_up(&axes[m]))
+            faults |= FAULT_HARDWARE;
+    }
+    return faults;
+}
+
+bool hal_trouble(Trouble *out)
+{
+    *out = trouble;
+    return trouble.kind != TROUBLE_NONE;
+}

@@ -1,0 +1,145 @@
+"""ODrives for the firmware in simulated time: frames are read and written by the DBC of CANSimple
+(firmware 0.6.10) that the package `odrive_can` brings, on the bus of `python-can`; states and
+motion are written here, from the manual."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import can
+import cantools
+
+REMOTE = 0x800
+IDLE, CLOSED_LOOP = 1, 8
+ERRORS = {
+    "low voltage": 0x200,
+    "watchdog": 0x1000000,
+    "estop": 0x2000000,
+    "spinout": 0x4000000,
+    "initializing": 0x1,
+}
+
+
+def messages() -> dict[int, "cantools.db.Message"]:
+    """Messages of a drive, by the five lower bits of their identifier."""
+    folder = find_spec("odrive_can").submodule_search_locations[0]
+    database = cantools.database.load_file(Path(folder) / "dbc" / "odrive-cansimple-0.6.10.dbc")
+    own = [message for message in database.messages if message.name.startswith("Axis0_")]
+    return {message.frame_id & 31: message for message in own}
+
+
+class Bus:
+    """The drives' end of a bus: what comes is handed on when it is asked."""
+
+    def __init__(self, channel: str) -> None:
+        self.bus = can.Bus(interface="virtual", channel=channel)
+        self.now = 0.0
+        self.drives: list[ODrive] = []
+
+    def send_message(self, identifier: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    def pass_ms(self) -> None:
+        self.now += 1
+
+    def take(self) -> None:
+        while (message := self.bus.recv(0)) is not None:
+            for drive in self.drives:
+                if message.arbitration_id >> 5 == drive.node and not drive.off:
+                    drive.heard(message)
+
+
+class ODrive:
+    """A drive: cascaded loops with feed-forward of speed, without the load's inertia."""
+
+    def __init__(self, bus: Bus, node: int, dbc, **change) -> None:
+        self.network, self.node, self.dbc = bus, node, dbc
+        self.off, self.jammed, self.mute, self.silent, self.stuck = True, False, False, False, False
+        self.keeps = False  # its current
+        self.watchdog_ms, self.protocol = 100, 2
+        vars(self).update(change)
+        self.position, self.goal, self.speed, self.torque = 0.0, 0.0, 0.0, 0.0  # turns
+        self.state, self.errors, self.reason, self.fed, self.mode = IDLE, 0, 0, 0.0, (0, 0)
+        self.history: list[str] = []
+        bus.drives.append(self)
+
+    @property
+    def enables(self) -> int:
+        return self.history.count("CLOSED_LOOP_CONTROL")
+
+    def boot(self) -> None:
+        """As after power came, or a reset: it counts from where it is."""
+        self.off, self.state, self.errors, self.reason, self.fed = False, IDLE, 0, 0, 0.0
+
+    def disarm(self, error: str = "", clears: bool = False) -> None:
+        self.reason = self.errors = ERRORS.get(error, 0)
+        self.state = IDLE
+        if clears:
+            self.errors = 0
+
+    def say(self, number: int, **values) -> None:
+        message = self.dbc[number]
+        data = message.encode(values)
+        self.network.send_message(self.node << 5 | number, data)
+
+    def heard(self, frame: can.Message) -> None:
+        self.fed = self.network.now
+        message = self.dbc[frame.arbitration_id & 31]
+        name = message.name.removeprefix("Axis0_")
+        if frame.is_remote_frame:
+            assert frame.dlc == message.length
+            self.asked(name)
+            return
+        assert len(frame.data) == message.length or name == "Clear_Errors"
+        told = message.decode(bytes(frame.data), decode_choices=True)
+        if name == "Set_Axis_State":
+            wanted = str(told["Axis_Requested_State"])
+            if wanted == "CLOSED_LOOP_CONTROL" and (self.errors or self.stuck):
+                return
+            if self.keeps and wanted == "IDLE":
+                return
+            state = {"IDLE": IDLE, "CLOSED_LOOP_CONTROL": CLOSED_LOOP}[wanted]
+            if state != self.state:
+                self.history.append(wanted)
+                assert state == IDLE or self.mode == ("POSITION_CONTROL", "PASSTHROUGH")
+            self.state = state
+        elif name == "Set_Controller_Mode":
+            self.mode = (str(told["Control_Mode"]), str(told["Input_Mode"]))
+        elif name == "Set_Input_Pos":
+            self.goal, self.speed = told["Input_Pos"], told["Vel_FF"]
+            self.torque = told["Torque_FF"]
+        elif name == "Clear_Errors":
+            self.errors = self.errors if self.stuck else 0
+        elif name == "Estop":
+            self.disarm("estop")
+            self.history.append("ESTOP")
+        else:
+            raise AssertionError(f"{name} from the master")
+
+    def asked(self, name: str) -> None:
+        if name == "Get_Encoder_Estimates":
+            if not self.mute:
+                self.say(0x09, Pos_Estimate=self.position, Vel_Estimate=0.0)
+        elif name == "Get_Error":
+            self.say(0x03, Active_Errors=self.errors, Disarm_Reason=self.reason)
+        elif name == "Get_Version":
+            zero = {s.name: 0 for s in self.dbc[0].signals}
+            self.say(0x00, **(zero | {"Protocol_Version": self.protocol, "Fw_Version_Minor": 6}))
+        else:
+            raise AssertionError(f"{name} is asked for")
+
+    def pass_ms(self) -> None:
+        if self.off:
+            return
+        now = self.network.now
+        if self.state == CLOSED_LOOP and self.watchdog_ms < now - self.fed:
+            self.disarm("watchdog")
+        if now % 20 == 4 * self.node % 20 and not self.silent:
+            self.say(
+                0x01,
+                Axis_Error=self.errors,
+                Axis_State=self.state,
+                Procedure_Result=0,
+                Trajectory_Done_Flag=0,
+            )
+        if self.state == CLOSED_LOOP and not self.jammed:
+            self.position += 1e-3 * (self.speed + 200 * (self.goal - self.position))

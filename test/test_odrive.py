@@ -1,0 +1,471 @@
+"""The firmware leads ODrives: every frame is judged by the DBC of CANSimple that somebody else
+publishes, and by what is on the bus."""
+
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+from device_orders import (
+    ENABLE,
+    HELLO,
+    enable,
+    live,
+    ordered,
+    said_by,
+    say,
+    spline,
+    tell,
+    uploaded,
+    wave,
+)
+from simulated_firmware import compiled
+
+from plate_core import load_rig
+from plate_core.rig import Drive as RigDrive
+from plate_core.serial_protocol import (
+    VERSION,
+    DriveTrouble,
+    Enable,
+    Fault,
+    Hello,
+    Home,
+    State,
+    Stop,
+    Telemetry,
+    Trouble,
+)
+from plate_sim.device import DeviceLimits, c_header
+
+pytestmark = pytest.mark.needs("can", "canopen", "cantools", "odrive_can")
+
+RIG = load_rig()
+LIMITS = DeviceLimits.of_rig(RIG)
+NODES, SIGNS, TURNS = (1, 2, 3, 62), (1, -1, 1, 1), 25.0
+DRIVES = [
+    RigDrive(node, TURNS * 2**20, sign, absolute=node == 62, kind="odrive")
+    for node, sign in zip(NODES, SIGNS, strict=True)
+]
+HOMES = (0.5, -7.25, 90.0, 0.0)
+"""Where the drives stand at home [turns]."""
+
+FINE = 1e-5
+"""Of a turn: what single precision leaves at 90 turns."""
+
+
+@pytest.fixture(name="leader", scope="module")
+def _leader(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("leader")
+    header = c_header(LIMITS, "rig.yaml", DRIVES)
+    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
+    sources = ("*.c", "drives/axes.c", "drives/odrive.c", "host/host.c", "host/can.c")
+    return compiled(folder, *sources)
+
+
+@pytest.fixture(name="dbc", scope="module")
+def _dbc():
+    from can_odrives import messages
+
+    return messages()
+
+
+@pytest.fixture(name="bench")
+def _bench(leader, dbc, request):
+    """The firmware, and four drives that are off."""
+    from can_drives import CanBench
+    from can_odrives import Bus, ODrive
+
+    bench = CanBench(leader, request.node.name, Bus(request.node.name))
+    bench.drives = [ODrive(bench.network, node, dbc) for node in NODES]
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = home
+    yield bench
+    bench.end()
+
+
+def boot(bench):
+    bench.run(5)
+    for drive in bench.drives:
+        drive.boot()
+    bench.run(300)
+    tell(bench, HELLO)
+    bench.run(5)
+
+
+def ready(bench):
+    boot(bench)
+    enable(bench, ms=900)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+
+
+def playing(bench, size=0.004):
+    ready(bench)
+    for data in uploaded(7, wave(size), 200, 90):
+        tell(bench, data)
+    live(bench, 150)
+    assert bench.state == State.PLAYING
+
+
+def led(bench, since=0):
+    """Set_Input_Pos: rows of time [ms], motor, place [m], speed [m/s] and torque [Nm], and the
+    state that the drive was told last."""
+    rows, state = [], dict.fromkeys(NODES, 0)
+    for at, identifier, data in bench.sent:
+        if identifier & 0x81F == 0x07:
+            state[identifier >> 5] = data[0]
+        if at >= since and identifier & 0x81F == 0x0C:
+            motor = NODES.index(identifier >> 5)
+            turns, speed, torque = struct.unpack("<fhh", data)
+            scale = TURNS * SIGNS[motor]
+            place = (turns - HOMES[motor]) / scale
+            rows.append((at, motor, place, 1e-3 * speed / scale, 1e-3 * torque))
+            rows[-1] += (state[identifier >> 5],)
+    return np.array(rows).reshape(-1, 6)
+
+
+def states(bench, since=0):
+    """Set_Axis_State: time [ms], motor and state."""
+    return [
+        (at, NODES.index(identifier >> 5), data[0])
+        for at, identifier, data in bench.sent
+        if at >= since and identifier & 0x81F == 0x07
+    ]
+
+
+def check_bus(bench):
+    """No target leaves the limits, or jumps, while there is current."""
+    rows = led(bench)
+    for motor in range(4):
+        at, _, place, *_ = rows[(rows[:, 1] == motor) & (rows[:, 5] == 8)].T
+        steps = np.diff(place)[np.diff(at) <= 2]
+        assert np.max(np.abs(place), initial=0) <= RIG.limits.stroke_m * 1.002 + FINE
+        assert np.max(np.abs(steps), initial=0) <= RIG.limits.speed * 2.004e-3 + FINE
+
+
+# Enable, play
+
+
+def test_nothing_has_current_before_an_enable(bench):
+    boot(bench)
+    live(bench, 300)
+    assert [drive.history for drive in bench.drives] == [[]] * 4
+    assert {state for *_, state in states(bench)} <= {1}
+    told = said_by(bench, Telemetry)
+    assert {t.faults for t in told} == {Fault.NO_HOME}
+    assert {t.stop for t in told} == {bench.stop}
+
+
+def test_current_comes_without_a_jump_once_the_watchdogs_have_bitten(bench):
+    boot(bench)
+    enable(bench, ms=900)
+    assert bench.state == State.READY
+    went = "CLOSED_LOOP_CONTROL"
+    assert [drive.history for drive in bench.drives] == [[went, went]] * 4
+    assert [drive.reason for drive in bench.drives] == [0x1000000] * 4
+    rows = led(bench)
+    assert np.max(np.abs(rows[:, 2])) < FINE  # where they hang
+    assert not rows[:, 3:5].any()
+    tell(bench, say(300, Stop(1)))
+    live(bench, 100)
+    enable(bench, 400, ms=900)
+    assert [drive.enables for drive in bench.drives] == [3] * 4  # it is tried once
+
+
+def test_a_drive_without_a_watchdog_is_named_and_none_is_led(bench):
+    bench.drives[2].watchdog_ms = np.inf
+    boot(bench)
+    enable(bench, ms=900)
+    assert bench.state == State.OFF
+    trouble = said_by(bench, DriveTrouble)[-1]
+    assert trouble == DriveTrouble(3, Trouble.NO_WATCHDOG, 0, 0)
+    assert "enable_watchdog" in trouble.words
+    assert all(drive.state == 1 for drive in bench.drives)
+    assert np.max(np.abs(led(bench)[:, 2])) < FINE
+
+
+def test_the_drives_are_told_the_table_with_its_speed_and_torque(bench):
+    playing(bench)
+    live(bench, 500)
+    check_bus(bench)
+    rows, curve = led(bench), spline(wave(0.004))
+    speed, accel = curve.derivative(), curve.derivative(2)
+    began = np.min(rows[np.abs(rows[:, 2]) > FINE, 0])
+    late = rows[(rows[:, 0] > began + 10) & (rows[:, 0] < began + 400)]
+
+    def miss(shift):
+        at = 1e-3 * (late[:, 0] - began + shift) % 0.1
+        return np.max(np.abs(curve(at)[np.arange(len(at)), late[:, 1].astype(int)] - late[:, 2]))
+
+    at = 1e-3 * (late[:, 0] - began + min(range(20), key=miss)) % 0.1
+    own = np.arange(len(at)), late[:, 1].astype(int)
+    assert miss(min(range(20), key=miss)) < FINE / TURNS + 1e-6
+    assert np.max(np.abs(speed(at)[own] - late[:, 3])) < 1e-3 / TURNS
+    force = (accel(at) @ LIMITS.load.T)[own]
+    torque = force * np.array(SIGNS)[own[1]] / (2 * np.pi * TURNS)  # work of a turn
+    assert np.max(np.abs(torque)) > 0.05
+    assert np.max(np.abs(torque - late[:, 4])) < 2e-3
+    errors = [t.following_m for t in said_by(bench, Telemetry)]
+    assert 1e-5 < max(errors) < 1e-3
+
+
+def test_a_power_cut_reaches_the_bus_in_the_same_tick(bench):
+    playing(bench)
+    tell(bench, say(300, Stop(1)))
+    before = bench.network.now
+    bench.run(1)
+    now = [(i, d[0]) for at, i, d in bench.sent if at > before]
+    assert now == [(node << 5 | 0x07, 1) for node in NODES]
+    bench.run(2)
+    assert all(drive.state == 1 for drive in bench.drives)
+
+
+def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
+    playing(bench)
+    bench.cut = True
+    bench.run(110)
+    assert all(drive.state == 1 and drive.reason == 0x1000000 for drive in bench.drives)
+
+
+# What goes wrong
+
+
+def lose_heartbeat(bench, drive):
+    drive.silent = True
+
+
+def reset(bench, drive):
+    drive.off = True
+
+
+def quick_reset(bench, drive):
+    drive.boot()
+
+
+def low_voltage(bench, drive):
+    drive.disarm("low voltage")
+
+
+def spinout(bench, drive):
+    drive.disarm("spinout", clears=True)
+
+
+def estop(bench, drive):
+    drive.disarm("estop")
+
+
+def estop_by_another(bench, drive):
+    bench.network.send_message(drive.node << 5 | 0x02, b"")
+
+
+def jam(bench, drive):
+    drive.jammed = True
+
+
+def mute(bench, drive):
+    drive.mute = True
+
+
+def second_master(bench, drive):
+    bench.network.send_message(drive.node << 5 | 0x0C, bytes(8))
+
+
+def no_number(bench, drive):
+    drive.position = float("nan")
+
+
+def bus_off(bench, drive):
+    bench.order("busoff")
+
+
+FAULTS = [  # what; what is told of motor 2, or 0: the bus; after at most [ms]
+    (lose_heartbeat, 2, Trouble.SILENT, 0, Fault.HARDWARE, 175),
+    (reset, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
+    (quick_reset, 2, Trouble.ERROR, 0, Fault.HARDWARE, 25),
+    (low_voltage, 2, Trouble.ERROR, 0x200, Fault.SUPPLY, 25),
+    (spinout, 2, Trouble.ERROR, 0x4000000, Fault.HARDWARE, 25),
+    (estop, 2, Trouble.ERROR, 0x2000000, Fault.HARDWARE, 25),
+    (estop_by_another, 0, Trouble.OTHER_MASTER, 0, Fault.HARDWARE, 4),
+    (jam, None, None, 0, Fault.FOLLOWING, 40),
+    (mute, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
+    (no_number, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
+    (second_master, 0, Trouble.OTHER_MASTER, 0, Fault.HARDWARE, 4),
+    (bus_off, 0, Trouble.BUS_OFF, 0, Fault.HARDWARE, 4),
+]
+
+
+@pytest.mark.parametrize(("trouble", "motor", "kind", "code", "fault", "most_ms"), FAULTS)
+def test_a_fault_takes_the_current_of_all_and_is_told(
+    bench, trouble, motor, kind, code, fault, most_ms
+):
+    playing(bench, 0.008)
+    stop, since = bench.stop, bench.network.now
+    trouble(bench, bench.drives[1])
+    live(bench, 250)
+    assert bench.state == State.OFF
+    assert bench.stop != stop
+    assert fault in Fault(bench.faults)
+    told = states(bench, since)
+    assert {state for *_, state in told} == {1}
+    assert {m for at, m, _ in told if at <= since + most_ms} == {0, 1, 2, 3}
+    assert all(d.state == 1 for d in bench.drives if not d.off)
+    found = said_by(bench, DriveTrouble)
+    if kind is None:
+        assert not found  # the board itself has seen it
+    else:
+        assert (found[-1].motor, found[-1].kind, found[-1].code) == (motor, kind, code)
+    check_bus(bench)
+
+
+@pytest.mark.parametrize("trouble", [low_voltage, bus_off])
+def test_once_it_is_over_a_person_enables_again(bench, trouble):
+    playing(bench)
+    before = [drive.enables for drive in bench.drives]
+    trouble(bench, bench.drives[1])
+    live(bench, 2600)
+    assert [drive.enables for drive in bench.drives] == before  # nothing moves unasked
+    assert bench.state == State.OFF
+    enable(bench, 400, ms=900)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+
+
+def test_a_reset_while_it_is_off_loses_home(bench):
+    ready(bench)
+    tell(bench, say(300, Stop(1)))
+    live(bench, 100)
+    drive = bench.drives[0]
+    drive.off = True
+    live(bench, 50)
+    drive.boot()
+    drive.position = 0.0  # it counts from here
+    live(bench, 2500)
+    assert Fault.NO_HOME in Fault(bench.faults)
+    enable(bench, 400, ms=900)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+    assert abs(drive.position) < FINE  # and stays
+
+
+def test_its_own_words_are_told(bench):
+    playing(bench)
+    bench.drives[1].disarm("low voltage")
+    live(bench, 100)
+    words = said_by(bench, DriveTrouble)[-1].words
+    assert words == "motor_2: errors of the drive: DC_BUS_UNDER_VOLTAGE (00000200h)"
+
+
+def test_names_of_errors_are_those_of_the_dbc(dbc):
+    choices = dbc[0x01].get_signal_by_name("Axis_Error").choices
+    for value, name in choices.items():
+        words = DriveTrouble(1, Trouble.ERROR, 0, value).words
+        assert words == f"motor_1: errors of the drive: {name} ({value:08X}h)" or value == 0
+
+
+def test_a_drive_whose_errors_stay_is_not_enabled(bench):
+    ready(bench)
+    bench.drives[2].stuck = True
+    bench.drives[2].disarm("low voltage")
+    live(bench, 2500)
+    enables = [drive.enables for drive in bench.drives]
+    enable(bench, 400, ms=900)
+    assert bench.state == State.OFF
+    assert [drive.enables for drive in bench.drives] == enables
+
+
+def test_a_drive_that_does_not_go_into_operation_is_named(bench):
+    boot(bench)
+    bench.drives[3].stuck = True
+    enable(bench, ms=900)
+    assert bench.state == State.HOMING
+    live(bench, 4400)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.NOT_ENABLED, 0, 1)
+
+
+def test_a_drive_that_keeps_its_current_gets_an_estop(bench):
+    ready(bench)
+    bench.drives[0].keeps = True
+    tell(bench, say(300, Stop(1)))
+    live(bench, 200)
+    assert bench.drives[0].history[-1] == "ESTOP"
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(1, Trouble.KEEPS, 0, 8)
+
+
+def test_a_wrong_firmware_is_named_and_none_gets_current(bench):
+    bench.drives[3].protocol = 1
+    boot(bench)
+    enable(bench, ms=900)
+    assert bench.state == State.OFF
+    assert all(drive.history == [] for drive in bench.drives)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0, 1)
+
+
+def test_two_drives_of_one_number_get_no_current(bench, dbc):
+    from can_odrives import ODrive
+
+    bench.drives.append(ODrive(bench.network, NODES[1], dbc))
+    boot(bench)
+    enable(bench, ms=900)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
+    assert all(drive.history == [] for drive in bench.drives)
+
+
+UNDOING = {
+    "the same enable again": lambda b: tell(b, say(101, Enable(b.old))),
+    "an enable for the stop before": lambda b: tell(b, say(420, Enable(b.old))),
+    "a new session": lambda b: tell(b, say(99, Hello(VERSION, 78))),
+    "a table": lambda b: [tell(b, data) for data in uploaded(8, wave(0.002), 430, 9)],
+    "home": lambda b: tell(b, say(440, Home())),
+    "a drive's reset": lambda b: b.drives[0].boot(),
+    "a drive that goes into operation by itself": lambda b: vars(b.drives[2]).update(state=8),
+    "an error that passes": lambda b: b.drives[1].disarm("spinout"),
+    "a state told by another": lambda b: b.network.send_message(1 << 5 | 7, bytes([8, *[0] * 7])),
+    "bus off": lambda b: b.order("busoff"),
+    "the board's reset": lambda b: b.order("reset"),
+}
+
+
+def test_nothing_undoes_a_stop(bench):
+    ready(bench)
+    bench.old = bench.stop
+    tell(bench, say(300, Stop(1)))
+    bench.run(30)
+    since = bench.network.now + 1
+    for way in UNDOING.values():
+        way(bench)
+        live(bench, 150)
+        assert bench.state == State.OFF
+        assert {state for *_, state in states(bench, since)} <= {1}
+        assert all(drive.state == 1 for drive in bench.drives)
+
+
+def test_noise_enables_nobody(leader):
+    rng, count = np.random.default_rng(5), 50_000
+    known = rng.choice(NODES, count) << 5 | rng.integers(32, size=count)
+    identifiers = np.where(rng.random(count) < 0.8, known, rng.integers(0x800, size=count))
+    noise, sizes = rng.bytes(8 * count).hex(), 2 * rng.integers(9, size=count)
+    text = [ordered(HELLO, ENABLE)]
+    for k, (identifier, size) in enumerate(zip(identifiers.tolist(), sizes.tolist(), strict=True)):
+        text.append(f"can {identifier:x} {noise[16 * k : 16 * k + size]}")
+        if k % 20 == 0:
+            text.append("run 1000")
+    done = subprocess.run([leader], input="\n".join([*text, ""]), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    sent = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("can ")]
+    told = {words[1][:2] for words in sent if int(words[0], 16) & 0x81F == 0x07}
+    assert told == {"01"}
+
+
+# How full the bus is
+
+
+def test_four_axes_leave_room_on_the_bus(bench):
+    from can_drives import frame_bits
+
+    playing(bench, 0.009)
+    live(bench, 500)
+    bits: dict[int, int] = {}
+    for at, identifier, data in bench.both:
+        bits[at // 2] = bits.get(at // 2, 0) + frame_bits(identifier, data)
+    late = [count for cycle, count in bits.items() if cycle > 500]
+    assert max(late) <= 0.95 * 2000  # bits of 2 ms at 1 Mbit/s
+    assert np.median(late) > 0.45 * 2000
