@@ -110,7 +110,7 @@ class Plate:
     def observation(self) -> np.ndarray:
         """What is seen: see `observation_space`."""
         if self._shared.observation == "image":
-            return self.image
+            return self.image.copy()
         result = self.seen.copy()
         result[:, 5] = np.minimum(self.time - result[:, 5], NEVER_S)
         return np.clip(result, *self._shared.bounds, out=result)
@@ -216,9 +216,16 @@ class Plates:
         self.bounds = np.append(-high[:5], 0.0), high
         camera = self.rig.camera
         self.image_shape = (camera.height_px, camera.width_px) + (3,) * camera.colour
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
         self.plates: list[Plate] = [None] * count  # type: ignore[list-item]  # until reset
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor | None:
+        return ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has: threads of its own it starts when it needs them."""
+        return {name: value for name, value in vars(self).items() if name != "_pool"}
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> dict[str, np.ndarray]:
         """Begin anew on some plates; returns what `Step.info` has."""

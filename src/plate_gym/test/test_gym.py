@@ -1,6 +1,9 @@
 """Environments against Gymnasium's own checks, the loop without ROS, and the rules they state."""
 
+import copy
+import pickle
 import re
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -110,6 +113,81 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     assert np.array_equal(seen[1], one.reset()[0])
     assert info["time_s"].tolist() == [0.2, 0.0]
     assert not np.any([reward[1:], ended[1:], over[1:]])
+
+
+@pytest.mark.parametrize("action", ["motion", "cycle"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_alike(gym, action, copied):
+    many = gym.PlateVectorEnv("Corners12-v1", 2, action=action, threads=2)
+    many.reset(seed=3)
+    many.step(many.action_space.sample())
+    twin, actions = copied(many), many.action_space.sample()
+    assert np.array_equal(many.step(actions)[0], twin.step(actions)[0])
+
+
+def test_motions_of_any_kind_can_be_vectorised(gym):
+    """By processes too, which get the spaces and motions of others."""
+    import gymnasium
+
+    make = partial(gymnasium.make_vec, "plate/Sort4-v1", num_envs=2, action="cycle")
+    seen = []
+    for many in (make(), make(vectorization_mode="async")):
+        many.reset(seed=3)
+        many.action_space.seed(0)
+        seen.append(many.step(many.action_space.sample())[0])
+        many.close()
+    assert np.array_equal(*seen)
+
+
+def test_some_plates_begin_anew(gym):
+    many, one = gym.PlateVectorEnv("Sort4-v1", 3), gym.PlateEnv("Sort4-v1")
+    many.reset(seed=np.int64(3))
+    seen = many.step(many.action_space.sample())[0]
+    mask = np.array([False, True, False])
+    again, info = many.reset(seed=[None, 7, None], options={"reset_mask": mask})
+    assert np.array_equal(again[1], one.reset(seed=np.int64(7))[0])
+    assert np.array_equal(again[~mask], seen[~mask])
+    assert info["_time_s"].tolist() == mask.tolist()
+
+
+def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
+    import gymnasium
+
+    one, many = gym.PlateEnv("Sort4-v1"), gym.PlateVectorEnv("Sort4-v1", 2)
+    shown, some = gym.PlateEnv("Sort4-v1", render_mode="rgb_array"), {"reset_mask": [True, False]}
+    early = [
+        lambda: one.step(one.action_space.sample()), shown.render,
+        lambda: many.step(many.action_space.sample()), lambda: many.reset(options=some),
+    ]  # fmt: skip
+    for call in early:
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            call()
+    with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
+        many.reset(seed=[1, 2, 3])
+    with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 of True and False"):
+        many.reset(options={"reset_mask": [True]})
+    many.reset(seed=1)
+    for count in (1, 3):
+        with pytest.raises(PlateError, match=f"actions are {count}, allowed: 2"):
+            many.step(np.zeros((count, 18)))
+
+
+def test_rounding_is_forgiven(gym):
+    env = gym.PlateEnv("Sort4-v1")
+    env.reset(seed=0)
+    above = np.nextafter(np.ones(18, np.float32), np.float32(2))
+    seen = env.step(above)[0]
+    env.reset(seed=0)
+    assert np.array_equal(env.step(np.ones(18))[0], seen)
+
+
+def test_an_image_is_the_callers(gym):
+    """To write on it changes nothing, even if the next one is missed."""
+    env = gym.PlateEnv("Sort4-v1", observation="image")
+    seen = env.reset(seed=0)[0]
+    before = seen.copy()
+    seen[:] = 0
+    assert np.array_equal(env.plates.plates[0].observation, before)
 
 
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
