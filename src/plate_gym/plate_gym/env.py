@@ -165,16 +165,18 @@ class PlateVectorEnv(VectorEnv):
             raise PlateError(
                 f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
             )
-        if seed is None or isinstance(seed, Sequence | np.ndarray):
-            seeds = [None] * count if seed is None else list(seed)
-        else:
+        seeds: list[int | None] = [None] * count
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = list(seed)
+        elif seed is not None:
             seeds = [operator.index(seed) + k for k in range(count)]
         if len(seeds) != count:
             raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count}, one for each plate")
         rows, worlds = np.flatnonzero(mask).tolist(), []
         for k in rows:
-            own = None if seeds[k] is None else operator.index(seeds[k])
+            own = seeds[k]
             if own is not None:
+                own = operator.index(own)
                 self._chance[k] = seeding.np_random(own)[0]
             worlds.append(drawn(self._chance[k]) if own is None else own)
         check_begun(self.plates, ~mask)

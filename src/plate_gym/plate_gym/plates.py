@@ -3,6 +3,7 @@ counted. Environments of one plate and of many are views of it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -48,6 +49,11 @@ ROUNDING_S = 1e-6
 """Sums of periods that differ by less are the same [s]."""
 
 
+def clocks() -> np.ndarray:
+    """Return the time of this process's work, and that of the wall [s]."""
+    return np.array([time.process_time(), time.perf_counter()])
+
+
 class Step(NamedTuple):
     """What a cycle has brought on N plates.
 
@@ -85,6 +91,7 @@ class Plate:
         self.done = False
         self.dropped, self.to_go_m, self.first_m = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
+        self.solving_s = np.zeros(2)  # our solver, in all: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
@@ -132,7 +139,9 @@ class Plate:
             return cycle
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
+            began = clocks()
             action = self.controller.answer(make(np.asarray(action, float)), self.running).cycle
+            self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
         table, fitted = prepare(self._shared.rig, action, stamp, before=self.running)
         self.limit_share, self.scaled = fitted.usage.overall, fitted.factor < 1

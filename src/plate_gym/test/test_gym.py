@@ -193,12 +193,12 @@ def test_an_image_is_the_callers(gym):
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
 def test_our_agent_does_what_the_loop_does(gym, task):
     """The same images lead to the same motions, and these to the same places."""
-    from plate_gym.agents import AGENTS
+    from plate_gym.agents import AGENTS, Brief
 
     kind = AGENTS["B_by_image"]
     env = gym.PlateEnv(task, action=kind.action, observation=kind.observation)
     seen, info = env.reset(seed=3)
-    agent = kind(env, 3)
+    agent = kind(Brief.of(env), 3)
     moved = 0
     for moment in islice(run(Setup(gym.TASKS[task][0], 3)), 4):
         assert np.array_equal(seen, moment.image)
@@ -296,11 +296,11 @@ def test_a_rendered_picture_shows_the_parts(gym):
 
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
     """What an agent sends that does not begin where the plate is waits until it rests."""
-    from plate_gym.agents import AGENTS
+    from plate_gym.agents import AGENTS, Brief
 
     env = gym.PlateEnv("Sort10-v1", action="cycle")
     seen, info = env.reset(seed=3)
-    agent = AGENTS["B"](env, 3)
+    agent = AGENTS["B"](Brief.of(env), 3)
     while info["running"].tail is None:
         seen, *_, info = env.step(agent.act(seen, info))
     tail = info["running"].tail
@@ -357,6 +357,7 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
 
 def test_the_guide_is_right(capsys):
     """Its programs run, and its table of environments says what their scenarios say."""
+    from plate_gym.agents import KNOWN, Brief
     from plate_gym.tasks import TASKS, scenario_of
 
     page = (Path(__file__).resolve().parents[3] / "docs/guide/gym.md").read_text(encoding="utf-8")
@@ -365,11 +366,15 @@ def test_the_guide_is_right(capsys):
         exec(block, scope)
     first, second = capsys.readouterr().out.splitlines()
     assert first.startswith("True ")
+    reached = np.max(np.abs(scope["parts"][:, 1]))
+    assert reached < 0.13  # from edges at 0.15, in radii of 0.006
     assert float(first.split()[1]) < 12
     assert second.startswith("(64, 10, 6) ")
     own = scope["plate_gym"].PlateEnv("Sort4-v1")
     seen, info = own.reset(seed=0)
-    assert own.action_space.contains(scope["Agent"](own, 0).act(seen, info))
+    agent = scope["Agent"](Brief.of(own), 0)
+    assert own.action_space.contains(agent.act(seen, info))
+    assert {*Brief.__dataclass_fields__, *KNOWN} <= set(re.findall(r"`(\w+)`", page))
     assert set(info) <= set(re.findall(r"`(\w+)`", page))
     table = page[page.index("| environment |") : page.index("A name never")]
     for name in TASKS:
