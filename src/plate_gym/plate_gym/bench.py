@@ -120,13 +120,13 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
     kind = agent_class(agent)
     env = PlateEnv(task, world, kind.action, kind.observation)
     seen, info = env.reset(seed=seed)
-    plate = env.plates.plates[0]
+    plate, brief = env.plates.plates[0], Brief.of(env)
     spent, total, used = [], 0.0, 0.0
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
     try:
         began = clocks()
-        mind = kind(Brief.of(env), seed_of_agent(seed))
+        mind = kind(brief, seed_of_agent(seed))
         start = clocks() - began
         while not (ended or over):
             known = {name: info[name] for name in KNOWN if name in info}
