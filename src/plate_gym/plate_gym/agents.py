@@ -3,24 +3,68 @@ and random motions."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import Space
 
-from plate_core import Parts, PlateCycle, Wanted
+from plate_core import Parts, PlateCycle, Rig, Wanted
+from plate_core.tasks import Scenario
 from plate_planner import Planner
 from plate_solver import Controller, SinusoidSolver
 from plate_vision import Prediction, Tracker, make_vision, observe
 from plate_vision.shapes import learn_plate
 
 from .env import PlateEnv
+from .motions import Motions
 from .plates import IDLE_S
+
+KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled")
+"""What an agent gets of `info`: what a real plate would tell."""
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What an agent is told of its environment; copies, which nobody else uses.
+
+    Attributes
+    ----------
+    action_space, observation_space : Space
+    rig : Rig
+    scenario : Scenario
+    ids : tuple of str
+        Names of the parts, in the order of rows.
+    friction_limit : (M,)
+        mu m g of each part, as the rig says [N].
+    motions : Motions
+        What numbers of `motion` mean.
+    """
+
+    action_space: Space
+    observation_space: Space
+    rig: Rig
+    scenario: Scenario
+    ids: tuple[str, ...]
+    friction_limit: np.ndarray
+    motions: Motions
+
+    @classmethod
+    def of(cls, env: PlateEnv) -> Brief:
+        """Return that of an environment that was reset."""
+        plates = env.plates
+        return deepcopy(
+            cls(
+                env.action_space, env.observation_space, plates.rig, plates.scenario,
+                plates.plates[0].simulation.state.ids, plates.friction_limit, plates.motions,
+            )
+        )  # fmt: skip
 
 
 class Agent(Protocol):
-    """What `evaluate` judges: one is made for each episode, from the environment and a seed of its
-    own chance.
+    """What `evaluate` judges: one is made for each episode, from what it may know of the
+    environment and a seed of its own chance. Of `info` it gets `KNOWN`.
 
     Attributes
     ----------
@@ -31,7 +75,7 @@ class Agent(Protocol):
     action: str
     observation: str
 
-    def __init__(self, env: PlateEnv, seed: int) -> None: ...
+    def __init__(self, brief: Brief, seed: int) -> None: ...
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> Any:
         """Return the action that answers what is seen now."""
@@ -42,8 +86,8 @@ class Random:
 
     action, observation = "motion", "parts"
 
-    def __init__(self, env: PlateEnv, seed: int) -> None:
-        self._size, self._rng = env.plates.motions.size, np.random.default_rng(seed)
+    def __init__(self, brief: Brief, seed: int) -> None:
+        self._size, self._rng = brief.motions.size, np.random.default_rng(seed)
 
     def act(self, observation: np.ndarray, info: dict[str, Any]) -> np.ndarray:
         """Return a motion."""
@@ -55,10 +99,9 @@ class Ours:
 
     action, observation, method = "cycle", "parts", "sinusoids"
 
-    def __init__(self, env: PlateEnv, seed: int) -> None:
-        self._rig, scenario = env.plates.rig, env.plates.scenario
-        self._ids = env.plates.plates[0].simulation.state.ids
-        self._planner = Planner(self._rig, scenario)
+    def __init__(self, brief: Brief, seed: int) -> None:
+        self._rig, self._ids = brief.rig, brief.ids
+        self._planner = Planner(self._rig, brief.scenario)
         self._state = self._planner.start(self._planner.initial())
         self._controller = Controller(self._rig, self.method, seed)
 
@@ -96,8 +139,8 @@ class ByImage(Ours):
 
     observation = "image"
 
-    def __init__(self, env: PlateEnv, seed: int) -> None:
-        super().__init__(env, seed)
+    def __init__(self, brief: Brief, seed: int) -> None:
+        super().__init__(brief, seed)
         self._vision, self._tracker = make_vision(self._rig), Tracker()
         self._expected: Prediction | None = None
 
@@ -123,10 +166,10 @@ class ByImage(Ours):
 class Averaged(Ours):
     """The paper's way: the planner's forces on the averaged map, as if parts lay still."""
 
-    def __init__(self, env: PlateEnv, seed: int) -> None:
-        super().__init__(env, seed)
+    def __init__(self, brief: Brief, seed: int) -> None:
+        super().__init__(brief, seed)
         self._solver = SinusoidSolver(self._rig, seed=seed, at_rest=True)
-        self._limit = dict(zip(self._ids, env.plates.friction_limit, strict=True))
+        self._limit = dict(zip(self._ids, brief.friction_limit, strict=True))
 
     def _answer(self, wanted: Wanted, running: PlateCycle) -> PlateCycle:
         parts = wanted.parts

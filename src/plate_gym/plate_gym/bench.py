@@ -7,14 +7,15 @@ import argparse
 import hashlib
 import importlib
 import json
+import operator
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -24,20 +25,41 @@ import numpy as np
 from plate_core import PlateError, did_you_mean
 from plate_core.intervals import of_median, of_share
 
-from .agents import AGENTS, Agent
-from .env import PlateEnv
-from .tasks import TASKS, WORLDS, chosen
+from .agents import AGENTS, KNOWN, Agent, Brief
+from .env import PlateEnv, drawn
+from .plates import clocks
+from .tasks import TASKS, WORLDS, chosen, digest
 
 LIBRARIES = ("vibrating-plate", "plate_gym", "gymnasium", "numpy", "scipy")
 """Whose versions a result names, those of them that are installed."""
 
-TIMES = ("decision_ms", "decision_ms_p99")
+PACKAGES = ("core", "driver", "gym", "native", "planner", "sim", "solver", "vision")
+"""Whose sources a result names by a digest: `plate_*`."""
+
+TIMES = ("start_ms", "decision_ms", "decision_ms_p99", "wall_ms", "wall_ms_p99")
 """What differs from run to run."""
+
+NUMBERS = ("time_s", "return", "error_mm", "turn_error_deg", "limit_share", *TIMES)
+ROW: dict[str, type] = dict.fromkeys(NUMBERS, float) | {
+    "seed": int, "steps": int, "there": int, "dropped": int, "success": bool, "places": str
+}  # fmt: skip
+"""Types of what a row has."""
+
+RESULT: dict[str, type] = {
+    "agent": str, "world": str, "commit": str, "sources": str, "versions": dict, "tasks": dict
+}  # fmt: skip
+"""Those of a result."""
 
 CHECKED = 10
 """Seeds of each task that the checker runs again."""
 
 MOST_SEEDS = 100_000
+
+AGENT = 2
+"""Sets an agent's chance apart from its world's."""
+
+HUGE = 1e9
+"""Numbers in results are less."""
 
 
 def agent_class(name: str) -> type[Agent]:
@@ -58,9 +80,23 @@ def agent_class(name: str) -> type[Agent]:
         )
     try:
         found: type[Agent] = getattr(importlib.import_module(module), label)
-    except (ImportError, AttributeError) as problem:
-        raise PlateError(f"agent {name} cannot be loaded: {problem}") from problem
+    except (Exception, SystemExit) as problem:
+        raise PlateError(f"agent {name} cannot be loaded: {said(problem)}") from problem
+    kinds = (getattr(found, key, None) for key in ("action", "observation"))
+    if (
+        not isinstance(found, type)
+        or not all(isinstance(kind, str) for kind in kinds)
+        or not callable(getattr(found, "act", None))
+    ):
+        raise PlateError(
+            f"agent {name} is {found!r}, allowed: a class with action, observation and act"
+        )
     return found
+
+
+def said(problem: BaseException) -> str:
+    """Return what an exception says, in a line."""
+    return " ".join(f"{type(problem).__name__}: {problem}".split())
 
 
 def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
@@ -71,23 +107,40 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
     dict
         `seed`, `success`, `time_s` (of the plate), `steps`, `return`, `there`, `dropped`,
         `error_mm` and `turn_error_deg` (of the worst part at the end), `limit_share` (greatest),
-        `places` (digest of where the parts were all along), `decision_ms`, `decision_ms_p99`
-        (computing time of a decision: median and 99 %).
+        `places` (digest of where the parts were all along); computing times: `start_ms` (to make
+        the agent, processor), `decision_ms`, `decision_ms_p99` (of a decision, with that of our
+        solver where the action asks it: processor, median and 99 %), `wall_ms`, `wall_ms_p99`
+        (the same by the clock on the wall).
+
+    Raises
+    ------
+    PlateError
+        If the agent fails: names it, task, seed and step.
     """
     kind = agent_class(agent)
     env = PlateEnv(task, world, kind.action, kind.observation)
     seen, info = env.reset(seed=seed)
-    mind = kind(env, seed)
+    plate, brief = env.plates.plates[0], Brief.of(env)
     spent, total, used = [], 0.0, 0.0
     places = hashlib.blake2b(digest_size=8)
     ended = over = False
-    while not (ended or over):
-        began = time.process_time()
-        action = mind.act(seen, info)
-        spent.append(1e3 * (time.process_time() - began))
-        seen, reward, ended, over, info = env.step(action)
-        total, used = total + reward, max(used, float(info["limit_share"]))
-        places.update(env.plates.plates[0].simulation.state.position.tobytes())
+    try:
+        began = clocks()
+        mind = kind(brief, seed_of_agent(seed))
+        start = clocks() - began
+        while not (ended or over):
+            known = {name: info[name] for name in KNOWN if name in info}
+            before, began = plate.solving_s.copy(), clocks()
+            action = mind.act(seen, known)
+            passed = clocks() - began
+            seen, reward, ended, over, info = env.step(action)
+            spent.append(passed + plate.solving_s - before)
+            total, used = total + reward, max(used, float(info["limit_share"]))
+            places.update(plate.simulation.state.position.tobytes())
+    except (Exception, SystemExit) as problem:
+        where = f"agent {agent}, {task}, seed {seed}, step {len(spent)}"
+        raise PlateError(f"{where}: {said(problem)}") from problem
+    own, wall = 1e3 * np.array(spent).T
     return {
         "seed": seed,
         "success": bool(info["success"]),
@@ -100,18 +153,27 @@ def episode(agent: str, world: str, task: str, seed: int) -> dict[str, Any]:
         "turn_error_deg": float(np.degrees(np.max(info["turn_error"]))),
         "limit_share": used,
         "places": places.hexdigest(),
-        "decision_ms": float(np.median(spent)),
-        "decision_ms_p99": float(np.percentile(spent, 99)),
+        "start_ms": 1e3 * float(start[0]),
+        "decision_ms": float(np.median(own)),
+        "decision_ms_p99": float(np.percentile(own, 99)),
+        "wall_ms": float(np.median(wall)),
+        "wall_ms_p99": float(np.percentile(wall, 99)),
     }
+
+
+def seed_of_agent(seed: int) -> int:
+    """Return the seed of an agent's chance: that of the world would tell where the parts are."""
+    return drawn(np.random.default_rng((seed, AGENT)))
 
 
 def evaluate(
     agent: str,
     tasks: Iterable[str] = tuple(TASKS),
-    seeds: Sequence[int] = range(100),
+    seeds: Iterable[int] = range(100),
     world: str = "nominal",
     workers: int = 1,
     tell: Callable[[str], None] = lambda text: None,
+    keep: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Run an agent on tasks, each in the worlds of many seeds.
 
@@ -120,44 +182,58 @@ def evaluate(
     agent : str
         As `agent_class` takes it.
     tasks, seeds, world
-        Names of tasks, seeds from 0 on, and a key of `WORLDS`.
+        Names of tasks (or one), seeds from 0 on, each once, and a key of `WORLDS`.
     workers : int
         Processes that work at the same time.
     tell : callable
         Takes a line of text for each task that is done.
+    keep : callable
+        Takes what there is of the result, before the first task and after each.
 
     Returns
     -------
     dict
-        For JSON: what was run (`agent`, `world`, `commit`, `versions`), and by task `rows`, those
+        For JSON: what was run (`agent`, `world`, `commit`, digest of the `sources`, `versions`),
+        and by task `rows`, those
         of `episode`, with their summary: `success` and `time_s` and `decision_ms` (medians; times
         of the episodes that ended well), each with an interval of 95 % (Wilson's, bootstrap).
 
     Raises
     ------
     PlateError
-        If a name is unknown or a seed is not allowed.
+        If a name is unknown, a seed is not allowed, or the agent fails.
     """
     agent_class(agent)
     chosen("world", world, WORLDS)
-    tasks = list(tasks)
+    tasks = [tasks] if isinstance(tasks, str) else list(tasks)
     for task in tasks:
         chosen("task", task, TASKS)
-    if not seeds or min(seeds) < 0:
-        raise PlateError(f"seeds are {list(seeds)}, allowed: one or more, from 0 on")
+    seeds = [operator.index(seed) for seed in seeds]
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise PlateError(f"seeds are {seeds}, allowed: one or more, from 0 on, each once")
     result: dict[str, Any] = {
-        "agent": agent, "world": world, "commit": commit(), "versions": versions(), "tasks": {},
+        "agent": agent, "world": world, "commit": commit(), "sources": sources(),
+        "versions": versions(), "tasks": {},
     }  # fmt: skip
+    keep(result)
     for task in tasks:
-        run = partial(episode, agent, world, task)
-        if workers == 1:
-            rows = list(map(run, seeds))
-        else:
-            with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-                rows = list(pool.map(run, seeds))
+        rows = list(episodes(agent, world, task, seeds, workers))
         result["tasks"][task] = summary(rows)
         tell(line(task, result["tasks"][task]))
+        keep(result)
     return result
+
+
+def episodes(
+    agent: str, world: str, task: str, seeds: list[int], workers: int
+) -> Iterator[dict[str, Any]]:
+    """Run episodes, in so many processes; yields them in the order of seeds."""
+    run = partial(episode, agent, world, task)
+    if workers == 1:
+        yield from map(run, seeds)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(run, seeds)
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -172,6 +248,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "dropped": sum(row["dropped"] for row in rows),
         "decision_ms": float(np.median(spent)),
         "decision_ms_interval": of_median(spent),
+        "wall_ms": float(np.median([row["wall_ms"] for row in rows])),
     }
     if good:
         found |= {"time_s": float(np.median(good)), "time_s_interval": of_median(good)}
@@ -188,41 +265,114 @@ def line(task: str, found: dict[str, Any]) -> str:
     )
 
 
-def check(result: dict[str, Any], tell: Callable[[str], None] = lambda text: None) -> list[str]:
+def check(
+    result: Any,
+    tell: Callable[[str], None] = lambda text: None,
+    workers: int = 1,
+    fresh: int = 0,
+) -> list[str]:
     """Run up to `CHECKED` seeds of each task of a result again, and sum up its rows again.
+
+    Parameters
+    ----------
+    result
+        What a file of `evaluate` says.
+    tell : callable
+        Takes lines: what is installed here in another version, which seeds are claimed.
+    workers : int
+        Processes that work at the same time.
+    fresh : int
+        So many seeds of each task are drawn and run besides.
 
     Returns
     -------
     list of str
-        What differs, but for computing times; empty if nothing does. A digest of places also
-        differs between machines whose libraries compute other last bits.
+        What differs, but for computing times; empty if nothing does. A share of fresh seeds differs
+        where its interval has nothing in common with the one that is claimed. A digest of places
+        also differs between machines whose libraries compute other last bits.
 
     Raises
     ------
     PlateError
-        If it is no result of `evaluate`, or its agent is not here.
+        If it is no result of `evaluate`, its agent is not here, or fails.
     """
-    if lacking := [key for key in ("agent", "world", "tasks") if key not in result]:
-        raise PlateError(f"result has no {', '.join(lacking)}, allowed: what evaluate returns")
-    wrong = []
+    validate(result)
+    here = versions() | {"sources": sources()}
+    for name, own in here.items():
+        made = (result["versions"] | {"sources": result["sources"]}).get(name)
+        if made != own:
+            tell(f"{name}: made with {made}, here {own}")
+    wrong, chance = [], np.random.default_rng()  # nobody knows which are run
     for task, claimed in result["tasks"].items():
-        rows = claimed["rows"]
-        seeds = [row["seed"] for row in rows]
-        if len(set(seeds)) < len(seeds):
-            wrong.append(f"{task}: a seed is given twice, allowed: each once")
-        again = summary(rows)
+        rows = {row["seed"]: row for row in claimed["rows"]}
+        tell(f"{task}: claimed are seeds {ranges(sorted(rows))}")
+        again = summary(claimed["rows"])
         if {k: list(v) if isinstance(v, tuple) else v for k, v in again.items()} != claimed:
             wrong.append(f"{task}: the summary is not that of its rows")
-        picks = np.random.default_rng().permutation(len(rows))[:CHECKED]  # nobody knows which
-        for row in (rows[k] for k in sorted(picks)):
-            true = episode(result["agent"], result["world"], task, row["seed"])
+        run = partial(episodes, result["agent"], result["world"], task, workers=workers)
+        picks = sorted(chance.permutation(list(rows))[:CHECKED].tolist())
+        for seed, true in zip(picks, run(picks), strict=True):
             wrong += [
-                f"{task}, seed {row['seed']}: {key} is {row.get(key)!r}, again: {value!r}"
+                f"{task}, seed {seed}: {key} is {rows[seed][key]!r}, again: {value!r}"
                 for key, value in true.items()
-                if key not in TIMES and row.get(key) != value
+                if key not in TIMES and rows[seed][key] != value
             ]
         tell(f"{task}: {len(picks)} seeds again, {len(wrong)} differences so far")
+        if fresh:
+            seeds = [drawn(chance) for _ in range(fresh)]
+            found = summary(list(run(seeds)))
+            tell(f"{line(task, found)}, {fresh} fresh seeds")
+            (low, high), (least, most) = found["success_interval"], again["success_interval"]
+            if high < least or low > most:
+                wrong.append(
+                    f"{task}: success is {claimed['success']}, with fresh seeds: {found['success']}"
+                )
     return wrong
+
+
+def validate(result: Any) -> None:
+    """Refuse what is no result of `evaluate`: by its keys and types, not by what it claims.
+
+    Raises
+    ------
+    PlateError
+        Names the place, what is there and what is allowed.
+    """
+    check_fields("result", result, RESULT)
+    chosen("result: world", result["world"], WORLDS)
+    if not result["tasks"]:
+        raise PlateError("result: tasks is {}, allowed: one task or more")
+    for task, found in result["tasks"].items():
+        chosen("result: task", task, TASKS)
+        rows = found.get("rows") if isinstance(found, dict) else None
+        if not isinstance(rows, list) or not rows:
+            raise PlateError(f"result: {task}: rows is {rows!r}, allowed: a list of one or more")
+        for k, row in enumerate(rows):
+            where = f"result: {task}: rows[{k}]"
+            check_fields(where, row, ROW)
+            if row["seed"] < 0:
+                raise PlateError(f"{where}: seed is {row['seed']}, allowed: from 0 on")
+        if len({row["seed"] for row in rows}) < len(rows):
+            raise PlateError(f"result: {task}: a seed is given twice, allowed: each once")
+
+
+def check_fields(where: str, found: Any, kinds: dict[str, type]) -> None:
+    """Refuse what is no dict of just these keys and types; numbers are finite."""
+    if not isinstance(found, dict) or set(found) != set(kinds):
+        has = ", ".join(map(str, found)) if isinstance(found, dict) else repr(found)
+        raise PlateError(f"{where} has {has}, allowed: {', '.join(kinds)}")
+    for key, kind in kinds.items():
+        value = found[key]
+        number = type(value) in (int, float) and abs(value) < HUGE  # not of NaN
+        if not (number if kind is float else type(value) is kind):
+            raise PlateError(f"{where}: {key} is {value!r}, allowed: {kind.__name__}")
+
+
+def ranges(seeds: list[int]) -> str:
+    """Say seeds, in order, as ranges `FIRST:END`."""
+    ends = [k for k in range(1, len(seeds)) if seeds[k] > seeds[k - 1] + 1]
+    runs = np.split(np.array(seeds), ends)
+    return ", ".join(f"{run[0]}:{run[-1] + 1}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
 def versions() -> dict[str, str]:
@@ -237,38 +387,71 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str:
-    """Return the name of the commit that this file is of; empty without git."""
-    command = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty"]
+    """Return the name of the commit that this file is of; empty where git does not keep it."""
+    here = Path(__file__).resolve()
+    git = partial(
+        subprocess.run, cwd=here.parent, capture_output=True, text=True, check=True, timeout=60
+    )
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        git(["git", "ls-files", "--error-unmatch", here.name])
+        return str(git(["git", "describe", "--always", "--dirty"]).stdout.strip())
     except (OSError, subprocess.SubprocessError):
         return ""
-    return done.stdout.strip()
+
+
+def sources() -> str:
+    """Return a digest of what `PACKAGES` are made of, and of what the tasks say."""
+    mark = hashlib.sha256()
+    for name in PACKAGES:
+        spec = find_spec(f"plate_{name}")
+        assert spec is not None
+        assert spec.origin is not None
+        package = Path(spec.origin).parent
+        for path in sorted(package.rglob("*")):
+            if path.suffix in (".py", ".hpp", ".cpp"):
+                mark.update(f"{name}/{path.relative_to(package).as_posix()}\n".encode())
+                mark.update(path.read_bytes())
+    mark.update("".join(digest(scenario) for scenario, _ in TASKS.values()).encode())
+    return mark.hexdigest()[:16]
 
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     parser = argparse.ArgumentParser(prog="python -m plate_gym.bench", description=__doc__)
-    parser.add_argument("--agent", default="B", help=f"{', '.join(AGENTS)}, or MODULE:CLASS")
+    parser.add_argument("--agent", help=f"{', '.join(AGENTS)}, or MODULE:CLASS (B)")
     parser.add_argument(
         "--task", action="append", help=f"{', '.join(TASKS)} (all); may be given again"
     )
-    parser.add_argument("--seeds", type=seed_range, default=range(100), help="0:100, or one")
-    parser.add_argument("--world", default="nominal", help=", ".join(WORLDS))
-    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--seeds", type=seed_range, help="0:100 (these), or one")
+    parser.add_argument("--world", help=f"{', '.join(WORLDS)} (nominal)")
     parser.add_argument("--json", type=Path, help="file for the result")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--check", type=Path, help="file with a result to be run again in part")
+    parser.add_argument("--fresh", type=int, metavar="N", help="with --check: draw N seeds besides")
     args = parser.parse_args()
+    own = ("agent", "task", "seeds", "world", "json")
+    given = [f"--{name}" for name in own if getattr(args, name) is not None]
+    if args.check and given:
+        parser.error(f"--check goes with --workers and --fresh, not with {', '.join(given)}")
+    if args.fresh is not None and not (args.check and 0 < args.fresh <= MOST_SEEDS):
+        parser.error(f"--fresh goes with --check, and is from 1 to {MOST_SEEDS}")
+    workers = max(args.workers, 1)
     try:
         if args.check:
-            wrong = check(json.loads(args.check.read_text("utf-8")), print)
+            result = json.loads(args.check.read_text("utf-8"))
+            wrong = check(result, partial(print, flush=True), workers, args.fresh or 0)
             print("\n".join(wrong) or "the same again")
             return bool(wrong)
-        tasks = args.task or list(TASKS)
-        result = evaluate(args.agent, tasks, args.seeds, args.world, max(args.workers, 1), print)
-        if args.json:
-            args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    except json.JSONDecodeError as error:
+
+        def keep(result: dict[str, Any]) -> None:
+            if args.json:
+                args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+        evaluate(
+            args.agent or "B", args.task or list(TASKS), args.seeds or range(100),
+            args.world or "nominal", workers, partial(print, flush=True), keep,
+        )  # fmt: skip
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         print(f"error: {args.check} is no JSON: {error}", file=sys.stderr)
         return 2
     except (PlateError, OSError) as error:

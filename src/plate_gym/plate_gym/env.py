@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -22,6 +23,9 @@ METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps"
 MANY = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
 NO_WINDOW = "render_mode is 'human', and there is no window: {}"
+
+ROUNDING = 1e-6
+"""Actions may be beyond their bounds by so much: those of float32 are."""
 
 SEEDS = 2**31
 """Of worlds where none is given: below this."""
@@ -72,6 +76,7 @@ class PlateEnv(gym.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin in the world of a seed: of `bench/closed_loop.py` too; drawn if none is given."""
+        seed = None if seed is None else operator.index(seed)
         super().reset(seed=seed)
         info = self.plates.reset([0], [drawn(self.np_random) if seed is None else seed])
         self._show()
@@ -79,8 +84,9 @@ class PlateEnv(gym.Env):
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Let the cycle that runs end; what the action asks for comes after it."""
-        check_actions(self.action_space, [action])
-        reward, ended, over, info = self.plates.step([0], [action])
+        check_begun(self.plates)
+        actions = checked_actions(self.action_space, [action])
+        reward, ended, over, info = self.plates.step([0], actions)
         self._show()
         seen = self.plates.plates[0].observation
         return seen, float(reward[0]), bool(ended[0]), bool(over[0]), first(info)
@@ -99,6 +105,7 @@ class PlateEnv(gym.Env):
             self._picture()
 
     def _picture(self) -> np.ndarray:
+        check_begun(self.plates)
         self._film = self._film or Film(self.plates, self.render_mode == "human")
         return self._film.picture(0)
 
@@ -150,24 +157,41 @@ class PlateVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin on all plates: with seeds `seed`, `seed` + 1, ..., or those of a list."""
-        seeds = [None] * self.num_envs if seed is None else seed
-        seeds = [seeds + k for k in range(self.num_envs)] if isinstance(seeds, int) else seeds
-        worlds = []
-        for k, own in enumerate(seeds):
+        """Begin on all plates: with seeds `seed`, `seed` + 1, ..., or those of a list; or only on
+        those of `options["reset_mask"]` (N,) bool."""
+        count = self.num_envs
+        mask = np.asarray((options or {}).get("reset_mask", np.ones(count, bool)))
+        if mask.shape != (count,) or mask.dtype != bool or not mask.any():
+            raise PlateError(
+                f"reset_mask is {mask.tolist()}, allowed: {count} of True and False, one True"
+            )
+        seeds: list[int | None] = [None] * count
+        if isinstance(seed, Sequence | np.ndarray):
+            seeds = list(seed)
+        elif seed is not None:
+            seeds = [operator.index(seed) + k for k in range(count)]
+        if len(seeds) != count:
+            raise PlateError(f"seed has {len(seeds)} numbers, allowed: {count}, one for each plate")
+        rows, worlds = np.flatnonzero(mask).tolist(), []
+        for k in rows:
+            own = seeds[k]
             if own is not None:
+                own = operator.index(own)
                 self._chance[k] = seeding.np_random(own)[0]
             worlds.append(drawn(self._chance[k]) if own is None else own)
-        self._ended[:] = False
-        info = self.plates.reset(range(self.num_envs), worlds)
-        return self._seen(), self._whole(info, np.ones(self.num_envs, bool))
+        check_begun(self.plates, ~mask)
+        self._ended[mask] = False
+        info = self._whole(self.plates.reset(rows, worlds), mask)
+        return self._seen(), info
 
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Let the cycle that runs end, on each plate."""
-        each = list(iterate(self.action_space, actions))
-        check_actions(self.single_action_space, each)
+        check_begun(self.plates)
+        if len(actions) != self.num_envs:
+            raise PlateError(f"actions are {len(actions)}, allowed: {self.num_envs}, one a plate")
+        each = checked_actions(self.single_action_space, iterate(self.action_space, actions))
         anew, rows = (np.flatnonzero(m).tolist() for m in (self._ended, ~self._ended))
         info: dict[str, Any] = {}
         reward = np.zeros(self.num_envs)
@@ -186,6 +210,7 @@ class PlateVectorEnv(VectorEnv):
         """Return a picture (height, width, 3) of each plate."""
         if self.render_mode is None:
             return None
+        check_begun(self.plates)
         self._film = self._film or Film(self.plates, False)
         return tuple(self._film.picture(row) for row in range(self.num_envs))
 
@@ -206,15 +231,28 @@ class PlateVectorEnv(VectorEnv):
         return result
 
 
-def check_actions(space: gym.Space, actions: Sequence[Any]) -> None:
-    """Refuse what is not in the space."""
+def check_begun(plates: Plates, rows: Any = slice(None)) -> None:
+    """Refuse to go on with plates, all or those of a mask, that nobody has reset."""
+    if any(plate is None for plate in np.array(plates.plates, object)[rows]):
+        raise gym.error.ResetNeeded("there is no episode yet: call reset first")
+
+
+def checked_actions(space: gym.Space, actions: Iterable[Any]) -> list[Any]:
+    """Return actions, within the bounds; refuse what is not in the space by more than rounding."""
+    result = []
     for action in actions:
-        if not space.contains(action):
+        near = action
+        if isinstance(space, gym.spaces.Box) and np.shape(action) == space.shape:
+            near = np.clip(action, space.low, space.high)
+            near = near if np.max(np.abs(near - action)) <= ROUNDING else action
+        if not space.contains(near):
             said = type(action).__name__
             if isinstance(action, np.ndarray) and action.size:
                 low, high = np.min(action), np.max(action)
                 said = f"{action.dtype} of shape {action.shape}, from {low:g} to {high:g}"
             raise PlateError(f"action is {said}, allowed: {space}")
+        result.append(near)
+    return result
 
 
 def checked_mode(mode: str | None) -> str | None:

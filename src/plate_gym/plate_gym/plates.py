@@ -3,6 +3,7 @@ counted. Environments of one plate and of many are views of it."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -48,6 +49,11 @@ ROUNDING_S = 1e-6
 """Sums of periods that differ by less are the same [s]."""
 
 
+def clocks() -> np.ndarray:
+    """Return the time of this process's work, and that of the wall [s]."""
+    return np.array([time.process_time(), time.perf_counter()])
+
+
 class Step(NamedTuple):
     """What a cycle has brought on N plates.
 
@@ -85,6 +91,7 @@ class Plate:
         self.done = False
         self.dropped, self.to_go_m, self.first_m = 0, 0.0, 0.0
         self.limit_share, self.scaled = 0.0, False
+        self.solving_s = np.zeros(2)  # our solver, in all: see `clocks`
         self.image = np.zeros(shared.image_shape, np.uint8)
         self.bare = np.zeros(0)
         self._playback = Playback(PlateCycle.rest(IDLE_S), resting=True)
@@ -110,7 +117,7 @@ class Plate:
     def observation(self) -> np.ndarray:
         """What is seen: see `observation_space`."""
         if self._shared.observation == "image":
-            return self.image
+            return self.image.copy()
         result = self.seen.copy()
         result[:, 5] = np.minimum(self.time - result[:, 5], NEVER_S)
         return np.clip(result, *self._shared.bounds, out=result)
@@ -132,7 +139,9 @@ class Plate:
             return cycle
         if level != "cycle":
             make = self._forces if level == "forces" else self._progress
+            began = clocks()
             action = self.controller.answer(make(np.asarray(action, float)), self.running).cycle
+            self.solving_s += clocks() - began
         stamp = round(self.time * 1e9)
         table, fitted = prepare(self._shared.rig, action, stamp, before=self.running)
         self.limit_share, self.scaled = fitted.usage.overall, fitted.factor < 1
@@ -216,9 +225,16 @@ class Plates:
         self.bounds = np.append(-high[:5], 0.0), high
         camera = self.rig.camera
         self.image_shape = (camera.height_px, camera.width_px) + (3,) * camera.colour
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self._threads = threads
         self.plates: list[Plate] = [None] * count  # type: ignore[list-item]  # until reset
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor | None:
+        return ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy has: threads of its own it starts when it needs them."""
+        return {name: value for name, value in vars(self).items() if name != "_pool"}
 
     def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> dict[str, np.ndarray]:
         """Begin anew on some plates; returns what `Step.info` has."""

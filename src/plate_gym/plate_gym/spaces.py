@@ -9,24 +9,28 @@ from gymnasium import spaces
 
 from plate_core import PlateCycle
 
+from .motions import Motions
 from .plates import Plates
 
 
 class CycleSpace(spaces.Space):
     """Any motion of the plate: a `plate_core.PlateCycle`, which the driver fits into the limits."""
 
-    def __init__(self, plates: Plates) -> None:
+    def __init__(self, motions: Motions) -> None:
         super().__init__()
-        self._plates = plates
+        self._motions = motions
 
     def sample(self, mask: Any = None, probability: Any = None) -> PlateCycle:
         """Return a motion as `motion` has them."""
-        motions = self._plates.motions
-        return motions.cycle(self.np_random.uniform(-1, 1, motions.size))[0]
+        return self._motions.cycle(self.np_random.uniform(-1, 1, self._motions.size))[0]
 
     def contains(self, x: Any) -> bool:
         """Whether it is a motion."""
         return isinstance(x, PlateCycle)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is one too: all have the same."""
+        return isinstance(other, CycleSpace)
 
     def __repr__(self) -> str:
         """Its name."""
@@ -49,7 +53,7 @@ def action_space(plates: Plates) -> spaces.Space:
     """
     count = plates.scenario.count
     if plates.action == "cycle":
-        return CycleSpace(plates)
+        return CycleSpace(plates.motions)
     if plates.action == "motion":
         return spaces.Box(-1.0, 1.0, (plates.motions.size,), np.float64)
     if plates.action == "forces":

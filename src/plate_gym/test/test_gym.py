@@ -1,6 +1,9 @@
 """Environments against Gymnasium's own checks, the loop without ROS, and the rules they state."""
 
+import copy
+import pickle
 import re
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -112,15 +115,90 @@ def test_a_plate_that_has_ended_begins_anew(gym):
     assert not np.any([reward[1:], ended[1:], over[1:]])
 
 
+@pytest.mark.parametrize("action", ["motion", "cycle"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_alike(gym, action, copied):
+    many = gym.PlateVectorEnv("Corners12-v1", 2, action=action, threads=2)
+    many.reset(seed=3)
+    many.step(many.action_space.sample())
+    twin, actions = copied(many), many.action_space.sample()
+    assert np.array_equal(many.step(actions)[0], twin.step(actions)[0])
+
+
+def test_motions_of_any_kind_can_be_vectorised(gym):
+    """By processes too, which get the spaces and motions of others."""
+    import gymnasium
+
+    make = partial(gymnasium.make_vec, "plate/Sort4-v1", num_envs=2, action="cycle")
+    seen = []
+    for many in (make(), make(vectorization_mode="async")):
+        many.reset(seed=3)
+        many.action_space.seed(0)
+        seen.append(many.step(many.action_space.sample())[0])
+        many.close()
+    assert np.array_equal(*seen)
+
+
+def test_some_plates_begin_anew(gym):
+    many, one = gym.PlateVectorEnv("Sort4-v1", 3), gym.PlateEnv("Sort4-v1")
+    many.reset(seed=np.int64(3))
+    seen = many.step(many.action_space.sample())[0]
+    mask = np.array([False, True, False])
+    again, info = many.reset(seed=[None, 7, None], options={"reset_mask": mask})
+    assert np.array_equal(again[1], one.reset(seed=np.int64(7))[0])
+    assert np.array_equal(again[~mask], seen[~mask])
+    assert info["_time_s"].tolist() == mask.tolist()
+
+
+def test_what_comes_too_early_or_in_wrong_numbers_is_refused(gym):
+    import gymnasium
+
+    one, many = gym.PlateEnv("Sort4-v1"), gym.PlateVectorEnv("Sort4-v1", 2)
+    shown, some = gym.PlateEnv("Sort4-v1", render_mode="rgb_array"), {"reset_mask": [True, False]}
+    early = [
+        lambda: one.step(one.action_space.sample()), shown.render,
+        lambda: many.step(many.action_space.sample()), lambda: many.reset(options=some),
+    ]  # fmt: skip
+    for call in early:
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            call()
+    with pytest.raises(PlateError, match="seed has 3 numbers, allowed: 2"):
+        many.reset(seed=[1, 2, 3])
+    with pytest.raises(PlateError, match=r"reset_mask is \[True\], allowed: 2 of True and False"):
+        many.reset(options={"reset_mask": [True]})
+    many.reset(seed=1)
+    for count in (1, 3):
+        with pytest.raises(PlateError, match=f"actions are {count}, allowed: 2"):
+            many.step(np.zeros((count, 18)))
+
+
+def test_rounding_is_forgiven(gym):
+    env = gym.PlateEnv("Sort4-v1")
+    env.reset(seed=0)
+    above = np.nextafter(np.ones(18, np.float32), np.float32(2))
+    seen = env.step(above)[0]
+    env.reset(seed=0)
+    assert np.array_equal(env.step(np.ones(18))[0], seen)
+
+
+def test_an_image_is_the_callers(gym):
+    """To write on it changes nothing, even if the next one is missed."""
+    env = gym.PlateEnv("Sort4-v1", observation="image")
+    seen = env.reset(seed=0)[0]
+    before = seen.copy()
+    seen[:] = 0
+    assert np.array_equal(env.plates.plates[0].observation, before)
+
+
 @pytest.mark.parametrize("task", ["Sort4-v1", "Letters-v1"])
 def test_our_agent_does_what_the_loop_does(gym, task):
     """The same images lead to the same motions, and these to the same places."""
-    from plate_gym.agents import AGENTS
+    from plate_gym.agents import AGENTS, Brief
 
     kind = AGENTS["B_by_image"]
     env = gym.PlateEnv(task, action=kind.action, observation=kind.observation)
     seen, info = env.reset(seed=3)
-    agent = kind(env, 3)
+    agent = kind(Brief.of(env), 3)
     moved = 0
     for moment in islice(run(Setup(gym.TASKS[task][0], 3)), 4):
         assert np.array_equal(seen, moment.image)
@@ -218,11 +296,11 @@ def test_a_rendered_picture_shows_the_parts(gym):
 
 def test_a_rest_after_motion_is_reached_by_the_tail(gym):
     """What an agent sends that does not begin where the plate is waits until it rests."""
-    from plate_gym.agents import AGENTS
+    from plate_gym.agents import AGENTS, Brief
 
     env = gym.PlateEnv("Sort10-v1", action="cycle")
     seen, info = env.reset(seed=3)
-    agent = AGENTS["B"](env, 3)
+    agent = AGENTS["B"](Brief.of(env), 3)
     while info["running"].tail is None:
         seen, *_, info = env.step(agent.act(seen, info))
     tail = info["running"].tail
@@ -279,19 +357,25 @@ def test_motions_beyond_the_limits_are_scaled_down(gym):
 
 def test_the_guide_is_right(capsys):
     """Its programs run, and its table of environments says what their scenarios say."""
+    from plate_gym.agents import KNOWN, Brief
     from plate_gym.tasks import TASKS, scenario_of
 
     page = (Path(__file__).resolve().parents[3] / "docs/guide/gym.md").read_text(encoding="utf-8")
     scope: dict = {}
-    for block in re.findall(r"```python\n(.*?)```", page, re.S):
+    blocks = re.findall(r"```python\n(.*?)```", page, re.S)
+    for block in blocks:
         exec(block, scope)
     first, second = capsys.readouterr().out.splitlines()
     assert first.startswith("True ")
     assert float(first.split()[1]) < 12
     assert second.startswith("(64, 10, 6) ")
+    exec(blocks[0].replace("seed=0", "seed=2"), {})  # a part begins at an edge
+    assert capsys.readouterr().out.startswith("True ")
     own = scope["plate_gym"].PlateEnv("Sort4-v1")
     seen, info = own.reset(seed=0)
-    assert own.action_space.contains(scope["Agent"](own, 0).act(seen, info))
+    agent = scope["Agent"](Brief.of(own), 0)
+    assert own.action_space.contains(agent.act(seen, info))
+    assert {*Brief.__dataclass_fields__, *KNOWN} <= set(re.findall(r"`(\w+)`", page))
     assert set(info) <= set(re.findall(r"`(\w+)`", page))
     table = page[page.index("| environment |") : page.index("A name never")]
     for name in TASKS:

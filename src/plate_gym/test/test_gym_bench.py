@@ -4,7 +4,9 @@ import copy
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from plate_core import PlateError
@@ -17,8 +19,8 @@ import numpy as np
 class Lazy:
     action, observation = "motion", "parts"
 
-    def __init__(self, env, seed):
-        self.action_size = env.action_space.shape
+    def __init__(self, brief, seed):
+        self.action_size = brief.action_space.shape
 
     def act(self, observation, info):
         return np.zeros(self.action_size)
@@ -56,7 +58,6 @@ def test_ours_sorts_and_is_the_same_again(bench, result):
     [
         ("time_s", 1.0, "seed 1: time_s is 1.0, again: "),
         ("places", "00", "seed 1: places is '00', again: "),
-        ("seed", 0, "a seed is given twice, allowed: each once"),
     ],
 )
 def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypatch):
@@ -65,6 +66,210 @@ def test_what_was_changed_is_noticed(bench, result, key, value, words, monkeypat
     changed = copy.deepcopy(result)
     changed["tasks"]["Sort4-v1"]["rows"][1][key] = value
     assert words in "\n".join(bench.check(changed))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ([], None, "result has None, allowed: agent, "),
+        ([], "text", "result has 'text', allowed: agent, "),
+        (["more"], 1, "result has agent, world, commit, sources, versions, tasks, more, allowed: "),
+        (["agent"], 3, "result: agent is 3, allowed: str"),
+        (["tasks"], {}, "result: tasks is {}, allowed: one task or more"),
+        (["tasks"], [1], "result: tasks is [1], allowed: dict"),
+        (["tasks", "Sort4-v1"], {}, "result: Sort4-v1: rows is None, allowed: a list of one"),
+        (["tasks", "Sort4-v1", "rows"], [], "result: Sort4-v1: rows is [], allowed: a list of one"),
+        (
+            ["tasks", "Sort4-v1", "rows", 1],
+            {"seed": 1},
+            "rows[1] has seed, allowed: time_s, ",
+        ),
+        (["tasks", "Sort4-v1", "rows", 1, "seed"], "0", "rows[1]: seed is '0', allowed: int"),
+        (["tasks", "Sort4-v1", "rows", 1, "seed"], 0.0, "rows[1]: seed is 0.0, allowed: int"),
+        (["tasks", "Sort4-v1", "rows", 1, "seed"], -1, "rows[1]: seed is -1, allowed: from 0 on"),
+        (["tasks", "Sort4-v1", "rows", 1, "seed"], 0, "a seed is given twice, allowed: each once"),
+        (["tasks", "Sort4-v1", "rows", 1, "return"], np.nan, "return is nan, allowed: float"),
+        (["tasks", "Sort5-v1"], {}, "result: task is 'Sort5-v1'"),
+    ],
+)
+def test_what_is_no_result_is_refused(bench, result, path, value, words):
+    changed = {"": copy.deepcopy(result)}
+    path, place = ["", *path], changed
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(PlateError) as problem:
+        bench.check(changed[""])
+    assert words in str(problem.value)
+
+
+def test_more_than_the_summary_is_noticed(bench, result, monkeypatch):
+    rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
+    monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
+    changed = copy.deepcopy(result)
+    changed["tasks"]["Sort4-v1"]["better"] = 1.0
+    assert bench.check(changed) == ["Sort4-v1: the summary is not that of its rows"]
+
+
+def test_what_is_claimed_and_made_of_other_code_is_told(bench, result, monkeypatch):
+    rows = {row["seed"]: row for row in result["tasks"]["Sort4-v1"]["rows"]}
+    monkeypatch.setattr(bench, "episode", lambda agent, world, task, seed: rows[seed])
+    told = []
+    assert bench.check(result | {"sources": "00"}, told.append) == []
+    assert told[0] == f"sources: made with 00, here {bench.sources()}"
+    assert told[1:] == [
+        "Sort4-v1: claimed are seeds 0:2", "Sort4-v1: 2 seeds again, 0 differences so far"
+    ]  # fmt: skip
+    assert bench.ranges([0, 1, 2, 5, 8, 9]) == "0:3, 5, 8:10"
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_fresh_seeds_show_a_share_that_was_picked(bench, result, monkeypatch, good):
+    """An agent that does well on the seeds that it hands in only."""
+    row, told = result["tasks"]["Sort4-v1"]["rows"][0], []
+
+    def episode(agent, world, task, seed):
+        return row | {"seed": seed, "success": good or seed < 20}
+
+    monkeypatch.setattr(bench, "episode", episode)
+    found = json.loads(json.dumps(bench.evaluate("A", "Sort4-v1", range(20))))
+    wrong = bench.check(found, told.append, fresh=20)
+    assert wrong == [] if good else ["Sort4-v1: success is 1.0, with fresh seeds: 0.0"]
+    assert told[-1].endswith("20 fresh seeds")
+
+
+def test_code_is_known_by_what_it_says(bench, tmp_path, monkeypatch):
+    """The commit is that of this file only, even inside another repository; a change of any source
+    is another digest."""
+    before = bench.sources()
+    package = tmp_path / "plate_core"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    spec = SimpleNamespace(origin=str(package / "__init__.py"))
+    monkeypatch.setattr(bench, "find_spec", lambda name: spec)
+    other = bench.sources()
+    (package / "kernel.hpp").write_text("int x;")
+    assert len({before, other, bench.sources()}) == 3
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    done = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", "a"]
+    subprocess.run([*done, "--allow-empty"], cwd=tmp_path, check=True)
+    monkeypatch.setattr(bench, "__file__", str(tmp_path / "bench.py"))
+    (tmp_path / "bench.py").write_text("")
+    assert bench.commit() == ""
+    subprocess.run(["git", "add", "bench.py"], cwd=tmp_path, check=True)
+    assert bench.commit()
+
+
+CHEATS = {
+    "Teleport": "def act(self, seen, info): self.brief.plates",
+    "Ahead": "def act(self, seen, info): self.brief.step(self.brief.action_space.sample())",
+    "Peep": "def act(self, seen, info): return info['error_m']",
+    "Again": "def act(self, seen, info): self.brief.reset(seed=7)",
+    "Set": "def act(self, seen, info): self.brief.scenario = None",
+    "Nan": "def act(self, seen, info): return np.full(18, np.nan)",
+    "Exit": "def act(self, seen, info): raise SystemExit(3)",
+}
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """A module with agents that cheat or fail, and with what is no agent."""
+    text = "import numpy as np\nclass Base:\n    action, observation = 'motion', 'parts'\n"
+    text += "    def __init__(self, brief, seed): self.brief = brief\n"
+    text += "\n".join(f"class {name}(Base):\n    {code}" for name, code in CHEATS.items())
+    text += "\nnumber = 3\nclass Slow(Base):\n    action = 'progress'\n"
+    text += "    def act(self, seen, info): return self.brief.action_space.sample()\n"
+    (tmp_path / "odd_agents.py").write_text(text)
+    (tmp_path / "broken_agents.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.parametrize("name", CHEATS)
+def test_who_cheats_or_fails_is_named(bench, module, name):
+    with pytest.raises(PlateError, match=f"agent odd_agents:{name}, Sort4-v1, seed 3, step 0: "):
+        bench.evaluate(f"odd_agents:{name}", "Sort4-v1", np.arange(3, 4))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("odd_agents:number", "agent odd_agents:number is 3, allowed: a class with action, "),
+        ("odd_agents:Base", "allowed: a class with action, observation and act"),
+        ("broken_agents:Any", "broken_agents:Any cannot be loaded: ZeroDivisionError: division"),
+    ],
+)
+def test_what_is_no_agent_is_refused(bench, module, name, words):
+    with pytest.raises(PlateError) as problem:
+        bench.agent_class(name)
+    assert words in str(problem.value)
+
+
+def test_what_an_agent_is_told_is_its_own(bench):
+    from plate_gym import PlateEnv
+    from plate_gym.agents import Brief
+
+    env = PlateEnv("Sort4-v1")
+    env.reset(seed=0)
+    brief, before = Brief.of(env), env.plates.friction_limit.copy()
+    brief.friction_limit[:] = 0
+    brief.rig.plate.half[:] = 0
+    assert np.array_equal(env.plates.friction_limit, before)
+    assert np.all(env.plates.rig.plate.half > 0)
+    assert brief.action_space is not env.action_space
+
+
+def test_an_agents_seed_makes_no_twin_of_its_world(bench, monkeypatch):
+    from plate_gym.agents import AGENTS, Random
+    from plate_sim.world import Simulation
+
+    class Twin(Random):
+        def __init__(self, brief, seed):
+            super().__init__(brief, seed)
+            self.twin = Simulation(brief.rig, brief.scenario, seed).state.position
+
+        def act(self, seen, info):
+            far = np.max(np.abs(self.twin - seen[:, :2]))
+            raise RuntimeError("found" if far < 0.01 else "elsewhere")
+
+    monkeypatch.setitem(AGENTS, "twin", Twin)
+    with pytest.raises(PlateError, match="elsewhere"):
+        bench.episode("twin", "nominal", "Sort4-v1", 0)
+
+
+def test_our_solver_is_time_of_a_decision(bench, module, monkeypatch):
+    """Where the action asks it: by clocks that only its work moves on."""
+    import plate_gym.plates
+
+    hours = np.zeros(2)
+    answer = plate_gym.plates.Controller.answer
+
+    def slow(self, *args):
+        hours[:] += 3600, 7200
+        return answer(self, *args)
+
+    monkeypatch.setattr(plate_gym.plates.Controller, "answer", slow)
+    for place in (bench, plate_gym.plates):
+        monkeypatch.setattr(place, "clocks", hours.copy)
+    monkeypatch.setattr(plate_gym.plates, "ROUNDING_S", 119.5)  # of 120 s
+    row = bench.episode("odd_agents:Slow", "nominal", "Sort4-v1", 0)
+    times = [row[name] for name in bench.TIMES]
+    assert times == pytest.approx([0, 3.6e6, 3.6e6, 7.2e6, 7.2e6])
+
+
+def test_what_was_done_before_a_failure_is_kept(bench, result, monkeypatch, tmp_path, capsys):
+    row = result["tasks"]["Sort4-v1"]["rows"][0]
+
+    def episode(agent, world, task, seed):
+        if task == "Sort10-v1":
+            raise PlateError("lost")
+        return row | {"seed": seed}
+
+    monkeypatch.setattr(bench, "episode", episode)
+    place = tmp_path / "found.json"
+    words = ["--task", "Sort4-v1", "--task", "Sort10-v1", "--seeds", "7", "--workers", "1"]
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", str(place), *words])
+    assert bench.main() == 2
+    assert list(json.loads(place.read_text())["tasks"]) == ["Sort4-v1"]
 
 
 def test_a_summary_is_of_its_rows(bench, result, monkeypatch):
@@ -93,10 +298,15 @@ def test_an_agent_of_ones_own_by_the_command(tmp_path, bench):
     ("settings", "words"),
     [
         ({"agent": "C"}, "agent is 'C', allowed: B, A, "),
-        ({"agent": "nowhere:Agent"}, "agent nowhere:Agent cannot be loaded: No module"),
+        (
+            {"agent": "nowhere:Agent"},
+            "agent nowhere:Agent cannot be loaded: ModuleNotFoundError: No module",
+        ),
         ({"tasks": ["Sort5"]}, "task is 'Sort5'"),
         ({"world": "moon"}, "world is 'moon'"),
         ({"seeds": [-1]}, "seeds are [-1], allowed: one or more, from 0 on"),
+        ({"seeds": [0, 0]}, "seeds are [0, 0], allowed: one or more, from 0 on, each once"),
+        ({"seeds": iter([])}, "seeds are [], allowed: one or more"),
     ],
 )
 def test_wrong_names_are_refused(bench, settings, words):
@@ -108,11 +318,12 @@ def test_wrong_names_are_refused(bench, settings, words):
 @pytest.mark.parametrize("name", ["A", "averaged", "random"])
 def test_the_other_agents_act(bench, name):
     from plate_gym import PlateEnv
+    from plate_gym.agents import Brief
 
     kind = bench.agent_class(name)
     env = PlateEnv("Sort4-v1", action=kind.action, observation=kind.observation)
     seen, info = env.reset(seed=0)
-    agent, way = kind(env, 0), info["to_go_m"]
+    agent, way = kind(Brief.of(env), 0), info["to_go_m"]
     for _ in range(8):
         seen, *_, info = env.step(agent.act(seen, info))
     assert info["limit_share"] > 0.9
@@ -133,8 +344,16 @@ def ended(main):
         (["--agent", "C"], 2, "error: agent is 'C', allowed: B, A, "),
         (["--check", "nowhere.json"], 2, "error: [Errno 2] No such file"),
         (["--check", "text.json"], 2, "error: text.json is no JSON: "),
-        (["--check", "empty.json"], 2, "error: result has no agent, world, tasks, allowed: "),
-        (["--check", "false.json"], 1, "Sort4-v1, seed 0: dropped is 1, again: 0"),
+        (["--check", "empty.json"], 2, "error: result has , allowed: agent, world, "),
+        (["--check", "false.json", "--json", "x"], 2, "not with --json"),
+        (["--check", "false.json", "--seeds", "3", "--agent", "A"], 2, "not with --agent, --seeds"),
+        (["--fresh", "3"], 2, "--fresh goes with --check"),
+        (["--json", "nowhere/x.json"], 2, "error: [Errno 2] No such file"),
+        (
+            ["--check", "false.json", "--workers", "1"],
+            1,
+            "Sort4-v1, seed 0: dropped is 1, again: 0",
+        ),
         (["--seeds", "5:1"], 2, "is '5:1', allowed: FIRST:END"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import MappingProxyType
 
 import numpy as np
 
@@ -95,7 +94,7 @@ def _hopper(fields: Fields, labels: tuple[str, ...], picks: tuple[Pick, ...]) ->
         rate=fields.value(keys.HOPPER["rate_ps"]),
         place=(float(place[0]), float(place[1])),
         spread_m=fields.value(keys.HOPPER["spread_m"]),
-        mix=MappingProxyType(mix),
+        mix=mix,
     )
     fields.finish()
     return hopper

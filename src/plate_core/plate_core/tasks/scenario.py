@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -184,7 +183,7 @@ def _sort(fields: Fields, parts: tuple[PartGroup, ...]) -> SortTask:
     if any(isinstance(region, Side) for region in regions.values()):
         goal = required(goal)
     return SortTask(
-        regions=MappingProxyType(regions),
+        regions=regions,
         goal_fraction=fields.value(goal) or 0.0,
         hold_s=fields.value(keys.HOLD),
     )
