@@ -20,6 +20,7 @@ from .frames import (
     to_image,
     to_plate,
 )
+from .keys import ODRIVE_COUNTS
 from .lens import Lens
 from .motors import PEAK_OVER_RMS, Reach, motor_levers, motor_reach, plate_mass
 from .part_types import (
@@ -55,6 +56,7 @@ __all__ = [
     "LEAST_GAMMA",
     "MOST_CORNERS",
     "MOST_HOLES",
+    "ODRIVE_COUNTS",
     "PART_PX",
     "PART_TYPE",
     "PEAK_OVER_RMS",

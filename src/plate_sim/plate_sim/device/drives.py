@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plate_core.rig import Drive, Limits
-from plate_core.rig.keys import ODRIVE_COUNTS
+from plate_core.rig import ODRIVE_COUNTS, Drive, Limits
 
 from .plate import COAST_RATE
 
