@@ -153,6 +153,7 @@ class Drive(canopen.LocalNode):
         )
         self.word, self.heard, self.enables = 0, math.inf, 0
         self.deaf = True  # its supply is off
+        self.wrong_once: tuple[str, int] | None = None  # a state, and how far [counts]
         self.history: list[str] = []
         self.add_write_callback(self.on_write)
         network.create_node(self)
@@ -211,7 +212,10 @@ class Drive(canopen.LocalNode):
         assert tpdo.enabled
         assert rpdo.trans_type == tpdo.trans_type == 1
         self.data_store.setdefault(0x6041, {})[0] = STATUS[self.state].to_bytes(2, "little")
-        place = round(self.position).to_bytes(4, "little", signed=True)
+        wrong = 0
+        if self.wrong_once and self.wrong_once[0] == self.state:
+            wrong, self.wrong_once = self.wrong_once[1], None
+        place = round(self.position + wrong).to_bytes(4, "little", signed=True)
         self.data_store.setdefault(0x6064, {})[0] = place
         for each in tpdo.map:
             each.set_data(self.get_data(each.index, each.subindex))

@@ -238,6 +238,52 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
     assert all(drive.state == "quick stop" for drive in bench.drives)
 
 
+@pytest.mark.parametrize("at", ["switch on disabled", "ready", "switched on", "enabled"])
+def test_one_wrong_position_is_neither_target_nor_home(bench, at):
+    boot(bench)
+    bench.drives[0].wrong_once = at, 50_000
+    places = [drive.position for drive in bench.drives]
+    enable(bench, ms=1000)
+    assert bench.drives[0].wrong_once is None
+    assert bench.state == State.READY
+    for motor, place in enumerate(places):
+        told = {row[3] for row in led(bench) if row[1] == motor and row[2] == 15}
+        assert told == {place}
+    assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < 1e-5
+
+
+def test_home_is_not_taken_in_a_swing(bench):
+    boot(bench)
+    for k in range(60):
+        if k == 1:  # in the swing
+            tell(bench, say(101, Enable(bench.stop)))
+        for drive, home in zip(bench.drives, HOMES, strict=True):
+            drive.position = home + 5000 * np.exp(-k / 20) * np.cos(k)
+        live(bench, 10)
+        assert {drive.state for drive in bench.drives} == {"switch on disabled"}
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = float(home)
+    live(bench, 900)
+    assert bench.state == State.READY
+    for motor in range(4):
+        assert set(travel(led(bench), motor)[1]) == {0}
+
+
+def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
+    playing(bench, 0.008)
+    since = bench.network.now
+    bench.order("reset")
+    bench.run(20)
+    sent = [(identifier, data) for at, identifier, data in bench.sent if at > since]
+    assert not [1 for identifier, _ in sent if identifier - RPDO in NODES]
+    for node in NODES:
+        cut = sent.index((0x600 + node, bytes.fromhex("2b40600000000000")))
+        assert cut < sent.index((0, bytes([0x82, node])))
+    assert all(drive.state == "switch on disabled" for drive in bench.drives)
+    live(bench, 300)
+    check_bus(bench)
+
+
 # What goes wrong
 
 

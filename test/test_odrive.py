@@ -226,6 +226,34 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
     assert all(drive.state == 1 and drive.reason == 0x1000000 for drive in bench.drives)
 
 
+def test_one_wrong_position_is_neither_target_nor_home(bench):
+    boot(bench)
+    bench.drives[0].wrong_once = 1.25  # turns: 50 mm
+    enable(bench, ms=1500)
+    assert bench.drives[0].wrong_once == 0
+    assert bench.state == State.READY
+    rows = led(bench)
+    assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
+    assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < FINE
+
+
+def test_home_is_not_taken_in_a_swing(bench):
+    boot(bench)
+    for k in range(60):
+        if k == 1:
+            tell(bench, say(101, Enable(bench.stop)))
+        for drive, home in zip(bench.drives, HOMES, strict=True):
+            drive.position = home + 0.125 * np.exp(-k / 20) * np.cos(k)
+        live(bench, 10)
+        assert {drive.state for drive in bench.drives} == {1}
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = home
+    live(bench, 1200)
+    assert bench.state == State.READY
+    rows = led(bench)
+    assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
+
+
 # What goes wrong
 
 

@@ -83,7 +83,31 @@ void enter(Axis *axis, Stage stage)
     axis->step = 0;
     axis->unheard = axis->missed = axis->doubled = axis->answers = 0;
     if (stage != UP)
-        axis->status = 0;
+        axis->status = axis->still = 0;
+}
+
+/* Counts are compared modulo 2^32. */
+static float apart_m(int m, int32_t a, int32_t b)
+{
+    return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
+}
+
+bool stands(const Axis *axis) { return axis->still == STILL_CYCLES; }
+
+void placed(int m, int32_t actual)
+{
+    Axis *axis = &axes[m];
+    axis->actual = actual;
+    axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
+    axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
+    if (!axis->told || apart_m(m, actual, axis->rest) > STILL_M) {
+        axis->rest = actual;
+        axis->still = 0;
+    }
+    axis->still = (uint8_t)(axis->still + (axis->still < STILL_CYCLES));
+    if (!axis->told)
+        axis->target = actual;
+    axis->told = true;
 }
 
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
@@ -210,7 +234,7 @@ bool hal_home(void)
 {
     home_known = true;
     for (int m = 0; m < MOTORS; m++)
-        axes[m].home = drives[m].absolute ? 0 : axes[m].actual;
+        axes[m].home = drives[m].absolute ? 0 : axes[m].target;
     return true;
 }
 
@@ -228,12 +252,14 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
 }
 
 /* A position is as old as the bus: while it is led, what is told is where it would be now, with the
-   following error that it had then. The drives tell no acceleration. */
+   following error that it had then; while it only holds, where it was told to be. The drives tell no
+   acceleration. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 {
     for (int m = 0; m < MOTORS; m++) {
         const Axis *axis = &axes[m];
-        int32_t place = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->home);
+        int32_t held = enabled(axis) ? axis->target : axis->actual;
+        int32_t place = (int32_t)((uint32_t)held - (uint32_t)axis->home);
         float counts = (float)(follows ? axis->error : place);
         position[m] = (follows ? led[0][m] : 0) + counts * drives[m].sign / drives[m].counts_per_m;
         acceleration[m] = 0;

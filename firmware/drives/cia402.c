@@ -185,9 +185,7 @@ static void positioned(int m, const uint8_t data[6])
     if (axis->stage != STARTING && axis->stage != UP)
         return;
     axis->status = get_u16(data);
-    axis->actual = (int32_t)get_u32(data + 2);
-    axis->error = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->reached);
-    axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
+    placed(m, (int32_t)get_u32(data + 2));
     if (in_fault(axis) && !axis->alarm)
         alarm(m, TROUBLE_FAULT, 0, axis->status, FAULT_HARDWARE);
     else if (was_ready && axis->stage == UP && !enabled(axis) && !in_fault(axis))
@@ -224,7 +222,7 @@ static uint16_t controlword(Axis *axis)
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
     axis->resets = BOOT_TICKS / CYCLE_TICKS;
-    if (!wanted || !all_up())
+    if (!wanted || !all_up() || !(enabled(axis) || stands(axis)))
         return DISABLE;
     if ((axis->status & 0x4F) == 0x40) /* switch on disabled */
         return SHUTDOWN;
@@ -237,10 +235,12 @@ void cycle(void)
 {
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
-        if (!enabled(axis)) /* where it is: no jump once it has current */
+        if (!enabled(axis) && stands(axis)) /* no jump once it has current */
             axis->target = axis->actual;
         axis->reached = axis->sent;
         axis->sent = axis->target;
+        if (!axis->told)
+            continue; /* it may have current, from before our reset */
         uint8_t data[6];
         put_u32(put_u16(data, controlword(axis)), (uint32_t)axis->target);
         send((uint16_t)(RPDO + drives[m].node), data, 6);
@@ -257,6 +257,8 @@ static void keep_house(int m)
         ask(m);
         return;
     }
+    if (axis->stage == SILENT)
+        cut(m);
     command(m, axis->stage == SILENT ? NMT_RESET_COMMUNICATION : NMT_START);
     axis->asked = true;
     axis->since = 0;
