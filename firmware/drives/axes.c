@@ -12,6 +12,7 @@ float led[3][MOTORS];
 bool wanted, was_ready, follows, hurry;
 static bool home_known, home_lost;
 const float (*loads)[MOTORS];
+static float stroke; /* [m] */
 static uint8_t phase; /* ticks since the last cycle */
 static uint16_t bus_alarm;
 static Trouble trouble;
@@ -97,6 +98,8 @@ bool stands(const Axis *axis) { return axis->still == STILL_CYCLES; }
 void placed(int m, int32_t actual)
 {
     Axis *axis = &axes[m];
+    if (axis->stage == STARTING && axis->answers == 0 && apart_m(m, actual, axis->actual) > STILL_M)
+        lose_home(m);
     axis->actual = actual;
     axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
     axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
@@ -112,15 +115,17 @@ void placed(int m, int32_t actual)
 
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
 {
+    cut(m);
     alarm(m, kind, object, code, FAULT_HARDWARE);
     enter(&axes[m], SILENT);
     axes[m].asked = true;
-    cut(m);
 }
 
-void lose_home(void)
+void lose_home(int m)
 {
-    home_lost = home_lost || home_known;
+    if (drives[m].absolute || !home_known)
+        return;
+    home_lost = true;
     home_known = false;
 }
 
@@ -193,15 +198,18 @@ void drives_end(void)
         if (axes[m].stage == UP && !hurry)
             count_answers(m);
     cycle();
+    if (hurry) /* the next tick may be as hurried */
+        between();
     hurry = false;
 }
 
-void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS])
+void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS], float stroke_m)
 {
     memcpy(drives, of, sizeof drives);
     memset(axes, 0, sizeof axes);
     memset(&trouble, 0, sizeof trouble);
     loads = load;
+    stroke = stroke_m;
     wanted = was_ready = follows = hurry = home_known = home_lost = false;
     phase = 0;
     bus_alarm = 0;
@@ -232,11 +240,20 @@ bool hal_ready(void)
 
 bool hal_home(void)
 {
+    for (int m = 0; m < MOTORS; m++) {
+        int32_t home = drives[m].absolute ? 0 : axes[m].target;
+        float most = fabsf((float)home) + 1.01f * stroke * drives[m].counts_per_m;
+        if (most > 0x1p31f - 512) { /* of rounding */
+            alarm(m, TROUBLE_RANGE, 0, (uint32_t)home, FAULT_HARDWARE);
+            return false;
+        }
+        axes[m].home = home;
+    }
     home_known = true;
-    for (int m = 0; m < MOTORS; m++)
-        axes[m].home = drives[m].absolute ? 0 : axes[m].target;
     return true;
 }
+
+void hal_forget(void) { home_known = home_lost = false; }
 
 void hal_command(const float position[MOTORS], const float velocity[MOTORS],
                  const float acceleration[MOTORS])
@@ -269,7 +286,6 @@ void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 uint8_t hal_faults(void)
 {
     uint8_t faults = home_lost ? FAULT_NO_HOME : 0;
-    home_lost = false;
     if (bus_alarm)
         faults |= FAULT_HARDWARE;
     for (int m = 0; m < MOTORS; m++) {
@@ -283,5 +299,7 @@ uint8_t hal_faults(void)
 bool hal_trouble(Trouble *out)
 {
     *out = trouble;
-    return trouble.kind != TROUBLE_NONE;
+    if (home_lost && !faulty())
+        *out = (Trouble){.kind = TROUBLE_HOME_LOST};
+    return out->kind != TROUBLE_NONE;
 }

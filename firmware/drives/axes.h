@@ -71,6 +71,6 @@ void enter(Axis *axis, Stage stage);
 /* It is begun anew, after a while. */
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code);
 
-void lose_home(void); /* a drive may count from elsewhere now */
+void lose_home(int m); /* a drive may count from elsewhere now */
 
 #endif

@@ -68,7 +68,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
         enter(axis, UP);
         axis->proven = false;
-        lose_home(); /* it may have been reset */
+        lose_home(m); /* it may have been reset */
     } else if (axis->stage == UP && bitten) {
         axis->proven = true;
         axis->asked = false;
