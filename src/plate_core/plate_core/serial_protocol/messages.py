@@ -277,7 +277,7 @@ WORDS = {
     Trouble.NO_WATCHDOG: "the drive holds on in silence: set its enable_watchdog, and "
     "watchdog_timeout to 0.1 s",
     Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
-    Trouble.RANGE: "its position ({code:08X}h) is too near the end of its counts: set its zero near home",
+    Trouble.RANGE: "position {code:08X}h at home: its counts end within the stroke, move its zero",
 }
 
 ODRIVE_ERRORS = {
