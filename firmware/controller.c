@@ -161,6 +161,7 @@ static uint8_t home(Controller *c)
 {
     if (c->state != STATE_OFF)
         return STATUS_WRONG_STATE;
+    hal_forget();
     c->faults |= FAULT_NO_HOME;
     return STATUS_DONE;
 }

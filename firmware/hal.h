@@ -46,11 +46,14 @@ void hal_measure(float position[MOTORS], float acceleration[MOTORS]);
    where the motors are from there. */
 bool hal_home(void);
 
+/* A person asks to forget where home is; current is off. */
+void hal_forget(void);
+
 /* The camera's trigger line, high or low. Called once in a tick, after hal_command. */
 void hal_trigger(bool high);
 
 /* Faults of the board, FAULT_SUPPLY, FAULT_HARDWARE or FAULT_FOLLOWING, for as long as they last;
-   FAULT_NO_HOME for a tick, where it has lost home. Read once in a tick. */
+   FAULT_NO_HOME where it has lost home: for a tick, or until hal_forget. Read once in a tick. */
 uint8_t hal_faults(void);
 
 /* What is wrong with a drive, in its own words. */

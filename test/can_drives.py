@@ -37,6 +37,7 @@ def eds(node: int, without: tuple[int, ...] = (), **values: int) -> str:
         0x6041: {0: ("Statusword", 6, 0)},
         0x605A: {0: ("QuickStopOption", 3, 2)},
         0x6060: {0: ("Mode", 2, 0)},
+        0x6061: {0: ("ModeDisplay", 2, 0)},
         0x6064: {0: ("Position", 4, 0)},
         0x607A: {0: ("Target", 4, 0)},
         0x60C2: {0: ("Count", 5, 2), 1: ("Period", 5, 1), 2: ("Exponent", 2, -2)},
@@ -153,6 +154,8 @@ class Drive(canopen.LocalNode):
         )
         self.word, self.heard, self.enables = 0, math.inf, 0
         self.deaf = True  # its supply is off
+        self.stuck_mode, self.remote = False, True
+        self.wrong_once: tuple[str, int] | None = None  # a state, and how far [counts]
         self.history: list[str] = []
         self.add_write_callback(self.on_write)
         network.create_node(self)
@@ -199,6 +202,8 @@ class Drive(canopen.LocalNode):
     def on_write(self, index, data, **_) -> None:
         if index == 0x6040:
             self.controlled(int.from_bytes(data, "little"))
+        elif index == 0x6060 and not self.stuck_mode:
+            self.data_store.setdefault(0x6061, {})[0] = bytes(data)
 
     def on_master(self, *_) -> None:
         self.heard = self.network.now
@@ -210,8 +215,12 @@ class Drive(canopen.LocalNode):
         assert rpdo.enabled
         assert tpdo.enabled
         assert rpdo.trans_type == tpdo.trans_type == 1
-        self.data_store.setdefault(0x6041, {})[0] = STATUS[self.state].to_bytes(2, "little")
-        place = round(self.position).to_bytes(4, "little", signed=True)
+        status = STATUS[self.state] & (0xFFFF if self.remote else ~0x200)
+        self.data_store.setdefault(0x6041, {})[0] = status.to_bytes(2, "little")
+        wrong = 0
+        if self.wrong_once and self.wrong_once[0] == self.state:
+            wrong, self.wrong_once = self.wrong_once[1], None
+        place = round(self.position + wrong).to_bytes(4, "little", signed=True)
         self.data_store.setdefault(0x6064, {})[0] = place
         for each in tpdo.map:
             each.set_data(self.get_data(each.index, each.subindex))

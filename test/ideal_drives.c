@@ -30,8 +30,9 @@ static void answer(unsigned node, const uint8_t request[8])
     uint8_t data[8];
     memcpy(data, request, 8);
     if (request[0] == 0x40) {
+        uint16_t object = get_u16(request + 1);
         data[0] = 0x43;
-        put_u32(data + 4, get_u16(request + 1) == 0x1000 ? 402 : 0x80);
+        put_u32(data + 4, object == 0x1000 ? 402 : object == 0x6061 ? 8 : 0x80);
     } else {
         data[0] = 0x60;
     }

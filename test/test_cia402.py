@@ -238,6 +238,52 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
     assert all(drive.state == "quick stop" for drive in bench.drives)
 
 
+@pytest.mark.parametrize("at", ["switch on disabled", "ready", "switched on", "enabled"])
+def test_one_wrong_position_is_neither_target_nor_home(bench, at):
+    boot(bench)
+    bench.drives[0].wrong_once = at, 50_000
+    places = [drive.position for drive in bench.drives]
+    enable(bench, ms=1000)
+    assert bench.drives[0].wrong_once is None
+    assert bench.state == State.READY
+    for motor, place in enumerate(places):
+        told = {row[3] for row in led(bench) if row[1] == motor and row[2] == 15}
+        assert told == {place}
+    assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < 1e-5
+
+
+def test_home_is_not_taken_in_a_swing(bench):
+    boot(bench)
+    for k in range(60):
+        if k == 1:  # in the swing
+            tell(bench, say(101, Enable(bench.stop)))
+        for drive, home in zip(bench.drives, HOMES, strict=True):
+            drive.position = home + 5000 * np.exp(-k / 20) * np.cos(k)
+        live(bench, 10)
+        assert {drive.state for drive in bench.drives} == {"switch on disabled"}
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = float(home)
+    live(bench, 900)
+    assert bench.state == State.READY
+    for motor in range(4):
+        assert set(travel(led(bench), motor)[1]) == {0}
+
+
+def test_a_reset_board_sends_no_target_before_it_knows_one(bench):
+    playing(bench, 0.008)
+    since = bench.network.now
+    bench.order("reset")
+    bench.run(20)
+    sent = [(identifier, data) for at, identifier, data in bench.sent if at > since]
+    assert not [1 for identifier, _ in sent if identifier - RPDO in NODES]
+    for node in NODES:
+        cut = sent.index((0x600 + node, bytes.fromhex("2b40600000000000")))
+        assert cut < sent.index((0, bytes([0x82, node])))
+    assert all(drive.state == "switch on disabled" for drive in bench.drives)
+    live(bench, 300)
+    check_bus(bench)
+
+
 # What goes wrong
 
 
@@ -282,6 +328,22 @@ def second_master(bench, drive):
     bench.network.send_message(SYNC, b"")
 
 
+def other_client(bench, drive):
+    bench.network.send_message(0x600 + drive.id, bytes.fromhex("2f60600001000000"))
+
+
+def other_heartbeat(bench, drive):
+    bench.network.send_message(0x77F, b"\x05")
+
+
+def short_emergency(bench, drive):
+    bench.network.send_message(0x80 + drive.id, b"\x10\x23")
+
+
+def local(bench, drive):
+    drive.remote = False
+
+
 def bus_off(bench, drive):
     bench.order("busoff")
 
@@ -297,6 +359,10 @@ FAULTS = [
     (silent_fault, Trouble.FAULT, 0x218, Fault.HARDWARE),
     (pre_operational, Trouble.NOT_OPERATIONAL, 127, Fault.HARDWARE),
     (second_master, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (other_client, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (other_heartbeat, Trouble.OTHER_MASTER, 0, Fault.HARDWARE),
+    (short_emergency, Trouble.EMERGENCY, 0x2310, Fault.HARDWARE),
+    (local, Trouble.LEFT, 0x37, Fault.HARDWARE),
     (bus_off, Trouble.BUS_OFF, 0, Fault.HARDWARE),
 ]
 
@@ -324,7 +390,36 @@ def test_a_fault_takes_the_current_of_all_and_is_told(bench, trouble, kind, code
     check_bus(bench)
 
 
-@pytest.mark.parametrize("trouble", [reset, emergency, bus_off])
+def stopped(bench, drive):
+    """By NMT: it obeys neither PDO nor SDO."""
+    drive.nmt.state = "STOPPED"
+    answer = drive.sdo.on_request
+
+    def deaf(*request):
+        if drive.nmt.state != "STOPPED":
+            answer(*request)
+
+    bench.network.unsubscribe(0x600 + drive.id, answer)
+    bench.network.subscribe(0x600 + drive.id, deaf)
+
+
+def test_a_drive_that_is_stopped_by_nmt_loses_its_current_at_once(bench):
+    playing(bench, 0.008)
+    stopped(bench, bench.drives[1])
+    live(bench, 20)
+    assert all(drive.state == "switch on disabled" for drive in bench.drives)
+
+
+def test_a_drive_that_boots_with_current_is_cut(bench):
+    playing(bench, 0.008)
+    drive = bench.drives[1]
+    drive.nmt.state = "INITIALISING"
+    drive.nmt.state = "PRE-OPERATIONAL"  # it obeys no PDO, and holds on
+    live(bench, 20)
+    assert all(drive.state == "switch on disabled" for drive in bench.drives)
+
+
+@pytest.mark.parametrize("trouble", [emergency, bus_off])
 def test_once_it_is_over_a_person_enables_again(bench, trouble):
     playing(bench)
     trouble(bench, bench.drives[1])
@@ -334,7 +429,54 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     enable(bench, 400)
     assert (bench.state, bench.faults) == (State.READY, 0)
     assert all(drive.enables == 2 for drive in bench.drives)
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        assert abs(drive.position - home) <= 2  # the same home
     check_bus(bench)
+
+
+def moved_in_bus_off(bench, drive):
+    bench.order("busoff")
+    live(bench, 1020)
+    drive.position += 3000  # it may count from elsewhere
+
+
+@pytest.mark.parametrize("trouble", [reset, lose_heartbeat, stopped, moved_in_bus_off])
+def test_where_home_may_be_lost_it_takes_a_person_to_say_where_it_is(bench, trouble):
+    playing(bench)
+    trouble(bench, bench.drives[1])
+    live(bench, 2600)
+    enable(bench, 400)
+    assert bench.state == State.OFF
+    assert all(drive.enables == 1 for drive in bench.drives)
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.HOME_LOST, 0, 0)
+    places = [round(drive.position) for drive in bench.drives]
+    tell(bench, say(500, Home()))
+    bench.run(5)
+    enable(bench, 501)
+    assert (bench.state, bench.faults) == (State.READY, 0)
+    told = [led(bench)[led(bench)[:, 1] == motor][-1, 3] for motor in range(4)]
+    assert told == [*places[:3], 0]
+
+
+@pytest.mark.parametrize("place", [2**31 - 5000, -(2**31) + 5000])
+def test_counts_that_end_within_the_stroke_are_refused(bench, place):
+    bench.drives[2].position = float(place)
+    boot(bench)
+    enable(bench)
+    assert bench.state == State.OFF
+    code = place % 2**32
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(3, Trouble.RANGE, 0, code)
+    assert all(drive.state == "switch on disabled" for drive in bench.drives)
+
+
+def test_stops_in_each_tick_do_not_silence_our_heartbeat(bench):
+    ready(bench)
+    since = bench.network.now
+    for k in range(300):
+        tell(bench, say(300 + k, Stop(1)))
+        bench.run(1)
+    beats = [at for at, identifier, _ in bench.sent if identifier == 0x77F and at > since]
+    assert max(np.diff([since, *beats])) <= 50
 
 
 def test_a_drive_whose_fault_stays_is_not_enabled(bench):
@@ -391,6 +533,14 @@ def test_two_drives_of_one_number_get_no_current(bench):
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(2, Trouble.TWICE, 0, 0)
     assert all(drive.history == [] for drive in [*bench.drives, other])
     network.bus.shutdown()
+
+
+def test_a_drive_that_does_not_take_the_mode_on_is_refused(bench):
+    bench.drives[3].stuck_mode = True
+    boot(bench)
+    enable(bench)
+    assert bench.state == State.OFF
+    assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0x6061, 0)
 
 
 def test_a_drive_without_what_may_be_missing_will_do(bench):

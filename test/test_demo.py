@@ -74,7 +74,7 @@ def names_of(processes):
         ),
         (
             ["--transport", "serail"],
-            "transport is 'serail' (did you mean serial?), allowed: ",
+            "transport is 'serail' (did you mean serial?), allowed: cia402, odrive, serial",
         ),
         (["--rig", "no/such/rig.yaml"], "no/such/rig.yaml: no such file"),
         (

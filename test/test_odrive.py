@@ -226,6 +226,34 @@ def test_a_silent_board_is_stopped_by_the_drives_themselves(bench):
     assert all(drive.state == 1 and drive.reason == 0x1000000 for drive in bench.drives)
 
 
+def test_one_wrong_position_is_neither_target_nor_home(bench):
+    boot(bench)
+    bench.drives[0].wrong_once = 1.25  # turns: 50 mm
+    enable(bench, ms=1500)
+    assert bench.drives[0].wrong_once == 0
+    assert bench.state == State.READY
+    rows = led(bench)
+    assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
+    assert max(abs(x) for x in said_by(bench, Telemetry)[-1].position) < FINE
+
+
+def test_home_is_not_taken_in_a_swing(bench):
+    boot(bench)
+    for k in range(60):
+        if k == 1:
+            tell(bench, say(101, Enable(bench.stop)))
+        for drive, home in zip(bench.drives, HOMES, strict=True):
+            drive.position = home + 0.125 * np.exp(-k / 20) * np.cos(k)
+        live(bench, 10)
+        assert {drive.state for drive in bench.drives} == {1}
+    for drive, home in zip(bench.drives, HOMES, strict=True):
+        drive.position = home
+    live(bench, 1200)
+    assert bench.state == State.READY
+    rows = led(bench)
+    assert np.max(np.abs(rows[rows[:, 5] == 8, 2])) < FINE
+
+
 # What goes wrong
 
 
@@ -324,7 +352,13 @@ def test_once_it_is_over_a_person_enables_again(bench, trouble):
     live(bench, 2600)
     assert [drive.enables for drive in bench.drives] == before  # nothing moves unasked
     assert bench.state == State.OFF
-    enable(bench, 400, ms=900)
+    if trouble is bus_off:  # it may have been reset: a person says where home is
+        enable(bench, 399, ms=900)
+        assert bench.state == State.OFF
+        assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(0, Trouble.HOME_LOST, 0, 0)
+        tell(bench, say(400, Home()))
+        bench.run(5)
+    enable(bench, 401, ms=1200)
     assert (bench.state, bench.faults) == (State.READY, 0)
 
 
@@ -340,6 +374,10 @@ def test_a_reset_while_it_is_off_loses_home(bench):
     live(bench, 2500)
     assert Fault.NO_HOME in Fault(bench.faults)
     enable(bench, 400, ms=900)
+    assert bench.state == State.OFF
+    tell(bench, say(401, Home()))
+    bench.run(5)
+    enable(bench, 402, ms=900)
     assert (bench.state, bench.faults) == (State.READY, 0)
     assert abs(drive.position) < FINE  # and stays
 

@@ -50,7 +50,7 @@ RIG["types"] = {
 }
 for node, motor in enumerate(RIG["motors"].values(), 1):
     motor |= {"drive": "cia402", "node": node, "counts_per_m": 1e6, "sign": -1}
-    motor |= {"home": "absolute", "serial": 7}
+    motor |= {"home": "absolute", "serial": 700 + node}
 ODRIVES = {
     name: {key: motor[key] for key in motor if key not in ("counts_per_m", "serial")}
     | {"drive": "odrive", "turns_per_m": 25}

@@ -12,6 +12,7 @@ float led[3][MOTORS];
 bool wanted, was_ready, follows, hurry;
 static bool home_known, home_lost;
 const float (*loads)[MOTORS];
+static float stroke; /* [m] */
 static uint8_t phase; /* ticks since the last cycle */
 static uint16_t bus_alarm;
 static Trouble trouble;
@@ -83,20 +84,48 @@ void enter(Axis *axis, Stage stage)
     axis->step = 0;
     axis->unheard = axis->missed = axis->doubled = axis->answers = 0;
     if (stage != UP)
-        axis->status = 0;
+        axis->status = axis->still = 0;
+}
+
+/* Counts are compared modulo 2^32. */
+static float apart_m(int m, int32_t a, int32_t b)
+{
+    return fabsf((float)(int32_t)((uint32_t)a - (uint32_t)b)) / drives[m].counts_per_m;
+}
+
+bool stands(const Axis *axis) { return axis->still == STILL_CYCLES; }
+
+void placed(int m, int32_t actual)
+{
+    Axis *axis = &axes[m];
+    if (axis->stage == STARTING && axis->answers == 0 && apart_m(m, actual, axis->actual) > STILL_M)
+        lose_home(m);
+    axis->actual = actual;
+    axis->error = (int32_t)((uint32_t)actual - (uint32_t)axis->reached);
+    axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
+    if (!axis->told || apart_m(m, actual, axis->rest) > STILL_M) {
+        axis->rest = actual;
+        axis->still = 0;
+    }
+    axis->still = (uint8_t)(axis->still + (axis->still < STILL_CYCLES));
+    if (!axis->told)
+        axis->target = actual;
+    axis->told = true;
 }
 
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code)
 {
+    cut(m);
     alarm(m, kind, object, code, FAULT_HARDWARE);
     enter(&axes[m], SILENT);
     axes[m].asked = true;
-    cut(m);
 }
 
-void lose_home(void)
+void lose_home(int m)
 {
-    home_lost = home_lost || home_known;
+    if (drives[m].absolute || !home_known)
+        return;
+    home_lost = true;
     home_known = false;
 }
 
@@ -169,15 +198,18 @@ void drives_end(void)
         if (axes[m].stage == UP && !hurry)
             count_answers(m);
     cycle();
+    if (hurry) /* the next tick may be as hurried */
+        between();
     hurry = false;
 }
 
-void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS])
+void drives_start(const Drive of[MOTORS], const float load[MOTORS][MOTORS], float stroke_m)
 {
     memcpy(drives, of, sizeof drives);
     memset(axes, 0, sizeof axes);
     memset(&trouble, 0, sizeof trouble);
     loads = load;
+    stroke = stroke_m;
     wanted = was_ready = follows = hurry = home_known = home_lost = false;
     phase = 0;
     bus_alarm = 0;
@@ -208,11 +240,20 @@ bool hal_ready(void)
 
 bool hal_home(void)
 {
+    for (int m = 0; m < MOTORS; m++) {
+        int32_t home = drives[m].absolute ? 0 : axes[m].target;
+        float most = fabsf((float)home) + 1.01f * stroke * drives[m].counts_per_m;
+        if (most > 0x1p31f - 512) { /* of rounding */
+            alarm(m, TROUBLE_RANGE, 0, (uint32_t)home, FAULT_HARDWARE);
+            return false;
+        }
+        axes[m].home = home;
+    }
     home_known = true;
-    for (int m = 0; m < MOTORS; m++)
-        axes[m].home = drives[m].absolute ? 0 : axes[m].actual;
     return true;
 }
+
+void hal_forget(void) { home_known = home_lost = false; }
 
 void hal_command(const float position[MOTORS], const float velocity[MOTORS],
                  const float acceleration[MOTORS])
@@ -228,12 +269,14 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
 }
 
 /* A position is as old as the bus: while it is led, what is told is where it would be now, with the
-   following error that it had then. The drives tell no acceleration. */
+   following error that it had then; while it only holds, where it was told to be. The drives tell no
+   acceleration. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 {
     for (int m = 0; m < MOTORS; m++) {
         const Axis *axis = &axes[m];
-        int32_t place = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->home);
+        int32_t held = enabled(axis) ? axis->target : axis->actual;
+        int32_t place = (int32_t)((uint32_t)held - (uint32_t)axis->home);
         float counts = (float)(follows ? axis->error : place);
         position[m] = (follows ? led[0][m] : 0) + counts * drives[m].sign / drives[m].counts_per_m;
         acceleration[m] = 0;
@@ -243,7 +286,6 @@ void hal_measure(float position[MOTORS], float acceleration[MOTORS])
 uint8_t hal_faults(void)
 {
     uint8_t faults = home_lost ? FAULT_NO_HOME : 0;
-    home_lost = false;
     if (bus_alarm)
         faults |= FAULT_HARDWARE;
     for (int m = 0; m < MOTORS; m++) {
@@ -257,5 +299,7 @@ uint8_t hal_faults(void)
 bool hal_trouble(Trouble *out)
 {
     *out = trouble;
-    return trouble.kind != TROUBLE_NONE;
+    if (home_lost && !faulty())
+        *out = (Trouble){.kind = TROUBLE_HOME_LOST};
+    return out->kind != TROUBLE_NONE;
 }

@@ -14,6 +14,8 @@
 #define START_TICKS 100     /* for a start; also until a drive that is up may be enabled */
 #define STARTS 10           /* tries */
 #define KEEPS_TICKS 100     /* for a drive to take its current away */
+#define STILL_CYCLES 150    /* for which an axis must stand before it gets current, */
+#define STILL_M 0.0005f     /* within this [m] */
 
 typedef enum { SILENT, SETUP, STARTING, UP } Stage;
 
@@ -31,6 +33,9 @@ typedef struct {
     int32_t actual, home, target; /* [counts] */
     int32_t sent, reached; /* the last target that was sent, and where it should be when it answers */
     int32_t error;     /* of actual, when it was taken */
+    int32_t rest;      /* it has stood near here [counts] */
+    uint8_t still;     /* cycles since then, 0 to STILL_CYCLES */
+    bool told;         /* where it is, since the board started */
     uint16_t keeps;    /* ticks with current that it was told to take away */
     uint16_t alarm;    /* ticks for which `faults` are told on */
     uint16_t resets;   /* to the next try to reset its fault */
@@ -55,6 +60,8 @@ void cut(int m);                  /* take its current away, by all means that th
 void break_off(int m);            /* it has kept its current in spite of that */
 
 bool all_up(void);
+void placed(int m, int32_t actual); /* it told its position */
+bool stands(const Axis *axis);      /* for long enough that its position is believed */
 void alarm(int m, uint8_t kind, uint16_t object, uint32_t code, uint8_t faults);
 void explain(int m, uint8_t kind, uint32_t code); /* more of the trouble of that kind */
 void bus_trouble(uint8_t kind);
@@ -64,6 +71,6 @@ void enter(Axis *axis, Stage stage);
 /* It is begun anew, after a while. */
 void lose(int m, uint8_t kind, uint16_t object, uint32_t code);
 
-void lose_home(void); /* a drive may count from elsewhere now */
+void lose_home(int m); /* a drive may count from elsewhere now */
 
 #endif

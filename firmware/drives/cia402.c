@@ -18,6 +18,7 @@ enum { NMT = 0x000, SYNC = 0x080, EMERGENCY = 0x080, TPDO = 0x180, RPDO = 0x200,
        SDO_ANSWER = 0x580, SDO = 0x600, HEARTBEATS = 0x700 };
 enum { NMT_START = 0x01, NMT_RESET = 0x81, NMT_RESET_COMMUNICATION = 0x82 };
 enum { BOOT_UP = 0, OPERATIONAL = 5 };
+#define REMOTE 0x0200       /* of its statusword: it obeys controlwords */
 enum { DISABLE = 0x00, SHUTDOWN = 0x06, SWITCH_ON = 0x07, OPERATE = 0x0F, FAULT_RESET = 0x80 };
 
 /* What is set up before a node is started. Until it is done its PDOs are not used. */
@@ -31,6 +32,7 @@ typedef struct {
 #define PDO_OFF 0x80000000u
 static const Step STEPS[] = {
     {0x1000, 0, 4, READ, 402, 0xFFFF},            /* a drive, */
+    {0x6040, 0, 2, 0, DISABLE, 0},                /* without current whatever it did before, */
     {0x6502, 0, 4, READ, 1u << 7, 1u << 7},       /* with cyclic synchronous position, */
     {0x1018, 4, 4, READ | SERIAL, 0, 0xFFFFFFFF}, /* the one that is meant */
     {0x1017, 0, 2, 0, HEARTBEAT_MS, 0},
@@ -58,6 +60,7 @@ static const Step STEPS[] = {
     {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x280, 0},
     {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x380, 0},
     {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x480, 0},
+    {0x6061, 0, 1, READ, 8, 0xFF},    /* it has taken the mode on */
     {0x1400, 1, 4, PLUS_NODE, RPDO, 0},
     {0x1800, 1, 4, PLUS_NODE, TPDO, 0},
 };
@@ -77,11 +80,13 @@ static void command(int m, uint8_t order)
     send(NMT, data, 2);
 }
 
-/* A node that is not operational obeys no PDO: its current is taken away by SDO too. */
+/* A node that is not operational obeys no PDO, one that is stopped no SDO either. */
 void cut(int m)
 {
     const uint8_t disable[8] = {0x2B, 0x40, 0x60, 0, DISABLE};
     send((uint16_t)(SDO + drives[m].node), disable, 8);
+    if (axes[m].stage == UP && enabled(&axes[m]))
+        command(m, NMT_RESET);
 }
 
 void break_off(int m) { command(m, NMT_RESET); }
@@ -154,7 +159,8 @@ static void heartbeat(int m, uint8_t state)
     Axis *axis = &axes[m];
     axis->unheard = 0;
     if (state == BOOT_UP) {
-        lose_home();
+        if (axis->stage != SILENT || axis->step == 0) /* it does not answer our own reset */
+            lose_home(m);
         if (axis->stage == UP || axis->stage == STARTING)
             alarm(m, TROUBLE_RESET, 0, 0, FAULT_HARDWARE);
         enter(axis, SETUP);
@@ -175,28 +181,29 @@ static uint8_t fault_of(uint16_t code)
 static void emergency(int m, const CanFrame *frame)
 {
     uint16_t code = get_u16(frame->data);
-    if (code != 0 && frame->size >= 3)
-        alarm(m, TROUBLE_EMERGENCY, frame->data[2], code, fault_of(code));
+    if (code != 0 && frame->size >= 2)
+        alarm(m, TROUBLE_EMERGENCY, frame->size > 2 ? frame->data[2] : 0, code, fault_of(code));
 }
 
 static void positioned(int m, const uint8_t data[6])
 {
     Axis *axis = &axes[m];
+    if (axis->stage == SILENT && axis->step == 0 && axis->told) /* home stays if it goes on from here */
+        axis->actual = (int32_t)get_u32(data + 2);
     if (axis->stage != STARTING && axis->stage != UP)
         return;
     axis->status = get_u16(data);
-    axis->actual = (int32_t)get_u32(data + 2);
-    axis->error = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->reached);
-    axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
+    placed(m, (int32_t)get_u32(data + 2));
     if (in_fault(axis) && !axis->alarm)
         alarm(m, TROUBLE_FAULT, 0, axis->status, FAULT_HARDWARE);
-    else if (was_ready && axis->stage == UP && !enabled(axis) && !in_fault(axis))
+    else if (was_ready && axis->stage == UP && !in_fault(axis) &&
+             !(enabled(axis) && axis->status & REMOTE))
         alarm(m, TROUBLE_LEFT, 0, axis->status, FAULT_HARDWARE);
 }
 
 void take(const CanFrame *frame)
 {
-    if (frame->id == SYNC || frame->id == NMT)
+    if (frame->id == SYNC || frame->id == NMT || frame->id == HEARTBEATS + MASTER)
         bus_trouble(TROUBLE_OTHER_MASTER);
     for (int m = 0; m < MOTORS; m++) {
         uint16_t id = (uint16_t)(frame->id - drives[m].node);
@@ -208,7 +215,7 @@ void take(const CanFrame *frame)
             answered(m, frame->data);
         else if (id == EMERGENCY)
             emergency(m, frame);
-        else if (id == RPDO)
+        else if (id == RPDO || id == SDO)
             bus_trouble(TROUBLE_OTHER_MASTER);
     }
 }
@@ -224,7 +231,7 @@ static uint16_t controlword(Axis *axis)
         return wanted || axis->resets >= RESET_CYCLES ? DISABLE : FAULT_RESET;
     }
     axis->resets = BOOT_TICKS / CYCLE_TICKS;
-    if (!wanted || !all_up())
+    if (!wanted || !all_up() || !(enabled(axis) || stands(axis)))
         return DISABLE;
     if ((axis->status & 0x4F) == 0x40) /* switch on disabled */
         return SHUTDOWN;
@@ -237,10 +244,12 @@ void cycle(void)
 {
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
-        if (!enabled(axis)) /* where it is: no jump once it has current */
+        if (!enabled(axis) && stands(axis)) /* no jump once it has current */
             axis->target = axis->actual;
         axis->reached = axis->sent;
         axis->sent = axis->target;
+        if (!axis->told)
+            continue; /* it may have current, from before our reset */
         uint8_t data[6];
         put_u32(put_u16(data, controlword(axis)), (uint32_t)axis->target);
         send((uint16_t)(RPDO + drives[m].node), data, 6);
@@ -257,6 +266,8 @@ static void keep_house(int m)
         ask(m);
         return;
     }
+    if (axis->stage == SILENT)
+        cut(m);
     command(m, axis->stage == SILENT ? NMT_RESET_COMMUNICATION : NMT_START);
     axis->asked = true;
     axis->since = 0;

@@ -14,8 +14,9 @@ typedef struct {
     uint32_t serial;    /* object 1018h:04; 0: any */
 } Drive;
 
-/* `load`: forces that the motors need for accelerations of all of them [kg]; it must stay. */
-void drives_start(const Drive drives[MOTORS], const float load[MOTORS][MOTORS]);
+/* `load`: forces that the motors need for accelerations of all of them [kg]; it must stay. `stroke_m`:
+   how far they go from home. */
+void drives_start(const Drive drives[MOTORS], const float load[MOTORS][MOTORS], float stroke_m);
 void drives_begin(void); /* before each controller_tick: take what came */
 void drives_end(void);   /* after it: send what is due */
 

@@ -68,7 +68,7 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     if (axis->stage == STARTING && axis->answers && !(errors & INITIALIZING)) {
         enter(axis, UP);
         axis->proven = false;
-        lose_home(); /* it may have been reset */
+        lose_home(m); /* it may have been reset */
     } else if (axis->stage == UP && bitten) {
         axis->proven = true;
         axis->asked = false;
@@ -80,13 +80,10 @@ static void heartbeat(int m, uint32_t errors, uint8_t state)
     }
 }
 
-static void positioned(Axis *axis, float turns)
+static void positioned(int m, float turns)
 {
-    if (axis->stage < STARTING || !(fabsf(turns) < TURNS))
-        return;
-    axis->actual = (int32_t)lrintf(turns * COUNTS);
-    axis->error = (int32_t)((uint32_t)axis->actual - (uint32_t)axis->reached);
-    axis->answers = (uint8_t)(axis->answers + (axis->answers < 2));
+    if (axes[m].stage >= STARTING && fabsf(turns) < TURNS)
+        placed(m, (int32_t)lrintf(turns * COUNTS));
 }
 
 static void answered(int m, const CanFrame *frame)
@@ -101,7 +98,7 @@ static void answered(int m, const CanFrame *frame)
     if (message == HEARTBEAT_OF)
         heartbeat(m, get_u32(data), data[4]);
     else if (message == GET_ESTIMATES)
-        positioned(axis, get_f32(data));
+        positioned(m, get_f32(data));
     else if (message == GET_ERROR && get_u32(data + 4))
         explain(m, TROUBLE_ERROR, get_u32(data) | get_u32(data + 4));
     else if (message == GET_VERSION && axis->stage == SILENT && axis->asked && data[0] == PROTOCOL)
@@ -149,7 +146,7 @@ static void order(int m)
         if (axis->stage == UP && in_fault(axis) && axis->resets == 0)
             tell(m, CLEAR_ERRORS, 0, 0);
         axis->step = axis->stage == UP ? 0 : axis->step;
-    } else if (!enabled(axis) && axis->step-- == 0) {
+    } else if (!enabled(axis) && stands(axis) && axis->step-- == 0) {
         tell(m, CLEAR_ERRORS, 0, 0);
         tell(m, SET_MODE, POSITION_CONTROL, PASSTHROUGH);
         tell(m, SET_STATE, CLOSED_LOOP, 0);
@@ -163,7 +160,7 @@ void cycle(void)
     for (int m = 0; m < MOTORS; m++) {
         Axis *axis = &axes[m];
         bool polled = axis->stage >= STARTING && !hurry && !tried(axis);
-        if (!enabled(axis) && !(axis->asked && axis->step)) /* where it is: no jump */
+        if (!enabled(axis) && stands(axis) && !(axis->asked && axis->step)) /* no jump */
             axis->target = axis->actual;
         uint32_t step = (uint32_t)axis->target - (uint32_t)axis->sent;
         axis->reached = (int32_t)((uint32_t)axis->sent + (uint32_t)((int32_t)step / 2));

@@ -54,6 +54,7 @@ void motors_order(const char *line)
 
 bool hal_ready(void) { return true; }
 bool hal_home(void) { return ++searched >= search; }
+void hal_forget(void) {}
 uint8_t hal_faults(void) { return faults; }
 
 bool hal_trouble(Trouble *trouble)

@@ -33,6 +33,7 @@ from plate_core.tasks import (
     start_positions,
 )
 from plate_driver.transports import check_transport, open_port
+from plate_driver.transports.transport import installed
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS
@@ -148,6 +149,12 @@ def checked(args: argparse.Namespace) -> Plan:
         raise PlateError(f"seed is {args.seed}, allowed: 0 to {2**31 - 1}")
     if args.domain is not None and not 0 <= args.domain <= 101:
         raise PlateError(f"domain is {args.domain}, allowed: 0 to 101")
+    known = sorted({*installed(), *DRIVES})
+    if transport not in known:
+        raise PlateError(
+            f"transport is {transport!r}{did_you_mean(transport, known)}, "
+            f"allowed: {', '.join(known)}"
+        )
     check_transport(transport, args.port or "of the simulated device")
     if drives and args.port:
         raise PlateError(

@@ -80,8 +80,8 @@ bool can_off(void)
     bool off = CAN1->ESR & ESR_BOFF, left = off && !was_off;
     was_off = off;
     if (left) { /* old setpoints must not be sent once it is back */
+        waiting.out = waiting.in; /* first: each mailbox that is empty takes the next */
         CAN1->TSR = TSR_ABRQ;
-        waiting.out = waiting.in;
     }
     return left;
 }

@@ -199,6 +199,8 @@ bool hal_home(void)
     return true;
 }
 
+void hal_forget(void) {} /* it is searched for at the next enable */
+
 uint8_t hal_faults(void)
 {
     uint8_t faults = supply_bad >= SUPPLY_TICKS ? FAULT_SUPPLY : 0;

@@ -114,6 +114,19 @@ class Whole:
 
 
 @dataclass(frozen=True)
+class Sign:
+    """1 or -1."""
+
+    words: ClassVar[str] = "1 or -1"
+
+    def read(self, value: Any) -> int:
+        """Return it."""
+        if isinstance(value, bool) or value not in (1, -1):
+            raise ValueError
+        return int(value)
+
+
+@dataclass(frozen=True)
 class _OfType:
     """A value of one type."""
 
@@ -261,6 +274,8 @@ class Key:
         """Unit of its numbers; `-` for pure numbers, nothing where there are no numbers."""
         if not isinstance(self.kind, Number | Numbers | Several | Whole):
             return ""
+        if self.name.endswith("_per_m"):
+            return "1/m"
         return UNITS.get(self.name.rsplit("_", 1)[-1] if "_" in self.name else "", "-")
 
 

@@ -219,6 +219,15 @@ GOOD = (3, 1e6), (4, 1e6)
 TURNS = [(n, 25 * 2**20) for n in (1, 2, 3, 4)]
 
 
+def changed(*numbers, **change):
+    """The rig with linear motors, with other drives of these motors."""
+    rig = load_rig("linear_motors")
+    motors = list(rig.motors)
+    for k in numbers:
+        motors[k - 1] = replace(motors[k - 1], drive=replace(motors[k - 1].drive, **change))
+    return replace(rig, motors=tuple(motors))
+
+
 def mixed():
     """CiA 402, and one ODrive."""
     rig, other = load_rig("linear_motors"), load_rig("odrives")
@@ -231,6 +240,8 @@ def mixed():
         (drives((1, 1e6), (3, 1e6), *GOOD), True, "motor_3: node is 3, as that of motor_2, allo"),
         (drives((1, 5e9), (2, 1e6), *GOOD), True, "motor_1: counts_per_m is 5e+09, allowed with"),
         (drives((1, 1e6), (2, 5e4), *GOOD), False, "motor_2: counts_per_m is 50000: a count is 20"),
+        (changed(2, 4, serial=77), True, "motor_4: serial is 77, as that of motor_2, allowed: a"),
+        (changed(2, absolute=True), False, "motors: home is 'here' of some and 'absolute' of"),
         (mixed(), True, "motor_4: drive is 'odrive' and motor_1 has 'cia402', allowed: the same"),
         (
             drives(*TURNS[:3], (63, 2**20), of="odrives"),
@@ -262,7 +273,8 @@ def test_drives_that_do_not_fit_are_named(rig, impossible, text):
             {"drive": "odrive", "turns_per_m": 25},
             r"motor_1: unknown key counts_per_m .*, allowed: .*, node, point_m, sign, turns_per_m",
         ),
-        ({"drive": "bridge"}, "motor_1: unknown key node, allowed: direction, drive, point_m"),
+        ({"sign": True}, "motor_1: sign is True, allowed: 1 or -1"),
+        ({"drive": "bridge"}, "motor_1: node is 1, allowed: only with drive: cia402 or odrive"),
     ],
 )
 def test_keys_of_a_drive_are_checked(spoilt, change, text):

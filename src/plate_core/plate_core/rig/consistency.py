@@ -130,7 +130,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
             "motors", f"motors: {name}: drive is {kinds[name]!r} and {first} has {kind!r}, "
             "allowed: the same for all four", True,
         )  # fmt: skip
+    if len({drive.absolute for drive in drives.values()}) > 1:
+        yield Doubt(
+            "motors", "motors: home is 'here' of some and 'absolute' of others: the plate is level "
+            "at home only if it hangs there; better: the same for all four",
+        )  # fmt: skip
     nodes: dict[int, str] = {}
+    serials: dict[int, str] = {}
     for name, drive in drives.items():
         if drive.node in nodes:
             yield Doubt(
@@ -138,6 +144,13 @@ def _drives(rig: Rig) -> Iterator[Doubt]:
                 "allowed: another one for each motor", True,
             )  # fmt: skip
         nodes[drive.node] = name
+        if drive.serial in serials:
+            yield Doubt(
+                "motors", f"motors: {name}: serial is {drive.serial}, as that of "
+                f"{serials[drive.serial]}, allowed: another one for each motor", True,
+            )  # fmt: skip
+        if drive.serial:
+            serials[drive.serial] = name
         odrive = drive.kind == "odrive"
         if odrive and drive.node > ODRIVE_NODES:
             yield Doubt(

@@ -3,7 +3,7 @@ means (docs/reference.md)."""
 
 from __future__ import annotations
 
-from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Table, Whole
+from ..yaml_fields import Choice, Flag, Key, Number, Numbers, Section, Sign, Table, Whole
 
 FAR_M = 10.0
 """No coordinate is greater [m]."""
@@ -44,7 +44,7 @@ MOTOR = Section(
             "linear motor pairs of poles; of odrive.", None, "needed with it",
         ),
         Key(
-            "sign", Whole(-1, 1), "-1 where the drive counts against `direction`, else 1.", 1,
+            "sign", Sign(), "-1 where the drive counts against `direction`, else 1.", 1,
         ),
         Key(
             "home", Choice(("here", "absolute")), "here: home is where the plate hangs at the "

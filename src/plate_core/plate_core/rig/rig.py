@@ -398,16 +398,16 @@ def _motors(fields: Fields) -> tuple[Motor, ...]:
 def _drive(fields: Fields) -> Drive | None:
     kind = fields.value(keys.MOTOR["drive"])
     if kind == "bridge":
+        for key in ("node", "counts_per_m", "turns_per_m", "sign", "home", "serial"):
+            if fields.has(key):
+                raise fields.fail(key, "only with drive: cia402 or odrive")
         return None
     odrive = kind == "odrive"
     scale = fields.value(required(keys.MOTOR["turns_per_m" if odrive else "counts_per_m"]))
-    sign = fields.value(keys.MOTOR["sign"])
-    if sign == 0:
-        raise fields.fail("sign", "1 or -1")
     return Drive(
         fields.value(required(keys.MOTOR["node"])),
         scale * keys.ODRIVE_COUNTS if odrive else scale,
-        sign,
+        fields.value(keys.MOTOR["sign"]),
         fields.value(keys.MOTOR["home"]) == "absolute",
         0 if odrive else fields.value(keys.MOTOR["serial"]) or 0,
         kind,

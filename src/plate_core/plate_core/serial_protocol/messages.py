@@ -88,6 +88,8 @@ class Trouble(IntEnum):
     OTHER_MASTER = 14  # somebody else leads the drives
     ERROR = 15  # an ODrive has left operation, or has errors; code: these
     NO_WATCHDOG = 16  # an ODrive would go on if the board were gone
+    HOME_LOST = 17  # a drive may count from elsewhere; until Home
+    RANGE = 18  # the drive's counts end within the stroke; code: its position
 
 
 def _wire(code: str, count: int = 1, kind: Any = None) -> dict[str, Any]:
@@ -274,6 +276,8 @@ WORDS = {
     Trouble.ERROR: "errors of the drive: {errors} ({code:08X}h)",
     Trouble.NO_WATCHDOG: "the drive holds on in silence: set its enable_watchdog, and "
     "watchdog_timeout to 0.1 s",
+    Trouble.HOME_LOST: "home is lost: let the plate hang at home, then call home, then enable",
+    Trouble.RANGE: "position {code:08X}h at home: its counts end within the stroke, move its zero",
 }
 
 ODRIVE_ERRORS = {

@@ -21,6 +21,7 @@ Frame = tuple[int, bytes]
 
 SYNC, TPDO, RPDO, ANSWER, REQUEST, HEARTBEAT = 0x80, 0x180, 0x200, 0x580, 0x600, 0x700
 
+MODE = 0x6060
 OFF, READY, SWITCHED_ON, ENABLED = 0x250, 0x231, 0x233, 0x237
 """Statuswords of the power states."""
 
@@ -75,7 +76,10 @@ class _Node:
         """Answer to an expedited SDO."""
         command, index, sub, value = struct.unpack("<BHBI", request)
         if command != 0x40:
-            self.objects[index, sub], command, value = value, 0x60, 0
+            self.objects[index, sub] = value
+            if index == MODE:
+                self.objects[MODE + 1, 0] = value  # it takes it on at once
+            command, value = 0x60, 0
         elif (index, sub) in self.objects:
             command, value = 0x43, self.objects[index, sub]
         else:
