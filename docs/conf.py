@@ -15,6 +15,7 @@ include_patterns = [
     "docs/guide/*.md",
     "docs/api/*.rst",
     "firmware/README.md",
+    "firmware/drives/README.md",
     "firmware/boards/*/README.md",
 ]
 exclude_patterns = [".*", "build", "install", "log", "out"]
