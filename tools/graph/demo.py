@@ -33,7 +33,7 @@ from plate_core.tasks import (
     start_positions,
 )
 from plate_driver.transports import check_transport, open_port
-from plate_driver.transports.transport import installed
+from plate_driver.transports import installed
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS

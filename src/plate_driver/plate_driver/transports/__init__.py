@@ -16,6 +16,7 @@ from .transport import (
     Transport,
     TransportContext,
     check_transport,
+    installed,
     make_transport,
 )
 
@@ -37,6 +38,7 @@ __all__ = [
     "TransportContext",
     "TransportThread",
     "check_transport",
+    "installed",
     "make_serial",
     "make_sim",
     "make_transport",
