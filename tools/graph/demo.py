@@ -32,8 +32,7 @@ from plate_core.tasks import (
     load_scenario,
     start_positions,
 )
-from plate_driver.transports import check_transport, open_port
-from plate_driver.transports import installed
+from plate_driver.transports import check_transport, installed, open_port
 from plate_planner import Planner
 from plate_sim.world import Disturbances
 from plate_solver import METHODS
