@@ -409,8 +409,9 @@ class Observer:
         GraphError
             If that is refused, or they are not ready in time.
         """
-        record, braking = self.record, DriverStatus.BRAKING
-        self.until(lambda: record.driver is None or record.driver.state != braking, READY_S)
+        record, starting = self.record, (DriverStatus.UNCONFIGURED, DriverStatus.INACTIVE)
+        soon = *starting, DriverStatus.BRAKING  # images may be answered before the driver has begun
+        self.until(lambda: record.driver is not None and record.driver.state not in soon, READY_S)
         answer = SetBool.Response()
 
         def enabled() -> bool:
