@@ -305,7 +305,7 @@ def bus_off(bench, drive):
     bench.order("busoff")
 
 
-FAULTS = [  # what; what is told of motor 2, or 0: the bus; after at most [ms]
+FAULTS = [  # what; what is reported of motor 2, or 0: the bus; after at most [ms]
     (lose_heartbeat, 2, Trouble.SILENT, 0, Fault.HARDWARE, 175),
     (reset, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
     (quick_reset, 2, Trouble.ERROR, 0, Fault.HARDWARE, 25),

@@ -268,7 +268,7 @@ void hal_command(const float position[MOTORS], const float velocity[MOTORS],
     follows = true;
 }
 
-/* A position is as old as the bus: while it is led, what is told is where it would be now, with the
+/* A position is as old as the bus: while it is led, the answer is where it would be now, with the
    following error that it had then; while it only holds, where it was told to be. The drives tell no
    acceleration. */
 void hal_measure(float position[MOTORS], float acceleration[MOTORS])

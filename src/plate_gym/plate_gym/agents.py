@@ -27,7 +27,7 @@ KNOWN = ("time_s", "running", "bare_images", "limit_share", "scaled")
 
 @dataclass(frozen=True)
 class Brief:
-    """What an agent is told of its environment; copies, which nobody else uses.
+    """What an agent knows of its environment: copies that nobody else uses.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ def test_all_tasks_are_registered(gym):
 
 
 def test_tasks_say_what_they_said(gym):
-    """Whoever changes a scenario or a rig of a task makes a new version of it."""
+    """A change of a task's scenario or rig needs a new version of the task."""
     from plate_gym.tasks import digest
 
     assert {name: digest(scenario) for name, (scenario, _) in gym.TASKS.items()} == {

@@ -9,7 +9,7 @@ from plate_sim.contacts import Contacts
 from plate_sim.friction import bar, disc, polygon, union
 from plate_sim.plate import LEVEL
 from plate_sim.world import STEP
-from plate_sim.world.bodies import run_bodies
+from plate_sim.world.bodies import job_of
 
 G = 9.81
 L_SHAPE = union(
@@ -163,10 +163,10 @@ def test_a_shaken_crowd_overlaps_by_20_micrometres_at_most(shape, count, pull):
 def test_a_part_beyond_the_edge_is_gone():
     place = np.array([[0.295, 0.0], [0.27, 0.0], [0.0, 0.0]])
     speed = np.array([[0.5, 0], [0, 0], [0, 0]])
-    run = run_bodies(
+    run = job_of(
         PlateCycle.rest(0.1), disc(0.012), np.full(3, 0.01), (place, 0, speed, 0),
         np.array([True, True, False]), G, Contacts(), LEVEL, HALF, 500, 1, 1,
-    )  # fmt: skip
+    ).run()  # fmt: skip
     assert run.on_plate.tolist() == [False, True, False]
     assert run.position[-1, 0] == pytest.approx([0.3, 0], abs=2e-4)
     assert run.velocity[-1, 0].tolist() == [0, 0]
@@ -202,10 +202,10 @@ def test_names_do_not_matter_for_a_crowd():
 )
 def test_parts_that_overlap_at_the_start_are_refused(parts, place, message):
     with pytest.raises(PlateError, match="overlap by") as error:
-        run_bodies(
+        job_of(
             PlateCycle.rest(0.1), parts, np.ones(2), (place, 0, np.zeros((2, 2)), 0),
             np.ones(2, bool), G, Contacts(), LEVEL, HALF, 500, 1, 0, ["a", "b"],
-        )  # fmt: skip
+        ).run()  # fmt: skip
     assert message in str(error.value)
 
 

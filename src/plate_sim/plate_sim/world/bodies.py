@@ -215,49 +215,11 @@ def simulate_bodies(
     if contacts is not None and contacts.walls and half is None:
         raise PlateError("contacts have walls, allowed: none on an endless plate")
     every = equal_steps(cycle.period / max(1, samples), step)
-    return run_bodies(
+    return job_of(
         cycle, footprint, limit, (position, angle, velocity, spin), np.ones(len(position), bool),
         gravity, contacts, ground, ENDLESS if half is None else half, every * max(1, samples),
         whole("cycles", cycles), every if samples else 0,
-    )  # fmt: skip
-
-
-def run_bodies(
-    motion: PlateCycle | PlateMotion,
-    footprint: Footprint | Sequence[Footprint],
-    limit: np.ndarray,
-    start: tuple[np.ndarray, float | np.ndarray, np.ndarray, float | np.ndarray],
-    on_plate: np.ndarray,
-    gravity: float,
-    contacts: Contacts | None,
-    ground: Ground,
-    half: np.ndarray,
-    steps: int,
-    cycles: int,
-    every: int,
-    ids: Sequence[str] | None = None,
-) -> BodyTrajectory:
-    """Advance finite parts through cycles of the plate's motion, in `steps` equal steps each.
-
-    Parts are sorted by place first: results do not depend on the order of their names. Parameters
-    are those of `simulate_bodies`, and
-
-    limit : (M,)
-        mu g of each part [m/s2].
-    start : tuple
-        Position, angle, velocity, spin.
-    on_plate : (M,)
-        Which parts are there. One that is gone stays where it is, at rest, and touches nothing.
-    every : int
-        Steps from one recorded state to the next; 0: the end alone.
-    ids : sequence of str, optional
-        Names of the parts in messages, by default 0, 1, ...
-    """
-    job = job_of(
-        motion, footprint, limit, start, on_plate, gravity, contacts, ground, half, steps, cycles,
-        every, ids,
-    )  # fmt: skip
-    return job.outcome(_kernels.run(*job.arguments))
+    ).run()  # fmt: skip
 
 
 class Job(NamedTuple):
@@ -276,6 +238,10 @@ class Job(NamedTuple):
     arguments: tuple
     order: np.ndarray
     names: Sequence[Any]
+
+    def run(self) -> BodyTrajectory:
+        """Make the call."""
+        return self.outcome(_kernels.run(*self.arguments))
 
     def outcome(self, overlap: tuple[int, int, float, float]) -> BodyTrajectory:
         """Return what has become of the parts, if the kernel found no overlap.
@@ -317,9 +283,25 @@ def job_of(
     steps: int,
     cycles: int,
     every: int,
-    ids: Sequence[str] | None,
+    ids: Sequence[str] | None = None,
 ) -> Job:
-    """Return the call that `run_bodies` makes, all checked."""
+    """Return the call that advances finite parts through cycles of the plate's motion, in `steps`
+    equal steps each; all is checked.
+
+    Parts are sorted by place first: results do not depend on the order of their names. Parameters
+    are those of `simulate_bodies`, and
+
+    limit : (M,)
+        mu g of each part [m/s2].
+    start : tuple
+        Position, angle, velocity, spin.
+    on_plate : (M,)
+        Which parts are there. One that is gone stays where it is, at rest, and touches nothing.
+    every : int
+        Steps from one recorded state to the next; 0: the end alone.
+    ids : sequence of str, optional
+        Names of the parts in messages, by default 0, 1, ...
+    """
     check_motion(motion, cycles)
     started = _columns(*start)
     count = len(started)

@@ -14,7 +14,7 @@ from ..friction.checks import friction_accel
 from ..friction.footprint import Footprint
 from ..friction.outline import footprint_of
 from ..plate import LEVEL, Ground, PlateMotion
-from .bodies import STEP, BodyTrajectory, equal_steps, job_of, run_bodies
+from .bodies import STEP, BodyTrajectory, equal_steps, job_of
 from .state import WorldState
 
 
@@ -92,11 +92,11 @@ def _run(
     limit = friction_accel(mu, gravity, count)
     if np.shape(state.on_plate) != (count,):
         raise PlateError(f"on_plate has shape {np.shape(state.on_plate)}, allowed: ({count},)")
-    path = run_bodies(
+    path = job_of(
         cycle, [footprints[label] for label in labels], limit,
         (state.position, state.angle, state.velocity, state.spin), state.on_plate, gravity,
         contacts, ground, rig.plate.half, equal_steps(cycle.period, step), cycles, every, state.ids,
-    )  # fmt: skip
+    ).run()  # fmt: skip
     return moved(state, path), path
 
 
