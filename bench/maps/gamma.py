@@ -124,8 +124,8 @@ MAP = StabilityMap(
     bounds=(0.0, 1.5),
     log="y",
     steps=True,
-    finding="A motion whose forces are right on average pushes parts wrongly unless the plate "
-    "shakes much harder than a rig can: that is why what runs is solved on the cycle map.",
+    finding="Forces that are right on average push parts wrongly unless the plate shakes much "
+    "harder than a rig can.",
     note=f"Over one cycle, from rest; median of {REQUESTS} random requests up to {FORCE:g} mu mg "
-    "on each axis, as many harmonics as the solver takes. The default rig has Γ = 40.8.",
+    "on each axis. The default rig has Γ = 40.8.",
 )

@@ -65,7 +65,6 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     steps=True,
-    finding="Small random requests that Method B solves. N harmonics have 6 N - 2 numbers that "
-    "matter, M parts need 2 M: one harmonic serves nobody, two serve five parts.",
+    finding="One harmonic serves nobody, two serve five parts.",
     note=f"{REQUESTS} random requests of {FORCE:g} mu mg at most, solved to {TOLERANCE:g}.",
 )

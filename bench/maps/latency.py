@@ -188,8 +188,8 @@ MAP = StabilityMap(
     bounds=(0.0, 6.0),
     log="x",
     finding="A loop that takes late images for new swings up from about half a cycle on, sooner "
-    "if parts are less slippery than believed. Where parts are "
-    "more slippery, theory's growth, some per cent a cycle, does not show within the runs.",
+    "if parts are less slippery than believed. Theory's growth where they are more slippery, some "
+    "per cent a cycle, does not show within the runs.",
     note=f"One part, {CYCLES} cycles of 0.1 s, mean of {len(SEEDS)} runs; kp = {KP:g}, no "
-    "estimate of friction or age: the planner's estimation finds out both.",
+    "estimate of friction or age, which the planner makes.",
 )

@@ -81,7 +81,7 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 0.4),
     log="xy",
-    finding="Two parts that are nearer to each other than centres of rotation are cannot be pushed "
-    "apart: the force that is guaranteed falls with their distance. A denser library helps.",
+    finding="The force that is guaranteed to push two parts apart falls with their distance. A "
+    "denser library helps.",
     note=f"Median of {PAIRS} random pairs. A unit of force has a mean square over parts of one.",
 )

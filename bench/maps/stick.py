@@ -107,7 +107,7 @@ MAP = StabilityMap(
     measure=measure,
     bounds=(0.0, 1.0),
     log="y",
-    finding="Below a shaking ratio of 1 the plate carries the part along and nothing is done. The "
-    "average force holds where it never rests: the more is asked, the harder the plate must shake.",
+    finding="The average force holds where the part never rests: the more is asked, the harder "
+    "the plate must shake.",
     note=f"In its rhythm, after {CYCLES} cycles; border: {100 * LEVEL:g} % of the cycle.",
 )

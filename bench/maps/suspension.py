@@ -128,7 +128,6 @@ MAP = StabilityMap(
     steps=True,
     finding="A plate that hangs softer than the line has to be learned first. Rotations, with "
     "their quick ramps, need one that is 1.6 to 3.3 times as fast as sinusoids do.",
-    note=f"Root mean squares of the plate's motion; median of {REQUESTS} random requests, each "
-    f"repeated until the plate is in its rhythm; damping {100 * DAMPING:g} %, motors 15 % apart, "
-    "with a lag of 200 Hz.",
+    note=f"Root mean squares; median of {REQUESTS} random requests, in the plate's rhythm; "
+    f"damping {100 * DAMPING:g} %, motors 15 % apart, with a lag of 200 Hz.",
 )

@@ -63,11 +63,10 @@ def feeding(rows: list[Row]) -> Chart:
     lost = sum(r["lost"] for r in rows if r["method"] == "ours")
     return Chart(
         "feeding", "", "A feeder: parts a minute against accuracy of the pose",
-        "Simulated production of a minute a run, with a hopper and a robot; the base is 20 discs, "
-        "clearance 6 mm, a robot of 2 s, and one thing is changed at a time. The "
-        "peers shake all parts, look, and pick all that lie ready; "
-        "the idealised one lays them out evenly at random in 0.6 s, which no feeder does. Bars are "
-        "to lie within 5 degrees of one angle.",
+        "Simulated production of a minute a run, with a hopper and a robot: 20 discs, clearance "
+        "6 mm, a robot of 2 s, and one thing changed at a time. The peers shake all parts, look, "
+        "and pick all that lie ready; the idealised one (thrown) lays them out evenly at random in "
+        "0.6 s, which no feeder does. Bars are to lie within 5 degrees of one angle.",
         f"Parts a minute with a robot of 2 s, 30 at most: {told}. Ours lost {lost or 'none'} over "
         "an edge.",
         "", panels,

@@ -59,14 +59,13 @@ def force_map(rows: list[Row]) -> Chart:
     return Chart(
         "force_map", "a", "Force map: error against time",
         "The averaged friction of a part under a plate motion, random cases; the truth is scipy's "
-        "quad with its tolerances at 1e-10. Down and to the left is better.",
+        "quad with its tolerances at 1e-10.",
         f"The error of the worst 1 % is {best['p99']:.0e} mu mg in {best['us']:.0f} µs, "
         f"{quad['us'] / best['us']:.0f} times as fast as scipy's quad; equal steps are "
         f"faster but miss {WANTED:g} by a factor of a hundred and more where the surface almost "
-        "stands still.",
+        "stands still, as where a search ends.",
         "average_force for judging, forces inside the search: the fastest that keep the worst "
-        f"1 % below {WANTED:g} mu mg; what is faster on the front is wrong just at the dips where "
-        "a search ends.",
+        f"1 % below {WANTED:g} mu mg.",
         panels,
     )  # fmt: skip
 
@@ -113,13 +112,12 @@ def rotations(rows: list[Row]) -> Chart:
     ours, svd = value["library, least time"], value["24 on a grid, SVD"]
     return Chart(
         "rotations", "b", "Method A: forces and time of its linear problem",
-        "Guaranteed: the force in any direction that takes one cycle of time, before it is "
-        "realised as a motion; realised: what closed motions within the rig's limits give.",
+        "Guaranteed: the force in any direction that takes one cycle of time; realised: what "
+        "closed motions within the rig's limits give.",
         f"A library of centres with least time guarantees {ours:.3f} mu mg for ten parts, the "
         f"paper's SVD weights on 24 centres {svd:.4f}; ours takes "
         f"{shown(value['ours, cold'])} ms, HiGHS {shown(value['scipy linprog (HiGHS)'])} ms.",
-        "Library, least time, closed as a sequence: ten times the force of the SVD for a fraction "
-        "of the time of a general linear programme.",
+        "Library, least time, closed as a sequence.",
         panels,
     )  # fmt: skip
 
@@ -149,8 +147,7 @@ def inversion(rows: list[Row]) -> Chart:
         "N is the number of harmonics; in brackets: as many as the solver chooses.",
         f"Met with as many harmonics as the solver chooses: {told}; of "
         f"the rest at least a share of {least:.2f} in the median.",
-        "As many harmonics as the solver chooses: with the fewest that the rank allows, "
-        "many requests are out of reach.", panels,
+        "As many harmonics as the solver chooses.", panels,
     )  # fmt: skip
 
 
@@ -169,7 +166,7 @@ def learning(rows: list[Row]) -> Chart:
     return Chart(
         "learning", "", "Learning the plate",
         "A plate on flexures, 35 Hz, damping 3 %, motors 15 % apart: error of the harmonics of "
-        "cycles not used for learning, after each experiment; three are the calibration.",
+        "cycles not used for learning; three experiments are the calibration.",
         f"The largest error falls from {first['most']:.0f} % to {last['most']:.2f} % in "
         f"{last['iteration']} experiments.", "", panels,
     )  # fmt: skip

@@ -52,8 +52,7 @@ def tracking(rows: list[Row]) -> Chart:
     return Chart(
         "tracking", "f", "Part speed against tracking error",
         "Parts on circles of 50 mm radius, faster and faster until a run does not keep it "
-        "(hollow): it ends badly, errs more than 6 mm or takes too long. No part can be faster on "
-        "average than aT/16, a the plate's acceleration and T its period.",
+        "(hollow): it ends badly, errs more than 6 mm or takes too long.",
         f"Fastest speed kept [mm/s]: {most}; bound aT/16 = {min(column(rows, 'bound_mm_s')):.0f} "
         f"to {max(column(rows, 'bound_mm_s')):.0f}.",
         "Method B: never slower than Method A, where both were tried." if leads else
@@ -101,8 +100,7 @@ def control(rows: list[Row]) -> Chart:
     return Chart(
         "control", "e", "Closed loop: what more control time buys",
         "The whole loop without ROS, camera noise and uneven friction on; each point is a setting "
-        "of the solver (restarts, iterations), several seeds. Hollow: not all runs ended well. "
-        "Down and to the left is better.",
+        "of the solver (restarts, iterations), several seeds.",
         f"Per cycle, our default: {told}.",
         "Method B, at most 24 iterations and 40 restarts: paths gain nothing from more, sorting "
         "a little.",
@@ -152,8 +150,8 @@ def cameras(rows: list[Row]) -> Chart:
         "cameras", "", "Cameras that run free: which are good enough",
         "Two parts along rectangles at 40 mm/s, uneven friction, 10 ms of exposure, 30 images a "
         "second, 40 ms late, stamps that scatter by 5 ms, one of these changed at a time; the "
-        "planner knows none of them. Hollow: not all runs ended well. A camera is good for the "
-        f"task below the red line, {ALLOWED_MM:g} mm (median of the runs), if all end well.",
+        f"planner knows none of them. Good: below the red line, {ALLOWED_MM:g} mm (median of the "
+        "runs), if all end well.",
         f"{shown(usual['rms_mm'])} mm at 30 images a second, {shown(triggered['rms_mm'])} mm with "
         f"a triggered camera. Good for it, of what was tried: {'; '.join(borders)}.",
         "", panels,
@@ -188,10 +186,8 @@ def rigs(rows: list[Row]) -> Chart:
     right = sum((r["feasible"] == "likely") == (percent(r) > 50) for r in rows)
     return Chart(
         "rigs", "", "Sizing a rig: what small and weak ones reach",
-        "The default rig (0.6 x 0.3 m, shaking ratio 40.8, stroke 10 mm, motors of 200 N) but for "
-        "what a name says, and the desk's plate of 0.15 x 0.15 m with 2 mm. Uneven friction; "
-        "follow_2 at 40 mm/s, on the desk at 10. Hollow: not all runs ended well. Crosses: the "
-        "time that `ros2 run plate_solver feasible` had estimated.",
+        "The default rig but for what a name says, and two others. Uneven friction; follow_2 at "
+        "40 mm/s, on the desk at 10. Crosses: the time that `feasible` had estimated.",
         f"Not all runs ended well on {told or 'none'}. feasible was right (likely: more than half "
         f"of the runs end well) in {right} of {len(rows)} cases.",
         "", panels,
@@ -231,9 +227,9 @@ def bound(rows: list[Row]) -> Chart:
         "bound", "", "How fast parts can be moved",
         "Mean speed of scattered parts, half of them to the left, half to the right, anywhere "
         "across. Found: the best steady cycle of a global search with the rig's limits, with the "
-        "plate at rest between cycles and without; no bound, as the search is not exhaustive. "
-        "Bounds: of one part on a plate that shakes along a line (proof: docs/model.md). Closed "
-        "loop: until half of all ways are done, with the starts and the lanes that it takes.",
+        "plate at rest between cycles and without; not exhaustive. Bounds: of one part on a plate "
+        "that shakes along a line (proof: docs/model.md). Closed loop: until half of all ways are "
+        "done.",
         f"Best cycle found with rest [mm/s]: {listed(counts, most['rest_mm_s'])}; closed loop: "
         f"{listed(counts, loop)}. Without rest cycles are found that are faster by a factor of "
         f"{gain}.",
@@ -258,7 +254,7 @@ def crowds(rows: list[Row]) -> Chart:
     return Chart(
         "crowds", "", "Sizing a rig: how many parts it sorts",
         "Half of them to the left, half to the right, on the default rig. Medians over the seeds, "
-        "in a clean world; hollow: not all runs ended well.",
+        "in a clean world.",
         f"{' / '.join(shown(n) for n in by(rows, 'parts'))} parts are sorted in "
         f"{medians(rows, 'time_s')} s, "
         f"{dropped or 'none'} dropped.",

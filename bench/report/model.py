@@ -44,10 +44,9 @@ def model(rows: list[Row]) -> Chart:
     told = ", ".join(f"{r['scene']} {shown(r['cpu_ms'])}" for r in most)
     return Chart(
         "model", "c", "Simulator: no more is computed than a scene needs",
-        "A cycle of the plate of 100 ms, by what the scene has: nothing that touches, parts that "
-        "touch, a plate that turns, one on flexures. By events is the judge, points that neither "
-        "meet nor turn. Down is better.",
+        "A cycle of the plate of 100 ms. By events is the judge, points that neither meet nor "
+        "turn.",
         f"One model, {most[0]['parts']} parts, core time of a cycle [ms]: {told}.",
-        "The one model: contacts, turning and suspension cost nothing where a scene has none.",
+        "The one model.",
         panels,
     )  # fmt: skip

@@ -24,8 +24,9 @@ to 0.2 s) a motion must be found. So every stage has a time and an error: this p
 against the other, ours beside the best others, and how both grow with the number of parts.</p>
 <p class="soft">Method A of the paper strings rotations of the plate about chosen centres together,
 Method B, our default, superposes sinusoids. Forces are given in mu mg, the sliding friction of one
-part. Times are of one core. Point at a mark to see what it is; drag to zoom,
-double-click to zoom out; the names above a chart switch its marks on and off.</p>"""
+part. Times are of one core. A hollow mark says that not all runs ended well. Point at a mark to see
+what it is; drag to zoom, double-click to zoom out; the names above a chart switch its marks on and
+off.</p>"""
 
 
 def write_report(path: Path, data: Data, facts: Data, charts: Sequence[Chart]) -> None:

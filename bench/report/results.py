@@ -16,16 +16,16 @@ FOLDER = "results"
 FACTS = "measured.json"
 """There too: when and on what machine the CSV files were measured, and their headings."""
 
-MOST_ROWS = 24
+MOST_ROWS = 12
 """Longer tables are in the CSV file only."""
 
 ABOUT = """# Results: speed against accuracy
 
 Written by `make charts` from its measurements; do not edit. The same with charts to point at and to
-zoom: `out/report/index.html`. Forces are in mu mg, the sliding friction of one part. The front of
-what is not beaten in both time and error is drawn as a black line, our default has a ring. Times
-are of the cores: other programs count little, but on a busy machine (its load is given) times are
-up to twice as long.
+zoom, and with all rows: `out/report/index.html`. Forces are in mu mg, the sliding friction of one
+part. A black line joins what is not beaten in both time and error, our default has a ring, a hollow
+mark says that not all runs ended well. Times are of the cores; on a busy machine (its load is
+given) they are up to twice as long.
 """
 
 
@@ -69,19 +69,10 @@ def write_results(path: Path, facts: Data, charts: Sequence[Chart]) -> None:
     parts = [
         ABOUT,
         "\n".join([*lines, f"All measurements behind the charts: {minutes:.0f} minutes."]) + "\n",
-        "## Charts\n",
-        *(f"- [{one.full_title}](#{anchor(one.full_title)})" for one in charts),
-        "",
         *(section(one, facts, commit) for one in charts),
         demos(folder),
     ]
     path.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
-
-
-def anchor(title: str) -> str:
-    """Return the name that a heading has in links."""
-    kept = "".join(c for c in title.lower() if c.isalnum() or c in " -")
-    return kept.replace(" ", "-")
 
 
 def section(chart: Chart, facts: Data, commit: str) -> str:
@@ -99,8 +90,8 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     told = [
         f"`make bench ARGS={name}`{measured(facts.get(name), commit)}" for name in chart.sources
     ]
-    rows = f"[All {len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)."
-    lines.append(f"{rows} To repeat: {', '.join(told)}.\n")
+    rows = f"[{len(chart.sheet.rows)} rows]({FOLDER}/{chart.key}.csv)"
+    lines.append(f"{rows}: {', '.join(told)}.\n")
     return "\n".join(lines)
 
 
@@ -112,20 +103,19 @@ def demos(folder: Path) -> str:
     runs: Mapping[str, Mapping[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
     lines = [
         "## Demos\n",
-        "Each is one run of the real graph, five nodes in five processes. With `--lockstep` "
-        "simulated time waits for the answers, so a film does not depend on what else the machine "
-        "did, and a seed repeats it; without it is real time. `python tools/demos.py` makes all. "
-        "Parts, their trails and targets have the colour of their class; a cross shows where a "
+        "Each is one run of the real graph, five nodes in five processes, by the command named; "
+        "`python tools/demos.py` makes all. With `--lockstep` simulated time waits for the "
+        "answers, and a seed repeats the film; without it is real time. A cross shows where a "
         "part fell off. Arrows are the mean friction force of the cycle that runs: in films on "
-        "each part, in picture strips on a part anywhere on the plate; keys tell their scale.\n",
+        "each part, in picture strips on a part anywhere on the plate.\n",
     ]
     for name, run in runs.items():
-        lines.append(f"### {name}\n\n{run['description']} {run['outcome']}\n")
+        told = f"{run['description']} {run['outcome']} `{run['command']}`"
+        lines.append(f"### {name}\n\n{told}\n")
         if (folder / f"{name}.webp").exists():
             lines += [
-                f"![{name} as the camera sees it]({FOLDER}/{name}.webp)\n",
+                f"![{name}]({FOLDER}/{name}.webp)\n",
                 f"<details><summary>Picture strip</summary>\n\n![{name}]({FOLDER}/{name}.png)\n\n"
                 "</details>\n",
             ]
-        lines.append(f"To repeat: `{run['command']}`.\n")
     return "\n".join(lines)

@@ -58,12 +58,11 @@ def solver(rows: list[Row]) -> Chart:
     )
     return Chart(
         "solver", "b", "Solvers on the averaged map: error against time",
-        "Random requests up to 0.2 mu mg from a cold start, each a point, and their medians; "
-        f"judged on samples that no solver has used. Errors below {LEAST_ERROR:g} are drawn there. "
-        "Points above the line were not met: with few harmonics some requests cannot be.",
+        "Random requests up to 0.2 mu mg from a cold start, each a point, and their medians, "
+        "judged on samples that no solver has used. Points above the line were not met: with few "
+        "harmonics some cannot be.",
         f"Within 1e-4 mu mg, Method B: {lead}.",
-        "Method B, sinusoids: the least time for every number of parts, and ten times as exact as "
-        "Method A, which stops at 1e-3 mu mg.",
+        "Method B, sinusoids: Method A stops at 1e-3 mu mg.",
         panels,
     )  # fmt: skip
 
@@ -102,14 +101,14 @@ def options(rows: list[Row]) -> Chart:
     return Chart(
         "options", "b", "Solvers on the stick-slip cycle: error against time",
         "What the loop solves, but from a cold start, with no slack and all parts at once: drifts "
-        "up to 5 mm/s along each axis, judged by the simulator. Lines join the same method with "
-        "more and more restarts. On the paper's averaged map a part's swing within a cycle is left "
-        "out, so it misses more than is asked. Down and to the left is better.",
+        "up to 5 mm/s along each axis, judged by the simulator. Lines join more and more restarts. "
+        "The paper's averaged map leaves a part's swing within a cycle out, and misses more than "
+        "is asked.",
         f"With {counts} parts Method B misses {told('B', '3 restarts')}, Method A "
         f"{told('A', '1 restarts')}, scipy by its own differences "
         f"{told('scipy, own differences', '3 restarts')}.",
-        "Method B: 3 restarts are near the front at every number of parts; in the loop, where it "
-        "starts from the last answer, it has 40, and what more effort buys there is shown in (e).",
+        "Method B: 3 restarts are near the front; in the loop it has 40, and (e) shows what "
+        "they buy.",
         panels,
     )  # fmt: skip
 

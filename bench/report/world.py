@@ -77,14 +77,13 @@ def sim(rows: list[Row]) -> Chart:
     return Chart(
         "sim", "c", "Simulator: error against speed, beside its peers",
         "Each point is a setting (tolerance or step). Parts alone are judged in scenes whose "
-        "answer is known; discs that collide by how deep they overlap, which true ones never do; "
-        "a body that turns against scipy. Down and to the right is better.",
+        "answer is known, discs that collide by how deep they overlap, a body that turns against "
+        "scipy. Down and to the right is better.",
         f"At pymunk's error, {lead} times as fast as pymunk with {counts} parts that move all "
         f"ways, and to an error of {min(column(cases['travel'], 'error_mm')):.0e} mm where that is "
         "wanted.",
-        f"Points by events at a tolerance of {DEFAULT_TOLERANCE}: at once the fastest and the most "
-        f"exact. The world takes one model of parts, in steps of {1e3 * STEP:g} ms: they slide, "
-        "turn and touch, at an overlap that no camera sees.",
+        f"Points by events at a tolerance of {DEFAULT_TOLERANCE}; the world's model of parts in "
+        f"steps of {1e3 * STEP:g} ms, at an overlap that no camera sees.",
         panels,
     )  # fmt: skip
 
@@ -194,7 +193,7 @@ def vision(rows: list[Row]) -> Chart:
     return Chart(
         "vision", "d", "Vision: error against time, beside its peers",
         "Images of 640 x 480 px by the simulated camera with noise; 1 px is about 1 mm. Hollow: "
-        "parts are missed or invented, so no front goes there. Down and to the left is better.",
+        "parts are missed or invented, so no front goes there.",
         f"Ours: {span(ours, 'rms_px')} px in {span(ours, 'loop_ms')} ms in a loop of its own, in "
         f"{span(ours, 'turns_ms')} ms in turns with the peers; no disc missed or invented, also "
         "where they touch.",
