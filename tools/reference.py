@@ -18,8 +18,8 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/reference.md"
 HEAD = """# All keys of scenario and rig files
 
 Made from the code that reads them, by `python tools/reference.py`; a test compares. What is wrong
-in a file is refused with file, key, value and what is allowed; a key that is unknown, with the
-nearest known one; a key that stands twice, with both lines.
+in a file is refused with file, key, value and what is allowed. A key that must be there has nothing
+in the column `if left out`.
 
 Coordinates are in the frame `plate_home`: origin at the centre of the plate at rest, x along its
 long side, y to the left, angles counter-clockwise from x. How the files are used:
@@ -40,29 +40,30 @@ def _section(section: Section) -> str:
 
 
 def _table(keys: Iterable[Key]) -> str:
-    rows = ["| key | what | unit | if left out | meaning |", "|---|---|---|---|---|"]
-    rows += [f"| `{k.name}` | {_what(k)} | {k.unit} | {_default(k)} | {k.meaning} |" for k in keys]
+    rows = ["| key | what | if left out | meaning |", "|---|---|---|---|"]
+    rows += [f"| `{k.name}` | {_what(k)} | {_default(k)} | {k.meaning} |" for k in keys]
     return "\n".join(rows)
 
 
 def _what(key: Key) -> str:
-    """Return type and range; what is plain from the unit is left out."""
+    """Return type, range and unit."""
+    unit = "" if key.unit in ("", "-") else f" {key.unit}"
     match key.kind:
         case Number(low, high):
-            return f"number, {low:g} to {high:g}"
+            return f"{low:g} to {high:g}{unit}"
         case Whole(low, high):
-            return f"whole number, {low} to {high}"
+            return f"whole number, {low} to {high}{unit}"
         case Numbers(_, low, high):
             size = key.kind.words.split(" numbers")[0]
-            return f"{size} numbers, {low:g} to {high:g}"
-    return key.kind.words
+            return f"{size} numbers, {low:g} to {high:g}{unit}"
+    return key.kind.words + (unit and f" [{key.unit}]")
 
 
 def _default(key: Key) -> str:
     if key.otherwise:
         return key.otherwise
     if key.required:
-        return "must be there"
+        return ""
     if isinstance(key.default, str):
         return key.default
     if isinstance(key.default, bool):
