@@ -29,20 +29,21 @@ long side, y to the left, angles counter-clockwise from x. How the files are use
 
 def page() -> str:
     """Return the page."""
-    parts = [HEAD, "\n## Scenario files: config/scenarios\n", *map(_section, tasks.SECTIONS)]
-    parts += ["\n## Rig files: config/rig.yaml\n", *map(_section, rig.SECTIONS)]
+    parts = [HEAD, "\n## Scenario files: config/scenarios\n", *_sections(tasks.SECTIONS)]
+    parts += ["\n## Rig files: config/rig.yaml\n", *_sections(rig.SECTIONS)]
     return "".join(parts)
 
 
-def _section(section: Section) -> str:
-    head = f"\n### `{section.where}`\n\n{section.about}\n"
-    return f"{head}\n{_table(section.keys)}\n"
-
-
-def _table(keys: Iterable[Key]) -> str:
-    rows = ["| key | what | if left out | meaning |", "|---|---|---|---|"]
-    rows += [f"| `{k.name}` | {_what(k)} | {_default(k)} | {k.meaning} |" for k in keys]
-    return "\n".join(rows)
+def _sections(sections: Iterable[Section]) -> Iterable[str]:
+    """Yield the sections of a file; what a key means is said once."""
+    told: set[tuple[str, str]] = set()
+    for section in sections:
+        yield f"\n### `{section.where}`\n\n{section.about}\n"
+        yield "\n| key | what | if left out | meaning |\n|---|---|---|---|\n"
+        for key in section.keys:
+            meaning = "as above" if (key.name, key.meaning) in told else key.meaning
+            told.add((key.name, key.meaning))
+            yield f"| `{key.name}` | {_what(key)} | {_default(key)} | {meaning} |\n"
 
 
 def _what(key: Key) -> str:
