@@ -80,7 +80,7 @@ def section(chart: Chart, facts: Data, commit: str) -> str:
     lines = [
         f"## {chart.full_title}\n",
         f"{chart.finding}\n",
-        f"![{chart.title}]({FOLDER}/{chart.key}.png)\n",
+        f"![{chart.key}]({FOLDER}/{chart.key}.png)\n",
         f"*{chart.reading}*\n",
     ]
     if chart.default:
