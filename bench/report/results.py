@@ -16,7 +16,7 @@ FOLDER = "results"
 FACTS = "measured.json"
 """There too: when and on what machine the CSV files were measured, and their headings."""
 
-MOST_ROWS = 12
+MOST_ROWS = 8
 """Longer tables are in the CSV file only."""
 
 ABOUT = """# Results: speed against accuracy
