@@ -11,7 +11,9 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={
+        NAME: ["py.typed", "firmware/*.[ch]", "firmware/drives/*", "firmware/boards/linux/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -22,7 +24,13 @@ setup(
     zip_safe=False,
     maintainer="The plate developers",
     maintainer_email="plate@example.org",
-    description="Drives on a CAN bus without a board: commissioning from the host.",
+    description="Drives on a CAN bus without a board: commissioned, and led, from the host.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"commission = {NAME}.commission:main"]},
+    entry_points={
+        "console_scripts": [
+            f"commission = {NAME}.commission:main",
+            f"lateness = {NAME}.lateness:main",
+        ],
+        "plate_driver.transports": [f"socketcan = {NAME}.socketcan:make"],
+    },
 )

@@ -1,4 +1,5 @@
-"""Drives of CiA 402 on a CAN bus without a board in between: they are commissioned from here.
+"""Drives on a CAN bus without a board in between.
 
-`commission` is the command; it needs python-can.
+`commission` looks at drives of CiA 402 and fits the rig file to them (it needs python-can);
+`socketcan` is the transport by which this computer leads drives, and `lateness` tells how well.
 """

@@ -35,8 +35,6 @@ START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
 OPERATIONAL, PDO_OFF, LED, LEADABLE = 5, 1 << 31, 0x227, 0x26F
 DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
-OTHERS = ((0x1401, 0x300), (0x1402, 0x400), (0x1403, 0x500), (0x1801, 0x280), (0x1802, 0x380),
-          (0x1803, 0x480))  # fmt: skip
 STEPS = (
     (0x6040, 0, DISABLE, 2),  # whatever it did before
     (0x1017, 0, BEAT_MS, 2), (0x1016, 1, OWN_NODE << 16 | SILENT_MS, 4),
@@ -46,13 +44,11 @@ STEPS = (
     (0x1600, 2, 0x607A0020, 4), (0x1600, 0, 2, 1), (0x1400, 2, 1, 1),
     (0x1800, 1, PDO_OFF | TPDO, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x60410010, 4),
     (0x1A00, 2, 0x60640020, 4), (0x1A00, 0, 2, 1), (0x1800, 2, 1, 1),
-    *((index, 1, PDO_OFF | identifier, 4) for index, identifier in OTHERS),
     (0x1400, 1, RPDO, 4), (0x1800, 1, TPDO, 4),
 )  # fmt: skip
-"""Object, subindex, value, bytes; as in firmware/drives/cia402.c, but for the times. To values of
-14xxh:01 and 18xxh:01 the number of the node is added."""
-OPTIONAL = {0x605A, *dict(OTHERS)}
-NO_OBJECT = (0x06020000, 0x06090011)
+"""Object, subindex, value, bytes; as in firmware/drives/cia402.c, but for the times, and PDOs that
+nobody uses here. To values of 1400h:01 and 1800h:01 the number of the node is added."""
+OPTIONAL, NO_OBJECT = 0x605A, 0x06020000
 
 
 @contextlib.contextmanager
@@ -152,11 +148,11 @@ class Axis:
         self._command(RESET_COMMUNICATION)
         master.wait(READY_S, lambda: told.boots)
         for index, sub, value, size in STEPS:
-            value += node if index >> 8 in (0x14, 0x18) and sub == 1 else 0
+            value += node if index in (0x1400, 0x1800) and sub == 1 else 0
             try:
                 master.write(node, index, sub, value, size)
             except Refused as error:
-                if index not in OPTIONAL or error.code not in NO_OBJECT:
+                if (index, error.code) != (OPTIONAL, NO_OBJECT):
                     raise
         mode = master.read(node, 0x6061, signed=True)
         if mode != 8:
