@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from can_drives import Drive, SteppedNetwork
 from simulated_firmware import shaking
 
 from plate_core import PlateError, load_rig
@@ -46,6 +45,7 @@ class Bench:
 
     def __init__(self, program, name):
         import can
+        from can_drives import Drive, SteppedNetwork
 
         self.program, self.name = program, name
         self.network = SteppedNetwork(name)
