@@ -196,8 +196,8 @@ class HostTransport(SerialTransport):
     Attributes
     ----------
     allowed_ms : float
-        By how much a setpoint may be late: as long as the plate, at its greatest speed, needs for the
-        following error that is a fault [ms].
+        By how much a setpoint may be late: as long as the plate, at its greatest speed, needs for
+        the following error that is a fault [ms].
     """
 
     def __init__(
