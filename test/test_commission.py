@@ -397,6 +397,21 @@ def test_nobody_holds_a_motor_for_ever(bench, rig_file, capsys, monkeypatch):
     assert all_off(bench)
 
 
+def test_a_host_that_is_late_is_slower_and_makes_no_jump(bench, rig_file):
+    bench.only(1)
+    bench.answers["Which motor"] = "none"
+    bench.moving(lambda drive: [bench.step() for _ in range(100)])
+    assert bench.run(rig_file) == 1
+    synced = [1e3 * at for at, identifier, _ in bench.sent if identifier == 0x80]
+    gaps = [b - a for a, b in pairwise(synced)]
+    assert max(gaps) >= 100
+    assert min(gaps) >= 5
+    told = [data for _, i, data in bench.sent if i == RPDO + 1 and data[0] == 15]
+    targets = [int.from_bytes(data[2:], "little", signed=True) for data in told]
+    steps = [b - a for a, b in pairwise(targets)]
+    assert max(abs(b - a) for a, b in pairwise(steps)) < 15
+
+
 def test_a_motor_at_the_end_of_its_range_stays_off(bench, rig_file, capsys):
     put(bench.drives[0], 0x607D, 1, -20_000)
     put(bench.drives[0], 0x607D, 2, PLACES[0] + 400)
