@@ -32,7 +32,7 @@ ASTRAY_M = 1e-3
 """Following error that is a fault where the rig file has none [m]."""
 
 START, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x80, 0x81, 0x82
-OPERATIONAL, PDO_OFF, LED, LEADABLE = 5, 1 << 31, 0x227, 0x26F
+OPERATIONAL, PDO_OFF, NO_RTR, LED, LEADABLE = 5, 1 << 31, 1 << 30, 0x227, 0x26F
 DISABLE, QUICK_STOP, SHUTDOWN, SWITCH_ON, OPERATE = 0x00, 0x02, 0x06, 0x07, 0x0F
 
 STEPS = (
@@ -42,9 +42,9 @@ STEPS = (
     (0x60C2, 1, CYCLE_MS, 1), (0x60C2, 2, -3, 1), (0x6060, 0, 8, 1),  # cyclic synchronous position
     (0x1400, 1, PDO_OFF | RPDO, 4), (0x1600, 0, 0, 1), (0x1600, 1, 0x60400010, 4),
     (0x1600, 2, 0x607A0020, 4), (0x1600, 0, 2, 1), (0x1400, 2, 1, 1),
-    (0x1800, 1, PDO_OFF | TPDO, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x60410010, 4),
+    (0x1800, 1, PDO_OFF | NO_RTR | TPDO, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x60410010, 4),
     (0x1A00, 2, 0x60640020, 4), (0x1A00, 0, 2, 1), (0x1800, 2, 1, 1),
-    (0x1400, 1, RPDO, 4), (0x1800, 1, TPDO, 4),
+    (0x1400, 1, RPDO, 4), (0x1800, 1, NO_RTR | TPDO, 4),
 )  # fmt: skip
 """Object, subindex, value, bytes; as in firmware/drives/cia402.c, but for the times, and PDOs that
 nobody uses here. To values of 1400h:01 and 1800h:01 the number of the node is added."""
