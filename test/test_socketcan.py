@@ -148,7 +148,8 @@ def test_a_table_is_played_on_the_drives(bench):
     for node in NODES:
         at, travel = bench.targets(node)
         assert np.max(np.abs(np.diff(travel))) <= RIG.limits.speed * 2e-3
-        assert set(np.diff(at)) == {2}
+        assert set(np.diff(at)) <= {1, 2, 3}  # a tick's frames are seen in it, or in the next one
+        assert abs(np.mean(np.diff(at)) - 2) < 0.01
         wanted = np.max(np.abs(table.q[:, node - 1]))
         assert abs(np.max(np.abs(travel)) - wanted) < 0.02 * wanted
         assert travel[-1] == 0  # it was played three times, and rests
@@ -182,7 +183,8 @@ def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
     assert bench.off()
     for node in NODES:
         at, travel = bench.targets(node)
-        assert np.max(np.abs(np.diff(travel)) / np.diff(at)) <= 1e-3 * RIG.limits.speed
+        passed_ms = np.maximum(np.diff(at), 2)
+        assert np.max(np.abs(np.diff(travel)) / passed_ms) <= 1e-3 * RIG.limits.speed
     order = bench.transport.enable()
     assert order.failure == report.text
     bench.transport._late_ms = 0.0  # as after some time
