@@ -11,7 +11,7 @@ PACKAGES = sorted(path.parent.name for path in (ROOT / "src").glob("plate_*/setu
 """Those with code; plate_interfaces, the messages and actions, counts as ROS."""
 SHARED = "plate_core"
 """The one package that others may import."""
-COMPOSED = {"plate_bringup", "plate_gym"}
+COMPOSED = {"plate_bringup", "plate_drives", "plate_gym"}
 """The packages that put stages together."""
 
 ROS = re.compile(r"rclpy|\w+_msgs|\w+_interfaces|std_srvs|rosidl\w*|rpyutils|ament_\w+|launch\w*")
@@ -26,7 +26,7 @@ LIBRARIES = {
     "tornado": "python3-tornado",
     "yaml": "python3-yaml",
 }
-BY_PIP = {"gymnasium"}
+BY_PIP = {"can", "gymnasium"}
 """What pip alone installs: by rosdep's key pip would change the system's Python, which refuses."""
 TESTED_WITH = {"hypothesis": "python3-hypothesis", "pytest": "python3-pytest"}
 

@@ -1,4 +1,5 @@
-"""Files that a user names: read only if they are regular, and no larger than such files are.
+"""Files that a user names: read only if they are regular, and no larger than such files are;
+written whole or not at all.
 
 A FIFO would keep its reader waiting, and a device or a wrong file fill the memory.
 """
@@ -10,10 +11,11 @@ import os
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from .errors import PlateError
 
-__all__ = ["YAML_BYTES", "check_file", "read_file"]
+__all__ = ["YAML_BYTES", "check_file", "draft", "read_file"]
 
 YAML_BYTES = 250_000
 """Most in a YAML file: sixty taught types take 100 kB, and more takes seconds to parse."""
@@ -84,3 +86,29 @@ def _check(
 
 def _allowed(most_bytes: int) -> str:
     return f"a regular file up to {most_bytes / 1e6:g} MB"
+
+
+@contextlib.contextmanager
+def draft(path: str | Path, what: str, keeps: bool = True) -> Iterator[BinaryIO]:
+    """Open a file beside `path`, which takes its place once all is on the disk, if `keeps`; else,
+    and after an error, it is removed.
+
+    Raises
+    ------
+    PlateError
+        If it cannot be written: names `what` it is and the path.
+    """
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with beside.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        if keeps:
+            beside.replace(path)
+    except OSError as error:
+        raise PlateError(f"{what} {path}: cannot be written ({error})") from None
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)

@@ -110,7 +110,7 @@ class Options(NodeOptions):
     """Parameters of the driver."""
 
     transport: str = parameter("sim", "What moves the plate: sim, serial, or one more installed.")
-    port: str = parameter("", "Serial port of the motor controller, if transport is serial.")
+    port: str = parameter("", "Serial port of the motor controller, or bus of the transport.")
     baud: int = parameter(921_600, "Speed of the serial line [bit/s].", 9600, 4_000_000)
     longest_upload_s: float = parameter(
         0.5, "Longest time that a cycle of 64 pieces may take on the line [s].", 0.01, 60.0

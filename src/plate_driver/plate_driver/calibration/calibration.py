@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 from zipfile import BadZipFile
 
 import numpy as np
 
 from plate_core import PlateCycle, PlateError, Rig
-from plate_core.files import read_file
+from plate_core.files import draft, read_file
 from plate_core.motion import plate_state
 
 from ..transports import Measured
@@ -234,7 +230,7 @@ def check_writable(path: str | Path) -> None:
     PlateError
         If it cannot.
     """
-    with _draft(path) as file:
+    with draft(path, "calibration_file", keeps=False) as file:
         file.write(bytes(RESPONSE_BYTES))
 
 
@@ -246,27 +242,8 @@ def save_response(path: str | Path, response: Response) -> None:
     PlateError
         If that cannot be written.
     """
-    with _draft(path, keeps=True) as file:
+    with draft(path, "calibration_file") as file:
         np.savez(file, frequency=response.frequency, matrix=response.matrix, lever=response.lever)
-
-
-@contextlib.contextmanager
-def _draft(path: str | Path, keeps: bool = False) -> Iterator[BinaryIO]:
-    """Open a file beside `path`, which takes its place once all is on the disk, or is removed."""
-    path = Path(path)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with draft.open("wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        if keeps:
-            draft.replace(path)
-    except OSError as error:
-        raise PlateError(f"calibration_file {path}: cannot be written ({error})") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
 
 
 def saved_response(path: str | Path) -> Response:

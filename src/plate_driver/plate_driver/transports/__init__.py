@@ -5,7 +5,7 @@ A package of one's own makes a transport of a `TransportContext`, see docs/trans
 
 from .line import upload_s
 from .link import LATE_IN_MOTION, Link
-from .serial import LEAD_S, SerialTransport, make_serial, open_port
+from .serial import LEAD_S, Port, SerialTransport, make_serial, open_port
 from .sim import SimTransport, make_sim
 from .thread import ANSWER_S, BUSY, BUSY_S, Latch, TransportThread, urgent
 from .transport import (
@@ -31,6 +31,7 @@ __all__ = [
     "Link",
     "Measured",
     "Order",
+    "Port",
     "Report",
     "SerialTransport",
     "SimTransport",

@@ -370,6 +370,11 @@ class SerialTransport:
         """Whether something is still on its way to the device."""
         return self._link.busy
 
+    @property
+    def load(self) -> float:
+        """The longest tick of the device since the last `values`, as a share of a tick's period."""
+        return self._load
+
     def troubles(self) -> list[str]:
         """Return what went wrong since the last call."""
         troubles, self._troubles = self._troubles, []

@@ -1,0 +1,145 @@
+/* A Linux computer as the board: a timer of the kernel gives the ticks, SocketCAN is the bus of the
+   drives, stdin and stdout are the line to the host. Built with limits_rig.h of the rig file.
+
+     plate CAN [TICKS]
+
+   CAN is a descriptor that carries a struct can_frame in each datagram. TICKS is one from which eight
+   bytes are read, the number of ticks that have passed: a timerfd if there is none. It ends once its
+   input has ended and the motors are off. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/can.h>
+#include <linux/can/error.h>
+#include <linux/can/raw.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/timerfd.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "../../controller.h"
+#include "../../drives/can.h"
+#include "../../drives/drives.h"
+#include "../../message.h"
+#include "limits_rig.h"
+
+#define TICK_NS 1000000
+#define PRIORITY 50       /* of SCHED_FIFO, where the system allows it */
+#define LAST_TICKS 100u   /* for which it goes on without current, once its input has ended */
+
+static int can, ticks;
+static uint64_t now_us;
+static uint32_t boot;
+static float late; /* [ticks] */
+static bool ended, off, written = true;
+
+uint64_t hal_time_us(void) { return now_us; }
+uint32_t hal_boot(void) { return boot; }
+bool hal_idle(void) { return written; }
+void hal_watchdog(void) {}
+void hal_trigger(bool high) { (void)high; } /* there is no such line */
+
+size_t hal_read(uint8_t *data, size_t size)
+{
+    ssize_t count = read(STDIN_FILENO, data, size);
+    ended = ended || count == 0;
+    return count > 0 ? (size_t)count : 0;
+}
+
+void hal_write(const uint8_t *data, size_t size)
+{
+    written = write(STDOUT_FILENO, data, size) == (ssize_t)size; /* a frame goes whole, or not */
+}
+
+/* By how much a tick has begun too late, at most. */
+float hal_load(void)
+{
+    float most = late;
+    late = 0;
+    return most;
+}
+
+bool can_read(CanFrame *frame)
+{
+    struct can_frame came;
+    ssize_t size;
+    while ((size = read(can, &came, sizeof came)) == sizeof came) {
+        if (came.can_id & CAN_ERR_FLAG) {
+            off = off || came.can_id & CAN_ERR_BUSOFF;
+        } else if (!(came.can_id & (CAN_EFF_FLAG | CAN_RTR_FLAG)) && came.can_dlc <= 8) {
+            frame->id = (uint16_t)came.can_id;
+            frame->size = came.can_dlc;
+            memcpy(frame->data, came.data, sizeof frame->data);
+            return true;
+        }
+    }
+    off = off || (size < 0 && errno != EAGAIN && errno != EINTR);
+    return false;
+}
+
+void can_write(const CanFrame *frame)
+{
+    struct can_frame out = {.can_id = frame->id & CAN_SFF_MASK, .can_dlc = frame->size};
+    if (frame->id & CAN_REMOTE)
+        out.can_id |= CAN_RTR_FLAG;
+    memcpy(out.data, frame->data, sizeof out.data);
+    (void)!write(can, &out, sizeof out); /* what does not fit is dropped */
+}
+
+bool can_off(void)
+{
+    bool was = off;
+    off = false;
+    return was;
+}
+
+/* Let a tick pass; false: there are no more. */
+static bool tick_passed(void)
+{
+    struct itimerspec left = {.it_value = {0, TICK_NS}};
+    uint64_t passed;
+    if (read(ticks, &passed, sizeof passed) != sizeof passed)
+        return false;
+    timerfd_gettime(ticks, &left); /* of a timer: until the next one */
+    float own = (float)passed - (float)left.it_value.tv_nsec / TICK_NS;
+    late = own > late ? own : late;
+    now_us += passed * (TICK_NS / 1000);
+    return true;
+}
+
+int main(int argc, char **argv)
+{
+    static Controller controller;
+    const struct itimerspec each = {{0, TICK_NS}, {0, TICK_NS}};
+    const struct sched_param urgent = {.sched_priority = PRIORITY};
+    const can_err_mask_t errors = CAN_ERR_BUSOFF;
+    unsigned rests = 0;
+    if (argc < 2)
+        return 2;
+    can = atoi(argv[1]);
+    setsockopt(can, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof errors);
+    ticks = argc > 2 ? atoi(argv[2]) : timerfd_create(CLOCK_MONOTONIC, 0);
+    if (argc < 3 && timerfd_settime(ticks, 0, &each, NULL))
+        return 1;
+    for (int k = 0; k < 3; k++)
+        fcntl((const int[]){STDIN_FILENO, STDOUT_FILENO, can}[k], F_SETFL, O_NONBLOCK);
+    for (int k = 0; k < 4; k++) /* it ends by its input, with the motors off */
+        signal((const int[]){SIGPIPE, SIGINT, SIGTERM, SIGHUP}[k], SIG_IGN);
+    mlockall(MCL_CURRENT); /* where the system allows it, as the next one */
+    sched_setscheduler(0, SCHED_FIFO, &urgent);
+    boot = (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16;
+    drives_start(DRIVES, LIMITS.load, LIMITS.stroke_m);
+    controller_start(&controller, LIMITS);
+    while (rests < LAST_TICKS && tick_passed()) {
+        drives_begin();
+        controller_tick(&controller);
+        drives_end();
+        rests = ended && controller.state == STATE_OFF ? rests + 1 : 0;
+    }
+    return rests < LAST_TICKS;
+}

@@ -1,0 +1,275 @@
+"""Commission the drives of a rig, guided: `ros2 run plate_drives commission`.
+
+Needs no ROS: `python -m plate_drives.commission RIG` does the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import select
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from plate_core import PlateError, Rig, load_rig
+from plate_core.rig import Drive, Limits, rig_path
+
+from .axis import CYCLE_MS, Axis, switch_off, uninterrupted
+from .master import Master, open_bus
+from .rig_file import differences, write
+from .survey import Found, doubts, drives_of, survey
+
+__all__ = ["Ask", "ask", "commission", "main"]
+
+SIZE_M = 5e-4
+"""Travel of the motions [m]; a quarter of the stroke at most."""
+SHARE = 0.1
+"""Of the rig's speed and acceleration that motions use at most."""
+STAGES = (0.01, 0.1, 1.0)
+"""Of the travel, with a question between: counts_per_m may be far too great."""
+MOVE_S, SWING_S, SWING_HZ = 0.5, 4.0, 2.0
+"""Least time of a move; time and greatest frequency of the following test."""
+ANSWER_S = 60.0
+"""Longest wait for a person while a motor has current [s]."""
+ROUGH = 0.1
+"""What a person reads may be wrong by this share: then the scale of the rig file stays."""
+
+
+Ask = Callable[[str, Callable[[], object]], str]
+"""Asks a question, and lets what is to go on meanwhile go on until there is an answer."""
+
+
+def ask(question: str, meanwhile: Callable[[], object]) -> str:
+    """Ask a person, or a pipe; a PlateError if nobody is there."""
+    print(question, end=" ", flush=True)
+    # Unbuffered: nobody could wait for a line that was read ahead.
+    with open(0, "rb", buffering=0, closefd=False) as lines:
+        while not select.select([lines], [], [], 0)[0]:
+            meanwhile()
+        answer = lines.readline()
+    if not answer:
+        raise PlateError("nobody answers: the input has ended")
+    return answer.decode(errors="replace").strip()
+
+
+class Dialogue:
+    """What is asked and done of motor after motor, on a bus whose drives fit the rig."""
+
+    def __init__(self, rig: Rig, master: Master, found: dict[int, Found], ask: Ask) -> None:
+        self._rig, self._master, self._found, self._ask = rig, master, found, ask
+        self._size = min(SIZE_M, rig.limits.stroke_m / 4)
+
+    def ask(self, question: str, axis: Axis | None = None) -> str:
+        """Ask; while an axis has current it is held, and a person has not all time."""
+        end = self._master.now + ANSWER_S
+
+        def meanwhile() -> None:
+            if axis is None:
+                self._master.wait(0.02)
+            elif self._master.now > end:
+                raise PlateError(f"no answer for {ANSWER_S:g} s")
+            else:
+                axis.hold()
+
+        return self._ask(question, meanwhile)
+
+    def measured(self) -> tuple[dict[str, Drive], bool]:
+        """Return the drives of the motors that were moved, and whether all went well."""
+        new: dict[str, Drive] = {}
+        well = True
+        for number, drive in enumerate(drives_of(self._rig), 1):
+            way = "({:g}, {:g})".format(*self._rig.motors[number - 1].direction)
+            print(f"\nmotor_{number}, {self._found[drive.node]}")
+            question = (
+                f"It gets current, moves {1e3 * self._size:g} mm along {way}, and swings as far. "
+                "Nobody near, emergency stop at hand? Type yes, or Enter to leave it out:"
+            )
+            if self.ask(question) != "yes":
+                print(f"motor_{number} is left out")
+                continue
+            try:
+                name, changed = self._axis(number, drive)
+                if name in new:
+                    raise PlateError(f"{name} was named twice")
+                new[name] = changed
+            except PlateError as error:
+                well = False
+                print(f"error: {error}\nmotor_{number}: nothing is taken from this", flush=True)
+        return new, well
+
+    def _axis(self, number: int, drive: Drive) -> tuple[str, Drive]:
+        """Identify, measure and try one drive; returns its motor's name, and what it is."""
+        limits, size, values = self._rig.limits, self._size, self._found[drive.node].values
+        ends = values.get("lowest", 0), values.get("highest", 0)
+        scale = drive.sign * drive.counts_per_m
+        by_speed, by_accel = 1.9 * size / limits.speed, np.sqrt(5.8 * size / limits.accel / SHARE)
+        seconds = max(MOVE_S, by_speed / SHARE, by_accel)
+        with Axis(self._master, number, drive.node, scale, limits) as axis:
+            axis.enable(size, ends if ends[0] < ends[1] else (-(2**31), 2**31 - 1))
+            before = 0.0
+            for part in STAGES:
+                question = f"Told {1e3 * size * before:g} mm, did it move as far as one mm? no/yes:"
+                if before and self.ask(question, axis) != "no":
+                    raise PlateError(f"counts_per_m is {drive.counts_per_m:g}: is it too great?")
+                axis.follow(_move(size * before, size * part, seconds), seconds)
+                before = part
+            answer = self.ask(f"Which motor moved, 1 to 4? Enter for {number}:", axis)
+            if answer not in ("", "1", "2", "3", "4"):
+                raise PlateError(f"motor is {answer!r}, allowed: 1 to 4")
+            motor = self._rig.motors[int(answer or number) - 1]
+            way = "({:g}, {:g})".format(*motor.direction)
+            told = 1e3 * (axis.position - axis.start) / scale
+            answer = self.ask(
+                f"By its own counts it moved {told:+.3f} mm. How far did you see, in mm, + along "
+                f"{way}, - against it? Enter for the same:", axis,
+            )  # fmt: skip
+            axis.follow(_move(size, 0.0, seconds), seconds)
+            axis.scale = _scale(scale, told, answer)
+            self._swing(axis, size * min(1, abs(scale / axis.scale)), limits)
+        place = self._master.read(drive.node, 0x6064, signed=True) / axis.scale
+        home = "absolute" if drive.absolute else "here"
+        home = self.ask(
+            f"It hangs {1e3 * place:+.3f} mm from its drive's zero. Home is: here (where it hangs "
+            f"at the first enable), or absolute (that zero)? Enter for {home}:"
+        ) or home  # fmt: skip
+        if home not in ("here", "absolute"):
+            raise PlateError(f"home is {home!r}, allowed: here, absolute")
+        if home == "absolute" and abs(place) > limits.stroke_m:
+            raise PlateError("home is absolute and beyond stroke_m, allowed: here; or set its zero")
+        return motor.name, replace(
+            drive, counts_per_m=abs(axis.scale), sign=1 if axis.scale > 0 else -1,
+            absolute=home == "absolute", serial=values.get("serial", 0),
+        )  # fmt: skip
+
+    def _swing(self, axis: Axis, size: float, limits: Limits) -> None:
+        """Follow a sine within the limits, and tell how well."""
+        by_speed, by_accel = SHARE * limits.speed / size, np.sqrt(SHARE * limits.accel / size)
+        rate = min(2 * np.pi * SWING_HZ, by_speed, by_accel)
+        targets, actual = axis.follow(
+            lambda t: size * np.sin(rate * t) * _smooth(t) * _smooth(SWING_S - t), SWING_S
+        )
+        error = 1e3 * (actual - targets)
+        rms, speed = np.sqrt(np.mean(error**2)), np.gradient(targets, 1e-3 * CYCLE_MS)
+        lag = -(error @ speed) / (speed @ speed)  # [ms]
+        needed, allowed = lag * limits.speed, 1e3 * limits.following_error_m
+        print(
+            f"It follows {1e3 * size:.3g} mm at {rate / 2 / np.pi:.3g} Hz within {rms:.4f} mm RMS, "
+            f"{np.max(np.abs(error)):.4f} at most: a lag of {lag:.2f} ms, {needed:.2g} mm at "
+            f"speed_mps{' (TOO MUCH)' if 0 < allowed < needed else ''}; following_error_m is "
+            f"{allowed:g} mm. Setpoints were up to {1e3 * axis.late_s:.1f} ms late."
+        )
+
+
+def _smooth(u: float) -> float:
+    """Rise from 0 to 1 without slope or curvature at both ends."""
+    u = min(max(u, 0.0), 1.0)
+    return u**3 * (10 - u * (15 - 6 * u))
+
+
+def _move(start: float, end: float, seconds: float) -> Callable[[float], float]:
+    """Return a path from one travel to another [m]."""
+    return lambda t: start + (end - start) * _smooth(t / seconds)
+
+
+def _scale(scale: float, told_mm: float, answer: str) -> float:
+    """Return counts for a metre, negative if against the motor's direction, where a motion of
+    `told_mm` by `scale` was seen as the answer."""
+    try:
+        seen = float(answer or told_mm)
+    except ValueError:
+        seen = 0.0
+    if not 0.01 <= abs(seen / told_mm) <= 100:
+        raise PlateError(f"travel is {answer!r}, allowed: a number of mm, near {told_mm:.2g}")
+    new = scale * told_mm / seen
+    if abs(abs(new / scale) - 1) <= ROUGH:
+        return float(np.copysign(scale, new))
+    return float(f"{new:.3g}")
+
+
+def commission(path: Path, master: Master, only_check: bool, ask: Ask = ask) -> int:
+    """Look at the drives on a bus, and unless `only_check` move, measure and write them down.
+
+    Returns 0 if all fits, or is written; 1 if something is wrong.
+    """
+    rig = load_rig(path)
+    drives, found = drives_of(rig), survey(master)
+    print("\n".join(map(str, found.values())) or "nobody answers on the bus")
+    wrong = list(doubts(rig, found, master.rival))
+    for doubt in wrong:
+        print(f"{'WRONG' if doubt.impossible else 'note'}: {doubt.text}")
+    hindered = any(doubt.impossible and doubt.about != "limits" for doubt in wrong)
+    if only_check or hindered:
+        print("nothing was moved")
+        return int(any(doubt.impossible for doubt in wrong))
+    dialogue, well = Dialogue(rig, master, found, ask), False
+    try:
+        new, well = dialogue.measured()
+    finally:
+        well = _all_off(master, drives) and well
+    old = {motor.name: drive for motor, drive in zip(rig.motors, drives, strict=True)}
+    changes = {name: differences(old[name], drive) for name, drive in new.items()}
+    for name, keys in changes.items():
+        print(f"{name}: {', '.join(f'{key}: {v}' for key, v in keys.items()) or 'as it was'}")
+    if not any(changes.values()):
+        return int(not well)
+    if dialogue.ask(f"Write this to {path}? Type yes:") != "yes":
+        print("nothing is written")
+        return 1
+    write(path, new)
+    print(f"written: {path}")
+    return int(not well)
+
+
+def _all_off(master: Master, drives: Sequence[Drive]) -> bool:
+    """Take the current of all away, whatever one of them does; returns whether they have none."""
+    off = True
+    with uninterrupted():
+        for number, drive in enumerate(drives, 1):
+            try:
+                switch_off(master, number, drive.node)
+            except PlateError as error:
+                off = False
+                print(f"error: {error}", flush=True)
+    print("\nall drives are without current" if off else "")
+    return off
+
+
+def main() -> None:
+    """Run the command line; exit code 0: all well, 1: not, 2: wrong arguments, files or bus."""
+    parser = argparse.ArgumentParser(
+        prog="commission", description="Commission the drives of a rig (CiA 402 on CANopen): find "
+        "them on the bus, compare them with the rig file; then, motor by motor and only after you "
+        "have typed yes, move each a little, ask for direction and scale, try how well it follows, "
+        "and write down what changed.",
+    )  # fmt: skip
+    parser.add_argument("rig", help="rig file, or the name of one")
+    parser.add_argument("--bus", default="socketcan", help="interface of python-can (socketcan)")
+    parser.add_argument("--channel", default="can0", help="its channel (can0)")
+    parser.add_argument("--bitrate", type=int, default=1_000_000, help="if the interface sets it")
+    parser.add_argument("--check", action="store_true", help="only read and compare")
+    args = parser.parse_args()
+    for each in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(each, signal.default_int_handler)
+    try:
+        path = rig_path(args.rig)
+        drives_of(load_rig(path))  # before a bus is opened
+        bus = open_bus(args.bus, args.channel, args.bitrate)
+        try:
+            code = commission(path, Master(bus), args.check)
+        finally:
+            bus.shutdown()
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print("\ninterrupted; nothing is written", file=sys.stderr)
+        code = 130
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

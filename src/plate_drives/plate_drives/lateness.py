@@ -1,0 +1,69 @@
+"""Measure how late this computer is as the master of drives: `ros2 run plate_drives lateness`.
+
+No bus is needed, and nothing moves. Needs no ROS: `python -m plate_drives.lateness RIG`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import sys
+import time
+
+import numpy as np
+
+from plate_core import PlateError, load_rig
+
+from .socketcan import HostPort, HostTransport, program_of
+
+__all__ = ["main"]
+
+POLL_S = 0.002
+
+
+def measured(transport: HostTransport, seconds: float) -> np.ndarray:
+    """Return the greatest lateness in each 10 ms of so many seconds [ms]."""
+    late = [float("inf")]  # until it has said something
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if transport.poll():
+            late.append(transport.load)
+            transport.values()  # which begins anew
+        time.sleep(POLL_S)
+    return np.array(late[1:] or late)
+
+
+def main() -> None:
+    """Run the command line; exit code 0: good enough, 1: not, 2: wrong arguments or files."""
+    parser = argparse.ArgumentParser(
+        prog="lateness", description="Measure how late this computer is as the master of drives on "
+        "a CAN bus, and whether that is good enough for a rig. Use the computer meanwhile as you "
+        "will when the plate moves.",
+    )  # fmt: skip
+    parser.add_argument("rig", help="rig file, or the name of one, with drives")
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long (20)")
+    args = parser.parse_args()
+    try:
+        rig = load_rig(args.rig)
+        program = program_of(rig)
+    except PlateError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)  # nobody answers there
+    with near:
+        transport = HostTransport(
+            lambda: HostPort(program, "nowhere", lambda _: far), rig.limits, time.monotonic, 1
+        )
+        transport.open()
+        late = measured(transport, args.seconds)
+        transport.close()
+    print(
+        f"setpoints late, greatest in each 10 ms: median {np.median(late):.2f} ms, 99 in 100 below "
+        f"{np.percentile(late, 99):.2f} ms, at most {late.max():.2f} ms; allowed: "
+        f"{transport.allowed_ms:.2f} ms"
+    )
+    sys.exit(int(late.max() > transport.allowed_ms))
+
+
+if __name__ == "__main__":
+    main()

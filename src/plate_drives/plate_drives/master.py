@@ -1,0 +1,198 @@
+"""A CAN bus as its only master sees it, by any interface of python-can, with the services of
+CANopen (CiA 301). One thread: time passes, and frames are taken, in `Master.wait` alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from plate_core import PlateError
+from plate_core.serial_protocol import DriveTrouble, Trouble
+
+__all__ = ["Master", "open_bus"]
+
+OWN_NODE = 127
+NODES = range(1, OWN_NODE)
+NMT, SYNC, EMERGENCY, TPDO, RPDO = 0x000, 0x080, 0x080, 0x180, 0x200
+ANSWER, REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
+
+ANSWER_S = 0.3
+"""Longest wait for a node's answer [s]."""
+
+ABORTS = {
+    0x06010002: "read only", 0x06020000: "no such object", 0x06040041: "cannot be mapped",
+    0x06070010: "wrong length", 0x06090011: "no such subindex", 0x06090030: "value not allowed",
+    0x08000022: "not in this state of the drive",
+}  # fmt: skip
+EMERGENCIES = {
+    "8130": "heartbeat missed", "8611": "following error", "81": "communication", "2": "current",
+    "3": "voltage", "4": "temperature", "5": "hardware", "6": "software", "7": "sensor",
+}  # fmt: skip
+"""What aborts mean, and emergencies by how their code begins: the first that fits counts."""
+
+
+class Refused(PlateError):
+    """A node has answered a request by an abort, the code."""
+
+    def __init__(self, node: int, index: int, sub: int, code: int) -> None:
+        self.code = code
+        why = f"abort {code:08X}h, {ABORTS.get(code, 'see its manual')}"
+        super().__init__(f"node {node} refuses object {index:04X}h:{sub:02X} ({why})")
+
+
+def words(motor: int, kind: Trouble, index: int = 0, code: int = 0) -> str:
+    """Return what is wrong with a motor's drive, as `driver_status` says it of a board's."""
+    text = DriveTrouble(motor, kind, index, code % 2**32).words
+    return text + meaning(code) if kind is Trouble.EMERGENCY else text
+
+
+def meaning(code: int) -> str:
+    """Return ` (what an emergency or object 603Fh means)`; empty if that is unknown."""
+    fitting = [text for start, text in EMERGENCIES.items() if f"{code:04X}".startswith(start)]
+    return f" ({fitting[0]})" if fitting else ""
+
+
+@dataclass
+class Told:
+    """What a node has told: answers to SDO requests and TPDOs, since they were cleared; when its
+    last heartbeat came [s], and its state in that; boot-ups; code and error register of its first
+    emergency."""
+
+    answers: list[bytes] = field(default_factory=list)
+    places: list[bytes] = field(default_factory=list)
+    beat_at: float = float("-inf")
+    state: int | None = None
+    boots: int = 0
+    emergency: tuple[int, int] | None = None
+
+
+class Master:
+    """The only master of a bus of python-can."""
+
+    def __init__(self, bus: Any) -> None:
+        self._bus = bus
+        self.told = {node: Told() for node in NODES}
+        self.rival = False
+        """Whether another master has spoken."""
+
+    @property
+    def now(self) -> float:
+        """Time that never runs back [s]."""
+        return time.monotonic()
+
+    def send(self, identifier: int, data: bytes = b"") -> None:
+        """Send a frame; a PlateError if the bus does not take it."""
+        import can
+
+        frame = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+        try:
+            self._bus.send(frame, timeout=0.1)
+        except (can.CanError, OSError) as error:
+            raise PlateError(
+                f"the CAN bus takes no frame ({error}): look at the drives' supply, wires, "
+                "termination and bit rate"
+            ) from None
+
+    def heard(self, until: float) -> Iterator[tuple[int, bytes]]:
+        """Yield identifier and data of each frame that comes until then [s]; a PlateError if the
+        bus is gone, or tells of an error."""
+        import can
+
+        while True:
+            try:
+                message = self._bus.recv(max(0.0, until - self.now))
+            except (can.CanError, OSError) as error:
+                raise PlateError(f"the CAN bus is gone ({error})") from None
+            if message is not None and message.is_error_frame:
+                raise PlateError("error on the CAN bus: look at wires, termination and bit rate")
+            if message is not None and not (message.is_extended_id or message.is_remote_frame):
+                yield message.arbitration_id, bytes(message.data)
+            if self.now >= until:
+                return
+
+    def wait(self, seconds: float, done: Callable[[], object] = lambda: False) -> None:
+        """Let so much time pass [s], or until something is so."""
+        for identifier, data in self.heard(self.now + seconds):
+            self._take(identifier, data)
+            if done():
+                return
+
+    def _take(self, identifier: int, data: bytes) -> None:
+        kind, told = identifier & 0x780, self.told.get(identifier & 0x7F)
+        if identifier in (NMT, SYNC, HEARTBEAT + OWN_NODE) or kind in (RPDO, REQUEST):
+            self.rival = True
+        elif told is None:
+            return
+        elif kind == ANSWER and len(data) == 8:
+            told.answers.append(data)
+        elif kind == TPDO and len(data) == 6:
+            told.places.append(data)
+        elif kind == HEARTBEAT and len(data) == 1:
+            told.beat_at, told.state = self.now, data[0] & 0x7F
+            told.boots += data[0] == 0
+        elif kind == EMERGENCY and len(data) >= 3 and any(data[:2]):
+            told.emergency = told.emergency or (int.from_bytes(data[:2], "little"), data[2])
+
+    def answering(self, index: int) -> list[int]:
+        """Ask all nodes for an object; returns those that answer, whatever they say."""
+        for node in NODES:
+            self.told[node].answers.clear()
+            self._request(node, 0x40, index, 0)
+            if node % 16 == 0:  # adapters hold few frames
+                self.wait(0.01)
+        self.wait(ANSWER_S)
+        return [node for node in NODES if self.told[node].answers]
+
+    def read(self, node: int, index: int, sub: int = 0, signed: bool = False) -> int:
+        """Return the value of an object of a node.
+
+        Raises
+        ------
+        PlateError
+            `Refused`, or it does not answer, or by more than four bytes.
+        """
+        answer = self._asked(node, 0x40, index, sub)
+        if answer[0] & 0xE2 != 0x42:
+            raise PlateError(f"node {node}: object {index:04X}h is longer than four bytes")
+        size = 4 - (answer[0] >> 2 & 3 if answer[0] & 1 else 0)
+        return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
+
+    def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
+        """Give an object of a node a value of 1, 2 or 4 bytes; errors as `read`."""
+        self._asked(node, 0x23 | (4 - size) << 2, index, sub, value)
+
+    def _request(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
+        """Send a request; returns how its answer names the object."""
+        name = index.to_bytes(2, "little") + bytes([sub])
+        self.send(REQUEST + node, bytes([command]) + name + (value % 2**32).to_bytes(4, "little"))
+        return name
+
+    def _asked(self, node: int, command: int, index: int, sub: int, value: int = 0) -> bytes:
+        answers = self.told[node].answers
+        answers.clear()
+        name = self._request(node, command, index, sub, value)
+        self.wait(ANSWER_S, lambda: answers and answers[-1][1:4] == name)
+        if not answers or answers[-1][1:4] != name:
+            raise PlateError(f"node {node} does not answer within {ANSWER_S} s")
+        if answers[-1][0] == 0x80:
+            raise Refused(node, index, sub, int.from_bytes(answers[-1][4:], "little"))
+        return answers[-1]
+
+
+def open_bus(interface: str, channel: str, bitrate: int) -> Any:
+    """Return a bus of python-can; a PlateError if that is missing, or the bus does not open."""
+    try:
+        import can
+    except ImportError:
+        raise PlateError("python-can is missing, allowed: pip install python-can") from None
+    try:
+        return can.Bus(interface=interface, channel=channel, bitrate=bitrate)
+    except (can.CanError, OSError, ImportError, TypeError, ValueError) as error:
+        known = ", ".join(sorted(can.interfaces.VALID_INTERFACES))
+        raise PlateError(
+            f"CAN bus {interface} {channel} does not open ({error}), allowed: one that is there "
+            f"and up, of {known}"
+        ) from None

@@ -1,0 +1,261 @@
+"""The transport `socketcan`: this computer leads the drives by a CAN interface of Linux.
+
+The board's own firmware runs as a process beside the driver, in real time: firmware/boards/linux.
+The driver speaks to it as to a board, so tables, limits, tails, stops and drives are the board's.
+What a board would not be is late: that is measured, and what is too late for the rig is refused.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+from plate_core import PlateError, Rig
+from plate_core.driver_status import DriverReason
+from plate_core.rig import Limits
+from plate_driver.transports import (
+    Condition,
+    Measured,
+    Order,
+    Port,
+    Report,
+    SerialTransport,
+    TransportContext,
+)
+from plate_sim.device import DeviceLimits, c_header
+
+__all__ = ["HostPort", "HostTransport", "build", "make", "program_of"]
+
+SOURCES = Path(__file__).parent / "firmware"
+"""A link in the source tree, a copy where the package is installed."""
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+
+FADE = 1e-3
+"""Of the greatest lateness, with each telemetry: it is forgotten in 10 s."""
+
+
+def build(header: str, kind: str, folder: Path, *files: str) -> Path:
+    """Compile the firmware for this computer; returns the program.
+
+    Parameters
+    ----------
+    header : str
+        A rig's limits and drives, see `plate_sim.device.c_header`.
+    kind : str
+        Of the drives: cia402 or odrive.
+    folder : Path
+        Where to.
+    files : str
+        Sources in firmware/ that are its board.
+
+    Raises
+    ------
+    PlateError
+        If it cannot be compiled.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "limits_rig.h").write_text(header, encoding="utf-8")
+    program, names = folder / "plate", ("drives/axes.c", f"drives/{kind}.c", *files)
+    sources = [*sorted(SOURCES.glob("*.c")), *(SOURCES / name for name in names)]
+    command = ["cc", *FLAGS, f"-I{folder}", "-o", str(program), *map(str, sources), "-lm"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    except OSError as error:
+        raise PlateError(f"the firmware cannot be compiled: cc: {error.strerror}") from None
+    if done.returncode:
+        raise PlateError(f"the firmware cannot be compiled: {done.stderr.strip()}")
+    return program
+
+
+@lru_cache(maxsize=1)
+def _built(header: str, kind: str) -> tuple[Path, tempfile.TemporaryDirectory[str]]:
+    """The program, kept while this process lives: to compile takes a second or more, and a stop may
+    have to open a transport."""
+    folder = tempfile.TemporaryDirectory(prefix="plate-")
+    return build(header, kind, Path(folder.name), "boards/linux/board.c"), folder
+
+
+def program_of(rig: Rig) -> Path:
+    """Return the firmware for this computer and a rig.
+
+    Raises
+    ------
+    PlateError
+        If the rig is none for it, or it cannot be compiled.
+    """
+    drives = [motor.drive for motor in rig.motors if motor.drive is not None]
+    if not drives:
+        raise PlateError("motors: drive is bridge, allowed with socketcan: cia402, odrive")
+    if not rig.limits.following_error_m:
+        raise PlateError(
+            "limits: following_error_m is 0, allowed with socketcan: more, since it says how late "
+            "setpoints may be"
+        )
+    header = c_header(DeviceLimits.of_rig(rig), "the rig file", drives)
+    return _built(header, drives[0].kind)[0]
+
+
+def open_can(channel: str) -> socket.socket:
+    """Open a CAN interface of Linux; a PlateError if it is not there."""
+    try:
+        can = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        can.bind((channel,))
+    except OSError as error:
+        raise PlateError(f"CAN interface {channel} does not open ({error})") from None
+    return can
+
+
+class HostPort:
+    """The firmware in a process of its own, as a serial port.
+
+    When it is closed, or we are gone, the process brakes, takes the current away and ends.
+
+    Parameters
+    ----------
+    program : path
+    channel : str
+        Name of the bus: one process each.
+    opened : callable
+        Opens it: datagrams of `struct can_frame`.
+    ticks : int, optional
+        Descriptor that gives the ticks, in place of a timer.
+
+    Raises
+    ------
+    PlateError
+        If the bus does not open, or another process still leads it.
+    """
+
+    def __init__(
+        self,
+        program: Path,
+        channel: str,
+        opened: Callable[[str], socket.socket] = open_can,
+        ticks: int | None = None,
+    ) -> None:
+        with socket.socket(socket.AF_UNIX) as lock, opened(channel) as can:
+            try:
+                lock.bind(f"\0plate_drives {channel}")  # until the process has ended
+            except OSError:
+                raise PlateError(f"{channel} is still led by another process of ours") from None
+            passed = (can.fileno(), *(() if ticks is None else (ticks,)))
+            self._process = subprocess.Popen(
+                [program, *map(str, passed)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                pass_fds=(*passed, lock.fileno()), start_new_session=True,  # Ctrl-C is not for it
+            )  # fmt: skip
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._in, self._out = self._process.stdin, self._process.stdout
+        for pipe in (self._in, self._out):
+            os.set_blocking(pipe.fileno(), False)
+
+    def read(self, size: int) -> bytes:
+        """Return what has come; an OSError if the process has ended."""
+        try:
+            data = os.read(self._out.fileno(), size)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise OSError("the process has ended")
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Write what fits; returns how many bytes that is."""
+        try:
+            return os.write(self._in.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+    def close(self) -> None:
+        """Let it end."""
+        self._in.close()
+        self._out.close()
+        threading.Thread(target=self._process.wait, daemon=True).start()
+
+
+class HostTransport(SerialTransport):
+    """To the firmware on this computer.
+
+    Parameters
+    ----------
+    make_port : callable
+        Starts it.
+    limits : Limits
+        Of the rig.
+    clock : callable
+        Time that never runs back [s].
+    seed : int
+        Where session numbers begin: another one for each run.
+
+    Attributes
+    ----------
+    allowed_ms : float
+        By how much a setpoint may be late: as long as the plate, at its greatest speed, needs for
+        the following error that is a fault [ms].
+    """
+
+    def __init__(
+        self, make_port: Callable[[], Port], limits: Limits, clock: Callable[[], float], seed: int
+    ) -> None:
+        super().__init__(make_port, clock, seed, limits=limits)
+        self.allowed_ms = 1e3 * limits.following_error_m / limits.speed
+        self._late_ms = 0.0
+        self._too_late = ""
+
+    def poll(self) -> list[Measured]:
+        """Poll, and brake where setpoints come too late for the rig."""
+        measured = super().poll()
+        self._late_ms = max(
+            self.load, self._late_ms * (1 - FADE) ** len(measured)
+        )  # a tick is 1 ms
+        ready = not self._too_late and self.report().condition is Condition.READY
+        if ready and self._late_ms > self.allowed_ms:
+            self._too_late = self._lateness()
+            self.stop()
+        return measured
+
+    def enable(self) -> Order:
+        """Enable as a board, unless this computer is too late for the rig."""
+        if self._late_ms > self.allowed_ms:
+            return Order().settle(self._lateness())
+        self._too_late = ""
+        return super().enable()
+
+    def report(self) -> Report:
+        """Say what the motors do, and whether lateness has stopped them."""
+        report = super().report()
+        if self._too_late and report.condition in (Condition.OFF, Condition.BRAKING):
+            return Report(report.condition, DriverReason.OTHER, self._too_late)
+        return report
+
+    def values(self) -> dict[str, str]:
+        """Return what is to be reported, name to value."""
+        values = super().values()
+        if "device_load" in values:
+            values["setpoints_late_ms"] = values.pop("device_load")
+        return values
+
+    def _lateness(self) -> str:
+        return (
+            f"setpoints were {self._late_ms:.1f} ms late, allowed: {self.allowed_ms:.1f} ms, by "
+            "following_error_m over speed_mps; this computer is too busy for this rig"
+        )
+
+
+def make(context: TransportContext) -> HostTransport:
+    """Return the transport to the drives on the CAN interface that the parameter `port` names."""
+    channel, rig = str(context.parameters["port"]), context.rig
+    if not channel:
+        raise PlateError("port is '', allowed with socketcan: a CAN interface, such as can0")
+    if rig.camera.trigger is not None:
+        raise PlateError("camera: trigger_phase is given, allowed with socketcan: a free camera")
+    program = program_of(rig)
+    return HostTransport(
+        lambda: HostPort(program, channel), rig.limits, context.clock, context.seed
+    )

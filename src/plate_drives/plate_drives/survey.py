@@ -1,0 +1,161 @@
+"""What drives are on the bus, what they say of themselves, and whether that fits the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from plate_core import PlateError, Rig
+from plate_core.rig import Doubt, Drive, Limits
+from plate_core.serial_protocol import Trouble
+
+from .master import Master, Refused, meaning, words
+
+OBJECTS = {
+    "device type": (0x1000, 0), "vendor": (0x1018, 1), "serial": (0x1018, 4), "modes": (0x6502, 0),
+    "status": (0x6041, 0), "error": (0x603F, 0), "register": (0x1001, 0), "position": (0x6064, 0),
+    "lowest": (0x607D, 1), "highest": (0x607D, 2), "speed": (0x607F, 0), "window": (0x6065, 0),
+    "period": (0x60C2, 1), "exponent": (0x60C2, 2), "consumer": (0x1016, 1), "abort": (0x6007, 0),
+}  # fmt: skip
+"""What is read of a node: object and subindex."""
+SIGNED = ("position", "lowest", "highest", "exponent")
+
+NEEDED = ("consumer", "abort", "exponent")
+"""Without these nobody could stop a drive once its master is gone, or it would not interpolate."""
+
+PROFILE, CYCLIC_POSITION, UNWATCHED = 402, 1 << 7, 2**32 - 1
+
+
+def enabled(status: int) -> bool:
+    """Whether a drive with this statusword has current: in operation, or in its quick stop."""
+    return status & 0x6F in (0x27, 0x07)
+
+
+def in_fault(status: int) -> bool:
+    """Whether a drive with this statusword is in fault, or on its way there."""
+    return status & 0x48 == 0x08
+
+
+@dataclass(frozen=True)
+class Found:
+    """A node on the bus: its number, values by the names of `OBJECTS`, why it refuses the others,
+    and whether two nodes have this number."""
+
+    node: int
+    values: Mapping[str, int]
+    refusals: Mapping[str, str]
+    twice: bool
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether it is a drive of CiA 402."""
+        return self.values.get("device type", 0) & 0xFFFF == PROFILE
+
+    def __str__(self) -> str:
+        known, status = self.values, self.values.get("status", 0)
+        state = "in fault" if in_fault(status) else "without current"
+        return (
+            f"node {self.node}: device type {known.get('device type', 0):X}h, vendor "
+            f"{known.get('vendor', 0):X}h, serial {known.get('serial', 0)}, position "
+            f"{known.get('position', 0)}, interpolates over {known.get('period', 0)}e"
+            f"{known.get('exponent', 0)} s, {'WITH CURRENT' if enabled(status) else state}"
+        )
+
+
+def survey(master: Master) -> dict[int, Found]:
+    """Return all nodes on the bus, by their numbers. It only reads.
+
+    Raises
+    ------
+    PlateError
+        If the bus is gone, or a node falls silent meanwhile.
+    """
+    found = {}
+    for node in master.answering(0x1000):
+        twice, values, refusals = len(master.told[node].answers) > 1, {}, {}
+        for name, (index, sub) in OBJECTS.items():
+            try:
+                values[name] = master.read(node, index, sub, name in SIGNED)
+            except Refused as error:
+                refusals[name] = str(error)
+        found[node] = Found(node, values, refusals, twice)
+    return found
+
+
+def drives_of(rig: Rig) -> list[Drive]:
+    """Return the drives of motor_1 to motor_4; a PlateError if they are none of CiA 402."""
+    drives = [motor.drive for motor in rig.motors if motor.drive is not None]
+    kinds = {drive.kind for drive in drives} or {"bridge"}
+    if kinds != {"cia402"}:
+        raise PlateError(f"motors: drive is {', '.join(kinds)}, allowed here: cia402")
+    return drives
+
+
+def doubts(rig: Rig, found: Mapping[int, Found], rival: bool) -> Iterator[Doubt]:
+    """Yield what on the bus does not fit the rig; `impossible` is what has to be mended first."""
+    if rival:
+        yield Doubt("bus", words(0, Trouble.OTHER_MASTER), True)
+    drives = drives_of(rig)
+    for number, drive in enumerate(drives, 1):
+        for text in _of_drive(number, drive, found):
+            yield Doubt("motors", text, True)
+        one = found.get(drive.node)
+        for text, wrong in _of_limits(drive, one, rig.limits) if one and one.is_drive else ():
+            yield Doubt("limits", f"motor_{number}: {text}", wrong)
+    for node in sorted(set(found) - {drive.node for drive in drives}):
+        yield Doubt("bus", f"node {node} is on the bus and not in the rig file")
+
+
+def _of_drive(number: int, drive: Drive, found: Mapping[int, Found]) -> Iterator[str]:
+    name, node, one = f"motor_{number}", drive.node, found.get(drive.node)
+    same = [k for k, n in found.items() if drive.serial and n.values.get("serial") == drive.serial]
+    swapped = f"; the serial number of the rig file is at node {same[0]}" if same else ""
+    if one is None:
+        others = ", ".join(map(str, sorted(found))) or "none"
+        yield f"{name}: node {node} does not answer, found: {others}{swapped}"
+        return
+    device, modes, serial, status, code, register = (
+        one.values.get(name, 0)
+        for name in ("device type", "modes", "serial", "status", "error", "register")
+    )
+    if one.twice:
+        yield words(number, Trouble.TWICE)
+    if not one.is_drive:
+        yield f"{name}: node {node} has device type {device:X}h, allowed: of profile {PROFILE}"
+        return
+    if not modes & CYCLIC_POSITION:
+        yield f"{name}: modes 6502h are {modes:X}h, allowed: with cyclic synchronous position"
+    if drive.serial not in (0, serial):
+        yield f"{name}: node {node} has serial {serial}, the rig file {drive.serial}{swapped}"
+    for needed in set(NEEDED) & set(one.refusals):
+        yield f"{name}: {one.refusals[needed]}: it cannot be led"
+    if in_fault(status):
+        why = f"error code {code:04X}h{meaning(code)}, error register {register:02X}h"
+        yield f"{words(number, Trouble.FAULT, code=status)}: {why}"
+    elif enabled(status):
+        yield f"{name}: the drive has current (statusword {status:04X}h): who leads it?"
+
+
+def _of_limits(drive: Drive, one: Found, limits: Limits) -> Iterator[tuple[str, bool]]:
+    """What the drive's own limits do within the rig's, and whether it is then wrong."""
+    low, high, speed, window = (
+        one.values.get(name, 0) / drive.counts_per_m
+        for name in ("lowest", "highest", "speed", "window")
+    )
+    stroke, following = limits.stroke_m, limits.following_error_m
+    span = f"position range limits 607Dh are {1e3 * low:.4g} to {1e3 * high:.4g} mm"
+    if low >= high:
+        yield "no position range limits 607Dh: nothing but the rig's stroke_m bounds it", False
+    elif high - low < 2 * stroke:
+        yield f"{span}, allowed: stroke_m to both sides, {2e3 * stroke:g} mm or more", True
+    elif drive.absolute and max(low, -high) > -stroke:
+        yield f"{span}, allowed: beyond stroke_m, {1e3 * stroke:g} mm, as home is absolute", True
+    if 0 < speed < limits.speed:
+        yield f"max profile velocity 607Fh is {speed:.3g} m/s, if in counts/s: too low", False
+    if one.values.get("window", 0) in (0, UNWATCHED):
+        yield "following error window 6065h is not set: the drive does not watch it", False
+    elif window < following:
+        yield (
+            f"following error window 6065h is {1e3 * window:.3g} mm: the drive stops before the "
+            f"rig's following_error_m, {1e3 * following:g} mm", False,
+        )  # fmt: skip

@@ -1,0 +1,302 @@
+"""This computer leads drives of somebody else's stack: the firmware's process, tick by tick, on a
+bus in memory."""
+
+import contextlib
+import fcntl
+import os
+import select
+import socket
+import struct
+import sys
+import termios
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_firmware import shaking
+
+from plate_core import PlateError, load_rig
+from plate_core.driver_status import DriverReason
+from plate_core.rig import Drive as RigDrive
+from plate_driver.transports import Condition, TransportContext
+from plate_drives.lateness import main
+from plate_drives.socketcan import HostPort, HostTransport, build, make
+from plate_sim.device import DeviceLimits, c_header
+
+pytestmark = pytest.mark.needs("can", "canopen")
+
+RIG = load_rig()
+NODES, SCALE = (1, 2, 3, 4), 1e6
+DRIVES = [RigDrive(node, SCALE) for node in NODES]
+PLACES = (5000, -70_000, 900_000, 20)
+RPDO, FRAME = 0x200, struct.Struct("=IB3x8s")
+
+
+@pytest.fixture(name="program", scope="module")
+def _program(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("host")
+    header = c_header(DeviceLimits.of_rig(RIG), "rig.yaml", DRIVES)
+    return build(header, "cia402", folder, "boards/linux/board.c")
+
+
+class Bench:
+    """Drives, bus, process and transport in the same simulated time."""
+
+    def __init__(self, program, name):
+        import can
+        from can_drives import Drive, SteppedNetwork
+
+        self.program, self.name = program, name
+        self.network = SteppedNetwork(name)
+        self.bus = can.Bus(interface="virtual", channel=name)
+        self.drives = [Drive(self.network, node) for node in NODES]
+        for drive, place in zip(self.drives, PLACES, strict=True):
+            drive.position = float(place)
+            drive.boot()
+        self.passed, self.ticks = os.pipe()
+        self.ports, self.ends, self.sent, self.measured = [], [], [], []
+        self.transport = HostTransport(self.port, RIG.limits, self.now, 7)
+
+    def now(self):
+        return 1e-3 * self.network.now
+
+    def port(self):
+        frames, end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.ends.append(frames)
+        port = HostPort(self.program, self.name, lambda _: end, self.passed)
+        self.ports.append(port)
+        self.frames = frames
+        return port
+
+    def waiting(self):
+        """Bytes of ticks that the process has not begun."""
+        size = bytearray(4)
+        fcntl.ioctl(self.passed, termios.FIONREAD, size)
+        return any(size)
+
+    def run(self, ms, late=0, polls=True):
+        """Let time pass; the first tick comes `late` ms late."""
+        for k in range(ms):
+            missed = late if k == 0 else 0
+            for _ in range(1 + missed):
+                self.network.pass_ms()
+                for drive in self.drives:
+                    drive.pass_ms()
+            while (message := self.bus.recv(0)) is not None:
+                data = bytes(message.data)
+                with contextlib.suppress(BrokenPipeError):
+                    self.frames.send(FRAME.pack(message.arbitration_id, len(data), data))
+            os.write(self.ticks, struct.pack("=Q", 1 + missed))
+            while self.waiting():
+                if self.ports[-1]._process.poll() is not None:
+                    return
+                time.sleep(2e-5)
+            while select.select([self.frames], [], [], 0)[0] and (frame := self.frames.recv(16)):
+                identifier, size, data = FRAME.unpack(frame)
+                self.sent.append((self.network.now, identifier, data[:size]))
+                self.network.notify(identifier, bytearray(data[:size]), self.now())
+            if polls and k % 2 == 0:
+                self.measured += self.transport.poll()
+
+    def ready(self):
+        self.transport.open()
+        self.run(200)
+        order = self.transport.enable()
+        self.run(700)
+        assert order.done
+        assert self.transport.report().condition is Condition.READY
+
+    def targets(self, node):
+        """Times [ms] and travels [m] that a drive in operation was told."""
+        rows = [
+            (at, *struct.unpack("<Hi", data))
+            for at, identifier, data in self.sent if identifier == RPDO + node
+        ]  # fmt: skip
+        rows = np.array([(at, place) for at, word, place in rows if word == 15])
+        return rows[:, 0], (rows[:, 1] - PLACES[node - 1]) / SCALE
+
+    def off(self):
+        return all(drive.state == "switch on disabled" for drive in self.drives)
+
+    def close(self):
+        self.transport.close()
+        os.close(self.ticks)  # there are no more
+        for port in self.ports:
+            port._process.wait(10)
+        self.network.bus.shutdown()
+        self.bus.shutdown()
+        os.close(self.passed)
+        for end in self.ends:
+            end.close()
+
+
+@pytest.fixture(name="bench")
+def _bench(program, request):
+    bench = Bench(program, request.node.name)
+    yield bench
+    bench.close()
+
+
+def test_a_table_is_played_on_the_drives(bench):
+    bench.ready()
+    table = shaking(0.004)
+    bench.transport.send(table, 3)
+    bench.run(500)
+    playing = [m for m in bench.measured if m.playing is table]
+    assert len(playing) > 20
+    for node in NODES:
+        at, travel = bench.targets(node)
+        assert np.max(np.abs(np.diff(travel))) <= RIG.limits.speed * 2e-3
+        assert set(np.diff(at)) <= {1, 2, 3}  # a tick's frames are seen in it, or in the next one
+        assert abs(np.mean(np.diff(at)) - 2) < 0.01
+        wanted = np.max(np.abs(table.q[:, node - 1]))
+        assert abs(np.max(np.abs(travel)) - wanted) < 0.02 * wanted
+        assert travel[-1] == 0  # it was played three times, and rests
+    assert bench.transport.report().condition is Condition.READY
+    order = bench.transport.stop(cut=True)
+    bench.run(10)
+    assert order.done
+    assert bench.off()
+
+
+def test_a_drives_own_words_are_told(bench):
+    bench.ready()
+    bench.drives[1].fail(0x8611, 0x20)
+    bench.run(30)
+    report = bench.transport.report()
+    assert (report.condition, report.reason) == (Condition.OFF, DriverReason.FOLLOWING)
+    assert report.text == "following: motor_2: emergency 8611h, error register 20h"
+
+
+def test_who_is_too_late_for_the_rig_brakes_and_is_not_enabled(bench):
+    """3 mm at 1 m/s: 3 ms."""
+    bench.ready()
+    bench.transport.send(shaking(0.004), 20)
+    bench.run(120)
+    bench.run(40, late=2)
+    assert bench.transport.report().condition is Condition.READY
+    bench.run(1000, late=5)
+    report = bench.transport.report()
+    assert (report.condition, report.reason) == (Condition.OFF, DriverReason.OTHER)
+    assert report.text.startswith("setpoints were 5.0 ms late, allowed: 3.0 ms, by following_error")
+    assert bench.off()
+    for node in NODES:
+        at, travel = bench.targets(node)
+        passed_ms = np.maximum(np.diff(at), 2)
+        assert np.max(np.abs(np.diff(travel)) / passed_ms) <= 1e-3 * RIG.limits.speed
+    order = bench.transport.enable()
+    assert order.failure == report.text
+    bench.transport._late_ms = 0.0  # as after some time
+    bench.transport.values()
+    order = bench.transport.enable()
+    bench.run(700)
+    assert order.done
+
+
+def test_a_host_that_falls_silent_is_missed(bench):
+    bench.ready()
+    bench.transport.send(shaking(0.004), 20)
+    bench.run(120)
+    bench.run(1200, polls=False)
+    assert bench.off()
+    assert abs(bench.targets(1)[1][-1]) < 1e-5  # braked along its path, and home
+
+
+def test_a_process_leads_a_bus_alone_and_ends_with_the_drives_off(bench):
+    bench.ready()
+    bench.transport.send(shaking(0.004), 20)
+    bench.run(120)
+    bench.transport.close()
+    with pytest.raises(PlateError, match=f"{bench.name} is still led by another process"):
+        bench.port()
+    bench.run(1500, polls=False)
+    assert bench.off()
+    assert bench.ports[0]._process.wait(10) == 0
+    bench.port().close()
+
+
+def context(rig, port="can0"):
+    return TransportContext(rig, lambda _: None, lambda: 0.0, {"port": port})
+
+
+def test_what_cannot_be_led_is_refused():
+    rig = load_rig("linear_motors")
+    free = replace(rig, camera=replace(rig.camera, trigger=None))
+    unwatched = replace(free, limits=replace(free.limits, following_error_m=0))
+    for wrong, port, text in (
+        (free, "", "port is '', allowed with socketcan: a CAN interface, such as can0"),
+        (rig, "can0", "trigger_phase is given, allowed with socketcan: a free camera"),
+        (unwatched, "can0", "following_error_m is 0, allowed with socketcan: more"),
+        (RIG, "can0", "drive is bridge, allowed with socketcan: cia402, odrive"),
+    ):
+        with pytest.raises(PlateError, match=text):
+            make(context(wrong, port))
+
+
+def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(PlateError, match="the firmware cannot be compiled: cc: No such file"):
+        build("", "odrive", tmp_path / "out", "boards/linux/board.c")
+    (tmp_path / "cc").write_text("#!/bin/sh\necho broken >&2; exit 1\n")
+    (tmp_path / "cc").chmod(0o755)
+    with pytest.raises(PlateError, match="the firmware cannot be compiled: broken"):
+        build("", "odrive", tmp_path / "out", "boards/linux/board.c")
+
+
+def test_a_bus_that_is_not_there_is_waited_for(program):
+    transport = HostTransport(lambda: HostPort(program, "can77"), RIG.limits, lambda: 0.0, 7)
+    transport.open()
+    report = transport.report()
+    assert (report.condition, report.reason) == (Condition.GONE, DriverReason.PORT)
+    assert report.text.startswith("CAN interface can77 does not open (")
+    assert report.text.endswith(": waiting for it")
+
+
+CYCLE_S = 2e-3
+
+
+def strayed(late_s):
+    """How far a drive's own setpoint is from where it would be without lateness, RMS and most [m].
+
+    The motion is a sinusoid at speed and acceleration of the limits; each SYNC comes by up to
+    `late_s` late, evenly spread. From there the drive goes on to its new target in a straight line
+    over a cycle, and stands until the next SYNC."""
+    rate = RIG.limits.accel / RIG.limits.speed
+    due = CYCLE_S * np.arange(5000)
+    came = np.maximum.accumulate(due + np.random.default_rng(0).uniform(0, late_s, len(due)))
+    target = RIG.limits.speed / rate * np.sin(rate * (due + CYCLE_S))
+    times = np.arange(0.1, due[-1] - 0.1, CYCLE_S / 20)
+
+    def led(sync):
+        place = np.zeros(len(sync) + 1)  # where it is when each SYNC comes
+        for k, step in enumerate(np.diff(sync, append=sync[-1] + CYCLE_S)):
+            place[k + 1] = place[k] + (target[k] - place[k]) * min(step / CYCLE_S, 1)
+        last = np.searchsorted(sync, times, side="right") - 1
+        return place[last] + (target - place[:-1])[last] * np.minimum(
+            (times - sync[last]) / CYCLE_S, 1
+        )
+
+    error = led(came) - led(due)
+    return np.sqrt(np.mean(error**2)), np.max(np.abs(error))
+
+
+def test_what_is_late_is_off_by_the_way_made_meanwhile():
+    """By which the transport judges how late setpoints may be."""
+    assert strayed(0.0) == (0.0, 0.0)
+    for late_s in (1e-4, 1e-3, 5e-3):
+        rms, most = strayed(late_s)
+        assert 0.95 < most / (RIG.limits.speed * late_s) < 1.001
+        # The mean square of a delay that is even from 0 to `late_s` is a third of its square.
+        assert rms == pytest.approx(RIG.limits.speed / np.sqrt(2) * late_s / np.sqrt(3), rel=0.12)
+
+
+def test_how_late_it_is_can_be_asked(program, monkeypatch, capsys):
+    monkeypatch.setattr("plate_drives.lateness.program_of", lambda _: program)
+    monkeypatch.setattr(sys, "argv", ["lateness", "linear_motors", "--seconds", "0.2"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code in (0, 1)
+    said = capsys.readouterr().out
+    assert said.startswith("setpoints late, greatest in each 10 ms: median ")
+    assert "; allowed: 3.00 ms\n" in said
