@@ -216,6 +216,8 @@ class Drive(canopen.LocalNode):
 
     def set_data(self, index, subindex, data, check_writable=False):
         self.refuse(check_writable and (index, subindex))
+        if index >> 8 == 0x18 and subindex == 1 and not data[3] & 0x40:
+            raise canopen.SdoAbortedError(0x06090030)  # as one that answers no requests for it
         super().set_data(index, subindex, data, check_writable)
 
     def refuse(self, by_sdo: Any) -> None:

@@ -30,6 +30,7 @@ typedef struct {
 } Step;
 
 #define PDO_OFF 0x80000000u
+#define NO_RTR 0x40000000u /* of a TPDO: a drive that cannot be asked for it refuses less */
 static const Step STEPS[] = {
     {0x1000, 0, 4, READ, 402, 0xFFFF},            /* a drive, */
     {0x6040, 0, 2, 0, DISABLE, 0},                /* without current whatever it did before, */
@@ -48,7 +49,7 @@ static const Step STEPS[] = {
     {0x1600, 2, 4, 0, 0x607A0020, 0}, /* target position */
     {0x1600, 0, 1, 0, 2, 0},
     {0x1400, 2, 1, 0, 1, 0},          /* at each SYNC */
-    {0x1800, 1, 4, PLUS_NODE, PDO_OFF | TPDO, 0},
+    {0x1800, 1, 4, PLUS_NODE, PDO_OFF | NO_RTR | TPDO, 0},
     {0x1A00, 0, 1, 0, 0, 0},
     {0x1A00, 1, 4, 0, 0x60410010, 0}, /* statusword */
     {0x1A00, 2, 4, 0, 0x60640020, 0}, /* actual position */
@@ -57,12 +58,12 @@ static const Step STEPS[] = {
     {0x1401, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x300, 0}, /* no others */
     {0x1402, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x400, 0},
     {0x1403, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x500, 0},
-    {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x280, 0},
-    {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x380, 0},
-    {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | 0x480, 0},
+    {0x1801, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x280, 0},
+    {0x1802, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x380, 0},
+    {0x1803, 1, 4, PLUS_NODE | OPTIONAL, PDO_OFF | NO_RTR | 0x480, 0},
     {0x6061, 0, 1, READ, 8, 0xFF},    /* it has taken the mode on */
     {0x1400, 1, 4, PLUS_NODE, RPDO, 0},
-    {0x1800, 1, 4, PLUS_NODE, TPDO, 0},
+    {0x1800, 1, 4, PLUS_NODE, NO_RTR | TPDO, 0},
 };
 #define STEP_COUNT (sizeof STEPS / sizeof *STEPS)
 
