@@ -303,6 +303,11 @@ def no_number(bench, drive):
     drive.position = float("nan")
 
 
+def far(bench, drive):
+    bench.plate, drive.jammed = None, True
+    drive.position = 2500.0
+
+
 def bus_off(bench, drive):
     bench.order("busoff")
 
@@ -318,6 +323,7 @@ FAULTS = [  # what; what is reported of motor 2, or 0: the bus; after at most [m
     (jam, None, None, 0, Fault.FOLLOWING, 40),
     (mute, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
     (no_number, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
+    (far, 2, Trouble.NO_POSITION, 0, Fault.HARDWARE, 12),
     (second_master, 0, Trouble.OTHER_MASTER, 0, Fault.HARDWARE, 4),
     (bus_off, 0, Trouble.BUS_OFF, 0, Fault.HARDWARE, 4),
 ]
