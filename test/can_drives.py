@@ -308,9 +308,8 @@ class Drive(canopen.LocalNode):
             return
         silent = self.network.now - self.heard > (self.value(0x1016, 1) & 0xFFFF)
         if silent and self.value(0x1016, 1) and self.state == "enabled":
-            assert self.value(0x6007) == 3  # quick stop, which ends without current
             self.emcy.send(0x8130, 0x11)
-            self.enter("quick stop")
+            self.enter({2: "switch on disabled", 3: "quick stop"}[self.value(0x6007)])
         if self.state == "enabled" and not self.jammed:
             period = self.value(0x60C2, 1) * 10.0 ** (self.value(0x60C2, 2) + 3)
             self.into = min(self.into + 1, period)

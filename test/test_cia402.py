@@ -605,6 +605,7 @@ def test_each_object_that_a_drive_refuses_is_named(bench):
     requests = [data[1:4] for _, identifier, data in bench.sent if identifier == 0x600 + NODES[3]]
     objects = {(int.from_bytes(data[:2], "little"), data[2]) for data in requests}
     assert len(objects) == 28
+    objects.remove((0x605A, 0))  # there is another way
     drive = bench.drives[3]
     for each in bench.drives[:3]:
         each.deaf = True
@@ -678,9 +679,15 @@ def test_a_drive_that_does_not_take_the_mode_on_is_refused(bench):
     assert said_by(bench, DriveTrouble)[-1] == DriveTrouble(4, Trouble.WRONG_DRIVE, 0x6061, 0)
 
 
-def test_a_drive_without_what_may_be_missing_will_do(bench):
-    bench.drives[0] = bench.drives[0].swap(without=(0x605A,))
+@pytest.mark.parametrize("without", [(), (0x605A,)])
+def test_a_drive_that_cannot_end_its_quick_stop_lets_go_at_once(bench, without):
+    bench.drives[0] = bench.drives[0].swap(without=without)
+    bench.drives[0].refuses = (0x605A, 0)
     ready(bench)
+    bench.cut = True
+    bench.run(200)
+    states = [drive.state for drive in bench.drives]
+    assert states == ["switch on disabled", *["quick stop"] * 3]
 
 
 UNDOING = {  # the first ones while nothing else is wrong
