@@ -182,18 +182,21 @@ def drives(rows: list[Row]) -> Chart:
                 notes=[f"{r['succeeded']} ended well" for r in these],
             )  # fmt: skip
         panel.rule("bridges", y=bridges["rms_mm"], colour=LIMIT)
-    told = {(r["drive"], r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows}
-    usual, late, rough = (
-        told["interpolated", *one]
-        for one in (("latency_ms", 1), ("latency_ms", 4), ("jitter_ms", 5))
-    )
+    told = {
+        (r["changed"], r["value"]): shown(r["rms_mm"]) for r in rows if r["drive"] == "interpolated"
+    }
+    words = {
+        ("latency_ms", 1): "drives that interpolate", ("latency_ms", 4): "with 4 ms of latency",
+        ("jitter_ms", 5): "with up to 5 ms of jitter", ("loop_hz", 75): "with loops of 75 Hz",
+        ("loop_hz", 300): "with loops of 300 Hz",
+    }  # fmt: skip
+    found = ", ".join(f"{word} {told[case]} mm" for case, word in words.items())
     return Chart(
         "drives", "", "Drives on a bus: latency, jitter and their own loop",
         "Two parts along rectangles at 40 mm/s, uneven friction, setpoints each 2 ms, 1 ms late, "
         "no jitter, loops of 150 Hz, one of these changed at a time; the red line is of bridges, "
         "which follow exactly. Hollow: not all runs ended well.",
-        f"Bridges {shown(bridges['rms_mm'])} mm; drives that interpolate {usual} mm, with 4 ms of "
-        f"latency {late} mm, with up to 5 ms of jitter {rough} mm.",
+        f"Bridges {shown(bridges['rms_mm'])} mm; {found}.",
         "", panels,
     )  # fmt: skip
 
